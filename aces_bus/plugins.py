@@ -3,6 +3,7 @@
 1. Lazy: listing imports nothing. Loud: an unknown name lists those that exist.
 2. Singular: two packages that claim one name raise, with both places.
 3. Ours are registered as others' are.
+4. A program may add its own, for as long as it runs; they claim their names as packages do.
 """
 
 from __future__ import annotations
@@ -22,17 +23,34 @@ class Plugins(Generic[T]):
         self.group, self.what, self.kind = group, what, kind
         #: What was loaded is kept: searching all that is installed takes milliseconds.
         self._loaded: dict[str, T] = {}
+        self._added: list[EntryPoint] = []
 
     def points(self) -> dict[str, EntryPoint]:
         """The entry points in order of names, not imported. Raises `SpecError` when two packages claim a name."""
         found: dict[str, EntryPoint] = {}
-        for point in sorted(entry_points(group=self.group), key=lambda one: one.name):
+        for point in sorted([*entry_points(group=self.group), *self._added], key=lambda one: one.name):
             other = found.setdefault(point.name, point)
             if other.value != point.value:
                 raise SpecError(
                     f"two packages claim the {self.what} name {point.name!r}: {other.value} and {point.value}"
                 )
         return found
+
+    def add(self, name: str, item: T, place: str) -> None:
+        """Have this object under a name, in this program. `place` is what messages say of it.
+
+        Raises `SpecError` when the name is another's.
+        """
+        known = self.points().get(name)
+        if known is not None and known.value == place:
+            return
+        if known is not None and self.load(name) is item:
+            return  # imported from where it is registered
+        point = EntryPoint(name, place, self.group)
+        if known is not None:
+            raise SpecError(f"two packages claim the {self.what} name {name!r}: {known.value} and {place}")
+        self._added.append(point)
+        self._loaded[name] = item
 
     def load(self, name: str) -> T:
         """The object named `name`. Raises `UnknownNameError` with the names that exist, `SpecError` for a wrong entry."""

@@ -209,7 +209,7 @@ class CartesianPath(Controller):
         return given
 
     def _plan_approach(self, now: int) -> None:
-        """A way to the path's first angles, where they are not the present ones; what is out of reach fails in `advance`."""
+        """A way to the first angles of the path, where these are not the present ones; out of reach, `advance` fails."""
         present = self._q
         found = self.solve(0.0)
         apart = np.abs(found.vector - present)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from .coalesce import CoalescingRule, OutgoingMessage, Setpoint, per_device, uncoalesced
 from .config import Bus, Compliance, DeviceConfig, Gains, Home, Joint, Robot, Sensor
 from .device import Device, Poll, signal
-from .drivers import Driver, list_drivers, load_driver
+from .drivers import Driver, list_drivers, load_driver, use_driver_file
 from .events import DeviceEvent, EventLog
 from .host import Host
 from .motor import MotorDevice
@@ -56,5 +56,6 @@ __all__ = [
     "stop_devices",
     "together",
     "uncoalesced",
+    "use_driver_file",
     "wait_stopped",
 ]

@@ -6,8 +6,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint
 
-from ..errors import SpecError
+from ..errors import CallerError, SpecError
 from ..plugins import Plugins
+from ..protocol.files import load_file
+from ..protocol.live.scanner import PROTOCOLS
 from .device import Device
 from .host import Host
 from .ticket import Job, Steps
@@ -59,3 +61,19 @@ def list_drivers() -> dict[str, EntryPoint]:
 def load_driver(name: str) -> Driver:
     """The installed driver `name`; raises `UnknownNameError` with the names that exist."""
     return DRIVERS.load(name)
+
+
+def use_driver_file(path: str) -> list[Driver]:
+    """Run a Python file, and have its drivers and their protocols under their names in this program, as if installed.
+
+    Raises `CallerError` for a file that cannot be run or has no driver, `SpecError` for a name that is another's.
+    """
+    found = {name: item for name, item in vars(load_file(path)).items() if isinstance(item, Driver)}
+    if not found:
+        raise CallerError(f"{path}: declares no driver at its top level: NAME = Driver(…)")
+    for name, driver in found.items():
+        own = driver.device.protocol
+        if not isinstance(own, str):
+            PROTOCOLS.add(own.name, own, f"{path}:{own.name}")
+        DRIVERS.add(driver.name, driver, f"{path}:{name}")
+    return list(found.values())

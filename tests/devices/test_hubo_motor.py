@@ -165,10 +165,10 @@ def test_velocity_is_from_instants() -> None:
         assert robot["RHY.velocity"].value == pytest.approx(steady, rel=0.15)
 
 
-def test_a_joint_without_its_gear_is_refused() -> None:
+def test_a_joint_without_its_counts_is_refused() -> None:
     """A board cannot follow positions of a joint whose counts nobody knows, and says which."""
-    text = LIMB.replace("gear = [10, 25],", "")
-    with pytest.raises(CallerError, match="RHY needs gear"):
+    text = LIMB.replace("gear = [10, 25],    harmonic = 100,", "")
+    with pytest.raises(CallerError, match="RHY needs gear or harmonic, and encoder"):
         made(text)
 
 

@@ -244,7 +244,9 @@ def test_a_neck_with_the_old_scale(position: float, code: int) -> None:
         f"{name} = {{ device = 'B', channel = {n}, gear = [1, 1], harmonic = 1, encoder = 4096, zero = 3.141592653589793 }}"
         for n, name in enumerate(("NKY", "NK1", "NK2"))
     )
-    with bench(one_board(0x22, "neck", "D12", neck, "{ neck_counts = 4095 }")) as b:
+    with bench(
+        one_board(0x22, "neck", "D12", neck, "{ neck_counts = 4095, filter = 40 }")
+    ) as b:  # not of angles
         enabled(b)
         for name in ("NKY", "NK1", "NK2"):
             b.robot[f"{name}.position"].set(position)

@@ -461,7 +461,7 @@ def test_a_looker_sees_what_another_program_asks(
         watched = aces("device", "YAW", "watch", "position", "--for", "0.2s", "-r", leg, "-i", "aces")
         refused = aces(*command, "--ask")
         host = live.rig.hosts["can"]
-        live.clock.call(host.close)  # type: ignore[attr-defined]
+        live.clock.call(host.close)
         assert twin.requests == host.counts.sent
         assert [event.kind for event in live.rig.events.last if event.device] == []
     assert (got.status, got.out, got.err) == (0, "YAW.position  0 rad\n", "")

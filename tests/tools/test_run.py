@@ -231,6 +231,21 @@ def test_a_wrong_file_is_one_line(
     assert expected in result.err
 
 
+def test_a_controller_that_only_waited_is_said(aces: Aces, robot: Path, tmp_path: Path) -> None:
+    """No set-point at all, as the run is shorter than the past that it asks for: status 1, with what it waited for."""
+    (tmp_path / "wait.py").write_text(
+        "from aces_bus.controller import controller\n"
+        "@controller(rate_hz=50, writes=['RKN'])\n"
+        "def wait(RKN):\n"
+        "    return {'RKN': RKN[-4.0]}\n"
+    )
+    result = aces("run", "-r", robot, tmp_path / "wait.py", "--virtual", "--for", "0.3s")
+    assert result.status == 1, result
+    said = "wait gave no set-point: it waited for state 'RKN.position' has no value at t = -4 s"
+    assert any(line.startswith(said) for line in result.messages)
+    assert result.summary["set_points"] == 0
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [

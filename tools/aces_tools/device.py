@@ -2,7 +2,7 @@
 
   aces device -r hubo2plus              its devices, their joints and sensors
   aces device RHY                       what one has: signals, actions
-  aces device RHY get                   all its values, once, as others ask for them
+  aces device RHY get                   all its values, once, as others ask
   aces device RHY get --ask             the same, asked for by itself
   aces device RHY get position velocity
   aces device RHY watch position        kept up to date; in a pipe a line each
@@ -73,7 +73,7 @@ ARGUMENTS: Arguments = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    robot = chosen_robot(arguments.robot)
+    robot = chosen_robot(arguments.robot, arguments.driver)
     if arguments.name is None:
         return show_devices(robot, arguments.json)
     if arguments.name in VERBS:

@@ -39,6 +39,7 @@ from .robot_arg import (
     chosen_pose,
     chosen_robot,
     open_host,
+    use_driver_files,
 )
 
 #: Seconds of the bus's time that a scan may take at most.
@@ -123,7 +124,8 @@ def _robot(arguments: argparse.Namespace) -> Robot:
     """The robot of the call, or one without devices on the bus that is named."""
     arguments.robot_given = arguments.protocol is None
     if arguments.protocol is None:
-        return chosen_robot(arguments.robot)
+        return chosen_robot(arguments.robot, arguments.driver)
+    use_driver_files(arguments.driver)
     if arguments.robot:
         raise CallerError("--robot says what is spoken already; leave --protocol away")
     if arguments.virtual:

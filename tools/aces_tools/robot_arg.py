@@ -6,6 +6,7 @@
     -i socketcan                         python-can's interface of its CAN buses
     -i aces                              those that `aces sim` serves: can0 is unix:can0
     --virtual                            no bus at all: its twins, here, in virtual time
+    --driver fan.py                      drivers that are in a file of yours, and not installed
 
 1. Nothing is opened before everything else about the call is known to be right.
 2. What a bus says when it cannot be opened becomes one line, with the bus's name and what to write.
@@ -48,6 +49,11 @@ ROBOT_AND_BUSES = Group(
             help="where a bus is: can0, unix:can0, /dev/ttyUSB0, HOST:PORT (default: what the file says)",
         ),
         argument("-i", "--interface", metavar="INTERFACE", help="python-can's, of its CAN buses"),
+        several(
+            "--driver",
+            metavar="FILE.py",
+            help="use the drivers (and twins) of a Python file, too; it is run with your rights",
+        ),
         argument(
             "--baud", type=at_least(1), metavar="N", help="speed of its serial lines (default: the file's)"
         ),
@@ -67,8 +73,21 @@ ROBOT_OR_TWINS = Group(
 )
 
 
-def chosen_robot(name: str | None) -> Robot:
-    """The robot of a name, a file or the variable; raises `CallerError` when there is none, `RobotError` for a bad file."""
+def use_driver_files(paths: Sequence[str]) -> None:
+    """Have the drivers of these files beside those that are installed; raises as `use_driver_file`."""
+    if paths:
+        from aces_bus.device import use_driver_file
+
+        for path in paths:
+            use_driver_file(path)
+
+
+def chosen_robot(name: str | None, driver_files: Sequence[str] = ()) -> Robot:
+    """The robot of a name, a file or the variable, whose drivers may be in files.
+
+    Raises `CallerError` when there is none, `RobotError` for a bad file.
+    """
+    use_driver_files(driver_files)
     from aces_bus.robot import list_robots, load_robot
 
     wanted = name or os.environ.get(VARIABLE)

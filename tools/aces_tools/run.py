@@ -44,8 +44,8 @@ from .robot_arg import ROBOT_OR_TWINS, chosen_robot
 EPILOG = """\
 exit status:
   0    done
-  1    a controller was stopped, a device did not answer or was NOT switched off,
-       a log is not whole, or closing did not succeed
+  1    a controller was stopped or only waited, a device did not answer or was NOT
+       switched off, a log is not whole, or closing did not succeed
   2    a wrong call, or a bus that cannot be opened
   130  interrupted before it ran, or twice
 """
@@ -121,7 +121,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise CallerError("--replay moves nothing; leave --tx, --ask and --home away")
     if arguments.pose and not arguments.virtual:
         raise CallerError("--pose is for twins: add --virtual, or give it to aces sim")
-    robot = chosen_robot(arguments.robot)
+    robot = chosen_robot(arguments.robot, arguments.driver)
     rate = arguments.rate or robot.rate_hz or 100.0
     controllers = load_controllers(arguments.items, robot, rate, arguments)
     if not controllers and not arguments.log:

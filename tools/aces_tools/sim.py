@@ -65,7 +65,7 @@ ARGUMENTS: Arguments = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    robot = chosen_robot(arguments.robot)
+    robot = chosen_robot(arguments.robot, arguments.driver)
     if arguments.list_faults:
         return _list_faults(robot, arguments.json)
     duration = arguments.duration
@@ -252,6 +252,7 @@ class SimulatedRobot:
         from aces_bus.hardware.served.address import parse_address
         from aces_bus.hardware.served.channel import ServedChannel
         from aces_bus.hardware.served.server import BusServer
+        from aces_bus.robot.rig import spoken_on
 
         for name, text in wanted.items():
             if text is None:
@@ -268,11 +269,11 @@ class SimulatedRobot:
             self.reached[name] = {"kind": "can", "interface": "aces", "address": text}
             if is_served:
                 continue
-            bus = self.robot.buses[name]
+            bitrate = self.robot.buses[name].bitrate or spoken_on(self.robot)[name].bitrate or 1_000_000
             _warm()
             plain = text.removeprefix("unix:")
             is_path = "/" in plain
-            channel = ServedChannel(name if is_path else plain, bitrate=bus.bitrate or 1_000_000)
+            channel = ServedChannel(name if is_path else plain, bitrate=bitrate)
             server = BusServer([channel], unix=plain if is_path else "", tcp=None, socketcand=None, said=say)
             stack.callback(server.close)
             thread = threading.Thread(target=server.serve, name=f"bus {name}", daemon=True)

@@ -166,7 +166,9 @@ class MotorBoard(MotorDevice[MotorAxis]):
         #: Channels whose home search or new zero is under way.
         self.homing: set[int] = set()
         self.is_triggered = self.settings.trigger
-        self.filter_length = int(self.settings.filter)
+        # A neck's servo takes angles, which a filter of counts would round; without ticks it would come to a stand.
+        is_filtered = self.kind != "neck" and self.host.rate_hz is not None
+        self.filter_length = int(self.settings.filter) if is_filtered else 1
         self._awaited: dict[str, int] = {}
         self._filtering = False
         #: What references mean; see `set_control_mode`.

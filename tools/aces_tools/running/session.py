@@ -283,6 +283,10 @@ class Session:
                 say(f"{source}: {kind}: {number - FEW} more times")
         for name, reason in ended.tripped.items():
             say(f"{name} was {'held' if name in runner.held else 'stopped'}: {reason}")
+        waiting = {one.name: getattr(one, "waiting", "") for one in self._bare}
+        idle = [name for name, what in waiting.items() if what and not runner.set_points]
+        for name in idle:
+            say(f"{name} gave no set-point: it waited for {waiting[name]}")
         if self.arguments.replay and runner.missing:
             say(f"not in the recording: {', '.join(runner.missing)}")
         if ended.held:
@@ -318,7 +322,7 @@ class Session:
         text = " ".join(f"{name}={number}" for name, number in counts.items())
         say(f"seconds={ended.seconds:.3f} {text}{sent}", who="")
         is_cut = any(logger.failure for logger in self.loggers)
-        return status or int(bool(ended.tripped or ended.failed or missing or is_cut))
+        return status or int(bool(ended.tripped or ended.failed or missing or idle or is_cut))
 
 
 @contextmanager

@@ -1,0 +1,88 @@
+"""Drivers of a file: used by every command that works on a robot, without being installed.
+
+The registries are a program's own, so each call here is a program.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+DRIVER = Path(__file__).parents[2] / "examples" / "own_driver.py"
+ROBOT = """
+name = "two wheels"
+rate_hz = 100
+[buses]
+wheels = { link = "can", protocol = "odrive" }
+[devices]
+LEFT  = { driver = "odrive", bus = "wheels", credentials = { node = 1 } }
+"""
+CONTROLLER = """
+from aces_bus.controller import controller
+
+@controller(rate_hz=50, writes=["LEFT.velocity"])
+def turn(t):
+    return {"LEFT.velocity": 3.0}
+"""
+
+
+def aces(*words: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "aces_tools", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Path:
+    path = tmp_path / "wheels.toml"
+    path.write_text(ROBOT)
+    return path
+
+
+def test_a_device_of_a_files_driver(robot: Path) -> None:
+    """Its twin answers; its protocol is that of the file."""
+    got = aces("device", "LEFT", "get", "-r", robot, "--virtual", "--json", "--driver", DRIVER)
+    assert got.returncode == 0, got.stderr
+    assert json.loads(got.stdout)["LEFT.position"] == {
+        **json.loads(got.stdout)["LEFT.position"],
+        "value": 0.0,
+        "unit": "rad",
+    }
+
+
+def test_a_controller_drives_it(robot: Path) -> None:
+    """In a run, with its limits and its stop."""
+    (robot.parent / "turn.py").write_text(CONTROLLER)
+    ran = aces(
+        "run", "-r", robot, robot.parent / "turn.py", "--virtual", "--for", "0.5s", "--driver", DRIVER, "-q"
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert " set_points=26 " in ran.stderr
+
+
+def test_its_twins_are_served(robot: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`aces sim` puts them on a bus, and lists how they misbehave."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    served = aces("sim", "-r", robot, "--driver", DRIVER, "--for", "10ms", "--json")
+    assert served.returncode == 0, served.stderr
+    assert json.loads(served.stdout.splitlines()[0])["buses"]["wheels"]["address"] == "unix:wheels"
+
+
+def test_what_is_no_driver_is_refused(robot: Path, tmp_path: Path) -> None:
+    """Without the file; a file without one; a name that an installed driver has."""
+    (tmp_path / "none.py").write_text("x = 1\n")
+    source = DRIVER.read_text().replace('"odrive", ODrive', '"hubo_motor", ODrive')
+    (tmp_path / "clash.py").write_text(source)
+    command = ("device", "LEFT", "get", "-r", robot, "--virtual")
+    for more, said in (
+        ((), "odrive"),
+        (("--driver", tmp_path / "none.py"), "none.py: declares no driver at its top level"),
+        (("--driver", tmp_path / "clash.py"), "two packages claim the driver name 'hubo_motor'"),
+    ):
+        wrong = aces(*command, *more)
+        assert wrong.returncode == 2, wrong.stderr
+        assert said in wrong.stderr
+        assert "Traceback" not in wrong.stderr
