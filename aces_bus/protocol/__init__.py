@@ -23,6 +23,7 @@ from .declare.fields import (
     Text,
 )
 from .declare.framing import Framing
+from .declare.items import Items
 from .declare.message import Message, Request
 from .declare.pattern import IdField
 from .declare.protocol import Protocol, Variant
@@ -59,6 +60,7 @@ __all__ = [
     "IdField",
     "Insert",
     "InvertedSum",
+    "Items",
     "Message",
     "Meta",
     "Multiplexed",

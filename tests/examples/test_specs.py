@@ -1,4 +1,4 @@
-"""Specs written from the README and the tutorial alone: nmea0183.py and mip.py. Short, clean, and every law holds."""
+"""Specs written from the README and the tutorial alone. Short, clean, and every law holds."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.tools.conftest import Aces
 from tests.tools.conftest import aces as aces
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
-SPECS = ["nmea0183.py", "mip.py"]
+SPECS = ["nmea0183.py", "mip.py", "tlv_sensor.py"]
 GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
 #: A ping, its answer, and a packet of sensor data (mip_sdk's parser accepts them).
 PING, PONG = bytes.fromhex("75650102 0201 E0C6"), bytes.fromhex("75650104 04F10100 D56A")
@@ -75,14 +75,17 @@ def test_requests_and_answers_are_told_apart() -> None:
     (answer,) = mip.scanner(direction="from device").feed(PONG)
     assert as_dict(answer) == {
         "set": "base",
-        "fields": [{"kind": "ack", "data": {"command": 1, "code": "ok"}}],
+        "fields": [{"kind": "ack", "data": {"command": 1, "code": "ok"}, "reason": None}],
     }
 
 
 def test_fields_of_unknown_kinds_are_kept() -> None:
     """A kind that nobody knows stays bytes, and is sent again as it came."""
     mip = spec("mip.py")
-    fields = [{"kind": "gyro", "data": [0.5, 0, -1]}, {"kind": 0x99, "data": b"\x01\x02"}]
+    fields = [
+        {"kind": "gyro", "data": [0.5, 0, -1], "reason": None},
+        {"kind": 0x99, "data": b"\x01\x02", "reason": "unknown"},
+    ]
     packet = mip.encode("Sensors", fields=fields)
     (record,) = mip.scanner(direction="from device").feed(packet)
     assert as_dict(record) == {"fields": fields}
@@ -92,12 +95,13 @@ def test_fields_of_unknown_kinds_are_kept() -> None:
 def test_the_tools_take_them(name: str, tmp_path: Path, aces: Aces) -> None:
     """Decoded, explained and exported from the file, as a user would."""
     capture = tmp_path / "session.bin"
-    capture.write_bytes(GGA if name == "nmea0183.py" else PONG)
+    packet = {"nmea0183.py": GGA, "mip.py": PONG}
+    capture.write_bytes(packet.get(name) or spec(name).encode("History", hours=[]))
     decoded = aces(
         "decode", capture, "-p", FOLDER / name, "--direction", "from", "--format", "jsonl", "--strict"
     )
     assert decoded.status == 0, decoded.err
-    assert json.loads(decoded.out)["message"] in {"GGA", "Answer"}
+    assert json.loads(decoded.out)["message"] in {"GGA", "Answer", "History"}
     explained = aces("spec", "explain", FOLDER / name, capture, "--direction", "from")
     assert explained.status == 0
     for form in ("markdown", "wireshark"):
