@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 import runpy
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
-from aces_bus.protocol import Protocol, Record, as_dict
+from aces_bus.protocol import Protocol, Record, Unknown, as_dict
 from aces_bus.protocol.lint import check_protocol
 from aces_bus.testing.fuzz import Fuzzer
 from tests.tools.conftest import Aces
@@ -89,6 +90,25 @@ def test_fields_of_unknown_kinds_are_kept() -> None:
     packet = mip.encode("Sensors", fields=fields)
     (record,) = mip.scanner(direction="from device").feed(packet)
     assert as_dict(record) == {"fields": fields}
+
+
+def test_a_recording_of_an_inertial_unit(shared_captures: Path) -> None:
+    """Every packet of a real unit is read, every field in it accounted for, and built again byte for byte."""
+    mip = spec("mip.py")
+    data = (shared_captures / "streams" / "mip-imu.part.bin").read_bytes()
+    scanner = mip.scanner(direction="from device", include_unknown=True)
+    found = [*scanner.feed(data), *scanner.close()]
+    records = [one for one in found if not isinstance(one, Unknown)]
+    assert Counter(type(one).__name__ for one in records) == {"Sensors": 1208, "Estimate": 119, "Answer": 1}
+    assert len(data) - sum(len(one.meta.raw) for one in records) == 24
+    items = [item for one in records for item in one.fields]
+    assert {item.reason for item in items} <= {None, "unknown"}
+    assert all(mip.encode(type(one).__name__, **as_dict(one)) == one.meta.raw for one in records)
+    table = mip.decode(data, direction="from device")["Sensors"]
+    accel = [one.fields for one in records if type(one).__name__ == "Sensors"]
+    firsts = [next((item.data[2] for item in fields if item.kind == "accel"), None) for fields in accel]
+    assert table["fields.accel.2"].to_list() == firsts
+    assert sum(value is not None for value in firsts) == 755
 
 
 @pytest.mark.parametrize("name", SPECS)
