@@ -148,15 +148,13 @@ def _items(node: Node, data: bytes, raw: bool, seen: Seen) -> Tagged:
         item = Item(kind=tag if raw or name is None else name, data=inside, reason="unknown")
         item.name = name
         if body is not None:
+            item["reason"] = f"malformed: data of size {len(inside)} are no {name}"
             try:
                 value, at = _read(body, inside, 0, {}, raw, seen, f"in {tag}")
-                fits = at == len(inside)
+                if at == len(inside):
+                    item |= {"data": value, "reason": None}
             except Misfit:
-                fits = False
-            if fits:
-                item |= {"data": value, "reason": None}
-            else:
-                item["reason"] = f"malformed: data of size {len(inside)} are no {name}"
+                pass
         found.append(item)
     return found
 

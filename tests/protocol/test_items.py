@@ -138,7 +138,7 @@ def test_tag_and_size_stand_as_the_sheet_says(more: dict[str, Any], payload: str
 
 
 def test_without_sizes_what_is_unknown_takes_the_rest() -> None:
-    """Where the next item begins is then not known; one that is cut short is told by its kind."""
+    """Where the next item begins is then not known; one that is cut short keeps its kind."""
     protocol = tlv(size=None)
     assert [(one["kind"], one["reason"]) for one in read(protocol, "00 05 54 00 09 01 00 64")["items"]] == [
         ("key", "malformed: data of size 2 are no key"),
@@ -343,6 +343,9 @@ def test_tools_see_inside(tmp_path: Path, aces: Aces) -> None:
     assert [line.count("temperature") for line in some.out.splitlines()] == [1, 1]
     both = aces("decode", *common, "--where", "hours.wind=5", "--format", "jsonl")
     assert both.out.count("History") == 1
+    text = aces("decode", *common).out
+    assert "items=[temperature=2.00 °C]" in text
+    assert "hours=[{temperature=1.00 °C, wind=3 m/s}, {temperature=unknown °C, wind=5 m/s}]" in text
     listed = aces("plot", *common, "--list").out
     assert "Report.items.temperature" in listed
     assert "History.hours.wind" in listed

@@ -59,7 +59,8 @@ class Items(c.Construct):
         if size is None and (counts != "data" or size_first):
             raise SpecError(f"{self.place}: counts and size_first are for items with a size")
         for name, kind in kinds.items():
-            if not (isinstance(kind, tuple) and len(kind) == 2 and isinstance(kind[1], c.Construct)):
+            given: Any = kind
+            if not (isinstance(given, tuple) and len(kind) == 2 and isinstance(kind[1], c.Construct)):
                 raise SpecError(
                     f"{self.place}: kinds are written {{name: (number, construct)}}, not {{{name!r}: {kind!r}}}"
                 )

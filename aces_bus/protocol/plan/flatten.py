@@ -251,7 +251,9 @@ def _scalar(con: c.Construct, offset: int) -> p.Scalar:
     if wire is not None:
         bits = whole_bits(offset, wire.size, wire.order) if wire.kind != "float" else ()
         return p.Scalar(wire.kind, offset, wire.size, wire.order, bits, found, unit)
-    if isinstance(inner, c.Bytes) and isinstance(inner.length, int) and not steps:
+    if isinstance(inner, c.Bytes) and not isinstance(inner.length, int):
+        raise NotFlat("bytes of a length that varies")
+    if isinstance(inner, c.Bytes) and not steps:
         return p.Scalar("bytes", offset, inner.length)
     if inner is c.GreedyBytes and not steps:
         return p.Scalar("bytes", offset, None)
@@ -468,7 +470,9 @@ class _Builder:
 
     def _prefixed(self, con: c.FocusedSeq, path: str) -> p.Repeated:
         """What construct's `PrefixedArray` is made of: a count, and as many groups."""
-        parts = {item.name: item.subcon if isinstance(item, c.Renamed) else item for item in con.subcons}
+        parts: dict[Any, Any] = {
+            item.name: item.subcon if isinstance(item, c.Renamed) else item for item in con.subcons
+        }
         count, items = parts.get("count"), parts.get("items")
         if con.parsebuildfrom != "items" or list(parts) != ["count", "items"]:
             raise NotFlat("FocusedSeq has no flat form")
