@@ -18,17 +18,14 @@ from construct import (
     Const,
     Float32b,
     Float64b,
-    GreedyBytes,
-    GreedyRange,
     Int16ub,
     Prefixed,
     PrefixedArray,
     Struct,
-    Switch,
     this,
 )
 
-from aces_bus.protocol import Enumeration, Flags, Fletcher, Protocol, Quantity
+from aces_bus.protocol import Enumeration, Flags, Fletcher, Items, Protocol, Quantity
 
 mip = Protocol("mip", link="serial", baud=115_200, source="LORD-MicroStrain/mip_sdk, definitions")
 SETS = Enumeration(Byte, base=0x01, imu=0x0C, filter=0x0D, sensors=0x80, estimate=0x82)
@@ -50,10 +47,8 @@ def field(data: Any) -> Prefixed:
 
 
 def fields(**kinds: tuple[int, Any]) -> Struct:
-    """Any number of fields; the data of unknown kinds stay bytes."""
-    names = Enumeration(Byte, {name: number for name, (number, _) in kinds.items()})
-    data = Switch(this.kind, {name: data for name, (_, data) in kinds.items()}, default=GreedyBytes)
-    return Struct("fields" / GreedyRange(field(Struct("kind" / names, "data" / data))))
+    """Any number of fields, each with a length that counts all of it and a descriptor; those of unknown kinds stay bytes."""
+    return Struct("fields" / Items(size=Byte, tag=Byte, size_first=True, counts="item", kinds=kinds))
 
 
 def vector(count: int, unit: str = "") -> Any:

@@ -24,6 +24,7 @@ from .declare.fields import (
     top,
 )
 from .declare.framing import Escaped, Framing
+from .declare.items import Items
 from .declare.message import Message, Request
 from .declare.pattern import IdField
 from .declare.protocol import Protocol, Variant
@@ -61,6 +62,7 @@ __all__ = [
     "IdField",
     "Insert",
     "InvertedSum",
+    "Items",
     "Message",
     "Meta",
     "Multiplexed",

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from decimal import Decimal
 from math import isfinite
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import msgspec
 
@@ -140,24 +140,56 @@ def plain_value(value: Any) -> Any:
     return value
 
 
-def getter(way: Sequence[str | int]) -> Callable[[Any], Any]:
+class FirstOf(NamedTuple):
+    """A step into a list of tagged items: to the first good item of a kind, by its name or (raw) its number."""
+
+    name: str
+    number: int
+
+
+class _Each:
+    """A step into a list of groups: to every one of them."""
+
+    def __repr__(self) -> str:
+        return "EACH"
+
+
+EACH = _Each()
+WayStep = str | int | FirstOf | _Each
+
+
+def getter(way: Sequence[WayStep]) -> Callable[[Any], Any]:
     """A function that reads the value at the end of `way` in a record; None where a part of the way is not there."""
     if len(way) == 1 and isinstance(way[0], str):
         return attrgetter(way[0])
+    return _walker(way)
+
+
+def _walker(way: Sequence[WayStep]) -> Callable[[Any], Any]:
+    if EACH in way:
+        place = way.index(EACH)
+        outer, inner = _walker(way[:place]), _walker(way[place + 1 :])
+        return lambda record: tuple(map(inner, outer(record) or ()))
 
     def get(value: Any) -> Any:
         for step in way:
             if value is None:
                 return None
-            if isinstance(step, int):
+            if isinstance(step, FirstOf):
+                good = (item for item in value if _part(item, "reason") is None)
+                value = next((item for item in good if _part(item, "kind") in step), None)
+            elif isinstance(step, int):
                 value = value[step] if isinstance(value, (tuple, list)) and step < len(value) else None
-            elif isinstance(value, Mapping):
-                value = value.get(step)
             else:
-                value = getattr(value, step, None)
+                value = _part(value, str(step))
         return value
 
     return get
+
+
+def _part(value: Any, name: str) -> Any:
+    """A field of a nested record or of a container; None where it has none."""
+    return value.get(name) if isinstance(value, Mapping) else getattr(value, name, None)
 
 
 def from_container(value: Any, types: Mapping[tuple[str, tuple[str, ...]], type], path: str) -> Any:

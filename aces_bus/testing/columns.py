@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,8 @@ from ..protocol.columns.scanner import make_column_scanner
 from ..protocol.columns.table import MessageTable, dtype_of, kinds_of
 from ..protocol.keys import key_of
 from ..protocol.live.scanner import Scanner
-from ..protocol.record import Meta, Unknown, as_dict
+from ..protocol.plan import nodes as p
+from ..protocol.record import Meta, Unknown, as_dict, getter, plain_value
 from .scenes import Scene, Way, Wire, wire_variants
 from .trial import ScannedItem, comparable, join_losses, plain_counts
 
@@ -100,7 +101,8 @@ def _messages(
         if name not in got:
             return f"has no table of {name[0]}.{name[1]}, of which {len(rows)} came"
         plan = messages[name].plan
-        promised = {leaf.path: dtype_of(leaf.node, raw) for leaf in plan.leaves}
+        promised = {leaf.path: dtype_of(leaf.node, raw) for leaf in plan.columns}
+        inside = {leaf.path: getter(leaf.way) for leaf in plan.columns if isinstance(leaf, p.ItemPath)}
         for table in got[name]:
             if table.kinds != kinds_of(plan, raw):
                 return f"{table.message} has the columns {table.kinds}, not {kinds_of(plan, raw)}"
@@ -110,13 +112,20 @@ def _messages(
                     return f"{table.message}.{column.name} is of {column.values.dtype}, not {dtype}"
                 if len(column) != len(table):
                     return f"{table.message}.{column.name} has {len(column)} values of {len(table)}"
-        said = _rows(f"{name[0]}.{name[1]}", rows, got[name], is_can)
+        said = _rows(f"{name[0]}.{name[1]}", rows, got[name], inside, is_can)
         if said:
             return said
     return ""
 
 
-def _rows(name: str, wanted: Sequence[tuple[int, Any]], tables: Sequence[MessageTable], is_can: bool) -> str:
+def _rows(
+    name: str,
+    wanted: Sequence[tuple[int, Any]],
+    tables: Sequence[MessageTable],
+    inside: Mapping[str, Callable[[Any], Any]],
+    is_can: bool,
+) -> str:
+    """What differs in the rows of a message; `inside` reads from a record the columns of what is in lists of items."""
     whole = MessageTable.concat(tables)
     numbers = whole.row.tolist()
     if numbers != [row for row, _ in wanted]:
@@ -134,8 +143,11 @@ def _rows(name: str, wanted: Sequence[tuple[int, Any]], tables: Sequence[Message
     for column in whole.columns():
         shown = column.to_list()
         gone = [False] * len(whole) if column.absent is None else column.absent.tolist()
-        for index, (row, _) in enumerate(wanted):
-            value = _at(fields[index], column.name)
+        for index, (row, item) in enumerate(wanted):
+            if column.name in inside:
+                value = plain_value(inside[column.name](item))
+            else:
+                value = _at(fields[index], column.name)
             if gone[index] != (value is None) and not column.kind.is_object:
                 return (
                     f"{name}.{column.name}, row {row}: absent is {gone[index]} where the record has {value!r}"

@@ -27,6 +27,7 @@ from ..protocol.declare.delimited import (
     Delimited,
 )
 from ..protocol.declare.fields import Enumeration, Field, Multiplexed, SignMagnitude, innermost
+from ..protocol.declare.items import Items
 from ..protocol.declare.message import Message
 from ..protocol.declare.normalise import sizes
 from .source import ChoiceSource, edge_number, spread
@@ -382,6 +383,32 @@ class _Walk:
 
         return draw
 
+    def _items(self, con: Any) -> Draw:
+        """A list as it is read: good items of all kinds, unknown ones, and bytes that are none."""
+        kinds = [(con.numbers[name], self.of(data)) for name, data in con.data.items()]
+
+        def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
+            data, left = b"", max(0, room.left)
+            for _ in range(source.integer(0, 5)):
+                number, one = source.choice(kinds)
+                value = one(source, ctx, Room(max(0, min(left - con.head, 24)), False))
+                if con.size is not None and source.integer(0, 7) == 7:
+                    number, value = source.integer(0, con.tag.limits[1]), source.bytes(source.integer(0, 4))
+                out = io.BytesIO()
+                try:
+                    con._build([{"kind": number, "data": value}], out, ctx, "")
+                except (c.ConstructError, AcesError, LookupError, TypeError):
+                    continue  # bytes as the data of a known kind
+                if len(out.getvalue()) <= left - len(data):
+                    data += out.getvalue()
+            if room.is_exact:
+                data += source.bytes(left - len(data))
+            elif source.integer(0, 7) == 7:
+                data = (data + source.bytes(source.integer(1, 6)))[:left]
+            return con._parsereport(io.BytesIO(data), ctx, "")
+
+        return draw
+
     def _layout(self, layout: BitLayout) -> Draw:
         draws = [(slot, self._hinted(slot.name, self.of(slot.field))) for slot in layout.slots]
         full = (1 << 8 * layout.size) - 1
@@ -498,6 +525,7 @@ class _Walk:
         (c.NullTerminated, _terminated),
         (BitLayout, _layout),
         (Delimited, _delimited),
+        (Items, _items),
     )
 
 

@@ -115,7 +115,11 @@ def are_excused(message: Message, image: bytes, rebuilt: bytes) -> bool:
     if not listed:
         return False
     framing = message.framing
-    if not message.plan.is_flat or (framing is not None and framing.stuffing is not None):
+    if (
+        not message.plan.is_flat
+        or message.plan.lists
+        or (framing is not None and framing.stuffing is not None)
+    ):
         return True
     start = 5 if framing is None else 0
     one, other = image[start:], rebuilt[start:]

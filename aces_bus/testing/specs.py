@@ -148,6 +148,16 @@ def _single(source: ChoiceSource, names: _Names, room: int) -> tuple[str, int]:
     return f'"{name}" / {con}', size
 
 
+#: What takes all that is left.
+_OPEN = (
+    '"rest" / GreedyBytes',
+    '"rest" / GreedyRange(Byte)',
+    '"rest" / Text()',
+    '"rest" / Items(tag=Byte, size=Byte, kinds={"one": (1, Byte), "two": (2, Struct("a" / Int16ub, "b" / GreedyBytes))})',
+    '"rest" / Items(tag=Byte, kinds={"one": (1, Quantity(Int16sl, scale=0.1)), "two": (9, Struct("a" / Float32b))})',
+)
+
+
 def _struct(source: ChoiceSource, room: int, *, first: str = "") -> tuple[str, int]:
     """A struct of at most `room` bytes."""
     names, parts, left = _Names(), [first] if first else [], room - (1 if first else 0)
@@ -165,7 +175,7 @@ def _struct(source: ChoiceSource, room: int, *, first: str = "") -> tuple[str, i
         ]
         left -= 3
     elif left >= 1 and source.integer(0, 5) == 0:
-        parts.append(source.choice(('"rest" / GreedyBytes', '"rest" / GreedyRange(Byte)', '"rest" / Text()')))
+        parts.append(source.choice(_OPEN))
         left = 0
     return f"Struct({', '.join(parts)})", room - left
 

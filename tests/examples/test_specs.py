@@ -1,23 +1,24 @@
-"""Specs written from the README and the tutorial alone: nmea0183.py and mip.py. Short, clean, and every law holds."""
+"""Specs written from the README and the tutorial alone. Short, clean, and every law holds."""
 
 from __future__ import annotations
 
 import json
 import runpy
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
-from aces_bus.protocol import Protocol, Record, as_dict
+from aces_bus.protocol import Protocol, Record, Unknown, as_dict
 from aces_bus.protocol.lint import check_protocol
 from aces_bus.testing.fuzz import Fuzzer
 from tests.tools.conftest import Aces
 from tests.tools.conftest import aces as aces
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
-SPECS = ["nmea0183.py", "mip.py"]
+SPECS = ["nmea0183.py", "mip.py", "tlv_sensor.py"]
 GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
 #: A ping, its answer, and a packet of sensor data (mip_sdk's parser accepts them).
 PING, PONG = bytes.fromhex("75650102 0201 E0C6"), bytes.fromhex("75650104 04F10100 D56A")
@@ -75,29 +76,52 @@ def test_requests_and_answers_are_told_apart() -> None:
     (answer,) = mip.scanner(direction="from device").feed(PONG)
     assert as_dict(answer) == {
         "set": "base",
-        "fields": [{"kind": "ack", "data": {"command": 1, "code": "ok"}}],
+        "fields": [{"kind": "ack", "data": {"command": 1, "code": "ok"}, "reason": None}],
     }
 
 
 def test_fields_of_unknown_kinds_are_kept() -> None:
     """A kind that nobody knows stays bytes, and is sent again as it came."""
     mip = spec("mip.py")
-    fields = [{"kind": "gyro", "data": [0.5, 0, -1]}, {"kind": 0x99, "data": b"\x01\x02"}]
+    fields = [
+        {"kind": "gyro", "data": [0.5, 0, -1], "reason": None},
+        {"kind": 0x99, "data": b"\x01\x02", "reason": "unknown"},
+    ]
     packet = mip.encode("Sensors", fields=fields)
     (record,) = mip.scanner(direction="from device").feed(packet)
     assert as_dict(record) == {"fields": fields}
+
+
+def test_a_recording_of_an_inertial_unit(shared_captures: Path) -> None:
+    """Every packet of a real unit is read, every field in it accounted for, and built again byte for byte."""
+    mip = spec("mip.py")
+    data = (shared_captures / "streams" / "mip-imu.part.bin").read_bytes()
+    scanner = mip.scanner(direction="from device", include_unknown=True)
+    found = [*scanner.feed(data), *scanner.close()]
+    records = [one for one in found if not isinstance(one, Unknown)]
+    assert Counter(type(one).__name__ for one in records) == {"Sensors": 1208, "Estimate": 119, "Answer": 1}
+    assert len(data) - sum(len(one.meta.raw) for one in records) == 24
+    items = [item for one in records for item in one.fields]
+    assert {item.reason for item in items} <= {None, "unknown"}
+    assert all(mip.encode(type(one).__name__, **as_dict(one)) == one.meta.raw for one in records)
+    table = mip.decode(data, direction="from device")["Sensors"]
+    accel = [one.fields for one in records if type(one).__name__ == "Sensors"]
+    firsts = [next((item.data[2] for item in fields if item.kind == "accel"), None) for fields in accel]
+    assert table["fields.accel.2"].to_list() == firsts
+    assert sum(value is not None for value in firsts) == 755
 
 
 @pytest.mark.parametrize("name", SPECS)
 def test_the_tools_take_them(name: str, tmp_path: Path, aces: Aces) -> None:
     """Decoded, explained and exported from the file, as a user would."""
     capture = tmp_path / "session.bin"
-    capture.write_bytes(GGA if name == "nmea0183.py" else PONG)
+    packet = {"nmea0183.py": GGA, "mip.py": PONG}
+    capture.write_bytes(packet.get(name) or spec(name).encode("History", hours=[]))
     decoded = aces(
         "decode", capture, "-p", FOLDER / name, "--direction", "from", "--format", "jsonl", "--strict"
     )
     assert decoded.status == 0, decoded.err
-    assert json.loads(decoded.out)["message"] in {"GGA", "Answer"}
+    assert json.loads(decoded.out)["message"] in {"GGA", "Answer", "History"}
     explained = aces("spec", "explain", FOLDER / name, capture, "--direction", "from")
     assert explained.status == 0
     for form in ("markdown", "wireshark"):

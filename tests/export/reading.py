@@ -42,7 +42,7 @@ def live(variants: Sequence[Variant], words: Any, direction: Any = None) -> dict
         plan = plans[type(item)]
         held = objects_of(plan)
         columns = found.setdefault(type(item).__name__, {})
-        for leaf in plan.leaves:
+        for leaf in plan.columns:
             path, value = leaf.path, plain_value(getter(leaf.way)(item))
             if value is not None and held.get(path) == "json":
                 value = plain_json(value)

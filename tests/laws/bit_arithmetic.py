@@ -4,7 +4,7 @@
    dicts, lists and tuples, drawn beside the spec (see `drawn_specs`).
 2. It is meant to be read at a glance; how long it takes does not matter.
 
-A node of a payload is a dict with a `kind`: struct, number, bytes, rest, const, array, layout, mux, switch.
+A node of a payload is a dict with a `kind`: struct, number, bytes, rest, const, array, layout, mux, switch, items, groups.
 """
 
 from __future__ import annotations
@@ -26,6 +26,20 @@ class Seen:
         self.negative_zero = self.nan = False
         #: The number behind each value that shows a name.
         self.numbers: dict[str, float] = {}
+
+
+class Item(dict[str, Any]):
+    """An item of a list; `name` is that of its kind, where it has one."""
+
+    name: str | None = None
+
+
+class Tagged(list[Item]):
+    """Items of several kinds."""
+
+
+class Groups(list[Any]):
+    """Groups of one shape."""
 
 
 def read_message(payload: Node, data: bytes, *, raw: bool, seen: Seen | None = None) -> dict[str, Any]:
@@ -86,9 +100,80 @@ def _read(
     if kind == "switch":
         case = node["cases"].get(raws[node["on"]], node["default"])
         return (None, at) if case is None else _read(case, data, at, {}, raw, seen, path)
+    if kind == "items":
+        return _items(node, data[at:], raw, seen), len(data)
+    if kind == "groups":
+        count, found = node["count"], Groups()
+        if isinstance(count, tuple):
+            chunk = _take(data, at, count[0])
+            at += count[0]
+            count = int.from_bytes(chunk, count[1])
+        elif count is not None:
+            count = raws[count]
+        while at < len(data) if count is None else len(found) < count:
+            value, at = _read(node["item"], data, at, {}, raw, seen, f"{path}.{len(found)}")
+            found.append(value)
+        return found, at
     assert kind == "layout"
     chunk = _take(data, at, node["size"])
     return _layout(node, chunk, raw, seen, path), at + node["size"]
+
+
+def _items(node: Node, data: bytes, raw: bool, seen: Seen) -> Tagged:
+    """Tagged items up to the end: whatever cannot be read is bytes, with the reason."""
+    found = Tagged()
+    (tag_size, tag_order), size = node["tag"], node["size"]
+    head = tag_size + (size[0] if size else 0)
+    while data:
+        if len(data) < head:
+            reason = f"malformed: {len(data)} of the {head} bytes before an item's data"
+            found.append(Item(kind=None, data=data, reason=reason))
+            break
+        first, second = data[:tag_size], data[tag_size:head]
+        if node["size_first"]:
+            first, second = data[head - tag_size : head], data[: head - tag_size]
+        tag = int.from_bytes(first, tag_order)
+        name, body = next(((n, b) for n, number, b in node["kinds"] if number == tag), (None, None))
+        end = len(data)
+        if size:
+            said = int.from_bytes(second, size[1])
+            end = head + said - node["counted"]
+            if end < head or end > len(data):
+                reason = f"malformed: its size says {said}, and {len(data)} bytes are left"
+                found.append(Item(kind=None, data=data, reason=reason))
+                break
+        elif body is not None and (width := width_of(body)) is not None:
+            end = min(end, head + width)
+        inside, data = data[head:end], data[end:]
+        item = Item(kind=tag if raw or name is None else name, data=inside, reason="unknown")
+        item.name = name
+        if body is not None:
+            item["reason"] = f"malformed: data of size {len(inside)} are no {name}"
+            try:
+                value, at = _read(body, inside, 0, {}, raw, seen, f"in {tag}")
+                if at == len(inside):
+                    item |= {"data": value, "reason": None}
+            except Misfit:
+                pass
+        found.append(item)
+    return found
+
+
+def width_of(node: Node) -> int | None:
+    """The bytes of a node that always has as many."""
+    match node["kind"]:
+        case "struct":
+            widths = [width_of(item) for _, item in node["items"]]
+            return None if None in widths else sum(width or 0 for width in widths)
+        case "array":
+            width = width_of(node["item"])
+            return None if width is None else width * int(node["count"])
+        case "const":
+            return len(node["bytes"])
+        case "number" | "bytes" | "layout":
+            return int(node["size"])
+        case _:
+            return None
 
 
 def _layout(node: Node, chunk: bytes, raw: bool, seen: Seen, path: str) -> dict[str, Any]:

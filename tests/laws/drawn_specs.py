@@ -306,10 +306,78 @@ class _Draw:
             return f"Array({count}, {text})", {"kind": "array", "count": count, "item": node}
         return self.struct(depth + 1)
 
+    def listed(self, text: str, node: Node) -> tuple[str, Node]:
+        """A struct with a list of items behind its fields."""
+        inside = [text[7:-1]] if node["items"] else []
+        names = {name for name, _ in node["items"]}
+        count: Any = None
+        if self.chance(0.6):
+            made, items = self.items()
+        else:
+            made, item = self.group()
+            count = self.random.choice((None, None, "prefixed", "field", "rebuilt"))
+            if count is None:
+                made = f"GreedyRange({made})"
+            elif count == "prefixed":
+                size, order = self.random.choice(((1, "big"), (2, "little"), (2, "big")))
+                made = f"PrefixedArray(Int{8 * size}u{order[0]}, {made})"
+                count = (size, order)
+            elif "many" in names:
+                return text, node
+            else:
+                number = {"kind": "number", "size": 1, "order": "big", "type": "uint", "meaning": None}
+                if self.chance(0.5):
+                    node["items"].append(("many", number))
+                    inside.append('"many" / Byte')
+                    made = f"Array(this.many, {made})"
+                else:
+                    node["items"].append(("many", number))
+                    inside.append('"many" / Rebuild(Byte, len_(this.listed))')
+                    made = f"Array(this.many, {made})"
+                count = "many"
+            items = {"kind": "groups", "item": item, "count": count}
+        node["items"].append(("listed", items))
+        inside.append(f'"listed" / {made}')
+        return f"Struct({', '.join(inside)})", node
+
+    def items(self) -> tuple[str, Node]:
+        """Tagged items of some kinds."""
+        orders = ("little", "big")
+        tag = (self.random.choice((1, 1, 2)), self.random.choice(orders))
+        size = (self.random.choice((1, 1, 2)), self.random.choice(orders)) if self.chance(0.8) else None
+        first = size is not None and self.chance(0.4)
+        counts = self.random.choice(("data", "data", "tag and data", "item")) if size else "data"
+        numbers = self.random.sample(range(6), self.number(1, 4))
+        kinds, texts = [], []
+        for index, number in enumerate(numbers):
+            text, body = ("GreedyBytes", {"kind": "rest"}) if self.chance(0.1) else self.node(1)
+            name = f"k{index}" if self.chance(0.7) else ("kind", "data", "reason", "tag")[index]
+            kinds.append((name, number, body))
+            texts.append(f"{name!r}: ({number}, {text})")
+        declared = [f"tag=Int{8 * tag[0]}u{tag[1][0]}"]
+        if size is not None:
+            declared.append(f"size=Int{8 * size[0]}u{size[1][0]}, counts={counts!r}, size_first={first}")
+        counted = {"data": 0, "tag and data": tag[0], "item": tag[0] + (size[0] if size else 0)}[counts]
+        return f"Items({', '.join(declared)}, kinds={{{', '.join(texts)}}})", {
+            "kind": "items",
+            "tag": tag,
+            "size": size,
+            "size_first": first,
+            "counted": counted,
+            "kinds": kinds,
+        }
+
+    def group(self) -> tuple[str, Node]:
+        """What repeats: of one size."""
+        text, node = self.node(1)
+        return (text, node) if plain.width_of(node) else self.leaf()
+
     def payload(self) -> tuple[str, Node]:
-        if self.chance(0.25):
+        if self.chance(0.2):
             return self.layout()
         text, node = self.struct(0)
+        if self.chance(0.25):
+            return self.listed(text, node)
         if self.chance(0.1) and "'more'" not in text:
             node["items"].append(("more", {"kind": "rest"}))
             text = f'{text[:-1]}{", " if len(node["items"]) > 1 else ""}"more" / GreedyBytes)'
@@ -402,6 +470,10 @@ class _Draw:
             "most": 80,
         }
         payloads = [self.struct(0) if self.chance(0.7) else self.layout() for _ in range(2 if two else 1)]
+        payloads = [
+            self.listed(text, node) if node["kind"] == "struct" and self.chance(0.4) else (text, node)
+            for text, node in payloads
+        ]
         declared = [f"sync={sync!r}"] if sync else []
         if ends == "length":
             width = self.random.choice((1, 1, 2))
@@ -499,8 +571,18 @@ def _bytes(node: Node, random: Random) -> bytes:
         for _, item in node["items"]:
             if item["kind"] == "mux" and random.random() < 0.5:
                 continue
+            if item["kind"] == "groups" and isinstance(item["count"], str):
+                count = random.randint(0, 3)  # what stands before it is its count
+                out = out[:-1] + bytes([count]) + b"".join(_bytes(item["item"], random) for _ in range(count))
+                continue
             out += _bytes(item, random)
         return out
+    if kind == "groups":
+        count = random.randint(0, 3)
+        before = count.to_bytes(*node["count"]) if node["count"] else b""
+        return before + b"".join(_bytes(node["item"], random) for _ in range(count))
+    if kind == "items":
+        return b"".join(_item(node, random) for _ in range(random.randint(0, 3)))
     if kind == "const":
         return bytes(node["bytes"])
     if kind == "array":
@@ -519,6 +601,21 @@ def _bytes(node: Node, random: Random) -> bytes:
     if wish < 0.4:
         return bytes(random.randint(0, 3) for _ in range(size))
     return bytes([random.choice((0, 0xFF))]) * size if wish < 0.5 else random.randbytes(size)
+
+
+def _item(node: Node, random: Random) -> bytes:
+    """An item of a list, or something like it."""
+    _, number, body = random.choice(node["kinds"])
+    data = _bytes(body, random)
+    if random.random() < 0.2:
+        number, data = random.randint(0, 9), random.randbytes(random.randint(0, 3))
+    elif random.random() < 0.1:
+        data = data[:-1]
+    tag, size = number.to_bytes(*node["tag"]), b""
+    if node["size"]:
+        said = len(data) + node["counted"] + (random.randint(-3, 3) if random.random() < 0.1 else 0)
+        size = max(0, said).to_bytes(*node["size"])
+    return (size + tag if node["size_first"] else tag + size) + data
 
 
 def _expected(
@@ -612,10 +709,17 @@ def _tables(
 
 
 def _at(value: Any, path: str) -> Any:
-    for step in path.split("."):
+    steps = path.split(".")
+    for place, step in enumerate(steps):
         if value is None:
             return None
-        value = value[int(step)] if isinstance(value, list) else value[step]
+        if isinstance(value, plain.Groups):
+            return [_at(group, ".".join(steps[place:])) for group in value]
+        if isinstance(value, plain.Tagged):
+            good = (item for item in value if item.name == step and item["reason"] is None)
+            value = next((item["data"] for item in good), None)
+        else:
+            value = value[int(step)] if isinstance(value, list) else value[step]
     return value
 
 

@@ -51,6 +51,7 @@ def test_drawn_specs_are_of_many_kinds() -> None:
         ),
         *("math.inf", "math.nan", 'order="msb"', "fd=True", "dialect=", "when=", "Enumeration(Quantity"),
         *("this.length * 2", "Crc(", "Xor(", "Slip()", "end=b", "match="),
+        *("Items(tag=", "counts='item'", "size_first=True", "PrefixedArray(", "GreedyRange(", "Rebuild("),
     )
     assert [word for word in words if word not in texts] == []
 

@@ -18,7 +18,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
-from construct import Byte, GreedyRange, Struct
+from construct import Byte, GreedyRange, Struct, VarInt
 from hypothesis import settings
 
 from aces_bus.frame_table import FrameTable
@@ -304,7 +304,7 @@ def test_text_of_a_spec_is_never_code() -> None:
     payload = Struct(
         "mode" / Enumeration(Byte, {nasty: 1}),
         "x" / Quantity(Byte, unit=nasty, doc=nasty, scale=0.5, names={nasty: 2}),
-        "rest" / GreedyRange(Struct("y" / Byte)),
+        "rest" / GreedyRange(Struct("y" / VarInt)),
     )
     protocol.message("Only", id=1, payload=payload, doc=nasty, source=nasty)
     text, losses = print_dissector(protocol.variant())

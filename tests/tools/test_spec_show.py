@@ -86,7 +86,7 @@ def test_the_plan(aces: Aces) -> None:
 def test_the_paths(aces: Aces) -> None:
     """What is generated, what goes through construct, and why; what columns read one by one."""
     out = aces("spec", "show", "robotis", "--paths").out
-    assert "SyncWrite  construct  one by one  GreedyRange has no flat form" in out
+    assert "SyncWrite  construct  one by one  bytes of a length that varies" in out
     assert "7 of 8 messages are decoded by generated code" in out
     told = {one["message"]: one for one in json.loads(aces("spec", "show", "hubo", "--paths", "--json").out)}
     assert told["Encoder"]["columns"] == "at once"

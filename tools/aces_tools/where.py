@@ -122,13 +122,13 @@ def _check(condition: WhereCondition, plans: Mapping[type[Record], p.MessagePlan
         if condition.path[1] not in _META or len(condition.path) > 2:
             raise UnknownNameError("part of meta", ".".join(map(str, condition.path[1:])), _META)
         return
-    found = [node for plan in plans.values() for node in _nodes(condition.path, plan)]
+    found = [leaf.node for plan in plans.values() for leaf in _meant(condition.path, plan)]
     if not found:
         name = ".".join(map(str, condition.path))
         known_paths = {
-            ".".join(step for step in leaf.way if isinstance(step, str))
+            ".".join(step for step in _steps(leaf) if isinstance(step, str))
             for plan in plans.values()
-            for leaf in plan.leaves
+            for leaf in plan.columns
         }
         raise UnknownNameError("field", name, known_paths)
     if condition.sign in _ORDER or condition.value in ("", "none"):
@@ -149,22 +149,34 @@ def _check(condition: WhereCondition, plans: Mapping[type[Record], p.MessagePlan
         raise CallerError(f"--where {condition.text!r}: {condition.value!r} is not a number")
 
 
-def _nodes(path: Sequence[str | int], plan: p.MessagePlan) -> list[p.Node]:
-    """The values that a path may mean."""
-    return [leaf.node for leaf in plan.leaves if _is_meant(path, leaf)]
+def _meant(path: Sequence[str | int], plan: p.MessagePlan) -> list[p.NodePath]:
+    """The values that a path may mean: those of a kind of items, or all others."""
+    found = [leaf for leaf in plan.columns if _is_meant(path, leaf)]
+    return [leaf for leaf in found if _is_of_kind(leaf)] or found
+
+
+def _is_of_kind(leaf: p.NodePath) -> bool:
+    return isinstance(leaf, p.ItemPath) and leaf.kind is not None
+
+
+def _steps(leaf: p.NodePath) -> list[str | int]:
+    """The steps of a value's path."""
+    return [int(step) if step.isdecimal() else step for step in leaf.path.split(".")]
 
 
 def _is_meant(path: Sequence[str | int], leaf: p.NodePath) -> bool:
     """Whether a path leads to a value; it may leave out the numbers of items."""
     rest = list(path)
-    for step in leaf.way:
+    for step in _steps(leaf):
         if rest and rest[0] == step:
             del rest[0]
         elif isinstance(step, str) or (rest and isinstance(rest[0], int)):
             return False
     # What construct decodes may have any shape.
     return (
-        not rest or isinstance(leaf.node, p.Opaque) or (isinstance(leaf.node, p.MoreCells) and len(rest) == 1)
+        not rest
+        or isinstance(leaf.node, (p.Opaque, p.ListNode))
+        or (isinstance(leaf.node, p.MoreCells) and len(rest) == 1)
     )
 
 
@@ -177,12 +189,16 @@ def _test(condition: WhereCondition, plan: p.MessagePlan) -> Test | None:
     if condition.is_meta:
         name = str(condition.path[1])
         return lambda record: one(getattr(record.meta, name)) is not is_not
-    nodes = _nodes(condition.path, plan)
+    leaves = _meant(condition.path, plan)
+    nodes = [leaf.node for leaf in leaves]
     if not nodes:
         return None
     one = comparison(condition, {name: raw for node in nodes for name, raw in node.numbers.items()})
     path = condition.path
-    if len(nodes) == 1 and not isinstance(nodes[0], (p.Opaque, p.MoreCells)):
+    if _is_of_kind(leaves[0]):
+        gets = [getter(leaf.way) for leaf in leaves]
+        return lambda record: any(one(get(record)) for get in gets) is not is_not
+    if len(nodes) == 1 and not isinstance(nodes[0], (p.Opaque, p.MoreCells, p.ListNode)):
         get = getter(path)
         return lambda record: one(get(record)) is not is_not
 

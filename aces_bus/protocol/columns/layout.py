@@ -310,7 +310,7 @@ def size_of(block: Block) -> int:
 
 def objects_of(plan: p.MessagePlan) -> dict[str, Holds]:
     """What the columns of Python objects of a message hold, by the name of the column."""
-    return {leaf.path: _held(leaf.node) for leaf in plan.leaves if dtype_of(leaf.node) is None}
+    return {leaf.path: _held(leaf.node) for leaf in plan.columns if dtype_of(leaf.node) is None}
 
 
 def _held(node: p.Node) -> Holds:
@@ -362,7 +362,7 @@ def objects_by_values(table: MessageTable) -> dict[str, Holds]:
 def empty_table(variant: Variant, name: str) -> MessageTable:
     """A table of a message without rows: what its dataset looks like where the message does not occur."""
     plan = variant.messages[name].plan
-    dtypes = {leaf.path: dtype_of(leaf.node) for leaf in plan.leaves}
+    dtypes = {leaf.path: dtype_of(leaf.node) for leaf in plan.columns}
     is_stream = variant.link != "can"
     none = np.zeros(0, np.int64)
     return MessageTable(

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -20,7 +20,10 @@ from ..declare.bits import runs_of, whole_bits
 from ..declare.message import Message
 from ..plan import nodes as p
 from .checks import can_compute, check_holds
+from .lists import ListColumns
 from .table import Array, ByteColumn, Column, ColumnKind, cells_of, dtype_of, kinds_of
+
+T = TypeVar("T")
 
 #: Integers up to here are exact in float64.
 EXACT = 1 << 53
@@ -41,6 +44,7 @@ class PacketRows:
         self.lengths = lengths
         self.keys = keys
         self._words: dict[tuple[int, str], Array] = {}
+        self._kept: dict[Any, Any] = {}
 
     def __len__(self) -> int:
         return len(self.data)
@@ -54,6 +58,13 @@ class PacketRows:
                 words = np.ascontiguousarray(words)
             found = words if (order == "little") == _IS_LITTLE else words.byteswap()
             self._words[index, order] = found
+        return found
+
+    def kept(self, key: Any, make: Callable[[], T]) -> T:
+        """What `make` gives, made once for these rows."""
+        if key not in self._kept:
+            self._kept[key] = make()
+        found: T = self._kept[key]
         return found
 
     def whole(self, dtype: Any, offset: int) -> Array:
@@ -97,8 +108,17 @@ class RowDecoder:
         self._columns: dict[str, Callable[[ColumnKind, PacketRows], Column]] = {}
         if self.reason:
             return
-        for leaf in plan.leaves:
-            self._columns[leaf.path] = self._column(leaf.node, leaf.whens)
+        lists: dict[str, ListColumns] = {}
+        for leaf in plan.columns:
+            if isinstance(leaf.node, p.ListNode):
+                lists[leaf.path] = ListColumns(
+                    leaf.node, plan.name, plan.tail, raw=raw, make=lambda inner: RowDecoder(inner, raw=raw)
+                )
+                self._columns[leaf.path] = _given(lists[leaf.path].whole)
+            elif isinstance(leaf, p.ItemPath):
+                self._columns[leaf.path] = _given(next(reversed(lists.values())).inside(leaf))
+            else:
+                self._columns[leaf.path] = self._column(leaf.node, leaf.whens)
 
     def _why_not(self) -> str:
         plan = self.plan
@@ -147,6 +167,13 @@ class RowDecoder:
             tests.append(cell == constant.value)
         for one in plan.one_of:
             tests.append(among(number_reader(one.number)(rows), one.values))
+        for _, node in plan.lists:
+            if isinstance(node, p.Repeated):
+                left = lengths.astype(np.int64) - (node.offset + plan.tail)
+                if node.count is None:
+                    tests.append(left % node.width == 0)
+                else:
+                    tests.append(number_reader(node.count)(rows).astype(np.int64) * node.width == left)
         if plan.is_checked:
             assert self.message is not None
             tests.append(check_holds(self.message, rows.data, rows.lengths, rows.keys))
@@ -258,6 +285,12 @@ class RowDecoder:
             return (number >> shift) & mask
 
         return read
+
+
+def _given(
+    values: Callable[[PacketRows], tuple[Array, Array | None]],
+) -> Callable[[ColumnKind, PacketRows], Column]:
+    return lambda kind, rows: Column(kind, *values(rows))
 
 
 @lru_cache(maxsize=65536)

@@ -20,7 +20,7 @@ from ..generate.load import OnDemand
 from ..keys import key_of
 from ..live.scanner import Scanner, make_scanner
 from ..plan import nodes as p
-from ..record import Record, Unknown, getter, message_of, plain_value, protocol_name_of
+from ..record import Record, Unknown, WayStep, getter, message_of, plain_value, protocol_name_of
 from .table import Array, Column, ColumnKind, MessageTable, dtype_of, kinds_of, lost_table, object_array
 
 
@@ -170,7 +170,7 @@ class Gatherer:
         self.record = kind
         self.plan = plan
         self.kinds = kinds_of(plan, raw)
-        self._fillers = {leaf.path: _filler(leaf.way, dtype_of(leaf.node, raw)) for leaf in plan.leaves}
+        self._fillers = {leaf.path: _filler(leaf.way, dtype_of(leaf.node, raw)) for leaf in plan.columns}
 
     def table(self, records: Sequence[Any], rows: Array, channels: Channels) -> MessageTable:
         """The records, of which `rows` are the numbers in the capture; of a stream the packets' offsets."""
@@ -196,7 +196,7 @@ class Gatherer:
         )
 
 
-def _filler(way: tuple[str | int, ...], dtype: Any) -> Callable[[ColumnKind, Sequence[Any]], Column]:
+def _filler(way: tuple[WayStep, ...], dtype: Any) -> Callable[[ColumnKind, Sequence[Any]], Column]:
     get = getter(way)
 
     def fill(kind: ColumnKind, records: Sequence[Any]) -> Column:

@@ -354,16 +354,19 @@ _WIDTHS = (8, 16, 32, 64)
 @lru_cache(maxsize=4096)
 def kinds_of(plan: p.MessagePlan, raw: bool = False) -> tuple[ColumnKind, ...]:
     """What the columns of a message are, in the order of its fields."""
-    return tuple(_kind(leaf, raw) for leaf in plan.leaves)
+    return tuple(_kind(leaf, raw) for leaf in plan.columns)
 
 
 def _kind(leaf: p.NodePath, raw: bool) -> ColumnKind:
     node, scale = leaf.node, leaf.node.scale
-    optional = bool(leaf.whens) or isinstance(node, (p.DelimitedField, p.FromRequest, p.Opaque))
+    is_item = isinstance(leaf, p.ItemPath) and leaf.kind is not None
+    optional = bool(leaf.whens) or is_item or isinstance(node, (p.DelimitedField, p.FromRequest, p.Opaque))
     is_object = dtype_of(node, raw) is None
     if raw:
         return ColumnKind(leaf.path, "", leaf.field.doc, None, None, is_object, optional)
     names: Mapping[float, str] | None = {number: name for name, number in node.numbers.items()} or None
+    if isinstance(node, p.Each):
+        names = None  # lists hold the names themselves
     optional = optional or (scale is not None and bool(scale.unknown))
     return ColumnKind(leaf.path, node.unit, leaf.field.doc, names, node.flags or None, is_object, optional)
 

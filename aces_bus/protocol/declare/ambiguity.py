@@ -288,7 +288,7 @@ def _confirmed(
     one: Message, other: Message, identifier: int, fixed: Mapping[int, int], size: int
 ) -> bytes | None:
     """A frame's data of this size that both messages accept, checks aside; None when none was found."""
-    opaque = [message for message in (one, other) if not message.plan.is_flat]
+    opaque = [message for message in (one, other) if not message.plan.is_flat or message.plan.lists]
     rng = random.Random(0)
     for fill in ("zero", "one", *("any",) * 10) if opaque else ("zero",):
         data = bytes(

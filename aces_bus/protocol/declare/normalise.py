@@ -25,6 +25,7 @@ from .choices import Known, enumerations_around, enumerations_of, equal_in_both,
 from .delimited import Delimited
 from .fields import Enumeration, Field, Flags, Multiplexed, Quantity, SignMagnitude, inner_constructs
 from .head import enumeration_of
+from .items import Items
 from .place import SourceLine
 from .vocabulary import TRANSFORMS, refusal_of
 
@@ -124,6 +125,10 @@ class _Walk:
                 return made
             case c.Array() | c.GreedyRange() | c.RepeatUntil():
                 return self._repeated(con, path, known)
+            case Items():
+                for name in con.data:
+                    check_name(name, con.place)
+                return con.changed(lambda name, data: self.of(data, f"{path}.{name}", known))
             case c.Prefixed():
                 return Prefixed(con.lengthfield, self.of(con.subcon, path, known), con.includelength)
             case c.FixedSized():

@@ -98,6 +98,29 @@ def panels(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[LayoutPanel]
             LayoutPanel(f"{when.selector.name} = {listed(when.values)}:", _all_rows(layers[0], None, []))
         )
         found += [LayoutPanel(SHARING, _all_rows(cells, None, [])) for cells in layers[1:]]
+    for leaf, node in plan.lists:
+        found += _list_panels(leaf.path, node)
+    return found
+
+
+def _list_panels(path: str, node: p.ListNode) -> list[LayoutPanel]:
+    """An item of a list, and the data of each kind; a group."""
+    if isinstance(node, p.Repeated):
+        return [LayoutPanel(f"each of {path}:", panels(node.plan)[0].rows)]
+    assert isinstance(node, p.TaggedItems)
+    cells = _Cells()
+    counts = f" (data + {node.counted})" if node.counted else ""
+    for name, number in (("tag", node.tag), (f"size{counts}", node.size)):
+        if number is not None:
+            _claim_scalar(cells, name, number, is_brief=True)
+    cells.blocks[node.head] = _Block(node.head, None, "data (as many bytes as it says)", is_told=True)
+    found = [LayoutPanel(f"each of {path}:", _all_rows(cells, None, []))]
+    for kind in node.kinds:
+        inside = panels(kind.plan)
+        title = f"data of {path}.{kind.name}, tag {kind.number}"
+        found += [
+            LayoutPanel(f"{title}:" if not one.title else f"{title}, {one.title}", one.rows) for one in inside
+        ]
     return found
 
 
@@ -183,6 +206,12 @@ def _claim(cells: _Cells, label: str, node: p.Node, *, is_brief: bool) -> None:
             if node.is_alone and (node.constant or node.shift):
                 text = f"{node.constant:#04x} + {label}" + (f" << {node.shift}" if node.shift else "")
             cells.claim(text, node.place)
+        case p.TaggedItems():
+            cells.blocks[node.offset] = _Block(node.offset, None, f"{label}: items", is_told=False)
+        case p.Repeated():
+            how = "" if node.count is None else ", as many as counted"
+            text = f"{label}: groups of {node.width} bytes{how}"
+            cells.blocks[node.offset] = _Block(node.offset, None, text, is_told=bool(how))
         case p.DelimitedField():
             cells.lines.append((f"#{node.index}", label + (" (optional)" if node.optional else "")))
         case p.MoreCells():

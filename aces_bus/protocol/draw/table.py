@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ..declare.bits import whole_bits
 from ..declare.message import Message
@@ -38,7 +38,18 @@ def field_table(plan: p.MessagePlan, captured: Mapping[str, str] | None = None) 
                 only = f"only while {when.selector.name} is {listed(when.values)}"
                 doc = f"{only}; {doc}" if doc else only
             rows.append(_field_row(one.path, one.node, doc, captured or {}))
+        if isinstance(one.node, p.ListNode):
+            rows += [_inner_row(inner) for inner in one.node.inside(one)]
     return rows
+
+
+def _inner_row(leaf: p.NodePath) -> FieldRow:
+    """The line of a value inside a list of items."""
+    node = leaf.node.item if isinstance(leaf.node, p.Each) else leaf.node
+    row = _field_row(leaf.path, node, leaf.doc, {})
+    kind = leaf.kind if isinstance(leaf, p.ItemPath) else None
+    where = "of each" if kind is None else f"of tag {kind.number}"
+    return replace(row, place=f"{row.place} {where}")
 
 
 def row_of(name: str, node: p.Node, doc: str = "") -> FieldRow:
@@ -79,6 +90,25 @@ def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -
             return FieldRow(name, "request", "as there", doc=doc)
         case p.Rest():
             return FieldRow(name, "other bits", f"of {node.size} bytes", doc=doc)
+        case p.TaggedItems():
+            tags = ", ".join(f"{kind.number}={kind.name}" for kind in node.kinds)
+            return FieldRow(name, f"byte {node.offset}…", "items", names=tags, doc=doc)
+        case p.Repeated():
+            inner = _field_row("", node.plan.fields[0].node, "", captured)
+            kind = (
+                f"groups of {node.width}" if not node.plan.fields[0].node.is_leaf else f"any × {inner.type}"
+            )
+            return FieldRow(
+                name,
+                f"byte {node.offset}…",
+                kind,
+                inner.unit,
+                inner.scale,
+                inner.offset,
+                inner.range,
+                inner.names,
+                doc,
+            )
         case p.DelimitedField():
             kind = {"names": "enumeration"}.get(node.conversion, node.conversion)
             note = "may be left out" if node.optional else ""

@@ -357,6 +357,13 @@ local function read(message, bytes, size, id, extra)
     local length = message.by.sizes[values[message.by.selector]] or message.by.otherwise
     if size ~= length then return nil, "length " .. size end
   end
+  for _, field in ipairs(message.fields) do
+    if field.kind == "groups" then
+      local left = size - field.tail - field.start
+      local count = field.count and number(bytes, field.count) or floor(left / field.width)
+      if left ~= count * field.width then return nil, "length " .. size end
+    end
+  end
   if message.split then
     local cells = cells_of(message.split, bytes, size)
     if not cells then return nil, "fields" end
@@ -469,7 +476,66 @@ local function show_number(tree, range, field, value, exact)
   end
 end
 
-local function show_field(tree, tvb, field, bytes, size, found)
+local show_field
+
+local function show_inside(tree, range, inside, bytes, values)
+  if range:len() == 0 then return end
+  local tvb = range:tvb()
+  for _, field in ipairs(inside.fields) do
+    if is_there(field.when, values) then
+      show_field(tree, tvb, field, bytes, range:len(), { inside, values })
+    end
+  end
+end
+
+local function part(bytes, start, size)
+  local found = {}
+  for at = 0, size - 1 do found[at] = bytes[start + at] end
+  return found
+end
+
+-- The items of a list up to `stop`: what cannot be read is bytes.
+local function show_items(tree, tvb, list, bytes, stop)
+  local at = list.start
+  while at < stop do
+    local left = stop - at
+    local head = part(bytes, at, math.min(left, list.head))
+    local tag = left >= list.head and number(head, list.tag) or nil
+    local kind, length = list.kinds[tag or -1], left
+    if tag and list.sizes then
+      length = list.head + number(head, list.sizes) - list.counted
+    elseif kind and kind.size then
+      length = math.min(left, list.head + kind.size)
+    end
+    local is_whole = tag and length >= list.head and length <= left
+    if not is_whole then length = left end
+    local item = tree:add(F[list.field], tvb:range(at, length))
+    if is_whole then
+      local inner = part(bytes, at + list.head, length - list.head)
+      local values = kind and read(kind, inner, length - list.head)
+      item:append_text(" " .. (kind and kind.name or "tag " .. string.format("%d", tag)))
+      if values then
+        if length > list.head then
+          show_inside(item, tvb:range(at + list.head, length - list.head), kind, inner, values)
+        end
+      elseif kind then
+        item:append_text(" [malformed]")
+      end
+    else
+      item:append_text(" [malformed]")
+    end
+    at = at + length
+  end
+end
+
+local function show_groups(tree, tvb, list, bytes, stop)
+  for at = list.start, stop - list.width, list.width do
+    local range, inner = tvb:range(at, list.width), part(bytes, at, list.width)
+    show_inside(tree:add(F[list.field], range), range, list.inside, inner, read(list.inside, inner, list.width) or {})
+  end
+end
+
+function show_field(tree, tvb, field, bytes, size, found)
   local values, request = found[2], found[3]
   if field.kind == "identifier" then
     show_number(tree, tvb:range(0, 0), field, values[field.path])
@@ -484,6 +550,10 @@ local function show_field(tree, tvb, field, bytes, size, found)
       local cell = values[""][index]
       tree:add(F[field.field], tvb:range(cell[2], #cell[1]), cell[1])
     end
+  elseif field.kind == "items" then
+    show_items(tree, tvb, field, bytes, size - field.tail)
+  elseif field.kind == "groups" then
+    show_groups(tree, tvb, field, bytes, size - field.tail)
   elseif field.kind == "bytes" or field.kind == "text" then
     local length = field.size or size - field.tail - field.start
     if length > 0 and field.start + length <= size then

@@ -379,6 +379,8 @@ class _Group:
                 return  # bits without a signal
             case p.FromRequest():
                 self._lose(name, leaf.path, "a field of the request: left out")
+            case p.TaggedItems() | p.Repeated():
+                self._lose(name, leaf.path, "a list of items, which have no fixed places: left out")
             case _:
                 self._lose(name, leaf.path, "no fixed place: left out")
         if len(self.found) > before:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import construct as c
 
@@ -141,7 +142,7 @@ class _Page:
                 "",
                 *_table(("field", "place", "type", "unit", "scale", "offset", "range", "meaning"), rows),
             ]
-        for names, values in _values(plan.leaves):
+        for names, values in _values(plan.columns):
             shown = ", ".join(f"`{name}`" for name in names)
             lines += ["", f"Values of {shown}:", "", *_table(("value", "name"), values)]
         return lines
@@ -262,6 +263,8 @@ def _values(found: Iterable[p.NodePath]) -> list[tuple[list[str], list[tuple[str
     tables: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for leaf in found:
         rows: list[tuple[str, str]] = []
+        if isinstance(leaf.node, p.Each):
+            leaf = replace(leaf, node=leaf.node.item)
         if not isinstance(leaf.node, p.DelimitedField):
             names = leaf.node.value_names
             rows += [(str(value), _escaped(name)) for value, name in sorted(names.items())[:MOST_VALUES]]

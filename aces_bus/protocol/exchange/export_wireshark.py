@@ -111,12 +111,7 @@ class _Printer:
         else:
             assert message.framing is not None
             table["framing"] = self.framings.index(message.framing) + 1
-        if plan.lengths is not None:
-            table["lengths"] = _values(plan.lengths)
-        table["least"] = plan.least
-        if plan.lengths_by is not None:
-            selector, sizes, otherwise = plan.lengths_by
-            table["by"] = {"selector": selector.name, "sizes": dict(sizes), "otherwise": otherwise}
+        table |= _shape(plan)
         if plan.split is not None:
             one = plan.split
             table["split"] = {
@@ -127,7 +122,6 @@ class _Printer:
                 "least": one.least,
                 "most": one.most,
             }
-        table["constants"] = [[one.offset, one.mask, one.value] for one in plan.constants]
         table["one_of"] = [self._one_of(one) for one in plan.one_of]
         if message.check is not None:
             table["check"] = self._own_check(message)
@@ -315,10 +309,49 @@ class _Printer:
                 kind = "cell" if isinstance(node, p.DelimitedField) else "cells"
                 number = self._field(abbr, leaf.path, "string", None, None, leaf.doc)
                 more = {"kind": kind, "index": index + 1, "field": number}
+            case p.TaggedItems() | p.Repeated():
+                more = self._list(leaf, node, message, plan.tail, abbr)
             case _:
                 assert isinstance(node, p.Scalar)
                 more = self._scalar(leaf, node, plan, message, abbr)
         return {**table, **more}
+
+    def _list(
+        self, leaf: p.NodePath, node: p.TaggedItems | p.Repeated, message: Message, tail: int, abbr: str
+    ) -> dict[str, Any]:
+        """A list of items: each is a tree of the fields of its data."""
+        number = self._field(abbr, leaf.path, "bytes", None, None, leaf.doc)
+        table: dict[str, Any] = {"field": number, "start": node.offset, "tail": tail}
+        if isinstance(node, p.Repeated):
+            count = None if node.count is None else _pieces(node.count.place)
+            inside = self._inside(node.plan, message, leaf.path.rpartition(".")[2], f"{abbr}.each")
+            return {"kind": "groups", **table, "width": node.width, "count": count, "inside": inside}
+        kinds = {
+            kind.number: {
+                "name": kind.name,
+                "size": kind.size,
+                **self._inside(kind.plan, message, kind.name, f"{abbr}.{kind.name}"),
+            }
+            for kind in node.kinds
+        }
+        sizes = None if node.size is None else _pieces(node.size.place)
+        more = {"head": node.head, "counted": node.counted, "tag": _pieces(node.tag.place), "sizes": sizes}
+        return {"kind": "items", **table, **more, "kinds": kinds}
+
+    def _inside(self, plan: p.MessagePlan, message: Message, name: str, own: str) -> dict[str, Any]:
+        """What an item's data or a group are, as the program reads a message; `name` is what its value is called."""
+        table: dict[str, Any] = {**_shape(plan, "data."), "one_of": [], "fields": []}
+        before = len(self.fields)
+        for leaf in plan.leaves:
+            made = self._leaf(leaf, message, plan, f"{own}{leaf.path[4:]}")
+            if leaf.whens:
+                selector_path, when = leaf.conditions[-1]
+                made["when"] = [selector_path, dict.fromkeys(when.values, True)]
+            table["fields"].append(made)
+        for field in self.fields[before:]:
+            if field[1].partition(".")[0] == "data":  # the plan's word for the whole of it
+                field[1] = name + field[1][4:]
+        return table
 
     def _rest(self, leaf: p.NodePath, node: p.Rest, message: Message, abbr: str) -> dict[str, Any]:
         if node.size > 8:
@@ -410,6 +443,18 @@ class _Printer:
 
 
 # ---------------------------------------------------------------------- data
+
+
+def _shape(plan: p.MessagePlan, inside: str = "") -> dict[str, Any]:
+    """How long a message may be and which of its bytes are constant; selectors have paths that begin with `inside`."""
+    table: dict[str, Any] = {"least": plan.least}
+    if plan.lengths is not None:
+        table["lengths"] = _values(plan.lengths)
+    if plan.lengths_by is not None:
+        selector, sizes, otherwise = plan.lengths_by
+        table["by"] = {"selector": inside + selector.name, "sizes": dict(sizes), "otherwise": otherwise}
+    table["constants"] = [[one.offset, one.mask, one.value] for one in plan.constants]
+    return table
 
 
 def _program(name: str) -> str:

@@ -181,7 +181,9 @@ class Template:
         for leaf in self.plan.leaves:
             if places := _bytes_of(leaf.node):
                 yield leaf.path, places
-            elif isinstance(leaf.node, p.Scalar) and leaf.node.size is None:
+            elif isinstance(leaf.node, (p.TaggedItems, p.Repeated)) or (
+                isinstance(leaf.node, p.Scalar) and leaf.node.size is None
+            ):
                 yield leaf.path, [*range(leaf.node.offset, leaf.node.offset + 512)]
 
     def _delimited(self, prefix: bytes) -> tuple[str, list[tuple[str, Any, str]]]:

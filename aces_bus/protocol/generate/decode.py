@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ..declare.bits import runs_of
@@ -38,6 +38,8 @@ class Decoder(FunctionSetup):
     given to the text, and the types in `types`.
     """
 
+    arguments = "data, key, time, channel, raw, rx"
+
     def __init__(
         self, plan: p.MessagePlan, *, raw: bool, guard: bool = True, names: NameScope | None = None
     ) -> None:
@@ -66,9 +68,7 @@ class Decoder(FunctionSetup):
         """(module-level lines, function lines)."""
         plan, out = self.plan, self.body
         needs = not plan.is_flat or any(isinstance(field.node, p.FromRequest) for field in plan.fields)
-        out.line(
-            f"def {self.function}(data, key, time, channel, raw, rx{', request=None' if needs else ''}):"
-        )
+        out.line(f"def {self.function}({self.arguments}{', request=None' if needs else ''}):")
         out.depth = 1
         out.line(f'"""{comment_line(plan.doc) or plan.name} ({comment_line(plan.place)})"""')
         if not plan.is_flat:
@@ -77,10 +77,11 @@ class Decoder(FunctionSetup):
             out.line(f"return {self.opaque}(data, key, time, channel, raw, rx, request)")
             return self.setup, out.printed
         self._fetch()
-        tests = plan.constants[plan.sync :] or plan.one_of or plan.is_checked or plan.lengths_by
+        tests = plan.constants[plan.sync :] or plan.one_of or plan.is_checked or plan.lengths_by or plan.lists
         if self.guard or tests or not self.is_exact:
             self._lengths()
         self._constants()
+        self._repeats()
         if plan.is_checked:
             self.holds = self.module.new(f"holds_{plan.name}", avoid=self.names)
             out.lines(
@@ -100,6 +101,12 @@ class Decoder(FunctionSetup):
                 f"if len(data) != {lengths}.get({self.present[selector]}, {other}):",
                 "    return None",
             )
+        self._returned()
+        return self.setup, out.printed
+
+    def _returned(self) -> None:
+        """The record, made of its fields."""
+        plan, out = self.plan, self.body
         made = self._type(plan.name)
         arguments = [self._value(field) for field in plan.fields]
         if sum(map(len, arguments)) + len(plan.name) < 60:
@@ -112,7 +119,6 @@ class Decoder(FunctionSetup):
                 f"    {TRANSPORT},",
                 ")",
             )
-        return self.setup, out.printed
 
     def _lengths(self) -> None:
         plan, out = self.plan, self.body
@@ -340,6 +346,8 @@ class Decoder(FunctionSetup):
             return f'request["{name}"] if request is not None else None'
         if isinstance(node, p.Rest):
             return self._rest(node)
+        if isinstance(node, p.ListNode):
+            return self._listed(node)
         if isinstance(node, p.DelimitedField):
             return self._cell(node, name)
         if isinstance(node, p.MoreCells):
@@ -487,6 +495,33 @@ class Decoder(FunctionSetup):
         table = self._table(f"_rest_{self.plan.name}", f"{{{inside}}}.get")
         return f"{word} & {table}({self.present[node.selector]}, {masks[None]:#x})"
 
+    # -------------------------------------------------- lists of items
+
+    def _repeats(self) -> None:
+        """The tests of lists of groups: as many bytes as groups need."""
+        for _, node in self.plan.lists:
+            if not isinstance(node, p.Repeated):
+                continue
+            around = node.offset + self.plan.tail
+            if node.count is None:
+                left = f"(len(data) - {around})" if around else "len(data)"
+                test = f"{left} % {node.width}" if node.width > 1 else ""
+            else:
+                test = f"len(data) != {around} + {node.width} * ({self._integer(node.count, fetched=False)})"
+            if test:
+                self.body.lines(
+                    f"if {test}:",
+                    "    return None",
+                )
+
+    def _listed(self, node: p.ListNode) -> str:
+        end = f"len(data) - {self.plan.tail}" if self.plan.tail else "len(data)"
+        printed = ListDecoder(node, self.plan.name, raw=self.raw, names=self.module)
+        text = f"{printed.print()}(data, {printed.offset}, {end})"
+        self.setup += printed.setup
+        self.types |= printed.types
+        return text
+
     # -------------------------------------------------- delimited payloads
 
     def _split(self, split: p.DelimitedSplit) -> None:
@@ -535,6 +570,134 @@ class Decoder(FunctionSetup):
         if cell.optional:
             value = f"({value}) if count > {cell.index} else None"
         return f"({value})" if " if " in value or " or " in value else value
+
+
+class _DataDecoder(Decoder):
+    """Prints the decode function of an item's data or of a group, which takes its bytes alone.
+
+    `result` makes the text of what it gives, from that of the value; None is given for bytes that do not fit.
+    """
+
+    arguments = "data"
+
+    def __init__(
+        self, plan: p.MessagePlan, *, raw: bool, names: NameScope, result: Callable[[str], str] = str
+    ) -> None:
+        super().__init__(plan, raw=raw, names=names)
+        self.result = result
+
+    def _returned(self) -> None:
+        (field,) = self.plan.fields
+        self.body.line(f"return {self.result(self._value(field))}")
+
+
+class ListDecoder(FunctionSetup):
+    """Prints the function that reads a list of items, and those of what is in it, into `setup`.
+
+    The function takes the packet's bytes, where in them the list begins and where it ends, and gives a tuple. `offset` is
+    where lists of this plan begin.
+    """
+
+    def __init__(self, node: p.ListNode, name: str, *, raw: bool, names: NameScope | None = None) -> None:
+        self.node, self.name, self.raw = node, name, raw
+        self.setup = []
+        self.names = names if names is not None else NameScope(CALLED)
+        self.types: dict[str, str] = {}
+        assert isinstance(node, (p.TaggedItems, p.Repeated))
+        self.offset = node.offset
+
+    def print(self) -> str:
+        """The function's name; the text is in `setup` then, and the record types in `types`."""
+        node = self.node
+        return self._items(node) if isinstance(node, p.TaggedItems) else self._groups(node)
+
+    def _data(self, plan: p.MessagePlan, result: Callable[[str], str] = str) -> str:
+        printed = _DataDecoder(plan, raw=self.raw, names=self.names, result=result)
+        setup, lines = printed.print()
+        self.setup += [*setup, "", *lines, ""]
+        self.types |= printed.types
+        return printed.function
+
+    def _groups(self, node: p.ListNode) -> str:
+        assert isinstance(node, p.Repeated)
+        inside = self._data(node.plan)
+        function = self.names.new(f"groups_{node.plan.name}")
+        self.setup += [
+            f"def {function}(data, at, end):",
+            f"    return tuple([{inside}(data[i : i + {node.width}]) for i in range(at, end, {node.width})])",
+            "",
+        ]
+        return function
+
+    def _items(self, node: p.TaggedItems) -> str:
+        made = self.names.new(node.type_name)
+        self.types[made] = node.type_name
+        kinds: list[str] = []
+        for kind in node.kinds:
+            shown = literal(kind.number) if self.raw else repr(kind.name)
+            function = self._data(kind.plan, lambda value, shown=shown: f"{made}({shown}, {value}, None)")  # type: ignore[misc]
+            kinds.append(f"{kind.number}: ({shown}, {kind.name!r}, {kind.size}, {function}),")
+        table = self.names.new(f"_kinds_{node.type_name}")
+        function = self.names.new(f"items_{node.type_name}")
+        out = SourceText()
+        out.lines(
+            f"{table} = {{", *(f"    {line}" for line in kinds), "}", "", f"def {function}(data, at, end):"
+        )
+        out.depth = 1
+        out.lines(
+            "found = []",
+            "while at < end:",
+            "    left = end - at",
+            f"    if left < {node.head}:",
+            f'        reason = f"malformed: {{left}} of the {node.head} bytes before an item\'s data"',
+            f"        found.append({made}(None, data[at:end], reason))",
+            "        break",
+            f"    tag = {_number_at(node.tag)}",
+            f"    kind = {table}.get(tag)",
+        )
+        out.depth = 2
+        if node.size is not None:
+            more = node.head - node.counted
+            out.lines(
+                f"size = {_number_at(node.size)}",
+                f"stop = at + {more} + size" if more else "stop = at + size",
+                f"if not at + {node.head} <= stop <= end:" if node.counted else "if stop > end:",
+                '    reason = f"malformed: its size says {size}, and {left} bytes are left"',
+                f"    found.append({made}(None, data[at:end], reason))",
+                "    break",
+            )
+        else:
+            out.line(
+                f"stop = end if kind is None or kind[2] is None else min(end, at + {node.head} + kind[2])"
+            )
+        out.lines(
+            f"inside = data[at + {node.head} : stop]",
+            "at = stop",
+            "if kind is None:",
+            f'    found.append({made}(tag, inside, "unknown"))',
+            "    continue",
+            "item = kind[3](inside)",
+            "if item is None:",
+            '    reason = f"malformed: data of size {len(inside)} are no {kind[1]}"',
+            f"    item = {made}(kind[0], inside, reason)",
+            "found.append(item)",
+        )
+        out.depth = 1
+        out.line("return tuple(found)")
+        self.setup += [*out.printed, ""]
+        return function
+
+
+def _number_at(number: p.Scalar) -> str:
+    """An item's tag or size, from `data` and where the item begins, `at`."""
+    places = [
+        f"data[at + {number.offset + i}]" if number.offset + i else "data[at]"
+        for i in range(number.size or 0)
+    ]
+    if len(places) == 1:
+        return places[0]
+    start = f"at + {number.offset}" if number.offset else "at"
+    return f'from_bytes(data[{start} : at + {number.offset + len(places)}], "{number.order}")'
 
 
 def clusters(scalars: Sequence[p.Scalar]) -> list[tuple[int, int, str]]:

@@ -68,6 +68,8 @@ class _Encoder(FunctionSetup):
             raise NoEncoder(plan.opaque)
         if plan.split is not None or plan.lengths_by is not None or plan.selectors or plan.is_checked:
             raise NoEncoder("its payload depends on its values")
+        if plan.lists:
+            raise NoEncoder("a list of items")
         if message.counters:
             raise NoEncoder("it has a rolling counter")
         if getattr(message.payload, "overlapping", False):

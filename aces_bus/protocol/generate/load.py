@@ -9,7 +9,7 @@ import keyword
 import linecache
 import re
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from typing import Any, TypeVar
 
@@ -23,9 +23,10 @@ from ..declare.message import Message
 from ..declare.packet import can_image
 from ..declare.protocol import Variant
 from ..keys import EXTENDED, FD, REMOTE
-from ..record import Part, Record, from_container
-from .decode import CALLED, Decoder
-from .records import part_names, print_records
+from ..plan import nodes as p
+from ..record import Part, Record, from_container, plain_value
+from .decode import CALLED, Decoder, ListDecoder
+from .records import groups_of, part_names, print_records
 from .source import NameScope, comment_line
 
 Decode = Callable[..., Any]
@@ -173,6 +174,25 @@ def _made_types(variant: Variant, name: str) -> dict[str, Any]:
 @cache
 def _types(variant: Variant) -> OnDemand[str, dict[str, Any]]:
     return OnDemand(partial(_made_types, variant))
+
+
+@cache
+def list_reader(node: p.ListNode, name: str, raw: bool = False) -> Callable[[bytes, int, int], list[Any]]:
+    """A function from a packet's bytes, and where in them a list of items begins and ends, to the items as plain values;
+    `name` is that of the message."""
+    printed = ListDecoder(node, name, raw=raw)
+    function = printed.print()
+    fields = {one.type_name: [f.name for f in one.fields] for one in groups_of([p.PlanField("items", node)])}
+    names = {**_CALLED, **printed.names.bound}
+    names |= {called: partial(_plain_part, fields[kind]) for called, kind in printed.types.items()}
+    read = load_source("\n".join(printed.setup), f"aces {'raw ' if raw else ''}items of {name}", names)[
+        function
+    ]
+    return lambda data, at, end: plain_value(read(data, at, end))
+
+
+def _plain_part(names: Sequence[str], *values: Any) -> dict[str, Any]:
+    return dict(zip(names, values, strict=True))
 
 
 class _Records(Mapping[str, type[Record]]):

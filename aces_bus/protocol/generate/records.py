@@ -42,6 +42,11 @@ def type_of(node: p.Node, *, raw: bool = False, called: Callable[[str], str] = s
         return f"{kind} | None"
     if isinstance(node, p.MoreCells):
         return "tuple[str, ...]"
+    if isinstance(node, p.TaggedItems):
+        return f"tuple[{called(node.type_name)}, ...]"
+    if isinstance(node, p.Repeated):
+        (group,) = node.plan.fields
+        return f"tuple[{type_of(group.node, raw=raw, called=called)}, ...]"
     return "Any"
 
 
@@ -74,8 +79,16 @@ def _scalar_type(kind: str, steps: Sequence[p.Step], raw: bool) -> str:
 def groups_of(fields: Sequence[p.PlanField]) -> list[p.NestedRecord]:
     """The nested records among fields, innermost first, each once."""
     inward = sorted(p.walk(fields), key=lambda one: -len(one.way))
+    listed: list[p.NestedRecord] = []
+    for one in inward:
+        if isinstance(one.node, p.TaggedItems):
+            for kind in one.node.kinds:
+                listed += groups_of(kind.plan.fields)
+            listed.append(one.node.record)
+        elif isinstance(one.node, p.Repeated):
+            listed += groups_of(one.node.plan.fields)
     nested = [one.node for one in inward if isinstance(one.node, p.NestedRecord)]
-    return list({node.type_name: node for node in nested}.values())
+    return list({node.type_name: node for node in [*listed, *nested]}.values())
 
 
 def part_names(plan: p.MessagePlan) -> list[str]:

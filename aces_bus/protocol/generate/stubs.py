@@ -178,6 +178,11 @@ class _Printer:
                 lines.append(f"    {field.name}: {self._type(field, f'{path}.{field.name}', parts)}")
             parts[path] = lines if len(lines) > 1 else [f"{lines[0]} ..."]
             return called
+        if isinstance(node, p.TaggedItems):
+            return self._items(node, path, parts)
+        if isinstance(node, p.Repeated):
+            (group,) = node.plan.fields
+            return f"tuple[{self._node(group.node, path, parts)}, ...]"
         if node.flags:
             names = [name for name in node.flags if name.isidentifier() and not keyword.iskeyword(name)]
             body = [f"    {name}: bool" for name in names]
@@ -193,6 +198,18 @@ class _Printer:
             if isinstance(node, p.DelimitedField) and node.names
             else kind.replace("str", listed)
         )
+
+    def _items(self, node: p.TaggedItems, path: str, parts: dict[str, list[str]]) -> str:
+        """The type of a list of tagged items."""
+        data = [self._node(kind.plan.fields[0].node, f"{path}.{kind.name}", parts) for kind in node.kinds]
+        called = self._class(path)
+        parts[path] = [
+            f"class {called}(Part, frozen=True):",
+            f"    kind: {_literal(kind.name for kind in node.kinds)} | int | None",
+            f"    data: {_union([*data, 'bytes'])}",
+            "    reason: str | None",
+        ]
+        return f"tuple[{called}, ...]"
 
     def _opaque(self, message: Message, name: str, parts: dict[str, list[str]]) -> str:
         """The type of a field that construct decodes."""

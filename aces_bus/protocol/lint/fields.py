@@ -31,6 +31,7 @@ from ..declare.fields import (
     wire_number,
 )
 from ..declare.head import enumeration_of
+from ..declare.items import Items
 from ..declare.message import Message
 from ..declare.pattern import IdField, describe_values
 from ..declare.place import SourceLine
@@ -392,6 +393,9 @@ def _walk(con: Any, owner: str, name: str, place: SourceLine) -> Iterator[Writte
     elif isinstance(con, Delimited):
         for one in con.fields:
             yield from _walk(one, owner, name, place)
+    elif isinstance(con, Items):
+        for kind, data in con.data.items():
+            yield from _walk(data, owner, f"{name}.{kind}", place)
     elif isinstance(con, (Multiplexed, c.IfThenElse, c.Switch)) or hasattr(con, "subcons"):
         for inner in inner_constructs(con):
             yield from _walk(inner, owner, name, place)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, reduce
 from typing import Any, Literal
 
 import construct as c
@@ -26,11 +26,15 @@ from ..declare.fields import (
     wire_number,
 )
 from ..declare.head import Head
+from ..declare.items import Items
 from ..declare.message import Message
 from ..declare.normalise import sizes
 from ..declare.pattern import IdField, IdPattern
 from ..keys import key_of
 from . import nodes as p
+
+#: The fields of an item's record.
+ITEM = ("kind", "data", "reason")
 
 
 class NotFlat(Exception):
@@ -123,6 +127,10 @@ def _parts(con: c.Construct, path: str, *, top: bool = True) -> list[tuple[str, 
             found.append((path, names))
         for item in con.subcons:
             found += _parts(item, f"{path}_{item.name}" if item.name else path, top=False)
+    elif isinstance(con, Items):
+        found.append((path, ITEM))
+        for data in con.subcons:
+            found += _parts(data, f"{path}_data", top=False)
     elif isinstance(con, BitLayout):
         if not top:
             more = [con.trailing] if con.trailing else []
@@ -182,6 +190,11 @@ def _capture_field(
     return p.PlanField(capture.name, node, doc=capture.doc)
 
 
+def _asked(path: str) -> Any:
+    """The expression of a field, by its path: `this.flags.count`."""
+    return reduce(getattr, path.split("."), c.this)
+
+
 def _scale(quantity: Quantity) -> p.Scale:
     return p.Scale(
         quantity.scale,
@@ -238,7 +251,9 @@ def _scalar(con: c.Construct, offset: int) -> p.Scalar:
     if wire is not None:
         bits = whole_bits(offset, wire.size, wire.order) if wire.kind != "float" else ()
         return p.Scalar(wire.kind, offset, wire.size, wire.order, bits, found, unit)
-    if isinstance(inner, c.Bytes) and isinstance(inner.length, int) and not steps:
+    if isinstance(inner, c.Bytes) and not isinstance(inner.length, int):
+        raise NotFlat("bytes of a length that varies")
+    if isinstance(inner, c.Bytes) and not steps:
         return p.Scalar("bytes", offset, inner.length)
     if inner is c.GreedyBytes and not steps:
         return p.Scalar("bytes", offset, None)
@@ -314,6 +329,7 @@ class _Builder:
         overlay: dict[int, int] | None = None
         selector: p.Selector | None = None
         base = 0
+        rebuilt: set[str] = set()
         for item in struct.subcons:
             name = item.name
             body = item.subcon if isinstance(item, c.Renamed) else item
@@ -355,7 +371,19 @@ class _Builder:
                 self._constant(body)
                 fields.append(p.PlanField(name, _scalar(body.subcon, self.offset - int(body.sizeof()))))
                 continue
-            fields.append(p.PlanField(name, self._node(item, f"{path}_{name}"), self._doc(item)))
+            if isinstance(body, c.Rebuild):
+                rebuilt.add(name)
+                item = body.subcon
+            if isinstance(body, (c.Array, c.GreedyRange)) and not isinstance(
+                getattr(body, "count", None), int
+            ):
+                node, count = self._repeated(body, fields, f"{path}_{name}")
+                rebuilt.discard(count)
+            else:
+                node = self._node(item, f"{path}_{name}")
+            fields.append(p.PlanField(name, node, self._doc(item)))
+        if rebuilt:
+            raise NotFlat(f"{min(rebuilt)} is computed")
         if overlay is not None and selector is not None:
             self.offset = base
             total = base + self.tail
@@ -394,9 +422,108 @@ class _Builder:
             if body.count > 64:
                 raise NotFlat(f"an array of {body.count}")
             return p.Many(tuple(self._node(body.subcon, path) for _ in range(body.count)))
+        if isinstance(body, Items):
+            return self._items(body, path)
+        if isinstance(body, c.GreedyRange):
+            return self._repeated(body, [], path)[0]
+        if isinstance(body, c.FocusedSeq):
+            return self._prefixed(body, path)
         scalar = _scalar(con, self.offset)
         self._advance(scalar.size)
         return scalar
+
+    # -------------------------------------------------- lists of items
+
+    def _items(self, items: Items, path: str) -> p.TaggedItems:
+        """Tagged items up to the end."""
+        self._only_here(path)
+        name = self._group(path, [p.PlanField(one, p.Opaque("")) for one in ITEM]).type_name
+        kinds: list[p.ItemKind] = []
+        for kind, data in items.data.items():
+            plan = self._alone(data, f"{path}_{kind}")
+            kinds.append(p.ItemKind(kind, items.numbers[kind], plan, items.fixed_size(kind)))
+        tag, size = (
+            None
+            if number is None
+            else p.Scalar("uint", at, number.size, number.order, whole_bits(at, number.size, number.order))
+            for number, at in ((items.tag, items.tag_at), (items.size, items.size_at))
+        )
+        assert tag is not None
+        self.is_open = True
+        return p.TaggedItems(self.offset, tag, size, items.head, items.counted, tuple(kinds), name)
+
+    def _repeated(
+        self, con: c.Array | c.GreedyRange, fields: Sequence[p.PlanField], path: str
+    ) -> tuple[p.Repeated, str]:
+        """Groups of one size up to the end, or as many as a field among `fields` says; and the name of that field."""
+        count = getattr(con, "count", None)
+        name = ""
+        number: p.Scalar | None = None
+        if count is not None:
+            names = {one.path: one.node for one in p.walk(fields)}
+            name = next((name for name in names if repr(count) == repr(_asked(name))), "")
+            found = names.get(name)
+            if not isinstance(found, p.Scalar) or found.kind != "uint" or found.steps or found.size is None:
+                raise NotFlat("an array whose count is no plain field beside it")
+            number = found
+        return self._groups(con.subcon, number, path), name
+
+    def _prefixed(self, con: c.FocusedSeq, path: str) -> p.Repeated:
+        """What construct's `PrefixedArray` is made of: a count, and as many groups."""
+        parts: dict[Any, Any] = {
+            item.name: item.subcon if isinstance(item, c.Renamed) else item for item in con.subcons
+        }
+        count, items = parts.get("count"), parts.get("items")
+        if con.parsebuildfrom != "items" or list(parts) != ["count", "items"]:
+            raise NotFlat("FocusedSeq has no flat form")
+        if not (
+            isinstance(count, c.Rebuild)
+            and isinstance(items, c.Array)
+            and repr(items.count) == repr(c.this.count)
+        ):
+            raise NotFlat("FocusedSeq has no flat form")
+        number = _scalar(count.subcon, self.offset)
+        if number.kind != "uint" or number.steps or number.size is None:
+            raise NotFlat("a count that is no plain number")
+        self._advance(number.size)
+        return self._groups(items.subcon, number, path)
+
+    def _groups(self, con: c.Construct, count: p.Scalar | None, path: str) -> p.Repeated:
+        self._only_here(path)
+        plan = self._alone(con, path)
+        if plan.lengths is None or not plan.lengths[0]:
+            raise NotFlat("repeated groups of no fixed size")
+        if plan.constants:
+            raise NotFlat("repeated groups with constants")
+        self.is_open = True
+        return p.Repeated(self.offset, plan.lengths[0], plan, count)
+
+    def _only_here(self, path: str) -> None:
+        if self.is_open or self.outer is not None:
+            raise NotFlat("a list of items that does not end the payload")
+
+    def _alone(self, con: c.Construct, path: str) -> p.MessagePlan:
+        """The plan of a construct by itself, from byte 0 on, as the one field `data`."""
+        inner = _Builder(self.message, 0)
+        inner.offset, inner._shapes = 0, self._shapes
+        if isinstance(con, c.Struct):
+            node: p.Node = inner._group(path, inner._struct(con, path, top=True))
+        else:
+            node = inner._node(con, path)
+        if any(isinstance(one.node, p.ListNode) for one in p.walk([p.PlanField("data", node)])):
+            raise NotFlat("lists of items inside one another")
+        is_fixed = not inner.is_open and inner.lengths_by is None
+        return p.MessagePlan(
+            name=path,
+            fields=(p.PlanField("data", node),),
+            constants=tuple(inner.constants),
+            one_of=(),
+            lengths=(inner.offset,) if is_fixed else None,
+            least=inner.offset,
+            lengths_by=inner.lengths_by,
+            selectors=tuple(inner.selectors),
+            place=self.message.place.stable,
+        )
 
     def _group(self, path: str, fields: list[p.PlanField]) -> p.NestedRecord:
         """A nested record. Its type is named after its path; where two paths read alike, the second gets a number."""

@@ -16,6 +16,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 from ..declare.bits import runs_of, whole_bits
+from ..record import EACH, FirstOf, WayStep
 
 
 @dataclass(frozen=True)
@@ -344,6 +345,104 @@ class Rest(Node):
 
 
 @dataclass(frozen=True)
+class ItemKind:
+    """A kind of item in a list: its name and number, and the plan of its data alone, positions from their first byte; its
+    one field is called `data`. `size` is that of the data where it is fixed, in bytes."""
+
+    name: str
+    number: int
+    plan: MessagePlan
+    size: int | None
+
+
+class ListNode(Node):
+    """Values in any number up to the end of the packet, one tuple in the record."""
+
+    @property
+    def known_names(self) -> list[str] | None:
+        return None
+
+    def inside(self, leaf: NodePath) -> Iterator[NodePath]:
+        """The single values of the items, as columns have them; `leaf` is the list itself."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class TaggedItems(ListNode):
+    """Items of several kinds from byte `offset` on. `tag` and `size` (None: the kinds have theirs) count from an item's
+    first byte, its data begin at `head`, and its size is `counted` more than that of its data. `type_name` is that of the
+    items' records: `kind`, `data` and `reason`."""
+
+    offset: int
+    tag: Scalar
+    size: Scalar | None
+    head: int
+    counted: int
+    kinds: tuple[ItemKind, ...]
+    type_name: str
+
+    @property
+    def record(self) -> NestedRecord:
+        """An item as records have it."""
+        opaque = Opaque("decided by the item's tag")
+        return NestedRecord(
+            self.type_name, tuple(PlanField(name, opaque) for name in ("kind", "data", "reason"))
+        )
+
+    def inside(self, leaf: NodePath) -> Iterator[NodePath]:
+        """The values of the first good item of each kind."""
+        for kind in self.kinds:
+            for one in kind.plan.leaves:
+                path = ".".join([leaf.path, kind.name, *map(str, one.way[1:])])
+                doc = one.doc or leaf.doc
+                way = (*leaf.way, FirstOf(kind.name, kind.number), *one.way)
+                yield ItemPath(
+                    path, way, one.node, leaf.field, doc, leaf.whens, leaf.conditions, kind, one.path
+                )
+
+
+@dataclass(frozen=True)
+class Repeated(ListNode):
+    """One group after the other from byte `offset` on, each of `width` bytes: as many as `count` says, or up to the end.
+    `plan` is that of one group, as an `ItemKind`'s."""
+
+    offset: int
+    width: int
+    plan: MessagePlan
+    count: Scalar | None = None
+
+    def inside(self, leaf: NodePath) -> Iterator[NodePath]:
+        """For each value of a group the list of all groups' values."""
+        for one in self.plan.leaves:
+            if len(one.way) == 1:
+                continue  # a group of one number is the list itself
+            path = ".".join([leaf.path, *map(str, one.way[1:])])
+            way = (*leaf.way, EACH, *one.way[1:])
+            yield ItemPath(
+                path, way, Each(one.node), leaf.field, one.doc, leaf.whens, leaf.conditions, None, one.path
+            )
+
+
+@dataclass(frozen=True)
+class Each(Node):
+    """A value of every group of a list, in one tuple."""
+
+    item: Node
+
+    @property
+    def unit(self) -> str:  # type: ignore[override]
+        return self.item.unit
+
+    @property
+    def known_names(self) -> list[str] | None:
+        return self.item.known_names
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        return self.item.numbers
+
+
+@dataclass(frozen=True)
 class DelimitedField(Node):
     """A field of a delimited payload, by its number; `conversion` names how text becomes a value."""
 
@@ -405,7 +504,7 @@ class NodePath:
     """
 
     path: str
-    way: tuple[str | int, ...]
+    way: tuple[WayStep, ...]
     node: Node
     field: PlanField
     doc: str = ""
@@ -416,6 +515,15 @@ class NodePath:
     def identifier(self) -> str:
         """The path as one name: `motor_0_errors`."""
         return self.path.replace(".", "_")
+
+
+@dataclass(frozen=True)
+class ItemPath(NodePath):
+    """A value inside a list; positions count from the data of its item (of `kind`) or from its group (None)."""
+
+    kind: ItemKind | None = None
+    #: The path in the plan of that.
+    inner: str = ""
 
 
 def walk(
@@ -525,5 +633,20 @@ class MessagePlan:
 
     @cached_property
     def leaves(self) -> tuple[NodePath, ...]:
-        """The single values of a record, in order."""
+        """The single values of a record, in order; a list of items is one."""
         return tuple(one for one in self.walk() if one.node.is_leaf)
+
+    @cached_property
+    def columns(self) -> tuple[NodePath, ...]:
+        """What tables have columns for: the single values, and behind each list of items what is inside it."""
+        found: list[NodePath] = []
+        for leaf in self.leaves:
+            found.append(leaf)
+            if isinstance(leaf.node, ListNode):
+                found += leaf.node.inside(leaf)
+        return tuple(found)
+
+    @cached_property
+    def lists(self) -> tuple[tuple[NodePath, ListNode], ...]:
+        """The lists of items."""
+        return tuple((leaf, leaf.node) for leaf in self.leaves if isinstance(leaf.node, ListNode))

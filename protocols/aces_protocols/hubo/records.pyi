@@ -1131,7 +1131,9 @@ class NameInfoReply(Record, frozen=True):
     board: int
     """motor or sensor board"""
     period: int
+    """0…255 ms"""
     limit: tuple[int, ...]
+    """0…255 turn"""
 
 class BoardInfo(Record, frozen=True):
     """A motor board's period; RoboWorld2018 has the firmware's version in `rest`, bytes 3–6 of the frame.
@@ -1194,7 +1196,7 @@ class GyroRequest(Record, frozen=True):
     sensor: int
 
 class ImuRequest(Record, frozen=True):
-    """Ask an IMU: the third byte tells its request from a force/torque one.
+    """Ask an IMU: the third byte distinguishes its request from a force/torque one.
 
     to device; dialect D12; source: hubo-ach; HuboCan
     """

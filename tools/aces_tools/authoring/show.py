@@ -146,7 +146,7 @@ def _facts(plan: p.MessagePlan) -> Iterator[tuple[str, str]]:
 
 def _with_nodes(plan: p.MessagePlan) -> Iterator[tuple[draw.FieldRow, p.Node]]:
     """The lines of the field table, each with the node that it comes from."""
-    nodes = {one.path: one.node for one in plan.walk()}
+    nodes = {one.path: one.node for one in (*plan.walk(), *plan.columns)}
     for row in draw.field_table(plan):
         yield row, nodes.get(row.name, p.Opaque(""))
 
@@ -233,7 +233,7 @@ def _path(message: Message, hangs: bool) -> dict[str, Any]:
             {"field": leaf.path, "path": "generated", "how": _how(leaf.node)}
             if not isinstance(leaf.node, p.Opaque)
             else {"field": leaf.path, "path": "construct", "how": leaf.node.reason}
-            for leaf in plan.leaves
+            for leaf in plan.columns
         ],
     }
 
@@ -247,6 +247,10 @@ def _how(node: p.Node) -> str:
         return "the bits that are left"
     if isinstance(node, (p.DelimitedField, p.MoreCells)):
         return "cut out of the text"
+    if isinstance(node, p.ListNode):
+        return "read item by item"
+    if isinstance(node, p.Each):
+        return f"{_how(node.item)}, of each"
     assert isinstance(node, p.Scalar)
     if node.is_bytes:
         return "a slice"

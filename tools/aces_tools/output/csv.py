@@ -76,7 +76,11 @@ class CsvOutput:
                 cells = {leaf.path: cell(leaf.get(item)) for leaf in found}
                 rows.append([*head, *(cells.get(name, "") for name in self._columns)])
             elif found:
-                rows += [[*head, *self._value(leaf, item)] for leaf in found]
+                rows += [
+                    [*head, *self._value(leaf, item)]
+                    for leaf in found
+                    if not leaf.is_inside or leaf.get(item) is not None
+                ]
             else:
                 rows.append([*head, "", "", ""])
         return self._rows(rows)

@@ -130,12 +130,18 @@ class RecordLeaf:
     node: p.Node
     get: Callable[[Any], Any]
     conditional: bool = False
+    #: Whether it is inside a list of items, which may be without it.
+    is_inside: bool = False
 
 
 def record_leaves(plan: p.MessagePlan, *, is_split: bool = True) -> list[RecordLeaf]:
-    """The values of a record, nested records taken apart, and (`is_split`) lists; what has no fixed shape is one value."""
-    nodes = plan.leaves
+    """The values of a record, nested records taken apart, and (`is_split`) lists; what has no fixed shape is one value. A
+    list of items is one too, with what is inside it behind it."""
+    nodes = plan.columns
     if not is_split:
         named = (one for one in plan.walk() if all(isinstance(step, str) for step in one.way))
         nodes = tuple(one for one in named if not isinstance(one.node, p.NestedRecord))
-    return [RecordLeaf(one.path, one.node, getter(one.way), bool(one.whens)) for one in nodes]
+    return [
+        RecordLeaf(one.path, one.node, getter(one.way), bool(one.whens), isinstance(one, p.ItemPath))
+        for one in nodes
+    ]

@@ -307,6 +307,13 @@ def value_printer(node: p.Node) -> Show:
             return lambda value: (
                 "{" + ", ".join(f"{n}={_or_unknown(s, g(value))}{u}" for n, g, s, u in inner) + "}"
             )
+        case p.TaggedItems():
+            return _show_items(node)
+        case p.Repeated():
+            (group,) = node.plan.fields
+            return _show_each(group.node)
+        case p.Each():
+            return _show_each(node.item)
         case p.Scalar() if node.kind == "bytes":
             return spaced_hexadecimal
         case p.Scalar() if node.kind == "text":
@@ -331,6 +338,27 @@ def _show_many(node: p.Many) -> Show:
         return f"[{', '.join(_or_unknown(s, v) + u for s, v, u in zip(shows, values, units, strict=True))}]"
 
     return many
+
+
+def _show_each(node: p.Node) -> Show:
+    one, unit = value_printer(node), _unit(node)
+    return lambda values: f"[{', '.join(_or_unknown(one, value) + unit for value in values)}]"
+
+
+def _show_items(node: p.TaggedItems) -> Show:
+    """Each item as its kind and data, one that is unknown or malformed as bytes with the reason."""
+    nodes = {kind.name: kind.plan.fields[0].node for kind in node.kinds}
+    shows = {name: (value_printer(inner), _unit(inner)) for name, inner in nodes.items()}
+
+    def one(item: Any) -> str:
+        kind = "" if item.kind is None else f"{item.kind}="
+        if item.reason is not None or item.kind not in shows:
+            more = f" ({item.reason})" if item.reason is not None else ""
+            return kind + anything(item.data) + more
+        shown, unit = shows[item.kind]
+        return kind + _or_unknown(shown, item.data) + unit
+
+    return lambda items: f"[{', '.join(map(one, items))}]"
 
 
 def _show_number(node: p.Scalar | p.FromIdentifier) -> Show:

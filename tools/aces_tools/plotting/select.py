@@ -104,6 +104,8 @@ class PlotSignal:
     is_number: bool = True
     #: Nothing that a wildcard means: a device's number, or unclaimed bits.
     is_quiet: bool = False
+    #: Whether a message carries several values of it, each a point.
+    is_list: bool = False
 
     @property
     def name(self) -> str:
@@ -138,16 +140,17 @@ def declared(variants: Sequence[Variant]) -> dict[tuple[str, str], Declared]:
 def _declared(protocol: str, message: str, plan: p.MessagePlan) -> Declared:
     signals: list[PlotSignal] = []
     devices: list[str] = []
-    for kind, leaf in zip(kinds_of(plan), plan.leaves, strict=True):
+    for kind, leaf in zip(kinds_of(plan), plan.columns, strict=True):
         path, node = leaf.path, leaf.node
         is_device = isinstance(node, p.FromIdentifier) or (
             len(leaf.way) == 1 and path in DEVICE_NAMES and isinstance(node, p.Scalar) and node.kind == "uint"
         )
         if is_device:
             devices.append(path)
+        conditional = bool(leaf.whens) or isinstance(leaf, p.ItemPath)
         if kind.flags:
             signals += [
-                PlotSignal(protocol, message, f"{path}.{flag}", path, kind, bool(leaf.whens), bit)
+                PlotSignal(protocol, message, f"{path}.{flag}", path, kind, conditional, bit)
                 for flag, bit in kind.flags.items()
             ]
             continue
@@ -158,18 +161,24 @@ def _declared(protocol: str, message: str, plan: p.MessagePlan) -> Declared:
                 path,
                 path,
                 kind,
-                bool(leaf.whens),
+                conditional,
                 is_number=not _is_text(node),
                 is_quiet=is_device or isinstance(node, p.Rest),
+                is_list=isinstance(node, (p.Each, p.Repeated)),
             )
         )
     return Declared(tuple(signals), tuple(devices), frozenset(kind.name for kind in kinds_of(plan)))
 
 
 def _is_text(node: p.Node) -> bool:
+    if isinstance(node, p.Each):
+        return _is_text(node.item)
+    if isinstance(node, p.Repeated):
+        (group,) = node.plan.fields
+        return not isinstance(group.node, p.Scalar) or _is_text(group.node)
     if isinstance(node, p.Scalar):
         return node.kind in ("bytes", "text")
-    return isinstance(node, p.MoreCells) or (
+    return isinstance(node, (p.MoreCells, p.TaggedItems)) or (
         isinstance(node, p.DelimitedField) and node.conversion in ("text", "names")
     )
 

@@ -193,6 +193,10 @@ class Collector:
             if not takers:
                 continue
             column = table[signal.column]
+            if signal.is_list:
+                for key, at in takers:
+                    self._take_lists(signal, key, x[at], column, at)
+                continue
             values, floats = _numbers(column, signal)
             for key, at in takers:
                 if floats is None:
@@ -227,6 +231,17 @@ class Collector:
         series.note(values)
         if self.keeps_points:
             series.extend(x, y)
+
+    def _take_lists(self, signal: PlotSignal, key: Key, x: Array, column: Column, at: Any) -> None:
+        """Every value of every list is a point at the time of its message."""
+        lists = column.values[at].tolist()
+        values = [value for one in lists for value in one]
+        if not all(value is None or isinstance(value, (int, float)) for value in values):
+            self._strange(signal, key, column, at)
+            return
+        points = Column(column.kind, np.array(values, np.float64))
+        x = np.repeat(x, [len(one) for one in lists])
+        self._take(signal, key, x, points.values, points.values, points, slice(None))
 
     def _strange(self, signal: PlotSignal, key: Key, column: Column, at: Any) -> None:
         values = [value for value in column.values[at].tolist() if value is not None]
