@@ -134,6 +134,17 @@ def test_one_number_the_other_way_round() -> None:
     assert "Odd.a: is big-endian, 10 other numbers" in one.text
 
 
+def test_of_three_numbers_one_may_be_the_odd_one() -> None:
+    """From three numbers on; one against one is either's right, two against two a mixed protocol."""
+    p = can()
+    p.message("Two", id=1, payload=Struct("a" / Int16ul, "b" / Int16sb))
+    assert not found(p, "byte-order")
+    p.message("Third", id=2, payload=Struct("a" / Int16ul))
+    assert "Two.b: is big-endian, 2 other numbers" in only(p, "byte-order").text
+    p.message("Fourth", id=3, payload=Struct("a" / Int16sb))
+    assert not found(p, "byte-order")
+
+
 def test_bits_that_belong_to_nobody_are_noted() -> None:
     """The bits of a layout without a field are named by byte and bit."""
     p = can()

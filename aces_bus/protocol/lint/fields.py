@@ -38,8 +38,8 @@ from ..declare.protocol import Protocol
 from ..draw import bits_place
 from .finding import Finding, Level
 
-#: One number against so many of the other byte order is remarked upon.
-FEW, MANY = 0.1, 8
+#: One number, or so few of all, against so many of the other byte order is remarked upon.
+FEW, MANY = 0.1, 2
 
 
 def check_fields(protocol: Protocol) -> Iterator[Finding]:
@@ -205,7 +205,7 @@ def _orders(fields: Iterable[Written]) -> Iterator[Finding]:
     for rare, usual in (("little", "big"), ("big", "little")):
         few = [field for field, order in ordered if order == rare]
         many = len(ordered) - len(few)
-        if few and many >= MANY and len(few) <= FEW * len(ordered):
+        if few and many >= MANY and len(few) <= max(1, FEW * len(ordered)):
             for field in few:
                 yield _finding(
                     "warning",
