@@ -298,7 +298,7 @@ class LiveDecoding(Decoding):
                 continue
             self.to_explain -= 1
             meta = item.meta
-            direction = self.direction or meta.direction
+            direction: Any = self.direction or meta.direction
             why = why_unknown(item, self.variants["can" if is_can else "serial"], direction=direction)
             if why:
                 self.to_explain = 0
