@@ -132,7 +132,7 @@ class Twin(EndpointMember):
         self._handlers: dict[str, Callable[[Any], None]] = {
             message: getattr(self, name) for message, name in self._hearing.items()
         }
-        self._timers: list[Timer] = []
+        self._timers: dict[object, Timer] = {}
         self.setup()
 
     # ------------------------------------------------------------------ for twins to override
@@ -217,18 +217,21 @@ class Twin(EndpointMember):
         return msgspec.structs.replace(word, arbitration_id=word.arbitration_id ^ 1)
 
     def every(self, period_s: float, action: Callable[[], None]) -> None:
-        """Do something again and again, from one period from now on, while the device is powered."""
+        """Do something again and again, from one period from now on, until the device is switched off.
+
+        Called in `setup`, as what a device begins of its own accord when it is powered. Raises `CallerError` for no period.
+        """
         period = round(period_s * 1e9)
         if period <= 0:
             raise CallerError(f"{self.name}: a period of {period_s} s is none")
 
         def again() -> None:
-            if self.is_powered:
-                action()
-            self._timers[slot] = self.clock.call_in(period, again)
+            action()
+            if key in self._timers:  # it was not switched off just now
+                self._timers[key] = self.clock.call_in(period, again)
 
-        slot = len(self._timers)
-        self._timers.append(self.clock.call_in(period, again))
+        key = object()
+        self._timers[key] = self.clock.call_in(period, again)
 
     # ------------------------------------------------------------------ misbehaving
 
@@ -248,6 +251,8 @@ class Twin(EndpointMember):
         """Switch it off, or on again: a device that was off has lost its state."""
         if on and not self.is_powered:
             self.setup()
+        elif not on:
+            self._end_timers()
         self.is_powered = on
 
     def reboot(self) -> None:
@@ -257,8 +262,12 @@ class Twin(EndpointMember):
 
     def stop(self) -> None:
         """End what repeats."""
-        for timer in self._timers:
+        self._end_timers()
+
+    def _end_timers(self) -> None:
+        for timer in self._timers.values():
             timer.cancel()
+        self._timers.clear()
 
 
 class Twins(BusEndpoint[Twin]):

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from aces_bus.device import UNKNOWN, Host, OutgoingMessage, Setpoint, uncoalesced
+from aces_bus.device import UNKNOWN, Driver, Host, OutgoingMessage, Setpoint, uncoalesced
 from aces_bus.errors import CallerError, FieldError, NoReplyError, UnknownNameError
 from aces_bus.frames import Frame
 from aces_bus.hardware import ListeningNode
 from aces_bus.robot import VirtualRobot, connect
-from tests.device.fan import ROBOT, RPM, SERIAL_ROBOT, drivers, robot_of
+from tests.device.fan import ROBOT, RPM, SERIAL_ROBOT, FanTwin, drivers, robot_of
 
 
 def made(text: str = ROBOT, **options: Any) -> VirtualRobot:
@@ -178,6 +179,42 @@ def test_a_lost_answer_is_asked_for_again() -> None:
         ):
             robot.devices["A"].ask("Ask", reply="State", timeout_s=0.01).wait()
         assert robot.events.count("no reply", "A") == 1
+
+
+class BeatingTwin(FanTwin):
+    """A fan that says its state by itself, each 10 ms from when it is powered."""
+
+    def setup(self) -> None:
+        super().setup()
+        self.beats = 0
+        self.every(0.01, self.beat)
+
+    def beat(self) -> None:
+        self.beats += 1
+        self.reply("State", left=self.beats, right=0, temperature=40)
+        if self.beats == 20:
+            self.power(False)
+
+
+def test_what_a_twin_does_by_itself_ends_when_it_is_switched_off() -> None:
+    """What `setup` repeats begins with power, once, whatever was before, and ends without it, also from within."""
+
+    def load(name: str) -> Driver:
+        return replace(drivers(name), twin=BeatingTwin)
+
+    with VirtualRobot(robot_of(ROBOT), load=load) as robot:
+        twin = robot.twins["A"]
+        robot.advance(0.055)
+        assert (twin.beats, twin.replies) == (5, 5)
+        twin.power(False)
+        robot.advance(0.1)
+        assert twin.beats == 5
+        for _ in range(3):
+            twin.reboot()
+        robot.advance(0.055)
+        assert (twin.beats, twin.replies) == (5, 10)
+        robot.advance(0.5)
+        assert (twin.beats, twin.is_powered) == (20, False)
 
 
 @pytest.mark.parametrize("text", [ROBOT, SERIAL_ROBOT], ids=["can", "serial"])

@@ -334,9 +334,11 @@ def check_number(check: dict[str, Any], covered: bytes) -> int:
             number ^= byte
         return number
     if kind.endswith("sum"):
-        size = 1 << 8 * check["size"]
+        size: int = 1 << 8 * check["size"]
         total = sum(covered) % size
-        return {"sum": total, "inverted sum": size - 1 - total, "negated sum": (size - total) % size}[kind]
+        return (
+            total if kind == "sum" else size - 1 - total if kind == "inverted sum" else (size - total) % size
+        )
     number, top = int(check["start"]), 1 << 8 * check["size"] - 1
     for byte in covered:
         number ^= byte << 8 * check["size"] - 8

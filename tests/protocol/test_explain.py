@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from construct import Array, Byte, Const, Int16ul, Struct, this
 
 from aces_bus.frames import Frame
-from aces_bus.protocol import Protocol, Variant
+from aces_bus.protocol import Protocol, Sum, Unknown, Variant
 from aces_bus.protocol.declare.examples import parse_word
-from aces_bus.protocol.explain import Attempt, Tracer
+from aces_bus.protocol.explain import Attempt, Tracer, why_unknown
 from aces_bus.protocol.explain.template import Template
 from aces_bus.protocol.lint.examples import example_frame
 from aces_bus.testing import laws
@@ -165,3 +166,43 @@ def test_error_frames_have_no_words() -> None:
     """A frame that says that the bus had an error is no message of anybody."""
     (attempt,) = Tracer([hubo.variant()]).explain_frames([Frame(1, b"", is_error_frame=True)])
     assert (attempt.verdict, attempt.steps) == ("error frame", ())
+
+
+def test_a_whole_packet_that_is_no_message_says_which_bytes() -> None:
+    """With the right head and check, and a wrong body: the message, and what is another in it; nothing of other heads."""
+    protocol = Protocol("whole", link="serial")
+    packet = protocol.framing(
+        sync=b"\xa5",
+        header=Struct("length" / Byte, "kind" / Byte),
+        size=this.length + 3,
+        max_size=64,
+        check=Sum(),
+    )
+    packet("One", match={"kind": 1}, payload=Struct("a" / Byte, Const(7, Byte), "b" / Int16ul))
+    packet("Two", match={"kind": 2}, payload=Struct("n" / Byte, "b" / Array(this.n, Int16ul)))
+    variant = protocol.variant()
+
+    def why(body: str) -> str:
+        inner = bytes([len(bytes.fromhex(body))]) + bytes.fromhex(body)
+        items = protocol.scanner(include_unknown=True).feed(b"\xa5" + inner + bytes([sum(inner) & 0xFF]))
+        (item,) = items
+        assert isinstance(item, Unknown)
+        assert item.reason == "unknown"
+        return why_unknown(item, [variant])
+
+    assert why("01 09 08 01 00") == "One: byte 4 07, not 08"
+    assert why("01 09 07 01") == "One: length 8 bytes, not 7"
+    assert why("02 02 01 00").startswith("Two: length stream read less")
+    assert why("05 01") == ""
+
+
+def test_a_frame_that_is_no_message_says_which_bytes() -> None:
+    """Of frames whose identifier is a message's."""
+    protocol = Protocol("framed", link="can")
+    protocol.message("State", id=0x10, payload=Struct("a" / Byte, Const(7, Byte)))
+    scanner = protocol.scanner(include_unknown=True)
+    items = scanner.feed([Frame(0x10, b"\x01\x08"), Frame(0x11, b"\x01\x07")])
+    found = [why_unknown(item, [protocol.variant()]) for item in items if isinstance(item, Unknown)]
+    assert found[0].startswith("State: ")
+    assert "07, not 08" in found[0]
+    assert found[1] == ""

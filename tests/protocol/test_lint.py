@@ -21,6 +21,7 @@ from aces_bus.protocol import (
     bits,
 )
 from aces_bus.protocol.declare.examples import parse_word
+from aces_bus.protocol.files import load_file
 from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire
 from aces_bus.protocol.lint.fields import is_unit, suggest
 from tests.laws.wires import PROTOCOLS, REGISTERED
@@ -132,6 +133,47 @@ def test_one_number_the_other_way_round() -> None:
     p.message("Odd", id=9, payload=Struct("a" / Int16sb))
     one = only(p, "byte-order")
     assert "Odd.a: is big-endian, 10 other numbers" in one.text
+
+
+def test_messages_of_a_helper_have_the_lines_of_its_calls(tmp_path: Path) -> None:
+    """Each message is where the helper was called for it; its fields are found in the helper, and so is what it allows."""
+    spec = tmp_path / "helped.py"
+    spec.write_text(
+        "from construct import Byte, Int16ul, Struct\n"
+        "from aces_bus.protocol import Protocol, Quantity\n"
+        "p = Protocol('helped', link='can')\n"
+        "def helper(name, number):\n"
+        "    more = Struct('a' / Byte)\n"
+        "    return p.message(name, id=number, payload=Struct(\n"
+        "        'twice' / Byte,\n"
+        "        'b' / Quantity(Byte, unit='lumen')))\n"
+        "one = helper('One', 1)\n"
+        "more = [helper(f'More{number}', number) for number in (2, 3)]\n"
+        "alone = p.message('Alone', id=4, payload=Struct('a' / Byte))\n"
+        "def factory():\n"
+        "    made = Protocol('made', link='can')\n"
+        "    made.message('First', id=1)\n"
+        "    made.message('Second', id=2)\n"
+        "    return made\n"
+        "made = factory()\n"
+    )
+    module = load_file(str(spec))
+    assert [m.place.line for m in module.p.declared] == [9, 10, 10, 11]
+    assert module.one.place.of_field("twice").line == 7
+    assert [m.place.line for m in module.made.declared] == [14, 15]
+    units = [f for f in check_protocol(module.p) if f.rule == "unit"]
+    assert {f.place.line for f in units} == {8}
+
+
+def test_of_three_numbers_one_may_be_the_odd_one() -> None:
+    """From three numbers on; one against one is either's right, two against two a mixed protocol."""
+    p = can()
+    p.message("Two", id=1, payload=Struct("a" / Int16ul, "b" / Int16sb))
+    assert not found(p, "byte-order")
+    p.message("Third", id=2, payload=Struct("a" / Int16ul))
+    assert "Two.b: is big-endian, 2 other numbers" in only(p, "byte-order").text
+    p.message("Fourth", id=3, payload=Struct("a" / Int16sb))
+    assert not found(p, "byte-order")
 
 
 def test_bits_that_belong_to_nobody_are_noted() -> None:

@@ -166,6 +166,11 @@ wire.framing(sync=b"\\xaa", header=Struct("length" / Byte), size=this.length * t
 wire.framing(sync=b"\\xaa", header=Struct("length" / Byte), size=lambda ctx: ctx.size + 1, max_size=99)""",
         r"{line 2}: size must be an expression of header fields",
     ),
+    "bits outside of a layout": (
+        """
+can.message("Torn", id=1, payload=Struct("angle" / Split((0, 8), (16, 8)), "mode" / Byte))""",
+        r"{line 2}: payload.angle: .* go into a BitLayout, also where they are whole bytes that lie apart",
+    ),
     "a CRC that is not in the catalogue": (
         """
 Crc("CRC16-MODBUSS")""",

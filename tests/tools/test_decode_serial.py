@@ -220,3 +220,27 @@ def test_recordings_of_servos(aces: Aces, shared_captures: Path) -> None:
         assert [(o["offset"], o["fields"]["id"]) for o in found] == [(w["offset"], w["id"]) for w in wanted]
         seen += len(found)
     assert seen > 30
+
+
+def test_a_packet_with_the_right_head_says_what_is_another(aces: Aces, tmp_path: Path) -> None:
+    """One such packet is explained on stderr: which message, which bytes; what has no message's head is not."""
+    (tmp_path / "spec.py").write_text(
+        "from construct import Byte, Const, Struct, this\n"
+        "from aces_bus.protocol import Protocol, Sum\n"
+        "p = Protocol('p', link='serial')\n"
+        "packet = p.framing(sync=b'\\xa5', header=Struct('length' / Byte, 'kind' / Byte), size=this.length + 3,\n"
+        "                   max_size=64, check=Sum())\n"
+        "packet('One', match={'kind': 1}, payload=Struct('a' / Byte, Const(7, Byte)))\n"
+    )
+    log = tmp_path / "x.bin"
+    log.write_bytes(bytes.fromhex("A5 03 05 09 07 18  A5 03 01 09 08 15  A5 03 01 09 06 13"))
+    result = aces("decode", "-p", tmp_path / "spec.py", log)
+    assert [line.split()[:2] for line in result.out.splitlines()[-3:]] == [
+        ["0", "unknown"],
+        ["6", "unknown"],
+        ["12", "unknown"],
+    ]
+    said = [line for line in result.err.splitlines() if "its head is right" in line]
+    assert said == [
+        "aces: unknown, though its head is right: packet at offset 6. One: byte 4 07, not 08 (more: aces spec explain)"
+    ]

@@ -69,14 +69,15 @@ def test_a_finding_has_file_and_line(aces: Aces, written: Path) -> None:
     assert result.status == 1
     assert result.out.splitlines()[0] == ("doubt.py:6: warning: A.x: 'raad' is no unit; is it 'rad'? [unit]")
     (told,) = json.loads(aces("spec", "check", "doubt.py", "--json").out)
-    (finding,) = told["findings"]
+    note, finding = told["findings"]
+    assert (note["level"], note["rule"]) == ("note", "example")
     assert (finding["line"], finding["level"], finding["rule"], finding["message"]) == (
         6,
         "warning",
         "unit",
         "A",
     )
-    assert (told["ok"], told["counts"]) == (False, {"error": 0, "warning": 1, "note": 0})
+    assert (told["ok"], told["counts"]) == (False, {"error": 0, "warning": 1, "note": 1})
 
 
 @pytest.mark.parametrize(

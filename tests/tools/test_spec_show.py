@@ -114,6 +114,41 @@ def test_versions_differ(aces: Aces, versions: tuple[Path, Path]) -> None:
     assert (told["removed"], told["added"], told["same"]) == (["Gone"], ["Fresh"], 1)
 
 
+LISTED = """
+from construct import Byte, GreedyRange, Int16ul, PrefixedArray, Struct
+from aces_bus.protocol import Enumeration, Protocol, Quantity
+listed = Protocol("listed", link="can")
+item = Struct({item})
+listed.message("Rest", id=1, payload=Struct("items" / GreedyRange(item)))
+listed.message("Counted", id=2, payload=Struct("items" / PrefixedArray(Byte, item)))
+"""
+
+
+@pytest.mark.parametrize(
+    ("item", "said"),
+    [
+        ('"a" / Quantity(Int16ul, scale=0.2, unit="V")', "~ items.a: scale 0.1 → 0.2"),
+        ('"a" / Quantity(Int16ul, scale=0.1, unit="A")', "~ items.a: unit V → A"),
+        (
+            '"a" / Quantity(Byte, scale=0.1, unit="V")',
+            "~ items.a: type Quantity of uint16 le → Quantity of uint8",
+        ),
+        ('"a" / Quantity(Int16ul, scale=0.1, unit="V"), "b" / Byte', "+ items.b: uint8"),
+        ('"b" / Enumeration(Byte, off=0)', "+ items.b: Enumeration of uint8"),
+    ],
+)
+def test_what_is_in_lists_differs_too(aces: Aces, tmp_path: Path, item: str, said: str) -> None:
+    """A scale, a unit, a type, a field more, inside of what construct alone takes apart."""
+    old, new = tmp_path / "old.py", tmp_path / "new.py"
+    old.write_text(LISTED.format(item='"a" / Quantity(Int16ul, scale=0.1, unit="V")'))
+    new.write_text(LISTED.format(item=item))
+    result = aces("spec", "show", "--diff", old, new)
+    assert result.status == 1
+    assert said in [line.strip() for line in result.out.splitlines()], result.out
+    assert result.out.splitlines()[-1] == "0 removed, 0 added, 2 changed, 0 the same"
+    assert aces("spec", "show", "--diff", old, old).status == 0
+
+
 def test_dialects_differ(aces: Aces, versions: tuple[Path, Path]) -> None:
     """Of one protocol too; a spec does not differ from itself."""
     result = aces("spec", "show", "--diff", "hubo:D08", "hubo:D12")

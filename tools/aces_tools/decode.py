@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from itertools import repeat
 from typing import Any
@@ -29,10 +29,11 @@ from aces_bus.export.open import FORMATS
 from aces_bus.frame_table import to_ns
 from aces_bus.frames import Frame
 from aces_bus.protocol import Scanner, Unknown, make_scanner
+from aces_bus.protocol.explain import why_unknown
 from aces_bus.protocol.keys import key_of
 from aces_bus.recordings import CanRecording, Recording, SerialRecording
 
-from .console import Output, Patience, abandon_stdout, terminal_width, wants_colour
+from .console import Output, Patience, abandon_stdout, say, terminal_width, wants_colour
 from .decoding import Decoding, Direction, Link, Totals, check_direction, utf8
 from .options import (
     COLOR,
@@ -58,6 +59,8 @@ from .output import LIVE, Writer, line_format, table_format
 from .where import Where
 
 BATCH = 1024
+#: Unknown items that are looked at for one that can be explained.
+EXPLAINED = 20
 
 EPILOG = """\
 protocols (-p):
@@ -182,6 +185,8 @@ class LiveDecoding(Decoding):
         self.scanners: dict[tuple[Link, Direction | None], Scanner] = {}
         #: The source that the writer does not know of yet.
         self.pending: tuple[str, Link] | None = None
+        #: So many unknown items are still looked at for one whose head is right: one is explained.
+        self.to_explain = EXPLAINED
         self.output = Output(arguments.output, self.files)
         self.writer = self._writer(arguments)
 
@@ -271,6 +276,7 @@ class LiveDecoding(Decoding):
             passed = [
                 ok and matches(frame) for ok, frame in zip(passed or repeat(True), frames, strict=False)
             ]
+        self._explain_first(items, is_can=True)
         self._emit(self._kept(items, passed, totals, is_can=True), totals, is_can=True)
 
     def _stream_scanner(self, direction: Direction | None) -> Any:
@@ -282,7 +288,24 @@ class LiveDecoding(Decoding):
         return scanner.feed(data, time)
 
     def _found(self, items: Any, totals: Totals) -> None:
+        self._explain_first(items, is_can=False)
         self._emit(self._kept(items, self._in_window(items), totals, is_can=False), totals, is_can=False)
+
+    def _explain_first(self, items: Sequence[Any], *, is_can: bool) -> None:
+        """Say of the first item with the head of a message, but not its contents, what is another in it."""
+        for item in items if self.to_explain else ():
+            if type(item) is not Unknown or item.reason != "unknown":
+                continue
+            self.to_explain -= 1
+            meta = item.meta
+            direction: Any = self.direction or meta.direction
+            why = why_unknown(item, self.variants["can" if is_can else "serial"], direction=direction)
+            if why:
+                self.to_explain = 0
+                place = f"frame {meta.identifier:03X}" if is_can else f"packet at offset {meta.offset}"
+                say(f"unknown, though its head is right: {place}. {why} (more: aces spec explain)")
+            if not self.to_explain:
+                return
 
     def _begin(self, first: Any) -> None:
         """Tell the writer that a source begins, once its first item is known, or that there is none."""

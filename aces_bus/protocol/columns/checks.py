@@ -466,7 +466,8 @@ def check_numbers(check: Check, covered: Array) -> Array:
     if check.kind == "sum":
         assert isinstance(check, Sum)
         total: Array = covered.sum(axis=1, dtype=np.int64)
-        return np.bitwise_and(check.signed(total), check.mask)
+        cut: Array = np.bitwise_and(check.signed(total), check.mask)
+        return cut
     if check.kind == "fletcher":
         first = covered.sum(axis=1, dtype=np.int64)
         weights: Any = np.arange(covered.shape[1], 0, -1, dtype=np.int64)

@@ -20,7 +20,7 @@ from typing import Any
 import construct as c
 
 from ...errors import FieldError, SpecError
-from .bits import BitLayout
+from .bits import BitLayout, Bits
 from .choices import Known, enumerations_around, enumerations_of, equal_in_both, switch_by_both
 from .delimited import Delimited
 from .fields import Enumeration, Field, Flags, Multiplexed, Quantity, SignMagnitude, inner_constructs
@@ -109,6 +109,11 @@ class _Walk:
         reason = refusal_of(con)
         if not reason and isinstance(con, c.BitsInteger) and not self.in_bits:
             reason = "BitsInteger reads bits, which are in BitStruct and Bitwise alone; use BytesInteger, or a BitLayout"
+        if isinstance(con, Bits):
+            reason = (
+                "bits(…), Split(…) and float_bits(…) go into a BitLayout, also where they are whole bytes that lie apart:"
+                ' BitLayout(3, "mode" / bits(8, at=8), "angle" / Split((0, 8), (16, 8)))'
+            )
         if reason:
             raise SpecError(f"{place}: {path}: {reason}")
         match con:

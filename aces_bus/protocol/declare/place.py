@@ -10,8 +10,9 @@ import ast
 import linecache
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import FrameType
 
 _CORE = str(Path(__file__).resolve().parents[1])
 
@@ -22,6 +23,8 @@ class SourceLine:
 
     file: str
     line: int
+    #: Where this line led to, where that is another: the line of the helper function that it calls.
+    inner: SourceLine | None = field(default=None, compare=False, repr=False)
 
     def __str__(self) -> str:
         shown = os.path.relpath(self.file)
@@ -55,16 +58,46 @@ class SourceLine:
                 if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div):
                     if isinstance(node.left, ast.Constant) and node.left.value == name:
                         return SourceLine(self.file, node.lineno)
+        if self.inner is not None and (found := self.inner.of_field(name)) != self.inner:
+            return found
         return self
 
 
-def caller() -> SourceLine:
-    """The innermost line outside the protocol core and construct: the spec's own line."""
-    frame = sys._getframe(1)  # pyright: ignore[reportPrivateUsage]  # `inspect` reads files
+#: A function, or the body of a module: its file, first line and name.
+Scope = tuple[str, int, str]
+
+
+def caller(scope: Scope | None = None) -> SourceLine:
+    """The innermost line outside the protocol core and construct: the spec's own line.
+
+    With the `scope` of a protocol, the line there: where a helper function of the spec was called to declare a message, and
+    fields are looked up in the helper.
+    """
+    frame = own = _own_frame()
+    while scope is not None and _scope_of(frame) != scope and frame.f_back is not None:
+        frame = frame.f_back
+    inner = SourceLine(own.f_code.co_filename, own.f_lineno)
+    if frame is own or _scope_of(frame) != scope:
+        return inner
+    return SourceLine(frame.f_code.co_filename, frame.f_lineno, inner)
+
+
+def caller_scope() -> Scope:
+    """The function or module whose line `caller` gives."""
+    return _scope_of(_own_frame())
+
+
+def _own_frame() -> FrameType:
+    frame = sys._getframe(2)  # pyright: ignore[reportPrivateUsage]  # `inspect` reads files
     while frame.f_back is not None:
         name = frame.f_code.co_filename
         inside = name.startswith(_CORE) or f"{os.sep}construct{os.sep}" in name
         if not inside:
             break
         frame = frame.f_back
-    return SourceLine(frame.f_code.co_filename, frame.f_lineno)
+    return frame
+
+
+def _scope_of(frame: FrameType) -> Scope:
+    code = frame.f_code
+    return code.co_filename, code.co_firstlineno, code.co_name

@@ -21,7 +21,7 @@ from .examples import as_examples
 from .framing import Framing
 from .message import DIRECTIONS, ConfigurationCondition, Direction, Message, as_requests
 from .pattern import as_pattern
-from .place import caller
+from .place import caller, caller_scope
 
 if TYPE_CHECKING:
     from ..columns.decode import DecodedRecording
@@ -60,6 +60,7 @@ class Protocol:
         source: str = "",
     ) -> None:
         self.place = caller()
+        self._scope = caller_scope()
         self.broadcast = dict(broadcast or {})
         self.name = name
         if link not in ("can", "serial", "datagram"):
@@ -146,7 +147,7 @@ class Protocol:
         messages that this one takes precedence over. `examples` are worked ones, `(bytes, {field: value})`: see
         `spec.examples`.
         """
-        place = caller()
+        place = caller(self._scope)
         if (self.link == "can") != (id is not None):
             raise SpecError(f"{place}: a message on CAN needs id=…, one on a stream a framing")
         if self.link != "can" and framing is None:

@@ -14,5 +14,6 @@ from __future__ import annotations
 
 from .attempt import Attempt, Death, FieldRead, Step, TemplateTrace, candump_text
 from .tracer import Tracer
+from .unknown import why_unknown
 
-__all__ = ["Attempt", "Death", "FieldRead", "Step", "TemplateTrace", "Tracer", "candump_text"]
+__all__ = ["Attempt", "Death", "FieldRead", "Step", "TemplateTrace", "Tracer", "candump_text", "why_unknown"]

@@ -42,7 +42,7 @@ def check_examples(protocol: Protocol) -> Iterator[Finding]:
                     _witness(example.word),
                 )
     without = [m.name for m in protocol.declared if not m.examples]
-    if without and len(without) < len(protocol.declared):
+    if without:
         shown = ", ".join(without[:6]) + (", …" if len(without) > 6 else "")
         yield Finding(
             "note",

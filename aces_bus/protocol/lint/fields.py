@@ -39,8 +39,8 @@ from ..declare.protocol import Protocol
 from ..draw import bits_place
 from .finding import Finding, Level
 
-#: One number against so many of the other byte order is remarked upon.
-FEW, MANY = 0.1, 8
+#: One number, or so few of all, against so many of the other byte order is remarked upon.
+FEW, MANY = 0.1, 2
 
 
 def check_fields(protocol: Protocol) -> Iterator[Finding]:
@@ -206,7 +206,7 @@ def _orders(fields: Iterable[Written]) -> Iterator[Finding]:
     for rare, usual in (("little", "big"), ("big", "little")):
         few = [field for field, order in ordered if order == rare]
         many = len(ordered) - len(few)
-        if few and many >= MANY and len(few) <= FEW * len(ordered):
+        if few and many >= MANY and len(few) <= max(1, FEW * len(ordered)):
             for field in few:
                 yield _finding(
                     "warning",
@@ -361,7 +361,7 @@ def declared_fields(protocol: Protocol) -> Iterator[Written]:
     """Every field that some message or register of the protocol has, each construct once."""
     seen: set[int] = set()
     for message in protocol.declared:
-        for item in [*_heads(message), *_payload(message)]:
+        for item in [*_heads(message), *payload_fields(message)]:
             key = id(item.adapters[0]) if item.adapters else id(item.inner)
             # construct's own numbers (Byte, Int16ul) are shared by all specs: they are distinguished by name.
             if item.adapters and key in seen:
@@ -373,14 +373,15 @@ def declared_fields(protocol: Protocol) -> Iterator[Written]:
         yield from _walk(register.field, "register", register.name, register.place)
 
 
+def payload_fields(message: Message) -> Iterator[Written]:
+    """Every field in a message's payload, those of the items of lists too."""
+    yield from _walk(message.payload, message.name, "", message.place)
+
+
 def _heads(message: Message) -> Iterator[Written]:
     for head in message.heads_written:
         if head.name is not None:
             yield from _walk(head.field, message.name, head.name, message.place)
-
-
-def _payload(message: Message) -> Iterator[Written]:
-    yield from _walk(message.payload, message.name, "", message.place)
 
 
 def _walk(con: Any, owner: str, name: str, place: SourceLine) -> Iterator[Written]:

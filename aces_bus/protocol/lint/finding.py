@@ -41,10 +41,14 @@ class Finding:
         """Whether a comment in the spec says that this is meant."""
         if self.level == "error":
             return False
-        lines = [linecache.getline(self.place.file, self.place.line)]
-        above = linecache.getline(self.place.file, self.place.line - 1) if self.place.line > 1 else ""
-        if above.lstrip().startswith("#"):
-            lines.append(above)
+        lines: list[str] = []
+        for place in (self.place, self.place.inner):
+            if place is None:
+                continue
+            lines.append(linecache.getline(place.file, place.line))
+            above = linecache.getline(place.file, place.line - 1) if place.line > 1 else ""
+            if above.lstrip().startswith("#"):
+                lines.append(above)
         for line in lines:
             found = _ALLOWED.search(line)
             if found is not None and self.rule in re.split(r"[,\s]+", found["rules"].strip()):

@@ -23,7 +23,7 @@ SWING, SWING_HZ = 5.0, 0.5
 
 
 class MinihuboADCTwin(Twin):
-    """The board. `source` gives the counts of all channels at an instant (ns); replace it at will."""
+    """The board. `source` gives the counts of all channels at an instant (ns), in place of `resting`."""
 
     protocol: ClassVar[Any] = "minihubo_adc"
     faults: ClassVar[Mapping[str, str]] = {
@@ -31,12 +31,12 @@ class MinihuboADCTwin(Twin):
         "low_ff": "each sample's channel 3 ends in FF, so that FF FF FF comes before the next one",
     }
 
+    source: Callable[[int], Sequence[float]] | None = None
+
     def setup(self) -> None:
         """Power-up; it begins to send."""
-        if not self._timers:
-            self.source: Callable[[int], Sequence[float]] = self.resting
-            self.samples = 0
-            self.every(1 / settings_of(self.name, AdcSettings, self.config.settings).rate_hz, self._sample)
+        self.samples = 0
+        self.every(1 / settings_of(self.name, AdcSettings, self.config.settings).rate_hz, self._sample)
 
     def resting(self, now: int) -> Sequence[float]:
         """The recording's means, swinging a little, with a count of noise."""
@@ -44,7 +44,7 @@ class MinihuboADCTwin(Twin):
         return [mean + swing + self.random.uniform(-1, 1) for mean in MEANS]
 
     def _sample(self) -> None:
-        counts = [max(0, min(TOP, round(value))) for value in self.source(self.clock.now())]
+        counts = [max(0, min(TOP, round(value))) for value in (self.source or self.resting)(self.clock.now())]
         counts += [0] * (CHANNELS - len(counts))
         if "saturated" in self.active_faults:
             counts = [TOP] * CHANNELS

@@ -11,8 +11,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from aces_bus.protocol import Message, draw
+from aces_bus.protocol import Message, Quantity, draw
+from aces_bus.protocol.declare.bits import Bits
+from aces_bus.protocol.declare.fields import wire_number
 from aces_bus.protocol.draw import FieldRow
+from aces_bus.protocol.lint.fields import Written, payload_fields
+from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.plan.flatten import flatten
 
 #: Columns of a field's line that are compared, and what each is called.
@@ -128,8 +132,7 @@ def _compared(old: Message, new: Message) -> Changed:
     for what in before:
         if before[what] != behind[what]:
             found.template.append(Change(what, before[what], behind[what]))
-    rows = {row.name: row for row in draw.field_table(flatten(old), draw.captured_values(old))}
-    others = {row.name: row for row in draw.field_table(flatten(new), draw.captured_values(new))}
+    rows, others = _rows(old), _rows(new)
     gone = [name for name in rows if name not in others]
     fresh = [name for name in others if name not in rows]
     for name in list(gone):
@@ -146,6 +149,42 @@ def _compared(old: Message, new: Message) -> Changed:
     for name in fresh:
         found.fields[name] = [Change("field", "", _described(others[name]))]
     return found
+
+
+def _rows(message: Message) -> dict[str, FieldRow]:
+    """The lines of a message's fields; of those that only construct takes apart, what is in them too."""
+    plan = flatten(message)
+    rows = {row.name: row for row in draw.field_table(plan, draw.captured_values(message))}
+    opaque = {field.name for field in plan.fields if isinstance(field.node, p.Opaque)}
+    for written in payload_fields(message):
+        name = written.name
+        if name.partition(".")[0] in opaque and name not in opaque:
+            while name in rows:  # another branch has a field of this name
+                name += "'"
+            rows[name] = _written_row(name, written)
+    return rows
+
+
+def _written_row(name: str, written: Written) -> FieldRow:
+    """The line of a field without a fixed place, from its adapters and the number below them."""
+    wire = wire_number(written.inner)
+    kind = type(written.inner).__name__
+    if wire is not None:
+        kind = f"{wire.kind}{8 * wire.size}{f' {wire.order[0]}e' if wire.size > 1 else ''}"
+    elif isinstance(written.inner, Bits):
+        kind = f"{'int' if written.inner.signed else 'uint'}{written.inner.width}"
+    unit = scale = offset = span = ""
+    names: list[str] = []
+    for adapter in written.adapters:
+        kind = f"{type(adapter).__name__} of {kind}"
+        names += [f"{number}={text}" for text, number in getattr(adapter, "names", {}).items()]
+        if isinstance(adapter, Quantity):
+            unit, scale, offset = adapter.unit, f"{adapter.scale:g}", f"{adapter.offset:g}"
+            span = " ".join(
+                str(bounds) for bounds in (adapter.range, adapter.raw_range) if bounds is not None
+            )
+            names += [f"not known: {adapter.unknown}"] if adapter.unknown else []
+    return FieldRow(name, "", kind, unit, scale, offset, span, ", ".join(names))
 
 
 def _columns(old: FieldRow, new: FieldRow) -> list[Change]:
