@@ -10,9 +10,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 from ..declare.framing import Framing
-from ..declare.message import Message
+from ..declare.message import Direction, Message
 from ..declare.packet import can_image
 from ..declare.place import SourceLine
 from ..declare.protocol import Variant
@@ -86,7 +87,13 @@ def lost_frames(
             yield from _of_named(group, named, seen)
         else:
             undeclared.append(group)
-    yield from _of_undeclared(undeclared, messages, variants[0].protocol.place, seen)
+    lost = [group.key for group in losses.groups.values()]
+    never = [
+        message
+        for variant, message in messages
+        if not seen.get((variant.name, message.name)) and not any(_is_named(message, key) for key in lost)
+    ]
+    yield from _of_undeclared(undeclared, never, variants[0].protocol.place)
 
 
 def _is_named(message: Message, key: int) -> bool:
@@ -187,16 +194,12 @@ def _differences(group: LostGroup, messages: Iterable[Message]) -> Iterator[str]
 
 
 def _of_undeclared(
-    groups: list[LostGroup],
-    messages: Sequence[tuple[Variant, Message]],
-    place: SourceLine,
-    seen: Mapping[tuple[str, str], int],
+    groups: list[LostGroup], never: Sequence[Message], place: SourceLine
 ) -> Iterator[Observation]:
     """Identifiers that no message has: the most frequent ones, then how many more."""
     groups.sort(key=lambda group: (-group.count, group.key))
-    unseen = [message for variant, message in messages if not seen.get((variant.name, message.name))]
     for group in groups[:LISTED]:
-        near = next((m for m in unseen if _is_near(m, group)), None)
+        near = _near(never, group)
         hint = (
             f"is it {near.name} ({near.identifier.describe()}), which never occurs? "
             if near is not None
@@ -228,13 +231,21 @@ def _of_undeclared(
         )
 
 
-def _is_near(message: Message, group: LostGroup) -> bool:
-    """Whether a message's identifier is one slip away: another flag, a digit, a shift."""
+def _near(never: Sequence[Message], group: LostGroup) -> Message | None:
+    """The message that never occurs and whose identifier is one slip away: the next number, another bit, a shift."""
     number = group.key & IDENTIFIER
-    if message.lengths is not None and group.length not in message.lengths:
-        return False
-    others = {number + 1, number - 1, number << 1, number >> 1, *(number ^ 1 << bit for bit in range(29))}
-    return any(other >= 0 and message.identifier.match(other) is not None for other in others)
+    for other in (
+        number + 1,
+        number - 1,
+        *(number ^ 1 << bit for bit in range(29)),
+        number << 1,
+        number >> 1,
+    ):
+        for message in never:
+            fits = message.lengths is None or group.length in message.lengths
+            if fits and other >= 0 and message.identifier.match(other) is not None:
+                return message
+    return None
 
 
 def _lost(
@@ -318,12 +329,16 @@ def _some(names: Iterable[str], between: str = ", ") -> str:
 
 
 def lost_packets(
-    losses: Losses, opcodes: Opcodes, variants: Sequence[Variant], seen: Mapping[tuple[str, str], int]
+    losses: Losses,
+    opcodes: Opcodes,
+    variants: Sequence[Variant],
+    seen: Mapping[tuple[str, str], int],
+    way: Direction | Literal["both"] | None,
 ) -> Iterator[Observation]:
-    """What lost packets say; `seen` counts the messages that were decoded, by protocol and name."""
+    """What packets say that went `way` and are lost; `seen` counts what was decoded, by protocol and name."""
     place = variants[0].protocol.place
     packets = sum(seen.values())
-    never = [m.name for v in variants for m in v.messages.values() if not seen.get((v.name, m.name))]
+    never = [m.name for v in variants for m in v.messages_for(way) if not seen.get((v.name, m.name))]
     groups = sorted(losses.groups.values(), key=lambda group: -group.count)
     unknown = [group for group in groups if group.reason == "unknown"]
     yield from _of_opcodes(unknown[:LISTED], opcodes, never, place, packets)
