@@ -339,7 +339,12 @@ class MessageWatch:
         """What the recording says of this message's fields."""
         for one in self.fields:
             yield from one.observations()
-        still = [one for one in self.fields if one.never_changes and not one.leaf.node.is_quiet]
+        outer = self.message.outer_names
+        still = [
+            one
+            for one in self.fields
+            if one.never_changes and not one.leaf.node.is_quiet and one.leaf.path not in outer
+        ]
         never = [one for one in self.fields if self.total >= ENOUGH and not one.total]
         if still:
             shown = ", ".join(f"{one.leaf.path} ({_shown(one.value)})" for one in still[:8])

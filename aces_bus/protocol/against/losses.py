@@ -12,9 +12,12 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
+from construct import ConstructError
+
+from ...errors import AcesError
 from ..declare.framing import Framing
 from ..declare.message import Direction, Message
-from ..declare.packet import can_image
+from ..declare.packet import can_image, error_text
 from ..declare.place import SourceLine
 from ..declare.protocol import Variant
 from ..keys import EXTENDED, FD, REMOTE
@@ -283,11 +286,12 @@ def _lost(
 
 
 class Opcodes:
-    """What tells the packets of a framing apart: the head fields of its messages, and bytes that are constant in some."""
+    """What tells the packets of a framing apart: the head fields of its messages, or else their first constants."""
 
     def __init__(self, messages: Iterable[Message]) -> None:
+        self.messages = tuple(messages)
         self._places: dict[Framing, dict[tuple[int, int], str]] = {}
-        for message in messages:
+        for message in self.messages:
             framing = message.framing
             if framing is None:
                 continue
@@ -296,10 +300,18 @@ class Opcodes:
             for head in message.heads_written:
                 if head.name is not None and head.name != length:
                     places[head.offset, head.size] = head.name
+        for message in self.messages:
+            places = self._places[message.framing] if message.framing is not None else {}
             for offset, data in message.constants:
-                if offset != message.payload_start:
-                    continue  # one that says less which message it is
-                places.setdefault((offset, len(data)), f"byte {offset}")
+                if offset == message.payload_start and all(
+                    name.startswith("byte ") for name in places.values()
+                ):
+                    places[offset, len(data)] = f"byte {offset}"
+
+    def owner(self, data: bytes) -> Message | None:
+        """The message whose head a packet has, whatever is behind it."""
+        framing = self.framing_of(data)
+        return next((m for m in self.messages if m.framing is framing and m.outer(data, 0) is not None), None)
 
     def framing_of(self, data: bytes) -> Framing | None:
         """The framing whose sync bytes a packet has, the longest ones."""
@@ -382,8 +394,22 @@ def _of_opcodes(
     """Packets whose framing is right and that no message is."""
     hint = f"is it one of {_some(never)}, which never occur? " if never else ""
     for group in groups:
+        owner = opcodes.owner(group.samples[0])
+        level: Level = "warning" if group.count >= AGAIN else "note"
+        if owner is not None and opcodes.of(group.samples[0]):
+            yield _lost(
+                level,
+                "content",
+                owner.place,
+                f"{owner.name}: {group.count} packets have its head and cannot be read: {_why(owner, group.samples[0])}",
+                group,
+                packets + group.count,
+                "correct its fields: one too many or too few, or another size",
+                owner,
+            )
+            continue
         yield _lost(
-            "warning" if group.count >= AGAIN else "note",
+            level,
             "undeclared",
             place,
             f"{group.count} packets with {_opcode_text(opcodes, group)} are no message",
@@ -392,6 +418,17 @@ def _of_opcodes(
             f"{hint}declare it, or correct the opcode",
             None,
         )
+
+
+def _why(message: Message, packet: bytes) -> str:
+    """Why a packet is not a message, in the words of its construct."""
+    try:
+        message.struct.parse(packet)
+    except (ConstructError, AcesError) as error:
+        return error_text(error)
+    except Exception as error:  # whatever foreign bytes make a construct raise
+        return type(error).__name__
+    return "another message, dialect or request has it"
 
 
 def _opcode_text(opcodes: Opcodes, group: LostGroup) -> str:
