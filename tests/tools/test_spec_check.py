@@ -232,7 +232,70 @@ def test_the_page_shows_what_happens(aces: Aces, written: Path) -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "checking.md").read_text(encoding="utf-8")
     spec, rest = page.partition("```python\n")[2].split("```\n", 1)
     Path("lamp.py").write_text(spec)
+    (recorder,) = re.findall(r"```python\n(# evening.py\n.*?)```", rest, re.DOTALL)
+    exec(recorder)
     blocks = re.findall(r"```console\n\$ aces ([^\n]*)\n(.*?)```", rest, re.DOTALL)
-    assert len(blocks) == 5
+    assert len(blocks) == 7
     for command, shown in blocks:
         assert aces(*shlex.split(command)).out == shown, command
+
+
+def recorded(value: int) -> str:
+    """A recording of the sound protocol's message, as candump writes it."""
+    return "".join(f"(1.{n:06d}) can0 005#{value + n % 3:02X}\n" for n in range(40))
+
+
+def test_a_recording_that_agrees_is_no_fault(aces: Aces, written: Path) -> None:
+    """Nothing is said of it but notes, and the status is 0; what of it cannot be read is said."""
+    Path("sound.py").write_text(SOUND)
+    Path("walk.log").write_text(recorded(7) + "gibberish\n")
+    result = aces("spec", "check", "sound.py", "--against", "walk.log")
+    assert result.status == 0
+    assert result.out.splitlines()[-1] == "sound.py against walk.log: ok: nothing speaks against it"
+    assert "walk.log:41: " in result.err
+
+
+def test_a_recording_that_contradicts_is_a_warning(aces: Aces, written: Path) -> None:
+    """With count, instant and remedy, also as JSON; several recordings are read one after the other; the status is 1."""
+    Path("sound.py").write_text(SOUND)
+    Path("walk.log").write_text(recorded(7))
+    Path("run.log").write_text(recorded(7).replace("005#", "006#"))
+    call = ("spec", "check", "sound.py", "--against", "walk.log", "--against", "run.log")
+    result = aces(*call)
+    assert result.status == 1
+    assert "40 frames 0x006 of 1 bytes are no message; first at frame 0 (0.000 s) of run.log" in result.out
+    assert "\n    → declare it, or name the protocol that has it\n" in result.out
+    (finding,) = [one for part in json.loads(aces(*call, "--json").out) for one in part["findings"]]
+    assert (finding["rule"], finding["count"], finding["witness"]) == ("undeclared", 40, "006#07")
+    assert finding["first"] == {"source": "run.log", "row": 0, "time": 0.0}
+
+
+def test_protocols_that_share_a_bus_are_held_against_it_together(aces: Aces, written: Path) -> None:
+    """What one of them declares is no fault of the other, unless they are apart."""
+    Path("sound.py").write_text(SOUND)
+    Path("other.py").write_text(
+        SOUND.replace('"sound"', '"other"').replace("id=5", "id=6").replace("005#", "006#")
+    )
+    Path("walk.log").write_text(recorded(7) + recorded(7).replace("005#", "006#"))
+    call = ("spec", "check", "sound.py", "other.py", "--against", "walk.log")
+    assert aces(*call).status == 0
+    assert aces(*call, "--apart").status == 1
+
+
+def test_a_recording_that_is_none_is_a_wrong_call(aces: Aces, written: Path) -> None:
+    """Status 2, and the spec is checked all the same."""
+    Path("sound.py").write_text(SOUND)
+    for option in ("--against", "--suggest"):
+        result = aces("spec", "check", "sound.py", option, "nowhere.log")
+        assert (result.status, "nowhere.log: no such file" in result.err) == (2, True)
+
+
+def test_suggested_examples_are_printed(aces: Aces, written: Path) -> None:
+    """As source for the spec; nothing is checked."""
+    Path("doubt.py").write_text(DOUBTFUL)
+    Path("walk.log").write_text("(1.0) can0 005#0203\n")
+    result = aces("spec", "check", "doubt.py", "--suggest", "walk.log")
+    assert (result.status, result.out) == (
+        0,
+        '# doubt.py:4: A, 1 of 1; confirm it by the sheet\nexamples=[\n    ("005#02 03", {"x": 770}),\n],\n',
+    )

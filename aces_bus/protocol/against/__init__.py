@@ -25,7 +25,7 @@ The rules, by the name in brackets behind an observation:
 from __future__ import annotations
 
 from .finding import Moment, Observation
-from .recording import RecordingCheck, check_against
+from .recording import RecordingCheck, check_recordings
 from .suggest import SuggestedExample, suggest_examples
 
 __all__ = [
@@ -33,6 +33,6 @@ __all__ = [
     "Observation",
     "RecordingCheck",
     "SuggestedExample",
-    "check_against",
+    "check_recordings",
     "suggest_examples",
 ]

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from typing import Any
 from zlib import crc32
 
@@ -55,12 +56,11 @@ class _Followed:
         self.order = np.argsort(devices, kind="stable")
         ordered = devices[self.order]
         self.same = (ordered[1:] == ordered[:-1]) & (ordered[1:] >= 0)
-        edges = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]])) if len(ordered) else []
+        starts = np.flatnonzero(np.diff(ordered, prepend=np.int64(-2))).tolist()
         #: (device, first and last of its rows in that order)
-        ends = [*edges[1:], len(ordered)] if len(ordered) else []
-        self.runs = [
-            (int(ordered[start]), int(start), int(end) - 1)
-            for start, end in zip(edges, ends, strict=True)
+        self.runs: list[tuple[int, int, int]] = [
+            (int(ordered[start]), start, end - 1)
+            for start, end in pairwise([*starts, len(ordered)])
             if ordered[start] >= 0
         ]
 
@@ -339,7 +339,12 @@ class MessageWatch:
         """What the recording says of this message's fields."""
         for one in self.fields:
             yield from one.observations()
-        still = [one for one in self.fields if one.never_changes and not one.leaf.node.is_quiet]
+        outer = self.message.outer_names
+        still = [
+            one
+            for one in self.fields
+            if one.never_changes and not one.leaf.node.is_quiet and one.leaf.path not in outer
+        ]
         never = [one for one in self.fields if self.total >= ENOUGH and not one.total]
         if still:
             shown = ", ".join(f"{one.leaf.path} ({_shown(one.value)})" for one in still[:8])

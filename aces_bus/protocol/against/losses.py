@@ -10,10 +10,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
+from construct import ConstructError
+
+from ...errors import AcesError
 from ..declare.framing import Framing
-from ..declare.message import Message
-from ..declare.packet import can_image
+from ..declare.message import Direction, Message
+from ..declare.packet import can_image, error_text
 from ..declare.place import SourceLine
 from ..declare.protocol import Variant
 from ..keys import EXTENDED, FD, REMOTE
@@ -86,7 +90,13 @@ def lost_frames(
             yield from _of_named(group, named, seen)
         else:
             undeclared.append(group)
-    yield from _of_undeclared(undeclared, messages, variants[0].protocol.place, seen)
+    lost = [group.key for group in losses.groups.values()]
+    never = [
+        message
+        for variant, message in messages
+        if not seen.get((variant.name, message.name)) and not any(_is_named(message, key) for key in lost)
+    ]
+    yield from _of_undeclared(undeclared, never, variants[0].protocol.place)
 
 
 def _is_named(message: Message, key: int) -> bool:
@@ -187,16 +197,12 @@ def _differences(group: LostGroup, messages: Iterable[Message]) -> Iterator[str]
 
 
 def _of_undeclared(
-    groups: list[LostGroup],
-    messages: Sequence[tuple[Variant, Message]],
-    place: SourceLine,
-    seen: Mapping[tuple[str, str], int],
+    groups: list[LostGroup], never: Sequence[Message], place: SourceLine
 ) -> Iterator[Observation]:
     """Identifiers that no message has: the most frequent ones, then how many more."""
     groups.sort(key=lambda group: (-group.count, group.key))
-    unseen = [message for variant, message in messages if not seen.get((variant.name, message.name))]
     for group in groups[:LISTED]:
-        near = next((m for m in unseen if _is_near(m, group)), None)
+        near = _near(never, group)
         hint = (
             f"is it {near.name} ({near.identifier.describe()}), which never occurs? "
             if near is not None
@@ -228,13 +234,21 @@ def _of_undeclared(
         )
 
 
-def _is_near(message: Message, group: LostGroup) -> bool:
-    """Whether a message's identifier is one slip away: another flag, a digit, a shift."""
+def _near(never: Sequence[Message], group: LostGroup) -> Message | None:
+    """The message that never occurs and whose identifier is one slip away: the next number, another bit, a shift."""
     number = group.key & IDENTIFIER
-    if message.lengths is not None and group.length not in message.lengths:
-        return False
-    others = {number + 1, number - 1, number << 1, number >> 1, *(number ^ 1 << bit for bit in range(29))}
-    return any(other >= 0 and message.identifier.match(other) is not None for other in others)
+    for other in (
+        number + 1,
+        number - 1,
+        *(number ^ 1 << bit for bit in range(29)),
+        number << 1,
+        number >> 1,
+    ):
+        for message in never:
+            fits = message.lengths is None or group.length in message.lengths
+            if fits and other >= 0 and message.identifier.match(other) is not None:
+                return message
+    return None
 
 
 def _lost(
@@ -272,11 +286,12 @@ def _lost(
 
 
 class Opcodes:
-    """What tells the packets of a framing apart: the head fields of its messages, and bytes that are constant in some."""
+    """What tells the packets of a framing apart: the head fields of its messages, or else their first constants."""
 
     def __init__(self, messages: Iterable[Message]) -> None:
+        self.messages = tuple(messages)
         self._places: dict[Framing, dict[tuple[int, int], str]] = {}
-        for message in messages:
+        for message in self.messages:
             framing = message.framing
             if framing is None:
                 continue
@@ -285,10 +300,18 @@ class Opcodes:
             for head in message.heads_written:
                 if head.name is not None and head.name != length:
                     places[head.offset, head.size] = head.name
+        for message in self.messages:
+            places = self._places[message.framing] if message.framing is not None else {}
             for offset, data in message.constants:
-                if offset != message.payload_start:
-                    continue  # one that says less which message it is
-                places.setdefault((offset, len(data)), f"byte {offset}")
+                if offset == message.payload_start and all(
+                    name.startswith("byte ") for name in places.values()
+                ):
+                    places[offset, len(data)] = f"byte {offset}"
+
+    def owner(self, data: bytes) -> Message | None:
+        """The message whose head a packet has, whatever is behind it."""
+        framing = self.framing_of(data)
+        return next((m for m in self.messages if m.framing is framing and m.outer(data, 0) is not None), None)
 
     def framing_of(self, data: bytes) -> Framing | None:
         """The framing whose sync bytes a packet has, the longest ones."""
@@ -318,12 +341,16 @@ def _some(names: Iterable[str], between: str = ", ") -> str:
 
 
 def lost_packets(
-    losses: Losses, opcodes: Opcodes, variants: Sequence[Variant], seen: Mapping[tuple[str, str], int]
+    losses: Losses,
+    opcodes: Opcodes,
+    variants: Sequence[Variant],
+    seen: Mapping[tuple[str, str], int],
+    way: Direction | Literal["both"] | None,
 ) -> Iterator[Observation]:
-    """What lost packets say; `seen` counts the messages that were decoded, by protocol and name."""
+    """What packets say that went `way` and are lost; `seen` counts what was decoded, by protocol and name."""
     place = variants[0].protocol.place
     packets = sum(seen.values())
-    never = [m.name for v in variants for m in v.messages.values() if not seen.get((v.name, m.name))]
+    never = [m.name for v in variants for m in v.messages_for(way) if not seen.get((v.name, m.name))]
     groups = sorted(losses.groups.values(), key=lambda group: -group.count)
     unknown = [group for group in groups if group.reason == "unknown"]
     yield from _of_opcodes(unknown[:LISTED], opcodes, never, place, packets)
@@ -367,8 +394,22 @@ def _of_opcodes(
     """Packets whose framing is right and that no message is."""
     hint = f"is it one of {_some(never)}, which never occur? " if never else ""
     for group in groups:
+        owner = opcodes.owner(group.samples[0])
+        level: Level = "warning" if group.count >= AGAIN else "note"
+        if owner is not None and opcodes.of(group.samples[0]):
+            yield _lost(
+                level,
+                "content",
+                owner.place,
+                f"{owner.name}: {group.count} packets have its head and cannot be read: {_why(owner, group.samples[0])}",
+                group,
+                packets + group.count,
+                "correct its fields: one too many or too few, or another size",
+                owner,
+            )
+            continue
         yield _lost(
-            "warning" if group.count >= AGAIN else "note",
+            level,
             "undeclared",
             place,
             f"{group.count} packets with {_opcode_text(opcodes, group)} are no message",
@@ -377,6 +418,17 @@ def _of_opcodes(
             f"{hint}declare it, or correct the opcode",
             None,
         )
+
+
+def _why(message: Message, packet: bytes) -> str:
+    """Why a packet is not a message, in the words of its construct."""
+    try:
+        message.struct.parse(packet)
+    except (ConstructError, AcesError) as error:
+        return error_text(error)
+    except Exception as error:  # whatever foreign bytes make a construct raise
+        return type(error).__name__
+    return "another message, dialect or request has it"
 
 
 def _opcode_text(opcodes: Opcodes, group: LostGroup) -> str:

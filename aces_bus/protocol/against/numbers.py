@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -25,12 +26,14 @@ from ..plan import nodes as p
 STEPS, VALUES = 16, 12
 #: How many bits smaller the steps of another reading must be, and on which share of them.
 GAP_BITS, SHARE = 3.0, 0.75
+#: The share of long jumps that another sign must explain.
+EXPLAINED = 0.9
 #: Different values on each side of a jump that a sign explains.
 SIDES = 3
 #: Different values that are remembered.
 KEPT = 64
-#: No quantity is larger than this in any usual unit, or smaller than its inverse without being 0.
-HUGE = 1e15
+#: So many powers of two a float must jump more than in the other byte order.
+FACTOR_BITS = 12.0
 
 
 class BitReading(NamedTuple):
@@ -40,7 +43,8 @@ class BitReading(NamedTuple):
     read: Callable[[Array], Array]
 
 
-class Suspicion(NamedTuple):
+@dataclass(frozen=True)
+class Suspicion:
     """What a number's steps say: how many of how many, in words, and what would be right."""
 
     count: int
@@ -64,7 +68,7 @@ def bits_of(node: p.Scalar, values: Array) -> Array:
     )
 
 
-def numbers_of(node: p.Scalar, words: Array) -> Array:
+def as_numbers(node: p.Scalar, words: Array) -> Array:
     """Bits as the numbers that the spec makes of them, float64."""
     width = len(node.place)
     if node.is_magnitude:
@@ -95,12 +99,12 @@ def readings_of(node: p.Scalar) -> list[BitReading]:
             out = np.zeros_like(words)
             for to, come_from in enumerate(order):
                 out |= (words >> np.uint64(8 * come_from) & np.uint64(0xFF)) << np.uint64(8 * to)
-            return numbers_of(node, out)
+            return as_numbers(node, out)
 
         return read
 
     def swapped(low: int) -> Callable[[Array], Array]:
-        return lambda words: numbers_of(
+        return lambda words: as_numbers(
             node, (words & _mask(low)) << np.uint64(width - low) | words >> np.uint64(low)
         )
 
@@ -164,7 +168,8 @@ class IntegerSteps:
         self._seen = 0
         self._quarters = np.zeros(4, np.int64)
         self._sides: list[set[int]] = [set(), set(), set(), set()]
-        #: Jumps that a sign would explain, by (from, to).
+        #: Jumps over half the range, and those that another sign would explain, by the quarters (from, to).
+        self._long = 0
         self._jumps: dict[tuple[int, int], int] = {}
         self._rises = 0
 
@@ -185,12 +190,13 @@ class IntegerSteps:
         old, new = bits_of(self.node, before[moved]), bits_of(self.node, after[moved])
         self._steps += len(old)
         self._rises += int(((new - old & _mask(self.width)) == 1).sum())
-        own = _step_bits(numbers_of(self.node, old), numbers_of(self.node, new))
+        own = _step_bits(as_numbers(self.node, old), as_numbers(self.node, new))
         self._bits[0] += own.sum()
         for number, reading in enumerate(self.readings):
             other = _step_bits(reading.read(old), reading.read(new))
             self._bits[1 + number] += other.sum()
             self._wins[number] += int((other < own - 1).sum())
+        self._long += int((own >= self.width - 1).sum())
         self._take_jumps(old, new)
 
     def _take_jumps(self, old: Array, new: Array) -> None:
@@ -215,7 +221,7 @@ class IntegerSteps:
         return self._of_order() or self._of_sign()
 
     def _of_order(self) -> Suspicion | None:
-        if self._steps < STEPS or len(self._values) < VALUES or not self._seen & 0xFF:
+        if self._steps < STEPS or len(self._values) < VALUES:
             return None
         mean = self._bits / self._steps
         fitting = [
@@ -228,12 +234,24 @@ class IntegerSteps:
         if not fitting:
             return None
         best = min(fitting, key=lambda number: mean[1 + number])
+        if not self._seen & 0xFF and not self._is_plainly_reversed(best, mean):
+            return None
         words, wins = self.readings[best].words, int(self._wins[best])
         return Suspicion(
             wins,
             self._steps,
             f"moves by {_typical(mean[0])} from message to message; {words} by {_typical(mean[1 + best])}",
             f"read it {words}",
+        )
+
+    def _is_plainly_reversed(self, best: int, mean: Array) -> bool:
+        """Of a number whose low byte is always 0, which may be one in large steps: a long one, the other way round."""
+        others = np.delete(mean[1:], best)
+        return (
+            best == 0
+            and len(others) > 0
+            and bool((others - mean[1] >= 1).all())
+            and sum(bool(self._seen >> at & 0xFF) for at in range(0, self.width, 8)) > 1
         )
 
     def _of_sign(self) -> Suspicion | None:
@@ -243,6 +261,7 @@ class IntegerSteps:
                 sign == self.sign
                 and there
                 and back
+                and there + back >= EXPLAINED * self._long
                 and len(self._sides[low]) >= SIDES
                 and len(self._sides[high]) >= SIDES
                 and not any(self._quarters[one] for one in empty)
@@ -277,46 +296,52 @@ def _typical(bits: float) -> str:
 
 
 class FloatSteps:
-    """The values of a floating-point field: whether they are numbers that no quantity has, and the other order's are not."""
+    """The steps of a floating-point field, by its magnitude: the exponent of a float whose bytes are reversed is noise."""
 
     counts_up = False
 
     def __init__(self, node: p.Scalar) -> None:
         self._dtype = np.dtype(f"f{node.size}")
         self._values: set[float] = set()
-        self._total = self._wild = self._wild_swapped = 0
+        self._steps = 0
+        #: Sums of the changes in magnitude, in bits: as the spec reads it, and in the other byte order.
+        self._bits = np.zeros(2)
+        self._wins = 0
 
     def take(self, values: Array, before: Array, after: Array) -> None:
-        """All values of a piece of the recording; which follow each other does not matter."""
-        some = values[values != 0].astype(self._dtype)
+        """All values of a piece of the recording, and those that follow each other."""
         if len(self._values) < KEPT:
-            self._values.update(np.unique(some)[:KEPT].tolist())
-        self._total += len(some)
-        self._wild += _wild(some)
-        self._wild_swapped += _wild(some.byteswap())
+            self._values.update(np.unique(values)[:KEPT].tolist())
+        moved = (before != after) & (before != 0) & (after != 0)
+        with np.errstate(over="ignore", invalid="ignore"):
+            old, new = before[moved].astype(self._dtype), after[moved].astype(self._dtype)
+        own = np.abs(_magnitude_bits(new) - _magnitude_bits(old))
+        other = np.abs(_magnitude_bits(new.byteswap()) - _magnitude_bits(old.byteswap()))
+        self._steps += len(old)
+        self._bits += own.sum(), other.sum()
+        self._wins += int((other < own - 1).sum())
 
     def suspicion(self) -> Suspicion | None:
-        """What the values say against the spec; None when they say nothing."""
-        if (
-            self._total < STEPS
-            or len(self._values) < VALUES
-            or self._wild < self._total / 2
-            or self._wild_swapped > self._total / 20
-        ):
+        """What the steps say against the spec; None when they say nothing."""
+        if self._steps < STEPS or len(self._values) < VALUES or self._wins < SHARE * self._steps:
+            return None
+        own, other = self._bits / self._steps
+        if own - other < FACTOR_BITS or other > GAP_BITS:
             return None
         return Suspicion(
-            self._wild,
-            self._total,
-            f"is no quantity's number (beyond ±{HUGE:.0e}, or next to nothing) in {self._wild} of {self._total} values;"
-            f" in the other byte order in {self._wild_swapped}",
+            self._wins,
+            self._steps,
+            f"changes 2^{own:.0f}-fold from message to message; in the other byte order 2^{other:.1f}-fold",
             "read it in the other byte order",
         )
 
 
-def _wild(values: Array) -> int:
-    with np.errstate(invalid="ignore", over="ignore"):
-        size = np.abs(values.astype(np.float64))
-    return int((~((size < HUGE) & (size > 1 / HUGE) | (size == 0))).sum())
+def _magnitude_bits(values: Array) -> Array:
+    """log2 of the size of floats; what is no number, or 0, is as far from all others as can be."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        bits = np.log2(np.abs(values.astype(np.float64)))
+    found: Array = np.nan_to_num(bits, nan=1024.0, posinf=1024.0, neginf=-1074.0)
+    return found
 
 
 def steps_of(node: p.Node) -> IntegerSteps | FloatSteps | None:

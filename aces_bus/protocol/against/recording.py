@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from ...errors import CallerError
-from ...frame_table import NO_TIME, FrameTable
+from ...frame_table import NO_TIME, FrameTable, to_ns
 from ..columns.decode import Way, capture_pieces, feed
 from ..columns.scanner import ColumnScanner, make_column_scanner
 from ..columns.table import MessageTable
@@ -23,11 +23,13 @@ from .finding import Moment, Observation
 from .hidden import KEPT, PacketSample, hidden_check
 from .losses import Losses, Opcodes, lost_bytes, lost_frames, lost_packets
 
+#: Messages that are gathered before they are looked at: small pieces cost as much as large ones.
+GATHER = 1 << 14
 #: Bytes of a stream that are fed at once, and that are remembered for packets decided late.
 PIECE, REMEMBERED = 1 << 20, 1 << 22
 
 
-def check_against(
+def check_recordings(
     spec: Protocol | Variant | Sequence[Variant], captures: Iterable[Any], *, direction: Way | None = None
 ) -> list[Observation]:
     """What recordings say against a spec, by file and line; what comments in the spec allow is left out.
@@ -46,7 +48,7 @@ def check_against(
 
 
 class RecordingCheck:
-    """Recordings read one after the other, then asked what they say; see `check_against`."""
+    """Recordings read one after the other, then asked what they say; see `check_recordings`."""
 
     def __init__(self, spec: Protocol | Variant | Sequence[Variant], *, direction: Way | None = None) -> None:
         if isinstance(spec, Protocol):
@@ -54,7 +56,7 @@ class RecordingCheck:
         self.variants = (spec,) if isinstance(spec, Variant) else tuple(spec)
         if not self.variants:
             raise CallerError("a recording is held against one protocol at least")
-        self.direction = direction
+        self.direction: Way | None = direction
         self.is_can = self.variants[0].link == "can"
         #: Frames, or bytes, that were read.
         self.size = 0
@@ -64,6 +66,8 @@ class RecordingCheck:
         )
         self._opcodes = Opcodes(self._messages.values())
         self._watches: dict[tuple[str, str], MessageWatch] = {}
+        self._waiting: dict[tuple[str, str], list[MessageTable]] = {}
+        self._waits = 0
         self._samples: dict[tuple[str, str], list[PacketSample]] = {}
         self._losses: dict[Way | None, Losses] = {}
         #: Bytes of streams that begin no packet, or one that never ended.
@@ -74,29 +78,37 @@ class RecordingCheck:
     # ------------------------------------------------------------------ reading
 
     def read(self, capture: Any) -> None:
-        """Read a recording to its end; see `check_against`."""
+        """Read a recording to its end; see `check_recordings`."""
         self._names.append(str(getattr(capture, "name", "")))
         self._start = None
         scanners: dict[Way | None, tuple[ColumnScanner, _Window]] = {}
         for words, stated, time in capture_pieces(capture, self.variants[0]):
-            way = self.direction or stated
+            way: Way | None = self.direction or stated
             if way not in scanners:
                 scanner = make_column_scanner(self.variants, direction=way, include_unknown=True, raw=True)
                 scanners[way] = scanner, _Window()
             scanner, window = scanners[way]
             if isinstance(words, FrameTable):
+                self._begin(words.time[words.time != NO_TIME][:1].tolist())
                 self._take(scanner.feed(words), way, window, words)
                 window.frames += len(words)
                 continue
+            self._begin([to_ns(time)] if time is not None else [])
             for at in range(0, max(1, len(words)), PIECE):
                 piece = words[at : at + PIECE]
                 window.add(piece)
                 self._take(feed(scanner, piece, time), way, window, None)
         for way, (scanner, window) in scanners.items():
             self._take(scanner.close(), way, window, None)
+            self._look()
             counts = scanner.counts
             self.size += counts.total
             self._skipped += counts.skipped + counts.pending
+
+    def _begin(self, instants: Sequence[int]) -> None:
+        """The first instant of a recording is what others are counted from."""
+        if self._start is None and instants:
+            self._start = instants[0]
 
     def _take(
         self, tables: Iterable[MessageTable], way: Way | None, window: _Window, frames: FrameTable | None
@@ -108,10 +120,19 @@ class RecordingCheck:
                 self._take_lost(table, way, window)
                 continue
             who = (table.protocol, table.message)
+            self._waiting.setdefault(who, []).append(table)
+            self._waits += len(table)
+            self._take_samples(who, table, window, frames)
+        if self._waits >= GATHER:
+            self._look()
+
+    def _look(self) -> None:
+        """Look at what was gathered."""
+        for who, tables in self._waiting.items():
             if who not in self._watches:
                 self._watches[who] = MessageWatch(self._messages[who])
-            self._watches[who].take(table, self._locate)
-            self._take_samples(who, table, window, frames)
+            self._watches[who].take(MessageTable.concat(tables, is_lazy=True), self._locate)
+        self._waiting, self._waits = {}, 0
 
     def _take_samples(
         self, who: tuple[str, str], table: MessageTable, window: _Window, frames: FrameTable | None
@@ -149,9 +170,6 @@ class RecordingCheck:
 
     def _locate(self, table: MessageTable, index: int) -> Moment:
         time = int(table.time[index])
-        if self._start is None and time != NO_TIME:
-            known = table.time[table.time != NO_TIME]
-            self._start = int(known.min())
         relative = None if time == NO_TIME or self._start is None else max(0, time - self._start)
         source = self._names[-1] if len(self._names) > 1 else ""
         return Moment(int(table.row[index]), relative, table.is_stream, source)
@@ -173,7 +191,7 @@ class RecordingCheck:
                 yield from lost_frames(losses, self.variants, seen)
             else:
                 yield from self._of_direction(losses, way)
-                yield from lost_packets(losses, self._opcodes, self.variants, seen)
+                yield from lost_packets(losses, self._opcodes, self.variants, seen, way)
         if not self.is_can:
             yield from lost_bytes(self.variants, self._skipped, self.size, self._framings)
         else:

@@ -71,11 +71,11 @@ def suggest_examples(
 ) -> list[SuggestedExample]:
     """Up to `each` examples of every message that recordings have, in declared order; replies with their requests.
 
-    The arguments and errors are those of `check_against`. Of all messages of a kind those are taken of which most fields are
-    neither 0 nor empty, nor equal to one another.
+    The arguments and errors are those of `check_recordings`. Of all messages of a kind those are taken of which most fields
+    are neither 0 nor empty, nor equal to one another.
     """
     variants = _variants(spec)
-    found: dict[tuple[str, str], _Candidates] = {}
+    found: dict[tuple[str | None, str], _Candidates] = {}
     for capture in captures:
         asked: dict[tuple[str | None, str], deque[ExampleFrame]] = {}
         for record in _records(variants, capture, direction):
@@ -108,7 +108,7 @@ def _records(variants: Sequence[Variant], capture: Any, direction: Way | None) -
 
 def _take(
     record: Record,
-    found: dict[tuple[str, str], _Candidates],
+    found: dict[tuple[str | None, str], _Candidates],
     asked: dict[tuple[str | None, str], deque[ExampleFrame]],
 ) -> None:
     if isinstance(record, Unknown):

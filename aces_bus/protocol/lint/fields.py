@@ -409,4 +409,10 @@ def _walk(con: Any, owner: str, name: str, place: SourceLine) -> Iterator[Writte
         if isinstance(con, (c.Array, c.GreedyRange)):
             yield from _walk(con.subcon, owner, name, place)
             return
+        if not adapters and (
+            isinstance(con, (BitLayout, Delimited, Multiplexed, c.IfThenElse, c.Switch))
+            or hasattr(con, "subcons")
+        ):
+            yield from _walk(con, owner, name, place)
+            return
         yield Written(owner, name, tuple(adapters), con, place)
