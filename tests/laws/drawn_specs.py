@@ -615,7 +615,8 @@ def _item(node: Node, random: Random) -> bytes:
     if node["size"]:
         said = len(data) + node["counted"] + (random.randint(-3, 3) if random.random() < 0.1 else 0)
         size = max(0, said).to_bytes(*node["size"])
-    return (size + tag if node["size_first"] else tag + size) + data
+    head: bytes = size + tag if node["size_first"] else tag + size
+    return head + data
 
 
 def _expected(

@@ -508,7 +508,7 @@ def test_a_frame_shown_as_ambiguous_is_one() -> None:
     with pytest.raises(SpecError, match=r"'N' is ambiguous with 'M' .*both accept 001#00;"):
         made.message("N", id=1, payload=Struct("n" / Byte, "d" / Array(this.n, Int16ul)))
     with pytest.raises(
-        SpecError, match=r"'N' is ambiguous with 'M' .*: undecided: nothing in their templates"
+        SpecError, match=r"'N' is ambiguous with 'M' .*: undecided: their templates do not tell them apart"
     ):
         made.message("N", id=1, payload=Struct("n" / c.OneOf(Byte, (200,)), "x" / GreedyBytes))
 
