@@ -85,7 +85,13 @@ def rotation_of(roll: float, pitch: float, yaw: float) -> Floats:
 
     >>> rotation_of(0.0, 0.0, math.pi / 2).round(6).tolist()
     [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [-0.0, 0.0, 1.0]]
+
+    Raises `CallerError` for an angle that is not finite.
     """
+    if not all(map(math.isfinite, (roll, pitch, yaw))):
+        raise CallerError(
+            f"a rotation by roll {roll}, pitch {pitch}, yaw {yaw}: angles are finite numbers, rad"
+        )
     (sr, cr), (sp, cp), (sy, cy) = ((math.sin(one), math.cos(one)) for one in (roll, pitch, yaw))
     return np.array(
         (

@@ -173,6 +173,39 @@ def test_a_bus_that_loses_frames() -> None:
     assert abs(run.states["RHP"].last - look.rows[-1][2]["RHP"]) < 0.1
 
 
+@pytest.mark.parametrize("share", [0.01, 1 / 3])
+def test_answers_that_are_lost(share: float) -> None:
+    """One answer in a hundred lost, or each third of a board: asked again, known a tick or two later, and no step is lost."""
+
+    def lose(run: Runner) -> None:
+        run.world.twins["JMC1"].fault("loses", 1 / share)
+
+    ended, walk, look, run = walk_into(lose)
+    assert ended.tripped == {}
+    assert {kind for kind in walk.kinds() if kind != "overrun"} == set()
+    counts = run.rig.hosts["lower"].counts
+    assert counts.repeated > 0
+    assert abs(run.states["RHP"].last - look.rows[-1][2]["RHP"]) < 0.1
+
+
+def test_answers_that_are_late() -> None:
+    """Answers of a board that are 50 ms late carry the instant at which they came; walking goes on."""
+    ended, walk, look, run = walk_into(lambda run: run.world.twins["JMC1"].fault("late"))
+    assert ended.tripped == {} or set(walk.kinds()) & {"silent", "late reply"}
+    position = run.rig["RHP.position"]
+    assert position.instant is not None
+    assert run.clock.now() >= position.instant
+
+
+def test_a_board_with_anothers_number() -> None:
+    """A board that answers with its neighbour's number is silent, and the neighbour answers twice: motion stops."""
+    ended, walk, look, run = walk_into(lambda run: run.world.twins["JMC1"].fault("wrong_number"))
+    kind = walk.kinds()[0]
+    assert kind in ("silent", "two devices", "unknown device", "malformed")
+    stopped_in_time(kind, ended, walk, look)
+    assert motors_are_off(run)
+
+
 @pytest.mark.parametrize("is_serial", [False, True])
 def test_a_cable_that_is_pulled(is_serial: bool) -> None:
     """Behind a pulled cable all is silent: the first device that is noticed stops motion, and nothing hangs at the end."""
