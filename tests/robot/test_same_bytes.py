@@ -40,7 +40,7 @@ def outcome(root: Path, hash_seed: int) -> tuple[list[str], str]:
     """Frames, bytes of the log and the digest of both; and whether it was compiled."""
     paths = os.pathsep.join(str(root / name) for name in SOURCE_ROOTS)
     done = subprocess.run(
-        [sys.executable, "-c", PROGRAM],
+        [sys.executable, "-P", "-c", PROGRAM],  # -P: not from the folder that pytest was started in
         env={**os.environ, "PYTHONPATH": paths, "PYTHONHASHSEED": str(hash_seed)},
         capture_output=True,
         text=True,
