@@ -444,6 +444,38 @@ ROWS = {
         "served:test_a_controller_that_finishes",
     ],
     "a board is silent": ["faults:test_a_silent_board", "served:test_a_silent_board"],
+    "answers are lost: 1 %, each third of a board": [
+        "faults:test_answers_that_are_lost",
+        "served faults:test_answers_that_are_lost_or_late",
+    ],
+    "answers are late": [
+        "faults:test_answers_that_are_late",
+        "served faults:test_answers_that_are_lost_or_late",
+    ],
+    "two boards have one number": [
+        "faults:test_two_boards_of_one_number",
+        "served faults:test_a_board_that_misbehaves",
+    ],
+    "a board answers with another's number": [
+        "faults:test_a_board_with_anothers_number",
+        "served faults:test_a_board_that_misbehaves",
+    ],
+    "a joint is blocked, its board reports it": ["faults:test_a_blocked_joint"],
+    "a joint is blocked, no board reports it (D08)": [
+        "ways:test_a_jam_that_a_d08_board_never_reports_is_found"
+    ],
+    "a sensor is at its end or has no value": [
+        "faults:test_a_saturated_force_sensor",
+        "faults:test_a_saturated_force_sensor_stops_by_default",
+    ],
+    "the controller keeps the interpreter for itself (200 ms)": [
+        "served faults:test_a_controller_that_keeps_the_interpreter"
+    ],
+    "a second program would drive": ["served faults:test_a_second_master_is_refused"],
+    "another program looks on": [
+        "passive:test_a_run_looks_on_beside_a_master",
+        "served faults:test_a_second_master_is_refused",
+    ],
     "a board reboots": ["faults:test_a_board_that_reboots"],
     "a device reports an alarm": ["faults:test_a_saturated_force_sensor_stops_by_default"],
     "the host is bus-off, the cable is out": [
@@ -463,6 +495,9 @@ ROWS = {
 FILES = {
     "": "test_stopping_runs.py",
     "served": "test_served_stops.py",
+    "served faults": "test_served_faults.py",
+    "ways": "test_ways.py",
+    "passive": "test_passive.py",
     "faults": "test_faults.py",
     "programs": "test_faults_of_programs.py",
 }
