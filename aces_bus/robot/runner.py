@@ -689,18 +689,25 @@ class Runner:
             self._not_stopped = dict.fromkeys(self.rig.devices, "its stop could not begin")
             self._in_time(self._begin_stop)
             self._not_stopped = {}
-        stopping = self._stopping
-        assert stopping is not None
+        assert self._stopping is not None
+        self._confirm(self._stopping)
+        done = {*self._not_stopped, *self._held}
+        late = [d for d in self.rig.devices.values() if d.is_driven and d.name not in done]
+        if late:  # something enabled them after the stop had begun
+            self._confirm(self._in_time(partial(stop_devices, self.clock, self.rig.robot.name, late)))
+
+    def _confirm(self, stopping: Job) -> None:
+        """Wait for a stop; who has not stopped is noted, with why."""
         try:
             wait_stopped(stopping)
         except DeviceError as error:
             if not isinstance(stopping.error, NotStoppedError):
                 self._fault("stop", str(error))
-                self._not_stopped = dict.fromkeys(self.rig.devices, str(error))
+                self._not_stopped.update(dict.fromkeys(self.rig.devices, str(error)))
         finally:
             if isinstance(stopping.error, NotStoppedError):
-                self._not_stopped = stopping.error.devices
-                for name, why in self._not_stopped.items():
+                self._not_stopped.update(stopping.error.devices)
+                for name, why in stopping.error.devices.items():
                     self._fault(name, why)
 
     def _in_time(self, action: Callable[[], T]) -> T:

@@ -124,6 +124,22 @@ def test_an_end_stops_before_it_waits_for_controllers() -> None:
 # ---------------------------------------------------------------------- hold
 
 
+def test_what_is_enabled_after_the_stop_has_begun_is_stopped_too() -> None:
+    """A controller's own end that enables a board again does not leave it on."""
+
+    class Stubborn(Walk):
+        def stop(self, now: int) -> None:
+            run.rig.each("enable")
+            run.clock.wait(lambda: board_is_on(run, "JMC2"), 100 * MS)
+
+    run: Runner = run_virtual(hubo_leg(), [Stubborn(HUBO)], rate_hz=100)
+    with run:
+        run.do("enable")
+        ended = run.run(0.2)
+    assert motors_are_off(run)
+    assert ended.not_stopped == {}
+
+
 def test_hold_holds_until_the_run_is_over() -> None:
     """Declared as hold, a fault switches nothing off before the run's own end, and is said."""
     found = case(lambda run: run.world.twins["FT_RF"].fault("silent"), on_trip="hold", seconds=1.5)
