@@ -129,8 +129,10 @@ def test_what_is_enabled_after_the_stop_has_begun_is_stopped_too() -> None:
 
     class Stubborn(Walk):
         def stop(self, now: int) -> None:
+            run.clock.wait(lambda: motors_are_off(run), 1000 * MS)
+            run.clock.wait(lambda: False, 100 * MS)  # all have said so
             run.rig.each("enable")
-            run.clock.wait(lambda: board_is_on(run, "JMC2"), 100 * MS)
+            assert run.clock.wait(lambda: board_is_on(run, "JMC2"), 1000 * MS)
 
     run: Runner = run_virtual(hubo_leg(), [Stubborn(HUBO)], rate_hz=100)
     with run:
