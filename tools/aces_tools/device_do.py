@@ -287,11 +287,15 @@ class Doing:
         for one, value in targets:
             goal, given = door.goal(one.name), door.given(one.name)
             if door.counts(one.name).position:
-                limits = f"{one.lower:g} to {one.upper:g}" if None not in (one.lower, one.upper) else "its limits"
+                limits = (
+                    f"{one.lower:g} to {one.upper:g}" if None not in (one.lower, one.upper) else "its limits"
+                )
                 say(f"{one.name}: limited: {value:g} is not within {limits} {one.unit}".rstrip())
             elif goal is not None:
                 so_far = "where it was" if given is None else f"{given:.4g} {one.unit}".rstrip()
-                say(f"{one.name}: limited in speed: only at {so_far} on the way to {goal:g}; say --for longer")
+                say(
+                    f"{one.name}: limited in speed: only at {so_far} on the way to {goal:g}; say --for longer"
+                )
             elif one.name not in door.tripped:
                 continue
             changed = True
