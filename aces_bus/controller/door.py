@@ -110,7 +110,7 @@ class _Line:
     def __init__(self, door: Door, device: Device, signal: Signal, active: dict[_Line, None]) -> None:
         self.door, self.device, self.signal, self.active = door, device, signal, active
         self.bounds = door.bounds.get(signal.name, Bounds())
-        self.is_ticked = device.host.rate_hz is not None
+        self.is_ticked = device.host.is_ticked
         self.limit_rate(self.bounds.rate)
         self.following = door.following.get(signal.name)
         self.owner, self.is_supervised = "", False
@@ -304,8 +304,8 @@ class _BusLines:
         self.host = host
         self.active: dict[_Line, None] = {}
         self.watched: list[_Line] = []
-        self._is_ticked = host.rate_hz is not None
-        self._period = PERIOD_NS if host.rate_hz is None else round(1e9 / host.rate_hz)
+        self._is_ticked = host.is_ticked
+        self._period = round(1e9 / host.rate_hz) if host.is_ticked and host.rate_hz else PERIOD_NS
         #: A tick that is late may make up for itself, not for a pause.
         self._most = (2 if self._is_ticked else 1) * self._period
         self._last = host.clock.now() - self._period

@@ -415,7 +415,7 @@ class Device(EndpointMember):
         """Have a field of a message sent with the next tick, in the sheet's unit."""
         self._given.setdefault(message, {})[path] = value
         self._dirty.add(message)
-        if not self.host.rate_hz:
+        if not self.host.is_ticked:
             self.host.wake()
 
     def drop(self, message: str) -> None:

@@ -99,7 +99,9 @@ class Host(BusEndpoint[Device]):
         self._deadline_timer: Timer | None = None
         self._is_hearing = False
         self._serial_number = 0
-        self._period = 0 if rate_hz is None or passive else round(1e9 / rate_hz)
+        #: Whether it has a rate, and asks.
+        self.is_ticked = rate_hz is not None and not passive
+        self._period = round(1e9 / rate_hz) if rate_hz is not None and not passive else 0
         self._tick_at = 0
         #: When something was last received.
         self._heard_at = 0

@@ -50,17 +50,17 @@ def test_set_points_of_a_board_are_one_frame() -> None:
         assert [frame.data.hex() for frame in frames] == ["6400c800"] * 3
 
 
-def test_a_packer_packs_what_the_encoder_does() -> None:
+def test_a_writer_writes_what_the_encoder_does() -> None:
     """With the credentials bound once: the same frame, and the same error for what does not fit."""
     with made() as robot:
         device = robot.devices["A"]
         encoder, message = device.variant.encoder, device.variant["Set"]
-        pack = encoder.packer(message, {"node": 1})
+        write = encoder.writer(message, {"node": 1})
         for left in (0, 100, 300):
             fields = {"left": left, "right": 7}
-            assert pack(fields) == encoder.word(message, {"node": 1, **fields})
+            assert write(fields) == encoder.word(message, {"node": 1, **fields})
         errors: list[str] = []
-        for encode in (pack, lambda fields: encoder.word(message, {"node": 1, **fields})):
+        for encode in (write, lambda fields: encoder.word(message, {"node": 1, **fields})):
             with pytest.raises(FieldError) as raised:
                 encode({"left": 1e9, "right": 0})
             errors.append(str(raised.value))

@@ -206,3 +206,10 @@ def test_a_frame_that_is_no_message_says_which_bytes() -> None:
     assert found[0].startswith("State: ")
     assert "07, not 08" in found[0]
     assert found[1] == ""
+
+
+def test_without_a_protocol_nothing_explains_an_unknown_frame() -> None:
+    """Then there is no message that it could have been."""
+    (item,) = hubo.scanner(include_unknown=True).feed([Frame(0x7FF, b"")])
+    assert isinstance(item, Unknown)
+    assert why_unknown(item, []) == ""

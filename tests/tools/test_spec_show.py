@@ -115,7 +115,7 @@ def test_versions_differ(aces: Aces, versions: tuple[Path, Path]) -> None:
 
 
 LISTED = """
-from construct import Byte, GreedyRange, Int16ul, PrefixedArray, Struct
+from construct import Byte, GreedyRange, Int16ul, PascalString, PrefixedArray, Struct
 from aces_bus.protocol import Enumeration, Protocol, Quantity
 listed = Protocol("listed", link="can")
 item = Struct({item})
@@ -124,27 +124,41 @@ listed.message("Counted", id=2, payload=Struct("items" / PrefixedArray(Byte, ite
 """
 
 
+@pytest.mark.parametrize("of_one_size", [True, False])
 @pytest.mark.parametrize(
-    ("item", "said"),
+    ("item", "opaque", "generated"),
     [
-        ('"a" / Quantity(Int16ul, scale=0.2, unit="V")', "~ items.a: scale 0.1 → 0.2"),
-        ('"a" / Quantity(Int16ul, scale=0.1, unit="A")', "~ items.a: unit V → A"),
+        ('"a" / Quantity(Int16ul, scale=0.2, unit="V")', "~ items.a: scale 0.1 → 0.2", ""),
+        ('"a" / Quantity(Int16ul, scale=0.1, unit="A")', "~ items.a: unit V → A", ""),
         (
             '"a" / Quantity(Byte, scale=0.1, unit="V")',
             "~ items.a: type Quantity of uint16 le → Quantity of uint8",
+            "~ items: type groups of 2 → groups of 1",
         ),
-        ('"a" / Quantity(Int16ul, scale=0.1, unit="V"), "b" / Byte', "+ items.b: uint8"),
-        ('"b" / Enumeration(Byte, off=0)', "+ items.b: Enumeration of uint8"),
+        (
+            '"a" / Quantity(Int16ul, scale=0.1, unit="V"), "b" / Byte',
+            "+ items.b: uint8",
+            "+ items.b: byte 2 of each, uint8",
+        ),
+        (
+            '"b" / Enumeration(Byte, off=0)',
+            "+ items.b: Enumeration of uint8",
+            "+ items.b: byte 0 of each, enum8",
+        ),
     ],
 )
-def test_what_is_in_lists_differs_too(aces: Aces, tmp_path: Path, item: str, said: str) -> None:
-    """A scale, a unit, a type, a field more, inside of what construct alone takes apart."""
+def test_what_is_in_lists_differs_too(
+    aces: Aces, tmp_path: Path, item: str, opaque: str, generated: str, of_one_size: bool
+) -> None:
+    """A scale, a unit, a type, a field more, inside of lists; also where construct alone takes them apart."""
     old, new = tmp_path / "old.py", tmp_path / "new.py"
-    old.write_text(LISTED.format(item='"a" / Quantity(Int16ul, scale=0.1, unit="V")'))
-    new.write_text(LISTED.format(item=item))
+    more = "" if of_one_size else ', "text" / PascalString(Byte, "utf8")'
+    old.write_text(LISTED.format(item='"a" / Quantity(Int16ul, scale=0.1, unit="V")' + more))
+    new.write_text(LISTED.format(item=item + more))
+    said = (generated if of_one_size else "") or opaque
     result = aces("spec", "show", "--diff", old, new)
     assert result.status == 1
-    assert said in [line.strip() for line in result.out.splitlines()], result.out
+    assert any(line.strip().startswith(said) for line in result.out.splitlines()), result.out
     assert result.out.splitlines()[-1] == "0 removed, 0 added, 2 changed, 0 the same"
     assert aces("spec", "show", "--diff", old, old).status == 0
 

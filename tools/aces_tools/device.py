@@ -12,12 +12,12 @@
   aces device RHY set_gains kp=200 ki=0 kd=500 --tx
 
 The robot is that of --robot or of the variable ACES_ROBOT. With --virtual
-simulated devices answer, in virtual time, and nothing else is needed. A position
-is led there at the joint's nominal speed, within its limits. On real buses `get`
+simulated devices answer, in virtual time, and nothing else is needed. A joint
+moves to a position at its nominal speed, within its limits. On real buses `get`
 and `watch` listen to what another program asks, unless --ask has them ask;
-whatever changes a device needs --tx. One program of a machine asks and drives on
-a bus: a second is refused. Values are in SI units. A joint's name is
-enough: its device is found. Nothing is sent to other devices.
+whatever changes a device needs --tx. One program of a machine asks and drives
+on a bus: a second is refused. Values are in SI units. A joint's name is enough:
+its device is found. Nothing is sent to other devices.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ EPILOG = """\
 exit status:
   0  done
   1  a value stayed unknown, a set-point was limited or cannot have been
-     followed, an action failed or was interrupted, a device was NOT switched off at the end, or
-     --tx is missing
+     followed, an action failed or was interrupted, a device was NOT switched
+     off at the end, or --tx is missing
   2  a wrong call, or a bus that cannot be opened
 """
 

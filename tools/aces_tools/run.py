@@ -44,8 +44,8 @@ from .robot_arg import ROBOT_OR_TWINS, chosen_robot
 EPILOG = """\
 exit status:
   0    done
-  1    a controller was stopped or only waited, a device did not answer or was NOT
-       switched off, a log is not whole, or closing did not succeed
+  1    a controller was stopped or only waited, a device did not answer or was
+       NOT switched off, a log is not whole, or closing did not succeed
   2    a wrong call, or a bus that cannot be opened
   130  interrupted before it ran, or twice
 """

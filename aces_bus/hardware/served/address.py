@@ -27,6 +27,8 @@ from ...errors import CallerError
 #: socketcand's port; the one after it is ours.
 SOCKETCAND_PORT, PORT = 29536, 29537
 #: Bytes of a path that a Unix socket can have (the kernel's `sun_path`, less the zero behind it).
+#: What a program waits for a server at most: a day.
+LONGEST_S = 86_400.0
 _PATH_MOST = 107
 _NOTE_MOST = 1 << 20
 
@@ -47,7 +49,11 @@ class ServedAddress:
         return f"tcp:{host}:{self.port}" + (f"/{self.channel}" if self.channel else "")
 
     def connect(self, timeout: float) -> socket.socket:
-        """A stream to the server; raises `OSError`."""
+        """A stream to the server, `timeout` in s; raises `OSError`, and `CallerError` for a time that is none."""
+        if not 0 < timeout <= LONGEST_S:
+            raise CallerError(
+                f"{self}: a time-out of {timeout:g} s; it is more than 0 and at most {LONGEST_S:g}"
+            )
         if not self.path:
             stream = socket.create_connection((self.host, self.port), timeout)
             stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -17,12 +17,15 @@ def why_unknown(
 ) -> str:
     """Which messages an `unknown` item came nearest to, and what is another in it: `Light: byte 3 07, not 08`.
 
-    Empty where its identifier or head is no message's, where it hangs on a request, and for what is malformed or skipped.
+    Empty without variants, where its identifier or head is no message's, where it hangs on a request, and for what is
+    malformed or skipped.
     """
     if item.reason != "unknown":
         return ""
     meta = item.meta
     tracer = Tracer(variants, direction=direction)
+    if not tracer.templates:
+        return ""
     if meta.identifier is not None:
         frame = Frame(
             meta.identifier,
