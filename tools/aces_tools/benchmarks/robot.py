@@ -4,7 +4,8 @@
    bus, in real time. What is measured is the host's process alone.
 2. Contenders are processes that run one after another on the same twins: the one loop of a robot, and the same robot with
    its buses behind a python-can bus that has no file to wait for, which takes threads.
-3. Times of a shared machine vary: ratios carry over, absolute figures are this machine's at this hour.
+3. The last row is the robot in virtual time, host and twins in one process (`virtual.py`).
+4. Times of a shared machine vary: ratios carry over, absolute figures are this machine's at this hour.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from . import BenchRow
+from . import BenchRow, virtual
 
 #: Hz; the second rate is the harder one.
 RATES = (200.0, 500.0)
@@ -29,8 +30,6 @@ FRAME_US, SHARE, MEDIAN_MS, LATE_MS = 32.0, 0.38, 0.1, 0.5
 SHARE_AT_500 = 0.55
 #: Seconds that the other process may take to begin.
 _PATIENCE_S = 60
-#: Simulated seconds in the figure of virtual time, and how many times real time that should be.
-VIRTUAL_S, VIRTUAL_RATIO = 2.0, 3.3
 
 _CALL = "import sys; from aces_tools.benchmarks import robot; robot.{}(*sys.argv[1:])"
 
@@ -42,7 +41,7 @@ def run(*, quick: bool = False) -> Iterable[BenchRow]:
         for rate in RATES[:1] if quick else RATES:
             found = {way: _hosted(folder, rate, seconds, way) for way in ("threads", "loop")}
             yield from _rows(rate, seconds, found["loop"], found["threads"])
-    yield _virtual()
+    yield from virtual.run(quick=quick)
 
 
 def _rows(
@@ -206,30 +205,6 @@ def _hide_files() -> None:
         raise NotImplementedError
 
     ServedBus.fileno = fileno  # type: ignore[method-assign]
-
-
-# ---------------------------------------------------------------------- virtual time
-
-
-def _virtual() -> BenchRow:
-    """How many times faster than real time the same robot runs in virtual time, host and twins in one process."""
-    from aces_bus import load_robot
-    from aces_bus.robot import VirtualRobot
-
-    with VirtualRobot(load_robot("hubo2plus"), rate_hz=RATES[0]) as made:
-        made.advance(0.5)  # what comes first is not what comes always
-        began = time.process_time()
-        made.advance(VIRTUAL_S)
-        ratio = VIRTUAL_S / (time.process_time() - began)
-    return BenchRow(
-        "complete Hubo 2+ at 200 Hz, virtual time",
-        "simulated seconds a second of CPU",
-        ratio,
-        "",
-        ratio,
-        f"≥ {VIRTUAL_RATIO:g} ×",
-        ratio >= VIRTUAL_RATIO,
-    )
 
 
 __all__ = ["drive", "run", "serve_twins"]
