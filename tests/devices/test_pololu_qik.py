@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 
 import pytest
@@ -297,7 +297,7 @@ def test_a_scan_that_cannot_be_sure_says_so() -> None:
 
 
 @contextmanager
-def scanned() -> Iterator[tuple[VirtualRobot, Host]]:
+def scanned() -> Generator[tuple[VirtualRobot, Host]]:
     """Twins that all answer, and a second program's host on their line."""
     text = ROBOT.replace("credentials = { id = 1 }", "credentials = { id = 1 }, settings.answers = true")
     robot, problems = parse_robot(text)

@@ -58,7 +58,7 @@ class Twins:
     def close(self) -> None:
         """End it."""
         self.process.kill()
-        self.process.wait()
+        self.process.communicate()  # which closes the pipes
 
     def wait_for(self, word: str, boards: list[str]) -> bool:
         """Whether these boards become "on" or "off"."""

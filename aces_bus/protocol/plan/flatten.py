@@ -473,14 +473,12 @@ class _Builder:
         parts: dict[Any, Any] = {
             item.name: item.subcon if isinstance(item, c.Renamed) else item for item in con.subcons
         }
-        count, items = parts.get("count"), parts.get("items")
         if con.parsebuildfrom != "items" or list(parts) != ["count", "items"]:
             raise NotFlat("FocusedSeq has no flat form")
-        if not (
-            isinstance(count, c.Rebuild)
-            and isinstance(items, c.Array)
-            and repr(items.count) == repr(c.this.count)
-        ):
+        count, items = parts["count"], parts["items"]
+        if not isinstance(count, c.Rebuild) or not isinstance(items, c.Array):
+            raise NotFlat("FocusedSeq has no flat form")
+        if repr(items.count) != repr(c.this.count):
             raise NotFlat("FocusedSeq has no flat form")
         number = _scalar(count.subcon, self.offset)
         if number.kind != "uint" or number.steps or number.size is None:

@@ -105,10 +105,10 @@ def serve_twins(folder: str) -> None:
     import threading
 
     from aces_bus import load_robot
+    from aces_bus.device.config import BUSES
     from aces_bus.hardware import port_of
     from aces_bus.hardware.served import BusServer, ServedChannel
     from aces_bus.robot import simulate
-    from aces_bus.robot.runner import BUSES
     from aces_bus.runtime.tasks import run_at
 
     robot = load_robot("hubo2plus")
