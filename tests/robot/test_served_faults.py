@@ -15,7 +15,7 @@ import pytest
 
 from aces_bus.controller import stop
 from aces_bus.errors import AcesError
-from aces_bus.robot import connect, open_gates
+from aces_bus.robot import Runner, connect, open_gates
 from aces_bus.runtime import Loop
 from tests.robot.served_twins import PATIENCE_S, Twins
 from tests.robot.test_served_stops import BOARDS, Leg, run_on
@@ -43,7 +43,7 @@ def test_a_board_that_misbehaves(twins: Twins, fault: str, kind: str, said: str)
         [Leg()],
         reactions,
         lambda: twins("fault", "JMC1", fault, True),
-        seconds=PATIENCE_S if kind else 1.0,
+        enough=lambda run: not kind and run.set_points > 400,
     )
     twins("fault", "JMC1", fault, False)
     if kind:
@@ -58,13 +58,16 @@ def test_a_board_that_misbehaves(twins: Twins, fault: str, kind: str, said: str)
 @pytest.mark.parametrize("fault", ["loses", "late"])
 def test_answers_that_are_lost_or_late(twins: Twins, fault: str) -> None:
     """Every third answer lost, or all of them 50 ms late: what the others say is known; the run goes on, and counts it."""
-    ended, run = run_on(twins, [Leg()], {}, lambda: twins("fault", "JMC1", fault, True), seconds=1.5)
+
+    def enough(run: Runner) -> bool:
+        counts, position = run.rig.hosts["lower"].counts, run.rig["RHP.position"].last
+        return counts.repeated + counts.missed + counts.answered_late > 0 and abs(position - 0.1) < 0.05
+
+    ended, run = run_on(twins, [Leg()], {}, lambda: twins("fault", "JMC1", fault, True), enough=enough)
     twins("fault", "JMC1", fault, False)
-    counts = run.rig.hosts["lower"].counts
     assert ended.tripped == {}
-    assert ended.not_stopped == {}
-    assert counts.repeated + counts.missed + counts.answered_late > 0
-    assert run.rig["RHP.position"].last == pytest.approx(0.1, abs=0.05)
+    assert enough(run)
+    assert set(ended.not_stopped) <= {"JMC1"}  # it may not say in time that it is off
 
 
 def test_a_controller_that_keeps_the_interpreter(twins: Twins) -> None:
@@ -79,12 +82,14 @@ def test_a_controller_that_keeps_the_interpreter(twins: Twins) -> None:
             held.append(time.monotonic() - began)
         return given
 
-    ended, run = run_on(twins, [Leg(hold)], {}, seconds=1.5)
-    assert held
+    def enough(run: Runner) -> bool:
+        task = next(one for one in run.tasks.tasks if one.name == "leg")
+        return bool(held) and task.missed + run.rig.hosts["lower"].counts.ticks_missed > 0
+
+    ended, run = run_on(twins, [Leg(hold)], {}, enough=enough)
+    assert enough(run)
     assert ended.tripped == {}
     assert ended.not_stopped == {}
-    task = next(one for one in run.tasks.tasks if one.name == "leg")
-    assert task.missed + run.rig.hosts["lower"].counts.ticks_missed > 0
 
 
 def test_a_second_master_is_refused(twins: Twins) -> None:

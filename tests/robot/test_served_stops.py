@@ -9,7 +9,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from math import nan
 from pathlib import Path
@@ -69,8 +69,9 @@ def run_on(
     reactions: Mapping[str, Any],
     fault: Any = None,
     seconds: float = PATIENCE_S,
+    enough: Callable[[Runner], bool] = lambda run: False,
 ) -> tuple[Ended, Runner]:
-    """Run until every controller was stopped, with the fault once the boards are on and controllers run."""
+    """Run until every controller was stopped, or it is enough, with the fault once the boards are on and controllers run."""
     bus = {"interface": "aces", "channel": f"unix:{twins.path}", "bitrate": 1_000_000, "restart_ms": 500}
     run = run_real(
         hubo_leg(), controllers, buses={"lower": bus}, transmit=True, reactions={**CALM, **reactions}
@@ -82,7 +83,7 @@ def run_on(
         if fault is not None and not is_done and run.set_points > 50:
             is_done = True
             fault()
-        return False
+        return (is_done or fault is None) and enough(run)
 
     with run:
         enable(run, twins, BOARDS)
