@@ -265,7 +265,7 @@ class Host(BusEndpoint[Device]):
             self._tick_at += passed * self._period
             self.counts.ticks_missed += passed
             self.tell(
-                "overrun", "", f"{passed} ticks were left out: the one before, or this machine, took too long"
+                "overrun", "", f"ticks left out, for the one before or this machine took too long: {passed}"
             )
         self._next_tick = self.clock.call_at(self._tick_at, self._tick)
 

@@ -429,14 +429,17 @@ def stand(
 
 
 def test_on_a_served_bus(aces: Aces, leg: str, stand: SimulatedRobot) -> None:
-    """Through a real bus values are read, another program sees it, and nothing is written on stderr."""
+    """Through a real bus values are read, another program sees it, and nothing is written on stderr.
+
+    But that ticks were late, where the machine is busy.
+    """
     with can.Bus("unix:leg0", interface="aces") as other:
         got = aces("device", "YAW", "get", "position", "-r", leg, "-i", "aces", "--ask")
         seen = other.recv(10)
     assert seen is not None
     assert seen.arbitration_id == 0x001  # the question; its answers come after it
     assert (got.status, got.out) == (0, "YAW.position  0 rad\n")
-    assert got.err == ""
+    assert [line for line in got.err.splitlines() if ": overrun: " not in line] == []
     assert aces("device", "JMC0", "parameters", "-r", leg, "-i", "aces").status == 0  # only asks: no --tx
 
 
