@@ -145,7 +145,7 @@ class Inlet:
         return found
 
     def give_up(self) -> None:
-        """Be nobody's writer any more."""
+        """Give up what it writes: others may set these signals now."""
         self._writers.clear()
         door = getattr(self.all_states, "door", None)
         if door is not None:

@@ -1,4 +1,4 @@
-"""The one door of set-points: whoever gives them (a controller, the command line, UDP, zenoh, a script), they leave by it.
+"""The one door of set-points: those of controllers, the command line, UDP, zenoh and scripts all leave by it.
 
 1. It is keyed by signal: "RHP", an alias of it and "RHP.position" are one line, with one owner.
 2. What leaves is finite and within the limits of position, and from one tick of its bus to the next within the rate. A

@@ -6,7 +6,6 @@
    reaches the controller's own handler before that.
 3. An exception of the controller is an event too, "raised"; it never gets out of `step`. So is what the controller itself
    tells, such as "failed".
-
 4. A controller that gives nothing for `dead_man_s` is taken for dead, unless it says that it has nothing to give
    (`is_idle`). Whatever stopped motion, it stays stopped until `release`.
 

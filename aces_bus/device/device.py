@@ -136,7 +136,7 @@ class Device(EndpointMember):
         self.is_silent = False
         #: Whether it was given set-points or commands to move since it was last stopped.
         self.is_driven = False
-        #: Counts how often its set-points were dropped: whoever leads a joint begins anew, where that is.
+        #: How often its set-points were dropped: the door then leads a joint anew, from where it is.
         self.epoch = 0
         self.misses = 0
         self.missing_since = self.missed_at = 0

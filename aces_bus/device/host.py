@@ -60,7 +60,7 @@ class Host(BusEndpoint[Device]):
 
     `rate_hz` None: no ticks; set-points go out as they are given, nothing is polled unless `poll()` says so. `budget` is
     the share of a tick that words may fill. `rules` replace the drivers' rules, message by message. `passive`: it listens to
-    what others ask and are answered, and sends nothing, whoever wants it.
+    what other programs ask and are answered, and sends nothing.
     """
 
     def __init__(

@@ -105,7 +105,7 @@ class Gate(ABC, Generic[Item]):
         self._lock = threading.Lock()
         self._stopping = threading.Event()
         self._threads: list[threading.Thread] = []
-        #: Of the outbox; `_outgoing` is told of what changes in it.
+        #: Guards the outbox; `_outgoing` is notified when it changes.
         self._guard = threading.RLock()
         self._outgoing = threading.Condition(self._guard)
         self._outbox: Outbox[Any] = Outbox()

@@ -1,7 +1,8 @@
 """What happens to a bus, and what is counted of it.
 
 1. A handler is called on the thread where something happens, before anything else is done about it, and must be quick.
-2. One that raises is counted, and stops nothing."""
+2. One that raises is counted, and stops nothing.
+"""
 
 from __future__ import annotations
 

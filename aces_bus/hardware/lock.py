@@ -2,7 +2,7 @@
 
 1. It is advisory: it binds those who take it, whatever user they run as. Who only listens takes none.
 2. The system holds it: it is gone when its program is, kill -9 included. What is left of it is a file that says nothing.
-3. Who is refused is told by whom: program and process.
+3. A refusal names the program that has the lock, and its process.
 
 The lock is `flock(2)` on a file in a folder of the temporary files that all users share, named after the bus's channel.
 Where there is no `flock` (Windows) there is no lock.

@@ -8,7 +8,8 @@
 
 A turn: what other threads have handed over, what is due, the ends of the turn (what was gathered for a bus leaves
 together), then a wait for the first file that has something, the next instant, or another thread. `select` waits in
-microseconds, where `epoll` rounds up to milliseconds."""
+microseconds, where `epoll` rounds up to milliseconds.
+"""
 
 from __future__ import annotations
 

@@ -71,6 +71,13 @@ def test_a_runtime_folder_of_somebody_else(runtime: Path) -> None:
         serve()
 
 
+@pytest.mark.parametrize("timeout", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_time_out_that_is_none(timeout: float) -> None:
+    """It is refused, also where no server would be asked."""
+    with pytest.raises(CallerError, match="a time-out of"):
+        served.servers(timeout)
+
+
 def test_servers_are_found(opened: Open, runtime: Path) -> None:
     """`detect_available_configs` lists served channels; the notes of dead servers are cleared."""
     note = runtime / "aces" / "server-dead.json"

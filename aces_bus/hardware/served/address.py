@@ -49,11 +49,8 @@ class ServedAddress:
         return f"tcp:{host}:{self.port}" + (f"/{self.channel}" if self.channel else "")
 
     def connect(self, timeout: float) -> socket.socket:
-        """A stream to the server, `timeout` in s; raises `OSError`, and `CallerError` for a time that is none."""
-        if not 0 < timeout <= LONGEST_S:
-            raise CallerError(
-                f"{self}: a time-out of {timeout:g} s; it is more than 0 and at most {LONGEST_S:g}"
-            )
+        """A stream to the server, `timeout` in s; raises `OSError`, and `CallerError` as `check_timeout`."""
+        check_timeout(timeout)
         if not self.path:
             stream = socket.create_connection((self.host, self.port), timeout)
             stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -66,6 +63,12 @@ class ServedAddress:
             stream.close()
             raise
         return stream
+
+
+def check_timeout(timeout: float) -> None:
+    """Raise `CallerError` for what is no time (s) that a program can wait."""
+    if not 0 < timeout <= LONGEST_S:
+        raise CallerError(f"a time-out of {timeout:g} s: it is more than 0 and at most {LONGEST_S:g}")
 
 
 def is_served(channel: object) -> bool:

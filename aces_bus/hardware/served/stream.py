@@ -15,7 +15,7 @@ from typing import Any
 
 from ...errors import AcesError
 from . import packets
-from .address import ServedAddress, notes, parse_address
+from .address import ServedAddress, check_timeout, notes, parse_address
 from .packets import PacketError
 
 #: Seconds that a server may take to answer an introduction or a question.
@@ -176,7 +176,9 @@ def servers(timeout: float = ANSWER_S) -> list[dict[str, Any]]:
     """The status of each server of this user on this machine that answers within `timeout` seconds.
 
     A server that is dead refuses at once, and its note is removed; only one that hangs is waited for.
+    Raises `CallerError` for a time-out that is none.
     """
+    check_timeout(timeout)
     found = []
     for path, content in notes():
         listed = content.get("addresses")

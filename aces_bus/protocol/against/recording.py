@@ -1,8 +1,8 @@
 """A recording read against a spec: every piece through the column scanner, what it gives to those who watch.
 
 1. Nothing is kept of a piece but counts, a few values and a few samples: memory does not grow with the recording.
-2. Bytes and lengths come from whoever made the recording: nothing here raises for what is in it.
-3. No I/O: a recording is opened by whoever has it (`aces_bus.recordings.open_recording`).
+2. A recording is untrusted input: nothing here raises for what is in it.
+3. No I/O: the caller opens the recording (`aces_bus.recordings.open_recording`).
 """
 
 from __future__ import annotations
