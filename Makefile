@@ -24,7 +24,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-long test-steady constraints test-socketcan soak stops compiled test-compiled check lint types pristine format bench bench-framings golden clean
+.PHONY: help venv demo test test-oracles test-long test-steady constraints test-socketcan soak stops compiled test-compiled check lint types pristine format bench bench-framings golden clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -53,6 +53,11 @@ $(VENV)/.dev: $(VENV)/.python pyproject.toml constraints.txt
 	@$(PIP) --constraint constraints.txt --editable '.[dev]'
 	@touch $@ $(VENV)/.run
 
+$(VENV)/.oracles: $(VENV)/.dev
+	@echo "installing the programs that tests/oracles holds ours against into $(VENV) (once)"
+	@$(PIP) --constraint constraints.txt --editable '.[oracles]'
+	@touch $@
+
 $(VENV)/.bench: $(VENV)/.python pyproject.toml
 	@echo "installing aces-bus and the libraries it is measured against into $(VENV) (once)"
 	@$(PIP) --editable '.[bench]'
@@ -78,6 +83,9 @@ PYTEST := $(BIN)/python -m pytest -n $(JOBS) --benchmark-disable -q
 
 test: $(VENV)/.dev ## run the tests (under three minutes); ARGS="-k name" to choose
 	$(PYTEST) $(ARGS)
+
+test-oracles: $(VENV)/.oracles ## vendors' own programs and peer libraries against our specs and twins
+	$(PYTEST) tests/oracles $(ARGS)
 
 test-long: $(VENV)/.dev ## run the tests with ACES_EXAMPLES (2000) examples per property, drawn anew; SEED=N draws them again
 	HYPOTHESIS_PROFILE=long ACES_EXAMPLES=$(ACES_EXAMPLES) $(PYTEST) --hypothesis-seed=$(SEED) $(ARGS)
@@ -130,7 +138,7 @@ golden: $(VENV)/.dev ## write the golden files anew; read the diff before you co
 constraints: ## pin anew what tests and checks run with, in an environment of its own
 	rm -rf $(VENV)-pinned
 	$(PYTHON) -m venv $(VENV)-pinned
-	$(VENV)-pinned/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(VENV)-pinned/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,oracles]'
 	sed -n '/^#/p' constraints.txt > $(VENV)-pinned/constraints.txt
 	$(VENV)-pinned/bin/python -m pip freeze --exclude-editable >> $(VENV)-pinned/constraints.txt
 	mv $(VENV)-pinned/constraints.txt constraints.txt
