@@ -34,15 +34,32 @@ class CallerError(AcesError):
     """The call is wrong."""
 
 
+#: Names that a message lists.
+LISTED = 5
+
+
+def listed(names: Iterable[str]) -> str:
+    """The first names of many, and how many more there are.
+
+    >>> listed("abcdefgh"), listed("ab"), listed("")
+    ('a, b, c, d, e and 3 more', 'a, b', 'none')
+    """
+    known = list(names)
+    more = f" and {len(known) - LISTED} more" if len(known) > LISTED else ""
+    return ", ".join(known[:LISTED]) + more if known else "none"
+
+
 class UnknownNameError(CallerError):
-    """A name that does not exist; the message lists those that do."""
+    """A name that does not exist; the message lists those that do, the nearest first where there are many."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
         names = sorted(known)
-        near = difflib.get_close_matches(name, names, n=1)
+        near = difflib.get_close_matches(name, names, n=LISTED)
+        if not near:  # the same in another case, or a part of it
+            near = [one for one in names if name and name.lower() in one.lower()][:LISTED]
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        listed = ", ".join(names) if names else "none"
-        super().__init__(f"no {kind} named {name!r}{hint} (there are: {listed})")
+        shown = [*near, *(one for one in names if one not in near)] if len(names) > LISTED else names
+        super().__init__(f"no {kind} named {name!r}{hint} (there are: {listed(shown)})")
         self.kind, self.name, self.known = kind, name, tuple(names)
 
 

@@ -1,10 +1,13 @@
 """Text of others made harmless where it goes: to a terminal, into a cell of a spreadsheet.
 
 1. Nothing is dropped: what cannot go as it is, is spelt out.
+2. Our own drawings and signs have look-alikes in ASCII, for terminals and files that have no others (`LOOKALIKES` as the
+   `errors` of an encoding).
 """
 
 from __future__ import annotations
 
+import codecs
 import re
 import unicodedata
 
@@ -37,6 +40,29 @@ def _spelt_out(character: str) -> str:
     return character.encode("unicode_escape", "surrogatepass").decode()
 
 
+#: Signs that we print, and what is written where an encoding has none; as wide as they are in drawings.
+_ASCII = {
+    **dict.fromkeys("─━⎯", "-"),
+    **dict.fromkeys("│┃", "|"),
+    **dict.fromkeys("┌┐└┘├┤┬┴┼", "+"),
+    "…": "~", "→": ">", "←": "<", "·": ".", "×": "x", "−": "-", "–": "-", "µ": "u", "°": "deg", "±": "+-",
+    "²": "2", "³": "3", "≥": ">=", "≤": "<=", "≈": "~", "✓": "+", "✗": "x",
+    **dict.fromkeys("█▇▆▅▓", "#"),
+    **dict.fromkeys("▄▃▂▁▒░", "."),
+}
+#: The name of the error handler of encodings that writes look-alikes, and `?` for what has none.
+LOOKALIKES = "aces_bus.lookalikes"
+
+
+def _lookalikes(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(_ASCII.get(c, "?") for c in error.object[error.start : error.end]), error.end
+
+
+codecs.register_error(LOOKALIKES, _lookalikes)
+
+
 def cell_text(text: str) -> str:
     """A text as a cell of a spreadsheet: with an apostrophe in front where it would be taken for a formula."""
     return f"'{text}" if _FORMULA.match(text) and not _NUMBER.match(text) else text
@@ -49,6 +75,7 @@ def text_of_cell(cell: str) -> str:
 
 __all__ = [
     "FORMULA",
+    "LOOKALIKES",
     "NUMBER",
     "cell_text",
     "printable",

@@ -115,6 +115,24 @@ def holds(record: Any, *conditions: str) -> bool:
         (STATE, "meta.direction=to", False),
         (NAME, "angle!=3", False),
         (NAME, "angle=none", False),
+        (STATE, "mode=off,torque", True),
+        (STATE, "mode=0,1", False),
+        (STATE, "mode!=0,1", True),
+        (STATE, "mode!=0,torque", False),
+        (STATE, "angle=-3..12.3", True),
+        (STATE, "angle=12.4..20,12..12.2", False),
+        (STATE, "angle!=13..20", True),
+        (POINTS, "points.y=3..4", True),
+        (POINTS, "points.x=2..2.5", False),
+        (NAME, "angle=0..9", False),
+        (NAME, "angle=0..9 or name=neck", True),
+        (NAME, "name=neck or angle=0..9", True),
+        (STATE, "mode=off or mode=torque and angle>12", True),
+        (STATE, "mode=off or mode=torque and angle>13", False),
+        (STATE, "mode=torque and name=neck", False),
+        (STATE, "meta.time=12..13", True),
+        (NAME, 'name="neck"', True),
+        (NAME, "name='neck or head, left'", False),
     ],
 )
 def test_conditions(record: Any, condition: str, wanted: bool) -> None:
@@ -129,7 +147,9 @@ def test_all_conditions_must_hold() -> None:
     assert not holds(STATE, "mode=torque", "name=neck")
 
 
-@pytest.mark.parametrize("text", ["", "=3", "a", "a~3", "3=a", "a..b=1", "a.=1", ".a=1"])
+@pytest.mark.parametrize(
+    "text", ["", "=3", "a", "a~3", "3=a", "a..b=1", "a.=1", ".a=1", "a=1 or", "a=1 or 2", "a=3..1", "a>1..3"]
+)
 def test_what_is_no_condition(text: str) -> None:
     """Is refused with how one is written."""
     with pytest.raises(CallerError, match="--where"):

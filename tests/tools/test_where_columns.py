@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 from typing import Any
 
 import numpy as np
@@ -56,7 +57,16 @@ def test_rows_are_kept_as_records_are(data: st.DataObject) -> None:
         values += [*(column.kind.names or {}).values(), *(column.kind.flags or {})]
     else:
         path = f"meta.{draw(st.sampled_from(META))}"
-    text = f"{path}{draw(st.sampled_from(['=', '!=', '<', '>', '<=', '>=']))}{draw(st.sampled_from(values))}"
+    values += ["-1..1", "0..1e300", "0,1", "none,0..0.5"]
+
+    def one_condition() -> str:
+        return (
+            f"{path}{draw(st.sampled_from(['=', '!=', '<', '>', '<=', '>=']))}{draw(st.sampled_from(values))}"
+        )
+
+    text = one_condition()
+    if draw(st.booleans()):
+        text = f"{text} {draw(st.sampled_from(['and', 'or']))} {one_condition()}"
     try:
         one_by_one = Where([text], plans)
     except CallerError:
@@ -88,3 +98,25 @@ def test_windows() -> None:
     assert absolute is not None
     assert absolute.inside(times + 10**17).tolist()[1:] == [False, True, True, True]
     assert TimeWindow.parse(None, None) is None
+
+
+def test_windows_by_the_clock() -> None:
+    """A time of day is that of the first frame's day, or of the next one past midnight; an instant may say its zone."""
+    first = datetime.datetime(2026, 11, 22, 23, 50)
+    times = np.array([first.timestamp() + 60 * minute for minute in (0, 15, 25)], np.float64) * 1e9
+    instants = times.astype(np.int64)
+    for start, stop, wanted in [
+        ("23:00", "00:10", [True, True, False]),
+        ("00:00:30", None, [False, True, True]),
+        ("2026-11-23T00:10", None, [False, False, True]),
+        (None, "2026-11-22 23:59:59.5", [True, False, False]),
+    ]:
+        window = TimeWindow.parse(start, stop)
+        assert window is not None
+        assert window.inside(instants).tolist() == wanted, (start, stop)
+    zone = TimeWindow.parse("2001-09-09T01:46:41Z", None)
+    assert zone is not None
+    assert zone.start == 1_000_000_001 * 10**9
+    for text in ("12:61", "noon", "12:00+01:00", "2026-13-01T00:00"):
+        with pytest.raises(CallerError, match="is not a time"):
+            TimeWindow.parse(text, None)

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 
-from .bus_arg import ChosenBus, can_options, chosen_bus
+from .bus_arg import ChosenBus, can_options, chosen_bus, served_channels
 from .console import Patience, print_json, say
 from .options import FOR, JSON, SEED, Arguments, Group, argument, flag
 
@@ -278,18 +278,12 @@ def _load(arguments: argparse.Namespace) -> int:
 def _served_address(text: str | None, interface: str | None) -> str | None:
     """The address of a served bus, when that is what is meant."""
     from aces_bus.hardware.served.address import is_served
-    from aces_bus.hardware.served.stream import servers
 
     if interface not in (None, "aces"):
         return None
     if is_served(text):
         return text
-    known = {
-        channel["channel"]: channel["addresses"][0]
-        for status in servers()
-        for channel in status["channels"]
-        if channel["addresses"]
-    }
+    known = served_channels()
     if text is None and len(known) == 1:
         return str(*known.values())
     if text in known:

@@ -1,5 +1,6 @@
 """Which bus a command works on, and how it is opened: the options that `sniff`, `send` and `play` share.
 
+    can0                                 a network interface of this machine, or a channel that `aces bus serve` serves
     -i socketcan -c can0 -b 1000000      CAN: python-can's own options, configuration files and CAN_* variables
     -i aces -c unix:can0                 the virtual bus of `aces bus serve`
     --serial /dev/ttyUSB0 --baud 57600   a serial line: a port, socket://host:port, rfc2217://…, a pty
@@ -15,11 +16,13 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
+import os
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from aces_bus.errors import CallerError
+from aces_bus.errors import CallerError, listed
 from aces_bus.protocol import Variant
 
 from .options import Group, argument, at_least, flag
@@ -33,6 +36,7 @@ Kind = Literal["can", "serial", "datagram"]
 
 #: What python-can's options put into a namespace.
 CAN_OPTIONS = ("channel", "interface", "bitrate", "fd", "data_bitrate", "timing", "bus_kwargs")
+_COM_PORT = re.compile(r"COM[0-9]+", re.IGNORECASE)
 #: The line speed where neither the call nor a protocol says one.
 BAUD = 115_200
 LOOPBACK = "127.0.0.1"
@@ -77,6 +81,15 @@ BUS_ARGUMENTS = (
             argument("--udp", metavar="[HOST:]PORT", help="UDP datagrams, by default of this machine only"),
         ),
     ),
+)
+
+
+#: A bus by its name alone.
+BUS = argument(
+    "bus",
+    nargs="?",
+    metavar="BUS",
+    help="can0, unix:can0, a serial port or its URL; or by the options below",
 )
 
 
@@ -145,6 +158,8 @@ class ChosenBus:
 
 def chosen_bus(arguments: argparse.Namespace, variants: Sequence[Variant] = ()) -> ChosenBus:
     """The bus that the options name; raises `CallerError` when they name none or two, or none for these protocols."""
+    if getattr(arguments, "bus", None) is not None:
+        _take_name(arguments)
     given = [f"--{name.replace('_', '-')}" for name in CAN_OPTIONS if name in arguments]
     if arguments.serial is not None and arguments.udp is not None:
         raise CallerError("--serial and --udp are two buses; name one")
@@ -164,6 +179,48 @@ def chosen_bus(arguments: argparse.Namespace, variants: Sequence[Variant] = ()) 
         chosen = _can(arguments)
     _check_link(chosen.kind, variants)
     return chosen
+
+
+def _take_name(arguments: argparse.Namespace) -> None:
+    """A bus that is named without an option, as the option that it stands for; raises `CallerError` for two names."""
+    text: str = arguments.bus
+    other = "--channel" if "channel" in arguments else "--udp" if arguments.udp is not None else None
+    other = "--serial" if arguments.serial is not None else other
+    if other is not None:
+        raise CallerError(f"{text} and {other} name two buses; name one")
+    if text.startswith("/dev/") or "://" in text or _COM_PORT.fullmatch(text):
+        arguments.serial = text
+    else:
+        arguments.channel = text
+
+
+def served_channels() -> dict[str, str]:
+    """The channels that are served to this user on this machine, and where."""
+    from aces_bus.hardware.served.stream import servers
+
+    return {
+        channel["channel"]: channel["addresses"][0]
+        for status in servers()
+        for channel in status["channels"]
+        if channel["addresses"]
+    }
+
+
+def _named(channel: str) -> Mapping[str, Any]:
+    """The interface of a channel that is named without one; raises `CallerError` where there is none."""
+    from aces_bus.hardware.served.address import is_served
+
+    if is_served(channel):
+        return {"interface": "aces", "channel": channel}
+    served = served_channels()
+    if channel in served:
+        return {"interface": "aces", "channel": served[channel]}
+    if os.path.exists(f"/sys/class/net/{os.path.basename(channel)}"):
+        return {"interface": "socketcan", "channel": channel}
+    raise CallerError(
+        f"{channel!r} is no network interface of this machine, and not served (served: {listed(served)});"
+        f" {HELP}, or serve one: aces bus serve {channel}"
+    )
 
 
 def _check_link(kind: Kind, variants: Iterable[Variant]) -> None:
@@ -191,7 +248,10 @@ def _can(arguments: argparse.Namespace) -> ChosenBus:
     except (CanError, ValueError, OSError) as error:
         if "interface" in options:
             raise CallerError(f"the bus is not understood: {' '.join(str(error).split())}") from error
-        raise CallerError(f"no bus is named; {HELP}") from None
+        if options.get("channel") is None:
+            raise CallerError(f"no bus is named; {HELP}") from None
+        options.update(_named(str(options["channel"])))
+        whole = options
     interface, channel = whole.get("interface"), whole.get("channel")
     options["interface"] = interface
     if channel is not None:

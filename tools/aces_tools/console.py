@@ -37,6 +37,13 @@ def abandon_stdout() -> None:
         os.close(nowhere)
 
 
+def standard_input() -> list[str]:
+    """`-`, for a call that names no file and has a pipe at its standard input; raises `CallerError` for a terminal."""
+    if sys.stdin is None or sys.stdin.isatty():
+        raise CallerError("name a recording, or pipe one in: candump -L can0 | aces decode -p hubo")
+    return ["-"]
+
+
 def print_json(value: Any, indent: int | None = 2) -> None:
     """A value on standard output, for programs; without `indent` on one line."""
     import json

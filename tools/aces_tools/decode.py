@@ -33,10 +33,19 @@ from aces_bus.protocol.explain import why_unknown
 from aces_bus.protocol.keys import key_of
 from aces_bus.recordings import CanRecording, Recording, SerialRecording
 
-from .console import Output, Patience, abandon_stdout, say, terminal_width, wants_colour
+from .console import (
+    Output,
+    Patience,
+    abandon_stdout,
+    say,
+    standard_input,
+    terminal_width,
+    wants_colour,
+)
 from .decoding import Decoding, Direction, Link, Totals, check_direction, utf8
 from .options import (
     COLOR,
+    COUNT,
     DIRECTION,
     FILTER,
     FROM,
@@ -121,8 +130,8 @@ exit status:
 
 
 ARGUMENTS: Arguments = (
-    argument("files", nargs="+", metavar="FILE", help="a recording, or - for standard input"),
-    PROTOCOL.but(default=None, required=True, help="what is spoken; see below; the first wins"),
+    argument("files", nargs="*", metavar="FILE", help="a recording; - or none for standard input"),
+    PROTOCOL.but(help="what is spoken; see below; the first wins. Without: what the recording holds"),
     DIRECTION,
     argument(
         "--format",
@@ -149,6 +158,7 @@ ARGUMENTS: Arguments = (
         " (Parquet, Arrow)",
     ),
     TIME,
+    COUNT.but(help="end after so many lines"),
     COLOR,
 )
 
@@ -156,6 +166,15 @@ ARGUMENTS: Arguments = (
 def run(arguments: argparse.Namespace) -> int:
     form = table_format(arguments.output, arguments.format)
     arguments.jobs = arguments.jobs or os.cpu_count() or 1
+    arguments.files = arguments.files or standard_input()
+    if not arguments.protocol:
+        from .contents import show_contents
+
+        return show_contents(arguments)
+    if form is not None and arguments.count is not None:
+        raise CallerError(
+            "--count is for lines, and tables are written whole; --from and --to choose a piece"
+        )
     if form is not None and arguments.jobs > 1:
         from .decode_jobs import JobsDecoding
 
@@ -180,13 +199,18 @@ class LiveDecoding(Decoding):
         self.where = Where(arguments.where, self.plans) if arguments.where else None
         self.is_selective = bool(self.messages) or self.where is not None
         show = arguments.unknown or ("hide" if self.is_selective else "show")
-        self.shows_records = show != "only" and not arguments.quiet
-        self.shows_losses = show != "hide" and not arguments.quiet
+        self.shows_records = show != "only"
+        self.shows_losses = show != "hide"
+        #: Nothing is printed; what would be is counted all the same.
+        self.is_quiet: bool = arguments.quiet
         self.scanners: dict[tuple[Link, Direction | None], Scanner] = {}
         #: The source that the writer does not know of yet.
         self.pending: tuple[str, Link] | None = None
         #: So many unknown items are still looked at for one whose head is right: one is explained.
         self.to_explain = EXPLAINED
+        #: End after so many lines, and how many were shown.
+        self.count: int | None = arguments.count
+        self.printed = 0
         self.output = Output(arguments.output, self.files)
         self.writer = self._writer(arguments)
 
@@ -203,15 +227,16 @@ class LiveDecoding(Decoding):
             only = next(iter(self.messages)) if len(self.messages) == 1 else None
             links = frozenset(link for link, variants in self.variants.items() if variants)
             return CsvOutput(self.plans, stated, only=only, links=links)
-        from .output.text import TextOutput, make_paint, no_paint
+        from .live_text import LiveText, Times
+        from .output.text import make_paint, no_paint
 
         is_terminal = self.output.is_terminal
-        return TextOutput(
+        return LiveText(
             self.plans,
             stated,
+            times=Times(arguments.time),
             paint=make_paint() if wants_colour(arguments.color, is_terminal) else no_paint,
             width=terminal_width() if is_terminal else None,
-            is_relative=arguments.time == "relative",
             encoding=self.output.encoding,
         )
 
@@ -256,9 +281,11 @@ class LiveDecoding(Decoding):
         scanner: Any = self._scanner("can", self.direction)
         scanner.reset()
         try:
-            for frames in patience.each(capture.batches(BATCH)):
+            for frames in patience.each(capture.batches(BATCH if self.count is None else 1)):
                 self._frames(scanner, frames, totals)
                 self._after(capture)
+                if self.is_done:
+                    break
         finally:
             totals.count(scanner.counts)
 
@@ -351,12 +378,20 @@ class LiveDecoding(Decoding):
             items = [
                 item for item in items if (self.shows_losses if type(item) is Unknown else self.shows_records)
             ]
-        if items:
+        if items and (self.count is not None or not self.is_quiet):
             self._show(items)
 
+    @property
+    def is_done(self) -> bool:
+        return self.count is not None and self.printed >= self.count
+
     def _show(self, items: list[Any]) -> None:
-        """Write items that are to be shown."""
-        self.output.write(self.writer.items(items))
+        """Write items that are to be shown, up to `--count`."""
+        if self.count is not None:
+            items = items[: self.count - self.printed]
+        self.printed += len(items)
+        if not self.is_quiet:
+            self.output.write(self.writer.items(items))
 
     def _is_wanted(self, record: Any) -> bool:
         if self.messages and type(record).__name__ not in self.messages:

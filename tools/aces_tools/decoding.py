@@ -11,6 +11,7 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 from typing import Any, Generic, Literal, TypeVar
 
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
@@ -179,12 +180,14 @@ class Decoding(ABC):
         return parse_filter(*texts) if texts else None
 
     def _messages(self, texts: list[str]) -> frozenset[str]:
-        known = self.plans.names
-        wanted = [name.strip() for text in texts for name in text.split(",")]
-        for name in wanted:
-            if name not in known:
+        """The messages of these names, which may be in any case, with `*` and `?`."""
+        known, found = self.plans.names, set[str]()
+        for name in (name.strip() for text in texts for name in text.split(",")):
+            fits = [name] if name in known else [k for k in known if fnmatchcase(k.lower(), name.lower())]
+            if not fits:
                 raise UnknownNameError("message", name, known)
-        return frozenset(wanted)
+            found.update(fits)
+        return frozenset(found)
 
     # ------------------------------------------------------------------ what a way does
 
@@ -224,6 +227,8 @@ class Decoding(ABC):
                 self._see(to_ns(chunk.time))
                 self._found(self._feed(scanner, chunk.data, chunk.time), totals)
                 self._after(capture)
+                if self.is_done:
+                    break
             for scanner in used.values():
                 self._found(scanner.close(), totals)
             reading.check()
@@ -276,7 +281,7 @@ class Decoding(ABC):
         with Patience() as patience:
             try:
                 for name in self.files:
-                    if patience.is_over:
+                    if patience.is_over or self.is_done:
                         break
                     was_live = self._file(name, patience)
                 self._finish(is_whole=was_live or not patience.is_over)
@@ -290,6 +295,11 @@ class Decoding(ABC):
                 self._clean_up()
             self._summarise()
         return 130 if patience.is_over and not was_live and not self.status else self.status
+
+    @property
+    def is_done(self) -> bool:
+        """Whether all that is asked for has been shown."""
+        return False
 
     def _complain(self, message: str) -> None:
         self.status, self.complaint = 2, message

@@ -16,12 +16,10 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from aces_bus.frames import Frame
+from aces_bus.plain_text import LOOKALIKES
 from aces_bus.recordings import Chunk
 
 from .output.text import Paint, TextOutput, no_paint, printable
-
-#: How times are shown; candump's `-t z`, `a`, `d` and `A`.
-TIME_MODES = ("relative", "absolute", "delta", "date")
 
 
 class Times:
@@ -90,7 +88,7 @@ class CandumpLines:
         return self._joined(pieces, lambda piece: self._chunk(piece, name))
 
     def _joined(self, items: Sequence[Any], line: Callable[[Any], str]) -> bytes:
-        return "".join(f"{line(item)}\n" for item in items).encode(self._encoding, "replace")
+        return "".join(f"{line(item)}\n" for item in items).encode(self._encoding, LOOKALIKES)
 
     def _stamp(self, time: float | None) -> str:
         if time is None:

@@ -16,6 +16,7 @@ from typing import NoReturn
 
 from aces_bus import __version__
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
+from aces_bus.plain_text import LOOKALIKES
 
 from .console import abandon_stdout, say
 
@@ -66,7 +67,21 @@ class Parser(argparse.ArgumentParser):
     """An ArgumentParser whose complaint is one line."""
 
     def error(self, message: str) -> NoReturn:
+        if message.startswith("unrecognized arguments: "):
+            known = [name for action in self._actions for name in action.option_strings]
+            message = _unknown_options(message.partition(": ")[2].split(), known)
         self.exit(2, f"aces: {message.removeprefix('argument ')} (see '{self.prog} --help')\n")
+
+
+def _unknown_options(given: list[str], known: list[str]) -> str:
+    """What is said of arguments that a verb does not take: of a mistyped option, what was meant."""
+    from difflib import get_close_matches
+
+    option = next((one.partition("=")[0] for one in given if one.startswith("-")), None)
+    if option is None:
+        return f"one too many: {' '.join(given)}"
+    near = get_close_matches(option, known, n=1)
+    return f"no option {option!r}" + (f"; did you mean {near[0]}?" if near else "")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -75,10 +90,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         # python-can imports asammdf where it is installed, for a format that we read in a process of its own: a second
         # of every start. In this program it is not to be found.
         sys.modules.setdefault("asammdf", None)  # type: ignore[arg-type]  # how an import is forbidden
-        if isinstance(
-            sys.stdout, TextIOWrapper
-        ):  # where there is no Unicode, "?" replaces what cannot be written
-            sys.stdout.reconfigure(errors="replace")
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, TextIOWrapper):  # where there is no Unicode, something like it is written
+                stream.reconfigure(errors=LOOKALIKES)
     try:
         status = _run(list(sys.argv[1:] if argv is None else argv))
         if sys.stdout is not None:

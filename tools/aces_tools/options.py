@@ -154,7 +154,12 @@ FILTER = several(
     help="CAN: only what candump's filters pass, such as 060:7F0 or can0,150~7FF",
 )
 MAP = several("--map", metavar="OLD=NEW", help="CAN: another name for channel OLD")
-MESSAGE = several("-m", "--message", metavar="NAME", help="only this message; may be given several times")
+MESSAGE = several(
+    "-m",
+    "--message",
+    metavar="NAME",
+    help="only this message, in any case, also Motor*; may be given several times",
+)
 WHERE = several("--where", metavar="CONDITION", help="only records such as field=value, as of 'aces decode'")
 UNKNOWN = argument(
     "--unknown",
@@ -165,15 +170,18 @@ FROM = argument(
     "--from",
     dest="start",
     metavar="TIME",
-    help="from this time on: seconds from the first frame, or since 1970",
+    help="from this time on: seconds from the first frame or since 1970, 14:05:30, 2026-11-22T14:05:30",
 )
 TO = argument("--to", dest="stop", metavar="TIME", help="up to this time, without it")
+#: How times are shown, and candump's letters for it (`-t z`, `a`, `d`, `A`).
+TIME_MODES = {"z": "relative", "a": "absolute", "d": "delta", "A": "date"}
 TIME = argument(
     "-t",
     "--time",
-    choices=["relative", "absolute"],
+    choices=[*TIME_MODES.values()],
+    type=lambda text: TIME_MODES.get(text, text),
     default="relative",
-    help="from the first frame on, or as recorded (default: relative)",
+    help="from the first on, since 1970, since the line before, or local; also candump's z a d A (default: relative)",
 )
 COUNT = argument("-n", "--count", type=at_least(1), metavar="N", help="end after so many")
 FOR = argument("--for", dest="duration", type=duration, metavar="DURATION", help="so long: 10s, 500ms, 2min")

@@ -1,11 +1,11 @@
 """Listen to a bus: decoded lines as they come. It cannot send.
 
-  aces sniff -i socketcan -c can0 -p hubo
-  aces sniff -i aces -c unix:can0 -p hubo --message Encoder --where board=3
+  aces sniff can0
+  aces sniff can0 -p hubo --message Encoder --where board=3
   aces sniff -i slcan -c /dev/ttyACM0 -b 1000000 -t delta --filter 060:7F0
-  aces sniff -i socketcan -c can0 --record walk.log -q
-  aces sniff -i socketcan -c can0 -b 1000000 -p hubo --screen
-  aces sniff --serial /dev/ttyUSB0 -p robotis --direction both
+  aces sniff can0 --record walk.log -q
+  aces sniff can0 -b 1000000 -p hubo --screen
+  aces sniff /dev/ttyUSB0 -p robotis --direction both
   aces sniff --udp 14550 -p my_spec.py --format jsonl
 
 Without -p frames are shown as candump shows them, and bytes as they came.
@@ -25,12 +25,12 @@ from aces_bus.protocol import CanScanner, Meta, Scanner, Unknown
 from aces_bus.protocol.counts import ScanCounts
 from aces_bus.recordings import CanFilter, Chunk, parse_filter
 
-from .bus_arg import BUS_ARGUMENTS, ChosenBus, chosen_bus
+from .bus_arg import BUS, BUS_ARGUMENTS, ChosenBus, chosen_bus
 from .console import abandon_stdout, say, terminal_width, wants_colour
 from .decode import LiveDecoding
 from .decoding import Link, Totals, utf8
 from .live import STEP_S, BusEventLines, LivePatience, heard_frame, losses
-from .live_text import TIME_MODES, CandumpLines, LiveText, Times
+from .live_text import CandumpLines, LiveText, Times
 from .options import (
     COLOR,
     COUNT,
@@ -63,8 +63,7 @@ LEAST_SILENCE_S = 0.02
 SILENCE_S = 1.0
 
 EPILOG = """\
-times (-t): relative (since the first), absolute (since 1970), delta (since the
-line before), date (and local time). With jsonl they are always absolute.
+times (-t): with jsonl they are always absolute.
 
 screen (--screen): one row for each identifier, message and board (or servo),
 with rate, period and jitter, the digits that changed, and decoded values.
@@ -91,13 +90,14 @@ opened, or a recording that is not whole
 
 
 ARGUMENTS: Arguments = (
+    BUS,
     PROTOCOL,
     DIRECTION.but(help="only messages to or from the device; both pairs requests and replies"),
     FILTER,
     MESSAGE,
     WHERE,
     UNKNOWN,
-    TIME.but(choices=TIME_MODES, help="see below (default: relative)"),
+    TIME,
     COUNT.but(help="end after so many lines (with -q: that would be)"),
     FOR.but(help="end after so long: 10s, 500ms, 2min"),
     argument(
@@ -124,7 +124,6 @@ class Sniffing(LiveDecoding):
     def __init__(self, arguments: argparse.Namespace) -> None:
         self.bus: ChosenBus = chosen_bus(arguments, parse_protocols(arguments.protocol))
         self.link: Link = self.bus.link
-        self.count: int | None = arguments.count
         self.duration: int | None = arguments.duration
         for option in ("message", "where"):
             if getattr(arguments, option) and not arguments.protocol:
@@ -133,13 +132,7 @@ class Sniffing(LiveDecoding):
         self.times = Times(arguments.time)
         #: Where no protocol is named: candump's lines.
         self.lines: CandumpLines | None = None
-        #: How many lines were shown.
-        self.printed = 0
-        #: Nothing is printed; what would be is counted all the same.
-        self.is_quiet: bool = arguments.quiet
-        arguments.quiet = False
         super().__init__(arguments)
-        arguments.quiet = self.is_quiet
         self.name = utf8(self.bus.name)
         self.scanner: Any = self._own_scanner()
         self.scanner.reset()
@@ -179,11 +172,6 @@ class Sniffing(LiveDecoding):
         )
 
     # ------------------------------------------------------------------ running
-
-    @property
-    def is_done(self) -> bool:
-        """Whether `--count` lines have been shown."""
-        return self.count is not None and self.printed >= self.count
 
     def run(self) -> int:
         if self.arguments.screen:
@@ -344,13 +332,6 @@ class Sniffing(LiveDecoding):
         self._begin(None)
         if self.link == "serial" and not self.is_done:
             self._emit(self.scanner.close(), self.total, is_can=False)
-
-    def _show(self, items: list[Any]) -> None:
-        if self.count is not None:
-            items = items[: self.count - self.printed]
-        self.printed += len(items)
-        if not self.is_quiet:
-            super()._show(items)
 
     def _close(self, recorder: RecordingFile | None) -> None:
         if recorder is None:

@@ -9,6 +9,11 @@
     temperature=none      no value
     meta.time>12.5        what belongs to the transport: time, channel, direction, identifier, offset, size
 
+    board=3,4             one of several values; board!=3,4: none of them
+    angle=-5..12.5        a range, its ends included
+    board=3 and angle>12 or mode=off        `and` binds closer
+    name="left, or right" quotes keep commas, dots and words together
+
 1. A record without the field does not fulfil the condition, not even `!=`.
 2. `!=` is the opposite of `=`: the other order signs are never fulfilled by names, texts, bytes or no value.
 3. A field that no message has, or a name that no enumeration has, is an error and not an empty answer.
@@ -25,8 +30,9 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from operator import ge, gt, le, lt
-from typing import Any
+from functools import reduce
+from operator import and_, ge, gt, le, lt, or_
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
@@ -44,16 +50,19 @@ from aces_bus.protocol.plan import nodes as p
 from .output.shape import OfKind, Plans, getter
 from .values import parse_number
 
+T = TypeVar("T")
 Test = Callable[[Any], bool]
 
 _CONDITION = re.compile(r"\s*([A-Za-z_][\w.]*)\s*(!=|<=|>=|==|=|<|>)\s*(.*?)\s*", re.DOTALL)
+_QUOTED = r"""("[^"]*"|'[^']*')"""
+_RANGE = re.compile(r"(.+?)\s*\.\.\s*(.+)", re.DOTALL)
 _ORDER: Mapping[str, Callable[[Any, Any], Any]] = {"<": lt, ">": gt, "<=": le, ">=": ge}
 _META = tuple(name for name in Meta.__struct_fields__ if name not in ("protocol", "message", "raw"))
 
 
 @dataclass(frozen=True)
 class WhereCondition:
-    """One parsed `--where`."""
+    """One comparison of a `--where`; of a range, `number` is its lower end and `upper` the other."""
 
     text: str
     path: tuple[str | int, ...]
@@ -61,29 +70,95 @@ class WhereCondition:
     value: str
     number: int | float | None
     data: bytes | None
+    upper: int | float | None = None
 
     @property
     def is_meta(self) -> bool:
         return self.path[0] == "meta" and len(self.path) > 1
 
 
-def parse_condition(text: str) -> WhereCondition:
-    """Parse `field=value`; raises `CallerError` with what can be written."""
-    found = _CONDITION.fullmatch(text)
+@dataclass(frozen=True)
+class Joined:
+    """Conditions of which any, or all, must hold."""
+
+    parts: tuple[WhereCondition | Joined, ...]
+    is_any: bool
+
+    @property
+    def conditions(self) -> Iterator[WhereCondition]:
+        """The single comparisons."""
+        for part in self.parts:
+            if isinstance(part, Joined):
+                yield from part.conditions
+            else:
+                yield part
+
+    def joined(
+        self, value_of: Callable[[WhereCondition], T], any_of: Callable[..., T], all_of: Callable[..., T]
+    ) -> T:
+        """What single comparisons give, joined by two functions of two values."""
+        values = [
+            part.joined(value_of, any_of, all_of) if isinstance(part, Joined) else value_of(part)
+            for part in self.parts
+        ]
+        return reduce(any_of if self.is_any else all_of, values)
+
+
+def parse_where(texts: Sequence[str]) -> Joined:
+    """All of several `--where`; raises `CallerError` with what can be written."""
+    return Joined(tuple(parse_condition(text) for text in texts), is_any=False)
+
+
+def parse_condition(text: str) -> Joined:
+    """Parse `field=value`, with sets, ranges, `and` and `or`; raises `CallerError` with what can be written."""
+    either = (
+        Joined(tuple(_compared(text, one) for one in _split(part, r"\s+and(?:\s+|$)")), is_any=False)
+        for part in _split(text, r"\s+or(?:\s+|$)")
+    )
+    return Joined(tuple(either), is_any=True)
+
+
+def _split(text: str, separator: str) -> list[str]:
+    """The parts of a text between separators, which do not count between quotes."""
+    parts, begin = list[str](), 0
+    for found in re.finditer(f"{_QUOTED}|{separator}", text):
+        if found[1] is None:
+            parts.append(text[begin : found.start()])
+            begin = found.end()
+    return [*parts, text[begin:]]
+
+
+def _compared(text: str, comparison: str) -> Joined:
+    """One comparison of a text: with each value of a set."""
+    found = _CONDITION.fullmatch(comparison)
     if found is None:
         raise CallerError(
             f"--where {text!r} is not a condition; write field=value, or one of != < > <= >= (in quotes)"
         )
-    name, sign, value = found.groups()
+    name, sign, values = found.groups()
     path = tuple(int(part) if part.isdecimal() else part for part in name.split("."))
     if "" in path:
         raise CallerError(f"--where {text!r}: {name!r} is not a field; write field, field.0 or field.part")
-    condition = WhereCondition(
-        text, path, "=" if sign == "==" else sign, value, parse_number(value), _bytes(value)
-    )
-    if sign in _ORDER and condition.number is None:
+    sign = "=" if sign == "==" else sign
+    conditions = tuple(_condition(text, path, sign, value.strip()) for value in _split(values, ","))
+    return Joined(conditions, is_any=sign != "!=")
+
+
+def _condition(text: str, path: tuple[str | int, ...], sign: str, value: str) -> WhereCondition:
+    if re.fullmatch(_QUOTED, value):
+        number, upper, data, value = None, None, None, value[1:-1]
+    else:
+        ends = _RANGE.fullmatch(value)
+        lower, higher = (parse_number(end) for end in ends.groups()) if ends else (None, None)
+        if lower is not None and higher is not None:
+            if not lower <= higher:
+                raise CallerError(f"--where {text!r}: {value} is empty; write the smaller number first")
+            number, upper, data = lower, higher, None
+        else:
+            number, upper, data = parse_number(value), None, _bytes(value)
+    if sign in _ORDER and (number is None or upper is not None):
         raise CallerError(f"--where {text!r}: {sign} needs a number, not {value!r}")
-    return condition
+    return WhereCondition(text, path, sign, value, number, data, upper)
 
 
 def _bytes(text: str) -> bytes | None:
@@ -97,21 +172,33 @@ class Where:
     """Conditions that must all hold. Raises `CallerError` when one can hold for no message of these plans."""
 
     def __init__(self, texts: Sequence[str], plans: Plans) -> None:
-        conditions = [parse_condition(text) for text in texts]
-        for condition in conditions:
+        where = parse_where(texts)
+        for condition in where.conditions:
             _check(condition, plans)
-        self._tests = OfKind(lambda kind: _all([_test(condition, plans[kind]) for condition in conditions]))
+        self._tests = OfKind(
+            lambda kind: where.joined(lambda one: _test(one, plans[kind]), _either, _both) or _never
+        )
 
     def holds(self, record: Any) -> bool:
         """Whether a record fulfils all conditions."""
         return self._tests[type(record)](record)
 
 
-def _all(tests: Sequence[Test | None]) -> Test:
-    wanted = [test for test in tests if test is not None]
-    if len(wanted) < len(tests):
-        return lambda record: False
-    return wanted[0] if len(wanted) == 1 else lambda record: all(test(record) for test in wanted)
+def _never(record: Any) -> bool:
+    return False
+
+
+def _either(one: Test | None, other: Test | None) -> Test | None:
+    """A test of two, of which None is one that never holds."""
+    if one is None or other is None:
+        return one or other
+    return lambda record: one(record) or other(record)
+
+
+def _both(one: Test | None, other: Test | None) -> Test | None:
+    if one is None or other is None:
+        return None
+    return lambda record: one(record) and other(record)
 
 
 # ---------------------------------------------------------------------- before any record is seen
@@ -232,7 +319,9 @@ def values_of(value: Any, path: Sequence[str | int]) -> Iterator[Any]:
 
 def comparison(condition: WhereCondition, numbers: Mapping[str, float]) -> Test:
     """Compares one value (`!=` as `=`); `numbers` are the raw numbers of an enumeration's names."""
-    wanted, number, data = condition.value, condition.number, condition.data
+    wanted, number, data, upper = condition.value, condition.number, condition.data, condition.upper
+    if upper is not None and number is not None:
+        return lambda value: isinstance(value, (int, float)) and bool(number <= value <= upper)
     if condition.sign in _ORDER:
         order = _ORDER[condition.sign]
         return lambda value: isinstance(value, (int, float)) and bool(order(value, number))
@@ -277,15 +366,13 @@ class WhereColumns:
 
     def __init__(self, texts: Sequence[str], plans: Plans) -> None:
         Where(texts, plans)
-        self.conditions = [parse_condition(text) for text in texts]
+        self._where = parse_where(texts)
 
     def holds(self, table: MessageTable) -> Rows:
         """Which rows of a table fulfil all conditions."""
-        kept = np.ones(len(table), bool)
-        for condition in self.conditions:
-            if kept.any():
-                kept &= _meta(condition, table) if condition.is_meta else _field(condition, table)
-        return kept
+        return self._where.joined(
+            lambda one: _meta(one, table) if one.is_meta else _field(one, table), or_, and_
+        )
 
 
 def _field(condition: WhereCondition, table: MessageTable) -> Rows:
@@ -353,7 +440,9 @@ def _numbers(condition: WhereCondition, values: Any) -> Rows:
     if number is None:
         return np.zeros(len(values), bool)
     found: Rows
-    if condition.sign in _ORDER:
+    if condition.upper is not None:
+        found = (values >= number) & (values <= condition.upper)
+    elif condition.sign in _ORDER:
         found = _ORDER[condition.sign](values, number)
     elif values.dtype.kind != "f" and isinstance(number, int):
         found = values == number
@@ -368,6 +457,11 @@ def _numbers(condition: WhereCondition, values: Any) -> Rows:
     return found
 
 
+def _bound_ns(seconds: float) -> int:
+    """A bound of times in ns; beyond all instants where it is too large for one."""
+    return to_ns(max(-9e9, min(float(seconds), 9e9)))
+
+
 def _meta(condition: WhereCondition, table: MessageTable) -> Rows:
     """A condition on what belongs to the transport."""
     n, one = len(table), comparison(condition, {})
@@ -378,8 +472,11 @@ def _meta(condition: WhereCondition, table: MessageTable) -> Rows:
             known = table.time != NO_TIME
             if condition.number is None:
                 found = np.zeros(n, bool)
+            elif condition.upper is not None:
+                ends = _bound_ns(condition.number), _bound_ns(condition.upper)
+                found = (table.time >= ends[0]) & (table.time <= ends[1])
             elif condition.sign in _ORDER:
-                found = _ORDER[condition.sign](table.time, to_ns(float(condition.number)))
+                found = _ORDER[condition.sign](table.time, _bound_ns(condition.number))
             else:
                 found = _numbers(condition, table.seconds)
             found = np.where(known, found, one(None))

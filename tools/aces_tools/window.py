@@ -4,11 +4,13 @@
 2. Instants are compared as integer nanoseconds, as the digits of the recording and of the option say.
 
 A time below 1e8 counts in seconds from the first frame of each file that has a time; a larger one is absolute, in seconds
-since 1970.
+since 1970. `2026-11-22T14:05:00` is an instant, local unless it says its zone; `14:05` is that local time of the day of the
+first frame, or of the next day where a recording runs past midnight.
 """
 
 from __future__ import annotations
 
+import datetime
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from typing import Any
@@ -24,10 +26,10 @@ ABSOLUTE_S = 10**8
 
 @dataclass
 class TimeWindow:
-    """The piece that is wanted; `start` and `stop` in ns as given, None open."""
+    """The piece that is wanted; `start` and `stop` in ns or as a time of day, None open."""
 
-    start: int | None
-    stop: int | None
+    start: int | datetime.time | None
+    stop: int | datetime.time | None
     #: Items without a time, which are never inside.
     untimed: int = 0
     _first: int | None = None
@@ -39,8 +41,8 @@ class TimeWindow:
             return None
         window = cls(_ns("--from", start), _ns("--to", stop))
         if (
-            window.start is not None
-            and window.stop is not None
+            isinstance(window.start, int)
+            and isinstance(window.stop, int)
             and window.stop <= window.start
             and _is_absolute(window.start) == _is_absolute(window.stop)
         ):
@@ -75,15 +77,31 @@ class TimeWindow:
         if self._first is None and time != NO_TIME:
             self._first = time
 
-    def _bound(self, given: int | None) -> int | None:
+    def _bound(self, given: int | datetime.time | None) -> int | None:
+        if isinstance(given, datetime.time):
+            return None if self._first is None else _of_the_day(given, self._first)
         return given if given is None or _is_absolute(given) or self._first is None else self._first + given
+
+
+def _of_the_day(clock: datetime.time, first_ns: int) -> int:
+    """The instant (ns) of a local time of day that belongs to a recording's first one."""
+    day = datetime.datetime.fromtimestamp(first_ns / 1e9).date()
+    instant = datetime.datetime.combine(day, clock)
+    if first_ns - _instant_ns(instant) > 12 * 3600 * 10**9:
+        instant += datetime.timedelta(days=1)
+    return _instant_ns(instant)
+
+
+def _instant_ns(instant: datetime.datetime) -> int:
+    whole = instant.replace(microsecond=0)
+    return round(whole.timestamp()) * 10**9 + instant.microsecond * 1000
 
 
 def _is_absolute(ns: int) -> bool:
     return ns >= ABSOLUTE_S * 10**9
 
 
-def _ns(option: str, text: str | None) -> int | None:
+def _ns(option: str, text: str | None) -> int | datetime.time | None:
     if text is None:
         return None
     try:
@@ -91,7 +109,17 @@ def _ns(option: str, text: str | None) -> int | None:
         if not number.is_finite() or not 0 <= number < 9_000_000_000:
             raise InvalidOperation
     except InvalidOperation:
+        for parse in (datetime.time.fromisoformat, datetime.datetime.fromisoformat):
+            try:
+                found = parse(text) if ":" in text else None
+            except ValueError:
+                continue
+            if isinstance(found, datetime.datetime):
+                return _instant_ns(found)
+            if found is not None and found.tzinfo is None:
+                return found
         raise CallerError(
-            f"{option} {text!r} is not a time; write seconds from the first frame (12.5) or since 1970 (1436509052.25)"
+            f"{option} {text!r} is not a time; write seconds from the first frame (12.5) or since 1970 (1436509052.25),"
+            " 14:05:30, or 2026-11-22T14:05:30"
         ) from None
     return int(number.scaleb(9))

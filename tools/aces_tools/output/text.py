@@ -19,6 +19,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from aces_bus.plain_text import LOOKALIKES
 from aces_bus.plain_text import printable as printable
 from aces_bus.protocol import FlagSet, Unknown
 from aces_bus.protocol.plan import nodes as p
@@ -135,7 +136,7 @@ class TextOutput:
                 lines += self._title()
             lines += self._line(item, meta)
         lines.append("")
-        return "\n".join(lines).encode(self._encoding, "replace")
+        return "\n".join(lines).encode(self._encoding, LOOKALIKES)
 
     def _title(self) -> list[str]:
         self._is_titled = True
