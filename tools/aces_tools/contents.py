@@ -11,6 +11,7 @@ import os
 import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -270,7 +271,9 @@ class SerialContents:
         """Print what was found."""
         page = Page(arguments.color)
         passed = (self.last_s or 0.0) - (self.first_s or 0.0)
-        title = f"{_shown(self.name)}: {counted(self.bytes, 'byte')}" + (f" in {passed:.6g} s" if passed else "")
+        title = f"{_shown(self.name)}: {counted(self.bytes, 'byte')}" + (
+            f" in {passed:.6g} s" if passed else ""
+        )
         page.lines([printable(title)])
         if self.piece and not arguments.quiet:
             page.lines([""])
@@ -305,13 +308,13 @@ def _fitting(link: str, piece: Any) -> Iterator[tuple[float, str]]:
         except AcesError:
             continue  # `aces protocols` says what is wrong with it
         best = (0.0, name)
-        for dialect in sorted(protocol.dialects) or [None]:
-            for configuration in sorted(protocol.configurations) or [None]:
-                text = name + (f":{dialect}" if dialect and dialect != protocol.dialect else "")
-                text += f"@{configuration}" if configuration else ""
-                variant = protocol.variant(dialect, configuration)
-                if (variant.link == "can") == (link == "can"):
-                    best = max(best, (_share(variant, piece), text), key=lambda one: one[0])
+        if (protocol.link == "can") != (link == "can"):
+            continue
+        for dialect, configuration in product(protocol.dialects or [""], protocol.configurations or [""]):
+            text = name + (f":{dialect}" if dialect and dialect != protocol.dialect else "")
+            text += f"@{configuration}" if configuration else ""
+            variant = protocol.variant(dialect or None, configuration or None)
+            best = max(best, (_share(variant, piece), text), key=lambda one: one[0])
         if best[0] >= FITS:
             yield best
 
