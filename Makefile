@@ -24,7 +24,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-oracles test-long test-steady constraints test-socketcan soak stops compiled test-compiled check lint types pristine format bench bench-framings golden clean
+.PHONY: help venv demo test test-oracles test-long test-steady constraints test-socketcan docs soak stops compiled test-compiled check lint types pristine format bench bench-framings golden clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -52,6 +52,11 @@ $(VENV)/.dev: $(VENV)/.python pyproject.toml constraints.txt
 	@echo "installing aces-bus and its development tools into $(VENV) (once)"
 	@$(PIP) --constraint constraints.txt --editable '.[dev]'
 	@touch $@ $(VENV)/.run
+
+$(VENV)/.docs: $(VENV)/.dev
+	@echo "installing Sphinx and its theme into $(VENV) (once)"
+	@$(PIP) --constraint constraints.txt --editable '.[docs]'
+	@touch $@
 
 $(VENV)/.oracles: $(VENV)/.dev
 	@echo "installing the programs that tests/oracles holds ours against into $(VENV) (once)"
@@ -92,6 +97,9 @@ test-long: $(VENV)/.dev ## run the tests with ACES_EXAMPLES (2000) examples per 
 
 test-steady: $(VENV)/.dev ## run the tests RUNS (20) times under other hash seeds, every third beside a busy machine
 	$(BIN)/python tests/steady.py --runs $(RUNS) --jobs $(JOBS) -- $(ARGS)
+
+docs: $(VENV)/.docs ## the documentation site, in build/site/html; a warning is an error
+	$(BIN)/python docs/build_site.py
 
 test-socketcan: $(VENV)/.dev ## SocketCAN with a real kernel under QEMU (a minute; needs Debian and qemu-system-x86)
 	$(BIN)/python tests/socketcan/run.py $(ARGS)
@@ -138,7 +146,7 @@ golden: $(VENV)/.dev ## write the golden files anew; read the diff before you co
 constraints: ## pin anew what tests and checks run with, in an environment of its own
 	rm -rf $(VENV)-pinned
 	$(PYTHON) -m venv $(VENV)-pinned
-	$(VENV)-pinned/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,oracles]'
+	$(VENV)-pinned/bin/python -m pip install --quiet --disable-pip-version-check --editable '.[dev,oracles,docs]'
 	sed -n '/^#/p' constraints.txt > $(VENV)-pinned/constraints.txt
 	$(VENV)-pinned/bin/python -m pip freeze --exclude-editable >> $(VENV)-pinned/constraints.txt
 	mv $(VENV)-pinned/constraints.txt constraints.txt

@@ -5,6 +5,7 @@ A robot's file is read by `load_robot`; docs/robots.md describes its content.
 
 from __future__ import annotations
 
+from .client import Client
 from .coalesce import CoalescingRule, OutgoingMessage, Setpoint, per_device, uncoalesced
 from .config import Bus, Compliance, DeviceConfig, Gains, Home, Joint, Robot, Sensor
 from .device import Device, Poll, signal
@@ -21,6 +22,7 @@ from .twin import JointModel, Twin, Twins, World, on
 __all__ = [
     "UNKNOWN",
     "Bus",
+    "Client",
     "CoalescingRule",
     "Compliance",
     "Device",

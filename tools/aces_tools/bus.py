@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 
-from .bus_arg import ChosenBus, can_options, chosen_bus, served_channels
+from .bus_arg import ChosenBus, can_options, chosen_bus
 from .console import Patience, print_json, say
 from .options import FOR, JSON, SEED, Arguments, Group, argument, flag
 
@@ -277,7 +277,7 @@ def _load(arguments: argparse.Namespace) -> int:
 
 def _served_address(text: str | None, interface: str | None) -> str | None:
     """The address of a served bus, when that is what is meant."""
-    from aces_bus.hardware.served.address import is_served
+    from aces_bus.hardware.served import is_served, served_channels
 
     if interface not in (None, "aces"):
         return None

@@ -194,21 +194,9 @@ def _take_name(arguments: argparse.Namespace) -> None:
         arguments.channel = text
 
 
-def served_channels() -> dict[str, str]:
-    """The channels that are served to this user on this machine, and where."""
-    from aces_bus.hardware.served.stream import servers
-
-    return {
-        channel["channel"]: channel["addresses"][0]
-        for status in servers()
-        for channel in status["channels"]
-        if channel["addresses"]
-    }
-
-
 def _named(channel: str) -> Mapping[str, Any]:
     """The interface of a channel that is named without one; raises `CallerError` where there is none."""
-    from aces_bus.hardware.served.address import is_served
+    from aces_bus.hardware.served import is_served, served_channels
 
     if is_served(channel):
         return {"interface": "aces", "channel": channel}

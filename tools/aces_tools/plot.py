@@ -84,7 +84,7 @@ ARGUMENTS: Arguments = (
     flag("--show", help="open a window"),
     FROM,
     TO,
-    TIME,
+    TIME.but(choices=["relative", "absolute"], help="from the first frame on, or as recorded (default: relative)"),
     argument(
         "--break-time",
         type=axis_number,

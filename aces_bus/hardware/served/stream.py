@@ -217,11 +217,11 @@ def _lives(pid: object) -> bool:
     return True
 
 
-def served_channels() -> list[str]:
-    """One address of each channel that is served on this machine by this user."""
-    return [
-        channel["addresses"][0]
+def served_channels() -> dict[str, str]:
+    """The channels that are served on this machine by this user: one address of each, by its name."""
+    return {
+        channel["channel"]: channel["addresses"][0]
         for status in servers()
         for channel in status["channels"]
         if channel.get("addresses")
-    ]
+    }

@@ -279,4 +279,4 @@ class AcesBus(VirtualBus):
 
         with _media_lock:
             names = list(_media) or ["can0"]
-        return [{"interface": "aces", "channel": name} for name in [*names, *served_channels()]]
+        return [{"interface": "aces", "channel": name} for name in [*names, *served_channels().values()]]

@@ -1,0 +1,350 @@
+"""The documentation site: the repository's own pages, and pages made of specs, drivers, commands and public names.
+
+    python docs/build_site.py [FOLDER]      # build/site/html unless named; needs the extra [docs]
+
+1. A page is written once, where it is read on its own (README.md, docs/, a protocol's or a device's README). Links among
+   them become links among the site's pages, and links to source become pages with that source.
+2. Layouts, tables of registers, help texts and the reference of names are made of the code, anew each time.
+3. A warning of Sphinx is an error: a link that leads nowhere fails the build. The site opens from disk, without a network.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import inspect
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+from types import ModuleType
+from typing import Any
+
+from aces_bus.protocol import list_protocols, load_protocol
+from aces_bus.protocol.draw import picture_svg
+from aces_bus.protocol.exchange.export_markdown import print_markdown
+from aces_tools.main import ACTIONS, VERBS
+
+ROOT = Path(__file__).resolve().parents[1]
+#: Rooms of the reference: packages whose `__all__` users import from.
+PACKAGES = ["aces_bus"] + [
+    f"aces_bus.{room}"
+    for room in (
+        "protocol",
+        "recordings",
+        "export",
+        "hardware",
+        "device",
+        "state",
+        "controller",
+        "robot",
+        "kinematics",
+        "access",
+        "runtime",
+        "testing",
+    )
+]
+#: The contents beside each page: title, and pages in the order in which they are read.
+CONTENTS: dict[str, list[str]] = {
+    "Start": [
+        "tutorial",
+        "python",
+        "examples",
+        "pictures",
+        "coming-from",
+        "faq",
+        "troubleshooting",
+        "glossary",
+    ],
+    "Protocols": ["language", "checking", "fuzzing", "exporting", "reference/index"],
+    "Recordings and buses": ["captures", "bus"],
+    "Robots": ["devices", "robots", "states", "controllers", "running", "logging"],
+    "Catalogue": ["catalogue/protocols", "catalogue/devices"],
+    "Reference": ["commands/index", "api/index", "performance"],
+    "Inside": ["architecture", "contributing", "pages"],
+}
+_LINK = re.compile(r"(\[(?:[^\[\]]|\[[^\]]*\])*\])\((?!https?:|mailto:)([^)#\s]*)(#[^)\s]*)?\)")
+_FENCE = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)
+_IMAGES = (".png", ".svg", ".gif")
+#: Pages are as wide as the lines of code in them.
+_STYLE = (
+    ".content { width: 62em; } .highlight pre { font-size: 0.78em; } .content img { background: white; }\n"
+)
+#: Pictures that commands draw: what is below each, and the command.
+PICTURES = {
+    "plot": (
+        "A plot of signals of a recording",
+        "plot examples/captures/hubo2plus.log -p hubo@hubo2plus"
+        " Encoder[board=0].position.* - Encoder[board=24].position.*",
+    ),
+    "layout": ("The layout of a message", "spec show hubo Status"),
+    "explain": (
+        "Why a frame is decoded as it is, byte by byte",
+        "spec explain hubo@hubo2plus 063#78000000FCFFFFFF",
+    ),
+}
+
+
+class Site:
+    """The pages of a site, while they are put together in a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        #: Site page (without `.md`) of each page of the repository.
+        self.places: dict[Path, str] = {}
+        #: Source files that a page links to, and that have one of their own.
+        self.sources: dict[Path, str] = {}
+
+    def write(self, place: str, text: str) -> None:
+        path = self.folder / f"{place}.md"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+
+    def take(self) -> None:
+        """The repository's own pages."""
+        own = {"README.md": "index", "CONTRIBUTING.md": "contributing", "docs/index.md": "pages"}
+        own["docs/reference/README.md"] = "reference/index"
+        for path in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]:
+            name = path.relative_to(ROOT).as_posix()
+            self.places[path] = own.get(name, name.removeprefix("docs/").removesuffix(".md"))
+        for kind in ("protocols", "devices"):
+            for path in sorted((ROOT / kind / f"aces_{kind}").glob("*/README.md")):
+                self.places[path] = f"catalogue/{kind}/{path.parent.name}"
+        for path, place in self.places.items():
+            text = self.linked(path.read_text(encoding="utf-8"), path, place)
+            if place == "index":
+                text += "\n" + "\n".join(map(_toctree, CONTENTS, CONTENTS.values()))
+            elif place == "reference/index":
+                pages = sorted(
+                    p.removeprefix("reference/") for p in self.places.values() if p.startswith("reference/")
+                )
+                text += _toctree("", [page for page in pages if page != "index"])
+            elif place.startswith("catalogue/protocols/"):
+                text += self.layouts(place)
+            self.write(place, text)
+
+    def linked(self, text: str, path: Path, place: str) -> str:
+        """A page's text, its links made those of the site."""
+
+        def link(found: re.Match[str]) -> str:
+            label, target, anchor = found[1], found[2], found[3] or ""
+            if not target:
+                return found[0]
+            there = (path.parent / target).resolve()
+            if there.suffix in _IMAGES and there.is_file():
+                return f"{label}({self._copied(there, place)})"
+            if there.is_dir() and (there / "README.md") in self.places:
+                there = there / "README.md"
+            if there in self.places:
+                return f"{label}({_way(place, self.places[there])}.md{anchor})"
+            if there.is_file() and there.suffix in (".py", ".toml", ".log", "", ".sh"):
+                self.sources.setdefault(
+                    there, f"source/{there.relative_to(ROOT).as_posix().replace('/', '-')}"
+                )
+                return f"{label}({_way(place, self.sources[there])}.md)"
+            return label[1:-1]
+
+        parts = _FENCE.split(text)
+        return "".join(part if part.startswith("```") else _LINK.sub(link, part) for part in parts)
+
+    def _copied(self, image: Path, place: str) -> str:
+        to = self.folder / "pictures" / image.name
+        to.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(image, to)
+        return os.path.relpath(to, (self.folder / place).parent).replace(os.sep, "/")
+
+    def layouts(self, place: str) -> str:
+        """The messages of a protocol, drawn from its spec."""
+        name = place.rpartition("/")[2]
+        if name not in list_protocols():
+            return ""
+        protocol = load_protocol(name)
+        variant = protocol.variant()
+        text = print_markdown(variant)
+        for message in variant.messages.values():
+            drawing = self.folder / "layouts" / name / f"{message.name}.svg"
+            drawing.parent.mkdir(parents=True, exist_ok=True)
+            drawing.write_text(picture_svg([message]), encoding="utf-8")
+            image = f"![layout of {message.name}]({_way(place, f'layouts/{name}/{message.name}.svg')})"
+            text = re.sub(
+                rf"(^## {re.escape(message.name)}$(?:(?!^## ).)*?)^```(?:text)?$.*?^```$",
+                lambda found, image=image: found[1] + image,  # type: ignore[misc]
+                text,
+                count=1,
+                flags=re.MULTILINE | re.DOTALL,
+            )
+        body = re.sub(r"^#(?=#* )", "##", text.partition("\n")[2], flags=re.MULTILINE)
+        return f"\n\n## The messages of `{variant.name}`\n{body}"
+
+    def catalogue(self) -> None:
+        """The pages that list protocols and devices."""
+        for kind in ("protocols", "devices"):
+            pages = [p for p in self.places.values() if p.startswith(f"catalogue/{kind}/")]
+            names = [f"{kind}/{page.rpartition('/')[2]}" for page in pages]
+            what = (
+                "Each page ends with the layouts of all messages, drawn from the spec."
+                if kind == "protocols"
+                else ""
+            )
+            self.write(f"catalogue/{kind}", f"# {kind.capitalize()}\n\n{what}\n\n{_toctree('', names)}")
+
+    def commands(self) -> None:
+        """The help text of each verb."""
+        names = [
+            f"{verb} {action}" if action else verb for verb in VERBS for action in (ACTIONS.get(verb) or [""])
+        ]
+        environment = {**os.environ, "COLUMNS": "88", "NO_COLOR": "1"}
+        for name in names:
+            command = [sys.executable, "-m", "aces_tools", *name.split(), "--help"]
+            done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+            self.write(f"commands/{name.replace(' ', '-')}", f"# aces {name}\n\n```text\n{done.stdout}```\n")
+        rows = [f"| [`aces {name}`]({name.replace(' ', '-')}.md) | {_purpose(name)} |" for name in names]
+        text = ["# Commands", "", "| command | what for |", "| --- | --- |", *rows, ""]
+        self.write(
+            "commands/index", "\n".join(text) + _toctree("", [name.replace(" ", "-") for name in names], True)
+        )
+
+    def pictures(self) -> None:
+        """What commands draw."""
+        text = ["# Pictures", ""]
+        for name, (title, command) in PICTURES.items():
+            path = self.folder / "pictures" / f"{name}.svg"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            option = "-o" if name == "plot" else "--svg"
+            call = [sys.executable, "-m", "aces_tools", *command.split(), option, str(path)]
+            subprocess.run(call, check=True, capture_output=True, cwd=ROOT)
+            text += [f"## {title}", "", "```console", f"$ aces {command} {option} {name}.svg", "```", ""]
+            text += [f"![{title}](pictures/{name}.svg)", ""]
+        self.write("pictures", "\n".join(text))
+
+    def names(self) -> None:
+        """Every public name, with its parameters and what it says of itself."""
+        for package in PACKAGES:
+            self.write(f"api/{package}", "\n".join(_of_package(importlib.import_module(package))))
+        self.write("api/index", f"# Names in Python\n\n{_toctree('', PACKAGES)}")
+
+    def listings(self) -> None:
+        """Source files that pages link to."""
+        for path, place in self.sources.items():
+            kind = {".py": "python", ".toml": "toml", ".sh": "bash"}.get(path.suffix, "text")
+            name, code = path.relative_to(ROOT).as_posix(), path.read_text(encoding="utf-8", errors="replace")
+            lines = code.splitlines()
+            more = "" if len(lines) <= 400 else f"\n({len(lines)} lines; the first 400)\n"
+            shown = "\n".join(lines[:400])
+            self.write(place, f"---\norphan: true\n---\n\n# {name}\n{more}\n`````{kind}\n{shown}\n`````\n")
+
+
+def _toctree(caption: str, pages: list[str], is_hidden: bool = False) -> str:
+    options = ([f":caption: {caption}", ":hidden:"] if caption else [":maxdepth: 1"]) + (
+        [":hidden:"] if is_hidden else []
+    )
+    return "\n".join(["", "```{toctree}", *options, "", *pages, "```", ""])
+
+
+def _way(place: str, target: str) -> str:
+    """The relative way from one page to another."""
+    return PurePosixPath(os.path.relpath(target, PurePosixPath(place).parent).replace(os.sep, "/")).as_posix()
+
+
+def _purpose(name: str) -> str:
+    verb, _, action = name.partition(" ")
+    return (ACTIONS[verb][action] if action else VERBS[verb])[1]
+
+
+# ---------------------------------------------------------------------- names in Python
+
+
+def _of_package(module: ModuleType) -> Iterator[str]:
+    yield from (f"# {module.__name__}", "", *_prose(module.__doc__), "")
+    for name in module.__all__:
+        thing = getattr(module, name)
+        if isinstance(thing, ModuleType):
+            continue
+        yield from (f"## {name}", "", "```python", f"{name}{_signature(thing)}", "```", "")
+        yield from (*_prose(inspect.getdoc(thing) if callable(thing) else None), "")
+        if not inspect.isclass(thing):
+            continue
+        for member, value in sorted(vars(thing).items()):
+            value = value.__func__ if isinstance(value, (classmethod, staticmethod)) else value
+            if (
+                not member.startswith("_")
+                and (callable(value) or isinstance(value, property))
+                and value.__doc__
+            ):
+                shown = member if isinstance(value, property) else f"{member}{_signature(value)}"
+                yield from ("```python", f".{shown}", "```", "", *_prose(inspect.getdoc(value)), "")
+
+
+def _signature(thing: Any) -> str:
+    if not callable(thing):
+        return ""
+    try:
+        text = str(inspect.signature(thing))
+    except (TypeError, ValueError):
+        return "(…)"
+    return re.sub(r"\(self(?:, )?", "(", re.sub(r" at 0x[0-9a-f]+", "", text)).replace("typing.", "")
+
+
+def _prose(doc: str | None) -> Iterator[str]:
+    """A docstring in Markdown: its paragraphs as they are, what is indented or typed as code."""
+    for paragraph in re.split(r"\n\s*\n", inspect.cleandoc(doc or "")):
+        lines = paragraph.splitlines()
+        if any(line.startswith(("    ", ">>> ")) for line in lines):
+            is_typed = any(line.startswith(">>> ") for line in lines)
+            yield from (f"`````{'pycon' if is_typed else 'text'}", *lines, "`````")
+        else:
+            yield from (_escaped(line) for line in lines)
+        yield ""
+
+
+def _escaped(line: str) -> str:
+    """A line whose signs mean nothing to Markdown, but for `code`, and for the numbers and dashes of lists."""
+    parts = re.split(r"(`[^`]*`)", line)
+    return "".join(
+        part if part.startswith("`") else re.sub(r"([*_<>\[\]|#$])", r"\\\1", part) for part in parts
+    )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("folder", nargs="?", default="build/site/html", help="where the site goes")
+    arguments = parser.parse_args()
+    folder = Path(arguments.folder).resolve()
+    source = folder.parent / "source"
+    shutil.rmtree(source, ignore_errors=True)
+    source.mkdir(parents=True)
+    shutil.copyfile(ROOT / "docs" / "conf.py", source / "conf.py")
+    (source / "_static").mkdir()
+    (source / "_static" / "site.css").write_text(_STYLE, encoding="utf-8")
+    site = Site(source)
+    site.take()
+    site.catalogue()
+    site.commands()
+    site.pictures()
+    site.names()
+    site.listings()
+    from sphinx.cmd.build import main as build
+
+    status = build(
+        [
+            "-q",
+            "-W",
+            "--keep-going",
+            "-b",
+            "html",
+            "-d",
+            str(folder.parent / "doctrees"),
+            str(source),
+            str(folder),
+        ]
+    )
+    if status == 0:
+        print(f"{folder / 'index.html'}")
+    return int(status)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
