@@ -78,7 +78,7 @@ PICTURES = {
     "plot": (
         "A plot of signals of a recording",
         "plot examples/captures/hubo2plus.log -p hubo@hubo2plus"
-        " Encoder[board=0].position.* - Encoder[board=24].position.*",
+        " Encoder[board=0].position.* - Encoder[board=8].position.*",
     ),
     "layout": ("The layout of a message", "spec show hubo Status"),
     "explain": (
