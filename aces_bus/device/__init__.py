@@ -15,6 +15,7 @@ from .host import Host
 from .motor import MotorDevice
 from .port import Port
 from .signals import UNKNOWN, Reading, Signal
+from .single_motor import JointScale, SingleMotor
 from .stopping import stop_devices, wait_stopped
 from .ticket import Job, Steps, Ticket, together
 from .twin import JointModel, Twin, Twins, World, on
@@ -36,6 +37,7 @@ __all__ = [
     "Job",
     "Joint",
     "JointModel",
+    "JointScale",
     "MotorDevice",
     "OutgoingMessage",
     "Poll",
@@ -45,6 +47,7 @@ __all__ = [
     "Sensor",
     "Setpoint",
     "Signal",
+    "SingleMotor",
     "Steps",
     "Ticket",
     "Twin",

@@ -2,6 +2,7 @@
 
 1. A joint is named by its name or an alias, a channel without a joint by its number; no name means all.
 2. Jobs that lead joints somewhere (`lead`: enabling, homing) are ended by what stops them (`end_led`).
+3. What a job waits for (`until`) is looked at whenever the device has said something.
 """
 
 from __future__ import annotations
@@ -11,9 +12,10 @@ from typing import Any, Generic, TypeVar
 from typing import Protocol as Interface
 
 from ..errors import DeviceError, UnknownNameError
+from ..runtime import Timer
 from .config import Joint
 from .device import Device
-from .ticket import Job, Steps, Ticket
+from .ticket import Awaited, Job, Steps
 
 
 class JointChannel(Interface):
@@ -45,6 +47,7 @@ class MotorDevice(Device, Generic[A]):
 
     def __init__(self, *args: Any) -> None:
         self._led: list[Job] = []
+        self._awaited: list[tuple[Callable[[], bool], Awaited, Timer]] = []
         super().__init__(*args)
 
     def axes_of(self, joint: str | None) -> list[A]:
@@ -72,6 +75,35 @@ class MotorDevice(Device, Generic[A]):
             if not name or job.name == f"{self.name} {name}":
                 job.cancel()
 
+    def until(self, holds: Callable[[], bool], timeout_s: float, what: Callable[[], str]) -> Awaited:
+        """Over as soon as `holds()`, which is looked at whenever the device has said something; fails after `timeout_s`."""
+        awaited = Awaited(self.clock)
+        if holds():
+            awaited.finish()
+            return awaited
+        timer = self.clock.call_in(
+            round(timeout_s * 1e9),
+            lambda: awaited.fail(DeviceError(f"{self.name}: {what()} (after {timeout_s:g} s)")),
+        )
+        self._awaited.append((holds, awaited, timer))
+        return awaited
+
+    def receive(self, record: Any, instant: int) -> None:
+        """A record of this device; then what waits for it."""
+        super().receive(record, instant)
+        if not self._awaited:
+            return
+        waiting, self._awaited = self._awaited, []
+        for one in waiting:
+            holds, awaited, timer = one
+            if awaited.is_over:
+                continue
+            if holds():
+                timer.cancel()
+                awaited.finish()
+            else:
+                self._awaited.append(one)
+
     @staticmethod
     def in_turn(job: Job, axes: Sequence[A]) -> Iterator[A]:
         """The axes one by one: the job's text is the name, its progress how many are done."""
@@ -80,7 +112,7 @@ class MotorDevice(Device, Generic[A]):
             yield axis
             job.progress = (number + 1) / len(axes)
 
-    def confirm_off(self, ask: Callable[[], Ticket], still_on: Callable[[], Sequence[str]]) -> Job:
+    def confirm_off(self, ask: Callable[[], Awaited], still_on: Callable[[], Sequence[str]]) -> Job:
         """Ask the device; the job fails when a joint is `still_on` by what it answers."""
 
         def steps(job: Job) -> Steps:

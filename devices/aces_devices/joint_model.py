@@ -10,6 +10,9 @@ below a millisecond). So v' = (v∞ − v) / τ with v∞ = speed · u ∓ frict
 its sign within a step stops there; whether it starts again is decided in the next one. Heat: one body, i²R against a
 surrounding of 25 °C.
 
+What is driven by torque (`impede`: MIT's law, stiffness and damping in N·m) has the torque constant of `Motor`, and no more
+torque than the full duty gives.
+
 Gains are given as stiffness (duty per rad) and damping (duty per rad/s); `servo_gains` makes them from a bandwidth.
 """
 
@@ -17,6 +20,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+
+from aces_bus.device import Twin
 
 #: The step of the controller (ns, s).
 STEP_NS = 1_000_000
@@ -30,7 +35,8 @@ class MotorModel:
     """A motor with its gear, on the joint's side.
 
     `speed`: without load at full duty (rad/s); `time_constant`: of that speed (s); `stall_current`: at full duty, blocked
-    (A); `friction`: the share of the full duty that Coulomb friction takes; `heating`: °C/s for each A²; `cooling`: s.
+    (A); `friction`: the share of the full duty that Coulomb friction takes; `heating`: °C/s for each A²; `cooling`: s;
+    `torque_constant`: N·m/A.
     """
 
     speed: float = 6.0
@@ -39,6 +45,7 @@ class MotorModel:
     friction: float = 0.01
     heating: float = 0.05
     cooling: float = 300.0
+    torque_constant: float = 1.0
 
     @classmethod
     def of_ratio(cls, ratio: float, *, speed: float = 1600.0, stall_current: float = 8.0) -> MotorModel:
@@ -55,7 +62,8 @@ def servo_gains(motor: MotorModel, bandwidth: float = 80.0) -> tuple[float, floa
 class MotorJoint:
     """One joint and its motor. `lower` and `upper` are its mechanical stops (rad).
 
-    What drives it is set by `free`, `drive`, `push` and `follow`; `sync` catches up. `jammed` blocks it where it is.
+    What drives it is set by `free`, `drive`, `push`, `follow` and `impede`; `sync` catches up. `jammed` blocks
+    it where it is.
     """
 
     __slots__ = (
@@ -67,6 +75,7 @@ class MotorJoint:
         "damping",
         "duty",
         "goal",
+        "impedance",
         "jammed",
         "lower",
         "mode",
@@ -95,6 +104,8 @@ class MotorJoint:
         self.mode = "free"
         self.goal = position
         self.current_wanted = 0.0
+        #: Velocity (rad/s), stiffness (N·m/rad), damping (N·m·s/rad) and torque (N·m) that are wanted beside the goal.
+        self.impedance = (0.0, 0.0, 0.0, 0.0)
         self.stiffness, self.damping = servo_gains(motor)
         self.jammed = False
         self.temperature = AMBIENT
@@ -129,6 +140,14 @@ class MotorJoint:
         self.sync(now)
         self.mode, self.goal = "position", goal
 
+    def impede(
+        self, now: int, goal: float, velocity: float, stiffness: float, damping: float, torque: float
+    ) -> None:
+        """Torque = stiffness × (goal − position) + damping × (velocity − its own) + torque, as MIT's motors do."""
+        self.sync(now)
+        self.mode, self.goal = "impedance", goal
+        self.impedance = (velocity, stiffness, damping, torque)
+
     def place(self, now: int, position: float) -> None:
         """Put it somewhere, at rest: what a kinematic movement of 1 kHz does."""
         self.sync(now)
@@ -151,6 +170,11 @@ class MotorJoint:
         """The winding's current (A), signed."""
         motor = self.motor
         return motor.stall_current * (self.duty - self.v / motor.speed)
+
+    @property
+    def torque(self) -> float:
+        """The motor's torque (N·m), signed."""
+        return self.motor.torque_constant * self.current
 
     def sync(self, now: int) -> None:
         """Catch up to `now` (ns)."""
@@ -183,6 +207,8 @@ class MotorJoint:
         motor = self.motor
         stall, cooling, temperature = motor.stall_current, motor.cooling, self.temperature
         heating = motor.heating * stall * stall
+        wanted, kp, kd, torque = self.impedance
+        most = stall * motor.torque_constant
         duty = self.duty
         at, moved_at, saturated = self.at, self.moved_at, self.saturated_since
         for number in range(steps):
@@ -191,6 +217,8 @@ class MotorJoint:
                 duty = stiffness * (goal - q) - damping * v
             elif mode == "current":
                 duty = self.current_wanted / stall + v / speed
+            elif mode == "impedance":
+                duty = (kp * (goal - q) + kd * (wanted - v) + torque) / most + v / speed
             if duty >= 1.0:
                 duty = 1.0
                 saturated = saturated if saturated >= 0 else at
@@ -241,3 +269,19 @@ class MotorJoint:
             return
         end = AMBIENT + motor.heating * motor.cooling * current * current
         self.temperature = end + (self.temperature - end) * math.exp(-duration / motor.cooling)
+
+
+def joint_of(twin: Twin, motor: MotorModel) -> MotorJoint:
+    """The simulated joint of a twin that has one, by its joint's name (its own where it has none), and free.
+
+    It is made when the twin is first powered; switched off and on, it is where it was.
+    """
+    now, world = twin.clock.now(), twin.world
+    joint = twin.joints[0] if twin.joints else None
+    name = joint.name if joint is not None else twin.name
+    found = world.joints.get(name)
+    if not isinstance(found, MotorJoint):
+        found = MotorJoint(motor, now, position=world.start_of(name))
+        world.joints[name] = found
+    found.free(now)
+    return found

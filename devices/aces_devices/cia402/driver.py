@@ -10,12 +10,11 @@ Modes, states and objects: CiA 402 as `states` has it. See the README for what i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 from aces_bus.device import Job, Poll, Signal, Steps
 from aces_bus.device.settings import settings_of
-from aces_bus.device.ticket import Awaited
 from aces_bus.errors import AcesError, CallerError, DeviceError, NoReplyError
 
 from .axis import CONTROLWORD, MODE, MODE_SHOWN, POSITION, STATUSWORD, DriveAxis
@@ -106,7 +105,6 @@ class Cia402(ObjectAccess[DriveAxis]):
         #: How many boot-up messages were heard.
         self.boots = 0
         self._set_up: Job | None = None
-        self._waiting: list[tuple[Callable[[], bool], Awaited, Any]] = []
         self._by_sdo: dict[int, int] = {}
         self._writing: Job | None = None
         self._wire()
@@ -220,8 +218,6 @@ class Cia402(ObjectAccess[DriveAxis]):
             word = int.from_bytes(data, "little")
             for place, axis, index in readers:
                 axis.update(index, place.take(word), instant)
-            if self._waiting:
-                self._looked()
         elif name == "Heartbeat":
             self._beat(record.state, instant)
         elif name == "Emergency":
@@ -244,8 +240,6 @@ class Cia402(ObjectAccess[DriveAxis]):
             for slot in self.host.slots:
                 if slot.device is self and slot.due - instant > RETRY_NS:
                     slot.due = instant
-        if self._waiting:
-            self._looked()
 
     def _emergency(self, record: Any, instant: int) -> None:
         raw = int.from_bytes(record.meta.raw[:2], "little")
@@ -263,33 +257,6 @@ class Cia402(ObjectAccess[DriveAxis]):
         super().forget()
         for axis in self.axes:
             axis.forget()
-
-    # ------------------------------------------------------------------ waiting for what the drive says
-
-    def until(self, holds: Callable[[], bool], timeout_s: float, what: Callable[[], str]) -> Awaited:
-        """Over as soon as `holds()`, which is looked at whenever the drive has said something; fails after `timeout_s`."""
-        awaited = Awaited(self.clock)
-        if holds():
-            awaited.finish()
-            return awaited
-        timer = self.clock.call_in(
-            round(timeout_s * 1e9),
-            lambda: awaited.fail(DeviceError(f"{self.name}: {what()} (after {timeout_s:g} s)")),
-        )
-        self._waiting.append((holds, awaited, timer))
-        return awaited
-
-    def _looked(self) -> None:
-        waiting, self._waiting = self._waiting, []
-        for one in waiting:
-            holds, awaited, timer = one
-            if awaited.is_over:
-                continue
-            if holds():
-                timer.cancel()
-                awaited.finish()
-            else:
-                self._waiting.append(one)
 
     # ------------------------------------------------------------------ down
 

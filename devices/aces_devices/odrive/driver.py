@@ -1,0 +1,405 @@
+"""ODrive on CAN: an axis that is set by position, velocity or torque.
+
+1. Heartbeat and encoder estimates come by themselves; current, voltage, temperature and torque are asked for by
+   remote frames.
+2. It is on while its heartbeat says closed loop. A heartbeat comes every 100 ms: so late it is known what an axis has done.
+3. Set-points are repeated in each tick: each feeds the axis' own watchdog, which has to be switched on in the drive.
+
+Units: revolutions of the motor in the drive, rad of the joint here (`JointScale`). Sources: see the spec.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from math import tau
+from typing import Annotated, Any, ClassVar, Literal
+
+import msgspec
+from msgspec import Meta
+
+from aces_bus.device import Driver, Host, Job, Poll, SingleMotor, Steps, Ticket
+from aces_bus.device.config import DeviceConfig
+from aces_bus.device.settings import described, settings_of
+from aces_bus.device.ticket import Awaited
+from aces_bus.errors import CallerError, DeviceError
+
+from .twin import OdriveTwin
+
+#: A heartbeat comes every 100 ms; so long it is waited for (s).
+HEARTBEAT_S = 0.35
+#: The longest calibration of a drive: a choice (s).
+CALIBRATION_S = 60.0
+#: Mode → the message of its set-points, and its input mode when it is ramped.
+TARGETS: Mapping[str, tuple[str, str]] = {
+    "position": ("SetInputPosition", "trapezoid"),
+    "velocity": ("SetInputVelocity", "velocity_ramp"),
+    "torque": ("SetInputTorque", "torque_ramp"),
+}
+#: What is not fed forward.
+_FORWARD: Mapping[str, dict[str, float]] = {
+    "SetInputPosition": {"velocity": 0.0, "torque": 0.0},
+    "SetInputVelocity": {"torque": 0.0},
+}
+#: What `read_errors` asks for, by dialect.
+_ERRORS: Mapping[str, tuple[str, ...]] = {
+    "0.5": ("MotorError", "EncoderError", "ControllerError"),
+    "0.6": ("Errors",),
+}
+#: Actions that came with firmware 0.6.
+NEW = frozenset(("version", "read", "write", "save"))
+#: Types of parameters, as ODrive's endpoint files name them → struct's.
+TYPES = {
+    "bool": "?", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h", "uint32": "I", "int32": "i", "uint64": "Q",
+    "int64": "q", "float": "f",
+}  # fmt: skip
+
+
+class OdriveSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """The driver's own keys in a robot file."""
+
+    mode: Annotated[
+        Literal["position", "velocity", "torque"] | None,
+        Meta(description="what is set; when absent what the joint's command says (current: torque)"),
+    ] = None
+    ramped: Annotated[
+        bool,
+        Meta(
+            description="true: the drive ramps set-points (trapezoid, velocity ramp, torque ramp), not so when absent"
+        ),
+    ] = False
+    estimates: Annotated[
+        Literal["cyclic", "asked"],
+        Meta(
+            description='"asked": position is asked for in each tick, where the drive does not send it by itself'
+        ),
+    ] = "cyclic"
+    health_s: Annotated[
+        float,
+        Meta(gt=0, description="how often current, voltage and the like are asked for (s), 0.2 when absent"),
+    ] = 0.2
+
+
+class Odrive(SingleMotor):
+    """One axis. Signals: position, velocity, torque, current; of the axis: state, errors, voltage, temperatures."""
+
+    protocol = "odrive"
+    streams = tuple(message for message, _ in TARGETS.values())
+    modes: ClassVar = {mode: {mode: f"{message}.{mode}"} for mode, (message, _) in TARGETS.items()}
+    usual_modes: ClassVar = {"position": "position", "speed": "velocity", "current": "torque"}
+    actions: ClassVar = {
+        **SingleMotor.motor_actions,
+        "clear_errors": "clear all errors; the axis stays off",
+        "read_errors": "ask for the error registers",
+        "estop": "disarm, with an error that has to be cleared",
+        "calibrate": "full calibration: the motor beeps and turns, both ways",
+        "set_zero": "the present position is 0 of the joint, until it is switched off",
+        "set_gains": "gains, in the drive's units: position= velocity= integrator=",
+        "reboot": "boot anew",
+        "version": "ask for the versions",
+        "read": "read a parameter: endpoint= and type= of this firmware's endpoint file",
+        "write": "write a parameter: endpoint= type= value= confirm=true",
+        "save": "store the configuration and boot anew; confirm=true",
+    }
+    asking: ClassVar = ("read_errors", "version", "read")
+
+    def setup(self) -> None:
+        """The signals of the axis, and what is asked."""
+        settings = self.settings = settings_of(self.name, OdriveSettings, self.config.settings)
+        self.declare(1 / tau, settings.mode)
+        self.is_new = self.variant.dialect == "0.6"
+        if not self.is_new:
+            actions: Mapping[str, str] = type(self).actions
+            self.actions = {name: text for name, text in actions.items() if name not in NEW}  # type: ignore[misc]
+        #: How many heartbeats were heard.
+        self.beats = 0
+        joint, scale, slow = self.joint, self.scale, max(0.5, 5 * settings.health_s)
+        speed = joint.max_speed if joint is not None else None
+        self.add_motor_signal(
+            "position", unit="rad", of="EncoderEstimates.position", to_si=scale.angle, from_si=scale.raw_angle,
+            lower=joint.lower if joint is not None else None, upper=joint.upper if joint is not None else None,
+            doc="where the joint is", source="CAN Simple 0x09, 0x0C",
+        )  # fmt: skip
+        self.add_motor_signal(
+            "velocity", unit="rad/s", of="EncoderEstimates.velocity", to_si=scale.speed, from_si=scale.raw_speed,
+            lower=None if speed is None else -speed, upper=speed, doc="how fast it turns", source="CAN Simple 0x09, 0x0D",
+        )  # fmt: skip
+        self.add_motor_signal(
+            "torque", unit="N·m", of="Torques.estimate" if self.is_new else None, to_si=scale.torque,
+            from_si=scale.raw_torque, stale_s=slow, doc="torque; firmware 0.5 does not tell it",
+            source="CAN Simple 0x1C, 0x0E",
+        )  # fmt: skip
+        asked = ["Iq", "BusVoltageCurrent"]
+        self.add_signal(
+            "current",
+            owner=self.owner,
+            unit="A",
+            of="Iq.measured",
+            stale_s=slow,
+            doc="the motor's",
+            source="CAN Simple 0x14",
+        )
+        self.add_signal(
+            "voltage",
+            unit="V",
+            of="BusVoltageCurrent.voltage",
+            stale_s=slow,
+            doc="supply",
+            source="CAN Simple 0x17",
+        )
+        if self.is_new:
+            asked += ["Temperature", "Torques"]
+            for name, field in (("temperature", "inverter"), ("motor_temperature", "motor")):
+                self.add_signal(
+                    name,
+                    unit="°C",
+                    of=f"Temperature.{field}",
+                    stale_s=slow,
+                    doc=f"of the {field}",
+                    source="CAN Simple 0x15",
+                )
+        self.add_signal(
+            "state", of="Heartbeat.state", to_si=str, stale_s=0.5, doc="of the axis", source="CAN Simple 0x01"
+        )
+        self.add_signal(
+            "errors", of="Heartbeat.error", to_si=lambda error: tuple(sorted(error)), stale_s=0.5,
+            doc="names of the error bits", source="CAN Simple 0x01",
+        )  # fmt: skip
+        self.polls = [Poll(f"Get{name}", name, every_s=settings.health_s) for name in asked]
+        if settings.estimates == "asked":
+            self.polls = [Poll("GetEncoderEstimates", "EncoderEstimates"), *self.polls]
+
+    def heard(self, record: Any, instant: int) -> None:
+        """A heartbeat says whether it is on."""
+        if type(record).__name__ == "Heartbeat":
+            self.beats += 1
+            faults = set(record.error)
+            if not self.is_new:
+                parts = {"motor": record.motor, "encoder": record.encoder, "controller": record.controller}
+                faults |= {f"{part}_failed" for part, flags in parts.items() if flags.error}
+            self.shows(record.state == "closed_loop", faults)
+
+    # ------------------------------------------------------------------ switching
+
+    def bring_up(self, job: Job) -> Steps:
+        """Limits and mode; the set-point is where it is before the loop is closed."""
+        job.text = "heartbeat"
+        yield self.ask_state()
+        joint, (message, ramp) = self.joint, TARGETS[self.mode]
+        if joint is not None and joint.max_speed is not None and joint.max_current is not None:
+            velocity = abs(self.scale.raw_speed(joint.max_speed))
+            yield self.tell("SetLimits", velocity=velocity, current=joint.max_current)
+        yield self.tell(
+            "SetControllerModes", control=self.mode, input=ramp if self.settings.ramped else "passthrough"
+        )
+        yield self.tell(message, **_FORWARD.get(message, {}), **{self.mode: self._present()})
+        job.progress, job.text = 0.5, "closed loop"
+        yield self.tell("SetAxisState", state="closed_loop")
+
+    def hold(self) -> None:
+        """Where it is; no velocity, no torque."""
+        self.want(TARGETS[self.mode][0], self.mode, self._present())
+
+    def _present(self) -> float:
+        if self.mode != "position":
+            return 0.0
+        here = self.signals[f"{self.owner}.position"].value
+        if not isinstance(here, float):
+            raise DeviceError(
+                f'{self.name}: it does not say where it is: set its encoder_msg_rate_ms, or the setting estimates = "asked"'
+            )
+        return self.scale.raw_angle(here)
+
+    def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
+        """Nothing is fed forward."""
+        return {**_FORWARD.get(message, {}), **fields}
+
+    def switch_off(self) -> Ticket:
+        """Idle."""
+        return self.tell_now("SetAxisState", state="idle")
+
+    def ask_state(self) -> Awaited:
+        """The next heartbeat but one: the next may have been made before."""
+        before = self.beats
+        return self.until(lambda: self.beats >= before + 2, HEARTBEAT_S, lambda: "no heartbeat comes")
+
+    # ------------------------------------------------------------------ actions
+
+    def clear_errors(self) -> Ticket:
+        """Clear all errors of the drive."""
+        return self.tell("ClearErrors", **({"identify": 0} if self.is_new else {}))
+
+    def read_errors(self) -> Job:
+        """Ask for the error registers: name → value, in firmware 0.6 names of bits."""
+
+        def steps(job: Job) -> Steps:
+            found: dict[str, Any] = {}
+            for name in _ERRORS[str(self.variant.dialect)]:
+                record = yield self.ask(f"Get{name}", reply=name)
+                if self.is_new:
+                    found = {"active": list(record.active), "disarm_reason": list(record.disarm_reason)}
+                else:
+                    found[name] = record.error
+            return found
+
+        return self.job("read errors", steps)
+
+    def estop(self) -> Ticket:
+        """Disarm the axis with an error; set-points end."""
+        self.end_led()
+        self.end_set_points()
+        return self.tell_now("Estop")
+
+    def calibrate(self) -> Job:
+        """Full calibration; it moves. Fails with `DeviceError` when it does not succeed."""
+        self.is_driven = True
+
+        def steps(job: Job) -> Steps:
+            yield self.ask_state()
+            self.check_off("it can be calibrated")
+            yield self.tell("SetAxisState", state="full_calibration")
+            yield self.ask_state()
+            state = self.signals[f"{self.name}.state"]
+            yield self.until(lambda: state.last == "idle", CALIBRATION_S, lambda: "calibration does not end")
+            if self.faults:
+                raise DeviceError(f"{self.name}: calibration failed: {', '.join(sorted(self.faults))}")
+
+        return self.lead("calibrate", steps)
+
+    def set_zero(self) -> Job:
+        """The present position is the joint's 0 from now on. Fails while it is on."""
+
+        def steps(job: Job) -> Steps:
+            yield self.ask_state()
+            self.check_off("zero can be set")
+            if self.is_new:
+                yield self.tell("SetAbsolutePosition", position=self.scale.raw_angle(0.0))
+            else:  # counts of an encoder whose resolution CAN does not tell
+                if self.scale.zero:
+                    raise CallerError(
+                        f"{self.name}: firmware 0.5 takes 0 only, and {self.owner} has zero = {self.scale.zero:g}"
+                    )
+                yield self.tell("SetLinearCount", count=0)
+            self.epoch += 1
+
+        return self.job("set zero", steps)
+
+    def set_gains(
+        self, position: float | None = None, velocity: float | None = None, integrator: float | None = None
+    ) -> Job:
+        """Gains of the controllers, in the drive's units: (rev/s)/rev; N·m/(rev/s) and N·m/rev, which go together.
+
+        Raises `CallerError` for one of the two without the other.
+        """
+        if (velocity is None) != (integrator is None):
+            raise CallerError(f"{self.name}: velocity and integrator are set together")
+
+        def steps(job: Job) -> Steps:
+            if position is not None:
+                yield self.tell("SetPositionGain", gain=float(position))
+            if velocity is not None and integrator is not None:
+                yield self.tell("SetVelocityGains", gain=float(velocity), integrator=float(integrator))
+
+        return self.job("set gains", steps)
+
+    def version(self) -> Ticket:
+        """Ask for the versions of hardware and firmware."""
+        return self.ask("GetVersion", reply="Version")
+
+    def read(self, endpoint: int, type: str = "float") -> Job:
+        """Read a parameter by its number in this firmware's endpoint file. Raises `CallerError` for an unknown type."""
+        code = _code(self.name, type)
+
+        def steps(job: Job) -> Steps:
+            record = yield self.ask("RxSdo", reply="TxSdo", opcode="read", endpoint=int(endpoint))
+            if record.endpoint != int(endpoint) or len(record.value) < struct.calcsize(code):
+                raise DeviceError(
+                    f"{self.name}: asked for endpoint {endpoint} ({type}), it answered {record}"
+                )
+            return struct.unpack_from(code, record.value)[0]
+
+        return self.job(f"read {endpoint}", steps)
+
+    def write(self, endpoint: int, value: float, *, confirm: bool, type: str = "float") -> Ticket:
+        """Write a parameter. A number of another firmware is another parameter: `version` first."""
+        if confirm is not True:
+            raise CallerError(
+                f"{self.name}: say confirm=True; endpoint {endpoint} is another parameter in another firmware"
+            )
+        code = _code(self.name, type)
+        data = struct.pack(code, value if code == "<f" else int(value))
+        return self.tell("RxSdo", opcode="write", endpoint=int(endpoint), value=data)
+
+    def reboot(self) -> Ticket:
+        """Boot anew: it is off then, and has forgotten what was not saved."""
+        return self._boot("reboot")
+
+    def save(self, confirm: bool) -> Ticket:
+        """Store the configuration, which boots it anew."""
+        if confirm is not True:
+            raise CallerError(f"{self.name}: say confirm=True; what was set so far outlives power-off then")
+        return self._boot("save")
+
+    def _boot(self, action: str) -> Ticket:
+        self.end_led()
+        self.end_set_points()
+        return self.tell("Reboot", **({"action": action} if self.is_new else {}))
+
+
+def _code(who: str, type: str) -> str:
+    if type not in TYPES:
+        raise CallerError(f"{who}: no type {type!r} (there are: {', '.join(TYPES)})")
+    return f"<{TYPES[type]}"
+
+
+def _scan(host: Host, job: Job) -> Steps:
+    """Ask each node where it is: 63 remote frames, 20 ms each."""
+    found: list[DeviceConfig] = []
+    for node in range(0x3F):
+        job.progress, job.text = node / 0x3F, f"node {node}, {len(found)} found"
+        if (
+            yield from host.answers(
+                "odrive",
+                {"node": node},
+                "GetEncoderEstimates",
+                reply="EncoderEstimates",
+                timeout_s=0.02,
+                retries=0,
+            )
+        ):
+            found.append(
+                DeviceConfig(name=f"ODRIVE{node}", driver="odrive", bus=host.name, credentials={"node": node})
+            )
+    return found
+
+
+#: Both firmwares, a joint a mode; only the first sends its position by itself.
+EXAMPLE = """
+name = "odrive"
+rate_hz = 20
+
+[buses]
+new = { link = "can", protocol = "odrive", bitrate = 250_000 }
+old = { link = "can", protocol = "odrive", dialect = "0.5", bitrate = 250_000 }
+
+[devices]
+AXIS0 = { driver = "odrive", bus = "new", credentials = { node = 0 } }
+AXIS1 = { driver = "odrive", bus = "new", credentials = { node = 1 }, settings = { estimates = "asked" } }
+AXIS5 = { driver = "odrive", bus = "old", credentials = { node = 5 }, settings = { estimates = "asked" } }
+
+[joints]
+HIP = { device = "AXIS0", gear = [1, 8], direction = -1, zero = 0.2, lower = -1, upper = 1, max_speed = 6, max_current = 9 }
+WINCH = { device = "AXIS1", command = "current" }
+WHEEL = { device = "AXIS5", type = "continuous", command = "speed", max_speed = 20 }
+"""
+
+driver = Driver(
+    "odrive",
+    device=Odrive,
+    twin=OdriveTwin,
+    example=EXAMPLE,
+    doc="ODrive motor controller on CAN: position, velocity or torque of an axis.",
+    source="ODrive can-protocol.rst, can_simple.cpp; ODriveArduino; ODriveResources",
+    scan=_scan,
+    settings=described(OdriveSettings),
+)

@@ -1,0 +1,247 @@
+"""The twin of an ODrive axis: heartbeat, estimates, the state machine, errors, parameters.
+
+1. It speaks by itself as a drive from the factory does: heartbeat every 100 ms, estimates every 10 ms (can-protocol.rst).
+2. Its motor moves the joint through the joint's gear; friction and inertia are `joint_model`'s choices.
+3. Calibration takes half a second and moves nothing; a drive's takes longer, and turns the motor.
+"""
+
+from __future__ import annotations
+
+from math import tau
+from typing import Any, ClassVar
+
+from aces_bus.device import JointScale, Twin, on
+
+from ..joint_model import MotorModel, joint_of
+
+HEARTBEAT_S, ESTIMATES_S, CALIBRATION_S = 0.1, 0.01, 0.5
+#: What the twin's controllers hold with, at the joint: N·m/rad, N·m·s/rad. Choices.
+STIFFNESS, DAMPING = 150.0, 3.0
+MOTOR = MotorModel(speed=25.0, stall_current=40.0, torque_constant=0.5)
+VOLTAGE = 24.0
+
+
+class OdriveTwin(Twin):
+    """One axis. `parameters` holds what was written over CAN, by endpoint."""
+
+    protocol = "odrive"
+    faults: ClassVar = {
+        "over_temperature": "the inverter is too hot: the axis disarms, and stays so until errors are cleared",
+        "uncalibrated": "does not close its loop",
+        "no_heartbeat": "sends no heartbeat",
+    }
+
+    def setup(self) -> None:
+        """Idle, without errors, where it was."""
+        self.is_new = self.variant.dialect == "0.6"
+        joint = self.joints[0] if self.joints else None
+        self.scale = JointScale.of(joint, 1 / tau)
+        self.motor = joint_of(self, MOTOR)
+        self.state, self.control, self.result = "idle", "position", "success"
+        self.errors: frozenset[str] = frozenset()
+        self.disarmed_by: frozenset[str] = frozenset()
+        #: What is added to the motor's turns, as zero was set.
+        self.offset = 0.0
+        self.target = 0.0
+        self.parameters: dict[int, bytes] = {}
+        self.every(HEARTBEAT_S, self.beat)
+        settings = self.config.settings
+        if settings.get("estimates") != "asked":
+            self.every(ESTIMATES_S, lambda: self.answer("EncoderEstimates"))
+
+    # ------------------------------------------------------------------ what it says
+
+    @property
+    def turns(self) -> float:
+        """Where the motor is (rev)."""
+        return self.scale.raw_angle(self.motor.position(self.clock.now())) + self.offset
+
+    def beat(self) -> None:
+        """The heartbeat; an error that is there disarms."""
+        if "over_temperature" in self.active_faults:
+            self.fail("inverter_over_temperature" if self.is_new else "over_temperature")
+        if "no_heartbeat" in self.active_faults:
+            return
+        rest: dict[str, Any] = (
+            {"result": self.result, "trajectory_done": 1}
+            if self.is_new
+            else {"motor": [], "encoder": [], "controller": ["trajectory_done"]}
+        )
+        self.reply("Heartbeat", delay_ns=0, error=sorted(self.errors), state=self.state, **rest)
+
+    def values(self, name: str) -> dict[str, Any] | None:
+        """The fields of what can be asked for."""
+        motor, scale = self.motor, self.scale
+        motor.sync(self.clock.now())
+        torque = scale.raw_torque(motor.torque)
+        power = motor.torque * motor.v
+        match name:
+            case "EncoderEstimates" | "SensorlessEstimates":
+                return {"position": self.turns, "velocity": scale.raw_speed(motor.v)}
+            case "EncoderCount":
+                count = round(self.turns * 8192)
+                return {"shadow": count, "in_cpr": count % 8192}
+            case "Iq":
+                return {"setpoint": motor.current, "measured": motor.current}
+            case "BusVoltageCurrent":
+                return {"voltage": VOLTAGE, "current": max(0.0, power) / VOLTAGE}
+            case "Temperature":
+                return {"inverter": motor.temperature, "motor": motor.temperature}
+            case "Torques":
+                return {"target": torque, "estimate": torque}
+            case "Powers":
+                return {"electrical": power, "mechanical": power}
+            case "Errors":
+                return {"active": sorted(self.errors), "disarm_reason": sorted(self.disarmed_by)}
+            case "MotorError" | "EncoderError" | "SensorlessError" | "ControllerError":
+                return {"error": 0}
+            case "Version":
+                return {
+                    "protocol_version": 2, "hardware_line": 4, "hardware_version": 4, "hardware_variant": 58, "major": 0,
+                    "minor": 6, "revision": 10, "unreleased": 0,
+                }  # fmt: skip
+            case "Address":
+                return {
+                    "address": self.credentials["node"],
+                    "serial_number": 0x306839000000 | self.credentials["node"],
+                }
+            case _:
+                return None
+
+    def answer(self, name: str) -> None:
+        """Say what can be asked for."""
+        fields = self.values(name)
+        if fields is not None:
+            self.reply(name, **fields)
+
+    def heard(self, record: Any, instant: int) -> None:
+        """Whatever asks, by a remote frame or by one without data."""
+        name = type(record).__name__
+        if name.startswith("Get"):
+            self.answer(name.removeprefix("Get").removesuffix("Empty"))
+
+    @on("Discover")
+    def discovered(self, request: Any) -> None:
+        """Everybody answers."""
+        self.answer("Address")
+
+    @on("GetAdcVoltage")
+    def adc(self, request: Any) -> None:
+        """A pin at half of 3.3 V."""
+        self.reply("AdcVoltage", voltage=1.65)
+
+    # ------------------------------------------------------------------ state and errors
+
+    def fail(self, error: str) -> None:
+        """Disarm."""
+        self.errors |= {error}
+        self.disarmed_by |= {error}
+        self.go_idle("disarmed")
+
+    def go_idle(self, result: str = "success") -> None:
+        """Let the motor turn freely."""
+        self.state, self.result = "idle", result
+        self.motor.free(self.clock.now())
+
+    @on("SetAxisState")
+    def change_state(self, request: Any) -> None:
+        """Closed loop, a calibration, idle."""
+        state = str(request.state)
+        if state == "closed_loop":
+            if self.errors or "uncalibrated" in self.active_faults:
+                self.go_idle("not_calibrated")
+                if not self.is_new:
+                    self.errors |= {"invalid_state"}
+                return
+            self.state = state
+            self.drive()
+        elif state == "full_calibration" and not self.errors:
+            self.state, self.result = state, "busy"
+            self.clock.call_in(round(CALIBRATION_S * 1e9), self.calibrated)
+        else:
+            self.go_idle()
+
+    def calibrated(self) -> None:
+        """Calibration is over."""
+        if self.state == "full_calibration":
+            self.go_idle()
+
+    @on("Estop")
+    def stop_now(self, request: Any) -> None:
+        """Disarm with an error."""
+        self.fail("estop")
+
+    @on("ClearErrors")
+    def clear(self, request: Any) -> None:
+        """No errors any more, unless their cause is there."""
+        self.errors = frozenset()
+
+    @on("Reboot")
+    def boot(self, request: Any) -> None:
+        """Off and on."""
+        self.reboot()
+
+    # ------------------------------------------------------------------ control
+
+    @on("SetControllerModes")
+    def change_mode(self, request: Any) -> None:
+        """What is controlled."""
+        self.control = str(request.control)
+
+    @on("SetInputPosition")
+    def take_position(self, request: Any) -> None:
+        """Go there."""
+        self.take("position", request.position)
+
+    @on("SetInputVelocity")
+    def take_velocity(self, request: Any) -> None:
+        """Turn so fast."""
+        self.take("velocity", request.velocity)
+
+    @on("SetInputTorque")
+    def take_torque(self, request: Any) -> None:
+        """Push so much."""
+        self.take("torque", request.torque)
+
+    def take(self, control: str, target: float) -> None:
+        """A set-point; of another mode than the present one it does nothing."""
+        if control == self.control:
+            self.target = target
+            self.drive()
+
+    def drive(self) -> None:
+        """Do what is controlled."""
+        if self.state != "closed_loop":
+            return
+        now, scale = self.clock.now(), self.scale
+        if self.control == "position":
+            self.motor.impede(now, scale.angle(self.target - self.offset), 0.0, STIFFNESS, DAMPING, 0.0)
+        elif self.control == "velocity":
+            self.motor.impede(now, 0.0, scale.speed(self.target), 0.0, 4 * DAMPING, 0.0)
+        elif self.control == "torque":
+            self.motor.impede(now, 0.0, 0.0, 0.0, 0.0, scale.torque(self.target))
+
+    # ------------------------------------------------------------------ zero, addresses, parameters
+
+    @on("SetAbsolutePosition")
+    def set_position(self, request: Any) -> None:
+        """It is there from now on."""
+        self.offset += request.position - self.turns
+
+    @on("SetLinearCount")
+    def set_count(self, request: Any) -> None:
+        """It is there from now on, in counts."""
+        self.offset += request.count / 8192 - self.turns
+
+    @on("SetNodeId")
+    def renumber(self, request: Any) -> None:
+        """Another number."""
+        self.twins.renumber(self, node=request.new_node)
+
+    @on("RxSdo")
+    def access(self, request: Any) -> None:
+        """Read or write a parameter; of what was never written four zero bytes."""
+        if request.opcode == "write":
+            self.parameters[request.endpoint] = bytes(request.value)
+        value = self.parameters.get(request.endpoint, bytes(4))
+        self.reply("TxSdo", opcode=int(request.opcode == "write"), endpoint=request.endpoint, value=value)
