@@ -43,7 +43,8 @@ def _limits(codec: RegisterCodec) -> tuple[int, int]:
     field: Any = codec.register.field
     bits = 8 * codec.size
     if isinstance(field, Quantity) and field.raw_range:
-        return field.raw_range
+        low, high = field.raw_range
+        return int(low), int(high)
     if isinstance(field, Enumeration):
         return 0, max(field.names.values())
     if isinstance(field, Flags):
