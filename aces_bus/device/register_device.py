@@ -47,7 +47,7 @@ class RegisterCodec:
             raise CallerError(f"register {name} is not a plain number: {type(inner).__name__}")
         plain = Struct(inner.fmtstr)
         self.pack: Callable[[int], bytes] = plain.pack
-        self.unpack_from: Callable[[bytes, int], tuple[int]] = plain.unpack_from
+        self.unpack_from: Callable[[bytes | bytearray, int], tuple[int]] = plain.unpack_from
         self._values: dict[int, Any] = {}
 
     def value(self, raw: int) -> Any:

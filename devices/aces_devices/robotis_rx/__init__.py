@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from aces_bus.device import Driver
 from aces_bus.device.settings import described
+from aces_protocols.robotis.spec import SERVOS, control_table
 
-from .driver import RobotisRX, ServoSettings
-from .scan import scan_servos
+from ..servos.driver import ServoSettings
+from ..servos.scan import servo_scan
+from .driver import RobotisRX
 from .twin import RobotisRXTwin
 
 EXAMPLE = """\
@@ -34,7 +36,7 @@ driver = Driver(
     EXAMPLE,
     doc="Robotis RX-10, RX-28 and RX-64 servos.",
     source="Robotis RX-28 manual; recordings of two servos; acesHubo robotis.*",
-    scan=scan_servos,
+    scan=servo_scan("robotis_rx", control_table, SERVOS),
     settings=described(ServoSettings),
 )
 

@@ -16,6 +16,8 @@ from aces_bus.errors import FieldError
 from aces_bus.protocol import Enumeration, Flags, RegisterMap
 from aces_bus.protocol.declare.fields import Field
 
+from .fields import TOLERANCE, Directed, switch
+
 #: Error bits of a status packet; the alarm registers are masks of the same bits.
 ERRORS = {
     "voltage": 0,
@@ -44,7 +46,6 @@ class BaudRate(Field):
     """
 
     CLOCK = 2_000_000
-    TOLERANCE = 0.03
 
     def to_physical(self, raw: Any) -> Any:
         return self.CLOCK / (raw + 1)
@@ -53,36 +54,12 @@ class BaudRate(Field):
         if not isinstance(value, (int, float)) or not value > 0:
             raise FieldError(f"{path}: {value!r} is not a rate in baud")
         number = round(self.CLOCK / value) - 1
-        if not 0 <= number <= 0xFF or abs(self.to_physical(number) / value - 1) >= self.TOLERANCE:
+        if not 0 <= number <= 0xFF or abs(self.to_physical(number) / value - 1) >= TOLERANCE:
             near = self.to_physical(min(max(number, 0), 0xFF))
             raise FieldError(
                 f"{path}: no setting is within 3 % of {value!r} baud; the nearest is {near:.0f} baud"
             )
         return number
-
-
-class Directed(Field):
-    """Bits 0–9 are a magnitude, bit 10 set means clockwise: here negative, as angles grow counter-clockwise.
-
-    Only for registers that are read: bits 11–15 have no meaning and are left out.
-
-    >>> Directed(Int16ul).parse(bytes([0x64, 0x04])), Directed(Int16ul).parse(bytes([0x64, 0x00]))
-    (-100, 100)
-    """
-
-    def to_physical(self, raw: Any) -> Any:
-        magnitude = raw & 0x3FF
-        return -magnitude if raw & 0x400 else magnitude
-
-    def to_raw(self, value: Any, path: str = "") -> Any:
-        if not isinstance(value, int) or abs(value) > 0x3FF:
-            raise FieldError(f"{path}: {value!r} is outside ±1023 counts")
-        return value if value >= 0 else 0x400 | -value
-
-
-def switch(off: str = "off", on: str = "on") -> Enumeration:
-    """A byte that is 0 or 1."""
-    return Enumeration(Byte, {off: 0, on: 1})
 
 
 def add_registers(table: RegisterMap) -> None:

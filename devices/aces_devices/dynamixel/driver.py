@@ -1,0 +1,332 @@
+"""Dynamixel X series: position, extended position, velocity, current and PWM modes.
+
+1. What a joint is commanded by decides the mode that its servo must be in. The mode survives power-off, so the driver does
+   not change it by itself: `enable` fails and says how to (`set_mode`).
+2. Torque is switched on with the servo's own watchdog: without an instruction for `watchdog_s` it stops by itself.
+3. Currents are in A where the robot's file names the model; without it they are not known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal
+
+from msgspec import Meta
+
+from aces_bus.device import Job, Signal, Steps
+from aces_bus.device.config import Joint
+from aces_bus.device.register_device import RegisterSpan
+from aces_bus.errors import CallerError, DeviceError, NoReplyError
+from aces_protocols.dynamixel.control_table import ACCELERATION, ANGLE, HARDWARE_ERRORS, SPEED, WATCHDOG_ERROR
+from aces_protocols.dynamixel.models import MODEL_NAMES
+from aces_protocols.dynamixel.spec import control_table
+
+from ..servos.driver import ACTIONS, ServoDevice, ServoSettings
+
+TURN = 4096
+#: Counts that a goal in extended position mode may have either way: 256 turns (ROBOTIS e-manual).
+FAR = 1_048_575
+#: PWM of the greatest duty.
+PWM = 885
+#: rad/s² a count of acceleration: 214.577 rpm/min.
+ACCELERATION_STEP = ACCELERATION * math.tau / 3600
+#: A count of the watchdog (s).
+WATCHDOG_S = 0.02
+#: The speed limit (counts) of a model that is not known.
+SPEED_LIMIT = 1023
+#: The parameters of a Ping's status: model (2 bytes), firmware.
+PINGED = 3
+#: The mode that a joint's command needs; positions have several.
+MODE_OF = {"speed": "velocity", "current": "current", "duty": "pwm"}
+
+
+class DynamixelSettings(ServoSettings, frozen=True, kw_only=True):
+    """The driver's own keys in a robot file."""
+
+    mode: Annotated[
+        Literal["position", "extended_position", "current_based_position"] | None,
+        Meta(
+            description='how positions are followed: "position" (default), "extended_position" (several turns; default of'
+            ' a joint that turns without end) or "current_based_position"'
+        ),
+    ] = None
+    watchdog_s: Annotated[
+        float,
+        Meta(
+            ge=0,
+            le=127 * WATCHDOG_S,
+            description="without an instruction for so long the servo stops by itself (default 0.5, in steps of 0.02;"
+            " 0: never)",
+        ),
+    ] = 0.5
+
+
+def mode_of(joint: Joint | None, settings: DynamixelSettings) -> str:
+    """The operating mode that a joint needs its servo in."""
+    if joint is None or joint.command == "position":
+        turns = joint is not None and joint.type == "continuous"
+        return settings.mode or ("extended_position" if turns else "position")
+    return MODE_OF[joint.command]
+
+
+class Dynamixel(ServoDevice):
+    """One X-series servo."""
+
+    protocol: ClassVar[Any] = "dynamixel"
+    settings_type = DynamixelSettings
+    settings: DynamixelSettings
+    registers = control_table
+    eeprom = range(64)
+    together_bytes = 1024
+    together_overhead = 14
+    streamed = frozenset(("goal_position", "goal_velocity", "goal_current", "goal_pwm"))
+    remembers = frozenset(
+        ("torque_enable", "led", "bus_watchdog", "profile_velocity", "profile_acceleration")
+    )
+    motion_span = ("present_pwm", "present_position")
+    health_span = ("torque_enable", "present_temperature")
+    start_span = ("model_number", "status_return_level")
+    goals_by_command: ClassVar[Mapping[str, str]] = {
+        "position": "goal_position",
+        "speed": "goal_velocity",
+        "current": "goal_current",
+        "duty": "goal_pwm",
+    }
+    speed_register = "present_velocity"
+    shutdown_register = "shutdown"
+    error_bits = HARDWARE_ERRORS
+    of_request = frozenset(("crc",))
+    reset = ("FactoryReset", {"keep": "nothing"})
+    count_rad = math.radians(ANGLE)
+    speed_count_rad_s = SPEED * math.tau / 60
+    actions: ClassVar[Mapping[str, str]] = {
+        **ACTIONS,
+        "set_mode": "have it in the mode that its joint is commanded by; with confirm=true",
+        "reboot": "restart it: torque off, errors cleared",
+    }
+
+    # ------------------------------------------------------------------ declaration
+
+    def setup(self) -> None:
+        """As every servo, in a mode and with a model."""
+        joint = self.joints[0] if self.joints else None
+        self.model = MODEL_NAMES.get(self.config.model or "")
+        self._asks_why = False
+        #: Whether its watchdog has stopped it: it takes no goals until it is enabled anew.
+        self.is_cut_off = False
+        super().setup()
+        #: The operating mode that the joint needs.
+        self.mode = mode_of(joint, self.settings)
+        if self.command == "current" and (self.model is None or self.model.current_step_a is None):
+            why = "the robot's file does not say its model" if self.model is None else "its model has none"
+            raise CallerError(f"{self.name}: a joint cannot be commanded by current: {why}")
+        self._span_ping()
+
+    def _span_ping(self) -> None:
+        """A Ping is answered by model and firmware."""
+        span = RegisterSpan(0, PINGED, ())
+        span.codecs = (0, self.codec("model_number")), (2, self.codec("firmware_version"))
+        self._spans[self.host.word(self, "Ping", {})] = span
+
+    def renumbered(self) -> None:
+        """Its Ping is another, too."""
+        super().renumbered()
+        self._span_ping()
+
+    def range_counts(self) -> tuple[int, int]:
+        """One turn, or 256 either way."""
+        joint = self.joints[0] if self.joints else None
+        return (0, TURN - 1) if mode_of(joint, self.settings) == "position" else (-FAR, FAR)
+
+    def speed_limit_counts(self) -> int:
+        """The model's; the servo's own, once that is read, may be less."""
+        return SPEED_LIMIT if self.model is None else self.model.velocity_limit
+
+    def declare_more(self, owner: str, motion: Mapping[str, Any], health: Mapping[str, Any]) -> None:
+        """Duty, current or load, limits of speed and acceleration."""
+        direction, speed_step = self.direction, self.speed_step
+        sets = self.command == "duty"
+        self.duty = self.register_signal(
+            "duty",
+            "present_pwm",
+            to_si=lambda raw: raw / PWM * direction + 0.0,
+            set="goal_pwm" if sets else None,
+            to_raw=lambda value: round(value * PWM * direction),
+            lower=-1.0 if sets else None,
+            upper=1.0 if sets else None,
+            doc="The share of the supply that drives the motor, -1 to 1.",
+            **motion,
+        )
+        if self.model is not None and self.model.current_step_a is not None:
+            self._declare_current(self.model.current_step_a, self.model.current_limit, motion)
+        elif self.model is not None:
+            self.register_signal(
+                "load",
+                "present_current",
+                to_si=lambda raw: raw / 1000 * direction + 0.0,
+                doc="The load as a share of the greatest torque, -1 to 1.",
+                **motion,
+            )
+        if self.command == "position":
+            self.register_signal(
+                "speed_limit",
+                "profile_velocity",
+                to_si=lambda raw: raw * speed_step,
+                set="profile_velocity",
+                to_raw=lambda value: max(1, round(value / speed_step)) if value else 0,
+                unit="rad/s",
+                lower=0.0,
+                upper=self.speed_limit_counts() * speed_step,
+                doc="Speed on the way to a goal; 0: as fast as it can.",
+                **health,
+            )
+        if self.command in ("position", "speed"):
+            step = ACCELERATION_STEP * self.step / self.count_rad
+            self.register_signal(
+                "acceleration_limit",
+                "profile_acceleration",
+                to_si=lambda raw: raw * step,
+                set="profile_acceleration",
+                to_raw=lambda value: max(1, round(value / step)) if value else 0,
+                unit="rad/s²",
+                lower=0.0,
+                upper=0x7FFF * step,
+                doc="Acceleration on the way; 0: as much as it can.",
+                **health,
+            )
+
+    def _declare_current(self, step: float, limit: int, motion: Mapping[str, Any]) -> None:
+        direction, joint = self.direction, self.joints[0] if self.joints else None
+        sets = self.command == "current"
+        most = limit * step
+        if joint is not None and joint.max_current is not None:
+            most = min(most, joint.max_current)
+        self.current = self.register_signal(
+            "current",
+            "present_current",
+            to_si=lambda raw: raw * step * direction + 0.0,
+            set="goal_current" if sets else None,
+            to_raw=lambda value: round(value * direction / step),
+            unit="A",
+            lower=-most if sets else None,
+            upper=most if sets else None,
+            doc="The motor's current.",
+            **motion,
+        )
+
+    # ------------------------------------------------------------------ up
+
+    def learned(self, table: Mapping[str, int]) -> None:
+        """The servo's own limits limit the joint; another mode is reported."""
+        mode = self.codec("operating_mode").value(table["operating_mode"])
+        if mode != self.mode:
+            self.tell_event("alarm", self._other_mode(mode))
+        if self.codec("drive_mode").value(table["drive_mode"]).time_based_profile:
+            self.tell_event(
+                "alarm", "its profiles are times (drive_mode): speed and acceleration limits mean nothing"
+            )
+        if self.mode == "position":
+            self.limit_to(table["min_position_limit"], table["max_position_limit"])
+        for signal, most in (
+            (self["velocity"], table["velocity_limit"] * self.speed_step),
+            (self.duty, table["pwm_limit"] / PWM),
+        ):
+            _narrow(signal, most)
+        if self.command == "current" and self.model is not None and self.model.current_step_a is not None:
+            _narrow(self.current, table["current_limit"] * self.model.current_step_a)
+
+    def _other_mode(self, mode: Any) -> str:
+        return (
+            f"it is in the mode {mode}, and its joint needs {self.mode}:"
+            f" aces device {self.name} set_mode confirm=true"
+        )
+
+    def errors_of(self, record: Any) -> frozenset[str] | None:
+        """A status only says that there are errors; which, the register `hardware_error` does."""
+        known = self.known.get("hardware_error")
+        if not record.error.alert:
+            self._asks_why = False
+            if known is not None and known[0]:
+                del self.known["hardware_error"]  # that was before
+            return frozenset()
+        if known is not None and known[0]:
+            return frozenset(self.codec("hardware_error").value(known[0]))
+        if not self._asks_why and self.answers:
+            self._asks_why = True
+            self.read("hardware_error")
+        return None
+
+    def refusal(self, record: Any) -> str:
+        """What is wrong with the request, by name."""
+        code = record.error.code
+        return "" if code == "none" else str(code)
+
+    def changed(self, which: Mapping[str, tuple[int, int]]) -> None:
+        """Its watchdog may have stopped it."""
+        if which.get("bus_watchdog", (0, 0))[1] == WATCHDOG_ERROR:
+            self.is_cut_off = True
+            self.drop(self.goal)
+            text = "bus watchdog: it had no instruction for too long, and has stopped; enable it anew"
+            self.tell_event("alarm", text)
+        else:
+            super().changed(which)
+
+    def takes(self, signal: Signal) -> bool | None:
+        """No goals after its watchdog has stopped it."""
+        return False if self.is_cut_off else super().takes(signal)
+
+    # ------------------------------------------------------------------ actions
+
+    def before_torque(self) -> Steps:
+        """The mode must be right; the watchdog is cleared, then set."""
+        if self.answers:
+            mode = yield self.read("operating_mode")
+            if mode != self.mode:
+                raise DeviceError(f"{self.name}: {self._other_mode(mode)}")
+        yield self.write("bus_watchdog", 0, raw=True)
+        self.is_cut_off = False
+        if self.settings.watchdog_s:
+            yield self.write("bus_watchdog", max(1, round(self.settings.watchdog_s / WATCHDOG_S)), raw=True)
+
+    def stop_motion(self) -> Job:
+        """As `ServoDevice.stop_motion`; a servo that its watchdog has stopped takes no goal, and has stopped."""
+        stopping = super().stop_motion()
+
+        def steps(job: Job) -> Steps:
+            try:
+                yield stopping
+            except NoReplyError:
+                raise
+            except DeviceError:
+                if not self.answers or (yield self.read("bus_watchdog", raw=True)) != WATCHDOG_ERROR:
+                    raise
+
+        return self.job("stop", steps)
+
+    def set_mode(self, *, confirm: bool) -> Job:
+        """Have the servo in the mode that its joint is commanded by; its torque must be off."""
+        return self.write("operating_mode", self.mode, confirm=confirm)
+
+    def reboot(self) -> Job:
+        """Restart it: its torque is off then, its errors are cleared, and it knows no goals."""
+
+        def steps(job: Job) -> Steps:
+            yield self.obeyed("Reboot", "restarting")
+            self.forget()
+
+        return self.job("reboot", steps)
+
+    def check_write(self, name: str, confirm: bool = False) -> None:
+        """As `RegisterDevice.check_write`; what survives power-off is written without torque only."""
+        super().check_write(name, confirm)
+        if self.codec(name).address in self.eeprom and self.cached("torque_enable", raw=True) == 1:
+            raise CallerError(
+                f"{self.name}: register {name} can only be written with the torque off: disable it first"
+            )
+
+
+def _narrow(signal: Signal, most: float) -> None:
+    """Limit what is set to ±`most`, where it is set at all."""
+    if signal.upper is not None and most < signal.upper:
+        signal.lower, signal.upper = -most, most

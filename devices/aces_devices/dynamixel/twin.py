@@ -1,0 +1,358 @@
+"""The simulated X-series servo: what it has beyond what all servos have.
+
+Source: ROBOTIS e-manual, protocol 2.0 and control tables; where it is silent, see the README's choices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+from aces_bus.device import on
+from aces_bus.device.register_device import RegisterCodec
+from aces_protocols.dynamixel.control_table import ANGLE, HARDWARE_ERRORS, MODES, SPEED, WATCHDOG_ERROR
+from aces_protocols.dynamixel.models import MODEL_NAMES, MODELS
+from aces_protocols.dynamixel.spec import BROADCAST, CRC, control_table
+
+from ..servos.motion import SteadyShaft
+from ..servos.twin import PING, WRITE, RegisterTable, ServoTwin, alarm_registers
+from .driver import FAR, PWM, TURN, Dynamixel, DynamixelSettings, mode_of
+
+RAM = 64
+#: Choices: firmware 46, 12 V (or the middle of what the model takes), 32 °C.
+FIRMWARE, SUPPLY, WARMTH = 46, 120, 32
+#: Counts a second at one count of velocity.
+PER_SPEED = SPEED * 6 / ANGLE
+#: Saturated for so long without moving, it is overloaded (ns). A choice.
+OVERLOAD_NS = 500_000_000
+#: A count of the watchdog (ns).
+WATCHDOG_NS = 20_000_000
+GOALS = frozenset(("goal_position", "goal_velocity", "goal_current", "goal_pwm"))
+#: The bytes of a status without parameters; of the head of a joint answer, up to its first error.
+STATUS, HEAD = 11, 8
+INSTRUCTION, STATUS_CODE = 7, 0x55
+
+
+class DynamixelTwin(ServoTwin):
+    """One servo. `table` is its memory; `self["goal_position"]` a register's raw number."""
+
+    protocol: ClassVar[Any] = "dynamixel"
+    settings_type = DynamixelSettings
+    settings: DynamixelSettings
+    places = RegisterTable(control_table)
+    ram_start = RAM
+    no_stretch = "data_length"
+    faults: ClassVar[Mapping[str, str]] = {
+        "hot": "is 5 °C above its highest temperature (or as hot as said, °C)",
+        "low_voltage": "has 0.5 V less than its lowest voltage (or as much as said, V)",
+        "jam": "cannot turn: where it should, it pushes until it is overloaded",
+        "overload": "reports an overload",
+    }
+
+    def make(self) -> None:
+        """As delivered, with the speed, delay, level and mode that the robot's file means."""
+        self.motion = SteadyShaft()
+        joint = self.joints[0] if self.joints else None
+        self.model = MODEL_NAMES.get(self.config.model or "", MODELS[0])
+        self._factory()
+        self.tune()
+        self["return_delay"] = round(self.settings.return_delay_us / 2)
+        self["operating_mode"] = MODES[mode_of(joint, self.settings)]
+        self._joint, self._step = (1, 0.0), Dynamixel.count_rad
+        if joint is not None:
+            self.world.joints[joint.name] = self
+            self._joint = (joint.direction, joint.zero or 0.0)
+            self._step = Dynamixel.count_rad / (joint.ratio or 1.0)
+            start = joint.direction * self.world.start_of(joint.name) + (joint.zero or 0.0)
+            self.motion.at = float(self._clipped(round(start / self._step)))
+        else:
+            self.motion.at = TURN / 2
+
+    def _clipped(self, count: int) -> int:
+        low, high = (0, TURN - 1) if self["operating_mode"] == MODES["position"] else (-FAR, FAR)
+        return max(low, min(high, count))
+
+    def _factory(self) -> None:
+        self.load_defaults(0, RAM)
+        model = self.model
+        self["model_number"], self["firmware_version"] = model.number, FIRMWARE
+        self["temperature_limit"], self["shutdown"] = model.temperature_limit, model.shutdown
+        self["min_voltage_limit"], self["max_voltage_limit"] = model.voltages
+        self["current_limit"], self["velocity_limit"] = model.current_limit, model.velocity_limit
+
+    def begin(self) -> None:
+        """The RAM's defaults; goals are the limits, and where it is."""
+        now = self.clock.now()
+        self._pushing_since: int | None = None
+        #: When it last had an instruction (ns).
+        self._instructed_at = now
+        self.motion.settle(now)
+        self.load_defaults(RAM, len(self.table))
+        self["status_return_level"] = self.settings.status_return_level
+        for name, value in self.model.gains._asdict().items():
+            self[f"{name}_gain"] = value
+        self["goal_pwm"], self["goal_current"] = self["pwm_limit"], self["current_limit"]
+        if self["operating_mode"] == MODES["pwm"]:
+            self["goal_pwm"] = 0
+        elif self["operating_mode"] == MODES["current"]:
+            self["goal_current"] = 0
+        self["goal_position"] = round(self.motion.at)
+        self.apply()
+
+    # ------------------------------------------------------------------ motion
+
+    def position(self, now: int) -> float:
+        """The joint's angle (rad)."""
+        self._watch(now)
+        direction, zero = self._joint
+        return (self.motion.position(now) * self._step - zero) * direction
+
+    def before_write(self) -> None:
+        """Motion up to now is as it was."""
+        self.motion.settle(self.clock.now())
+
+    def apply(self) -> None:
+        """What the registers mean for the motion, from now on."""
+        motion, mode = self.motion, self["operating_mode"]
+        motion.settle(self.clock.now())
+        motion.is_driven = bool(self["torque_enable"])
+        motion.is_jammed = "jam" in self.active_faults
+        free = self["velocity_limit"] * PER_SPEED
+        profile = self["profile_velocity"] * PER_SPEED
+        motion.limit = min(free, profile) if profile else free
+        motion.goal = float(self["goal_position"])
+        motion.speed = None
+        if mode == MODES["velocity"]:
+            motion.speed = self["goal_velocity"] * PER_SPEED
+        elif mode == MODES["pwm"]:
+            motion.speed = self["goal_pwm"] / PWM * free
+        elif mode == MODES["current"]:
+            motion.speed = self["goal_current"] / max(1, self["current_limit"]) * free
+        if self["bus_watchdog"] == WATCHDOG_ERROR:
+            motion.goal, motion.speed = motion.at, None
+
+    def _watch(self, now: int) -> None:
+        """Stop when the watchdog's time was over since the last instruction."""
+        steps = self["bus_watchdog"]
+        end = self._instructed_at + steps * WATCHDOG_NS
+        if steps and steps != WATCHDOG_ERROR and self["torque_enable"] and now > end:
+            self.motion.settle(end)
+            self["bus_watchdog"] = WATCHDOG_ERROR
+            self.motion.goal, self.motion.speed = self.motion.at, None
+            self.apply()
+
+    def measure(self) -> int:
+        """Bring what is measured up to date; the hardware errors, which stay until it is restarted."""
+        now = self.clock.now()
+        self._watch(now)
+        motion, faults = self.motion, self.active_faults
+        if motion.is_jammed is not ("jam" in faults):
+            self.apply()
+        wanted = motion.wanted_at(now)
+        speed = motion.speed_at(now)
+        share = wanted / max(1.0, self["velocity_limit"] * PER_SPEED)
+        self["present_position"] = round(motion.position(now))
+        self["present_velocity"] = round(speed / PER_SPEED)
+        self["present_pwm"] = round(share * PWM)
+        self["present_current"] = round(
+            share * (self["current_limit"] if self.model.current_step_a else 1000)
+        )
+        self["moving"] = abs(speed) > self["moving_threshold"] * PER_SPEED
+        self["registered_instruction"] = self.is_holding
+        self["realtime_tick"] = now // 1_000_000 % 0x8000
+        lowest, highest = self.model.voltages
+        alarm_registers(
+            self,
+            faults,
+            limit="temperature_limit",
+            lowest="min_voltage_limit",
+            supply=min(SUPPLY, (lowest + highest) // 2),
+            warmth=WARMTH,
+        )
+        errors = self["hardware_error"]
+        if not self["min_voltage_limit"] <= self["present_voltage"] <= self["max_voltage_limit"]:
+            errors |= 1 << HARDWARE_ERRORS["voltage"]
+        if self["present_temperature"] > self["temperature_limit"]:
+            errors |= 1 << HARDWARE_ERRORS["overheating"]
+        if motion.is_jammed and wanted:
+            if self._pushing_since is None:
+                self._pushing_since = now
+            if now - self._pushing_since >= OVERLOAD_NS:
+                errors |= 1 << HARDWARE_ERRORS["overload"]
+        else:
+            self._pushing_since = None
+        if "overload" in faults:
+            errors |= 1 << HARDWARE_ERRORS["overload"]
+        self["hardware_error"] = errors
+        if errors & self["shutdown"] and self["torque_enable"]:
+            self["torque_enable"] = 0
+            self.apply()
+        return errors
+
+    # ------------------------------------------------------------------ instructions
+
+    def receive(self, record: Any, instant: int) -> None:
+        """An instruction; each of them keeps the watchdog quiet."""
+        if self.is_powered and self.is_tuned:
+            self._watch(self.clock.now())
+            self._instructed_at = self.clock.now()
+        super().receive(record, instant)
+
+    def refused(self, why: str) -> Any:
+        """The number of a refusal, by its name."""
+        return {"range": "data_range"}.get(why, why) or "none"
+
+    def with_errors(self, refusal: Any, errors: int) -> Any:
+        """And whether register 70 has something to say."""
+        return {"code": refusal, "alert": bool(errors)}
+
+    def wrong_place(self, address: int, codec: RegisterCodec | None) -> str:
+        """Read only, of the EEPROM with the torque on, or a goal after the watchdog has stopped it."""
+        if (codec is not None and codec.register.access == "read") or (
+            address < RAM and self["torque_enable"]
+        ):
+            return "access"
+        if codec is not None and codec.name in GOALS and self["bus_watchdog"] == WATCHDOG_ERROR:
+            return "data_range"
+        return ""
+
+    def wrong_value(self, name: str, value: int) -> str:
+        """Goals have limits of their own."""
+        if why := super().wrong_value(name, value):
+            return why
+        if name == "operating_mode" and value not in MODES.values():
+            return "data_range"
+        low, high = -FAR, FAR
+        if name == "goal_position" and self["operating_mode"] == MODES["position"]:
+            low, high = self["min_position_limit"], self["max_position_limit"]
+        elif name in ("goal_velocity", "goal_current", "goal_pwm"):
+            high = self[name.replace("goal", "").strip("_") + "_limit"]
+            low = -high
+        return "" if low <= value <= high else "data_limit"
+
+    @on("Ping")
+    def answer_ping(self, request: Any) -> None:
+        """Model and firmware; to a broadcast after those with lower numbers."""
+        before = 0
+        if request.id == BROADCAST:
+            mine = self.credentials["id"]
+            before = sum(1 for other in self.twins.members.values() if other.credentials["id"] < mine)
+        data = bytes(self.table[0:2]) + bytes(self.table[6:7])
+        self.answer(request, PING, "", data, delay_ns=self.turn_ns(before, STATUS + len(data)))
+
+    @on("SyncRead")
+    def answer_together(self, request: Any) -> None:
+        """After those who are asked before."""
+        self._in_turn([(number, request.start, request.count) for number in request.ids])
+
+    @on("BulkRead")
+    def answer_bulk(self, request: Any) -> None:
+        """An area of one's own, after those who are asked before."""
+        self._in_turn(_areas(request))
+
+    def _in_turn(self, areas: Sequence[tuple[int, int, int]]) -> None:
+        mine, before = self.credentials["id"], 0
+        for number, start, count in areas:
+            if number == mine:
+                turn = (before and self.twins.port.wire_ns(bytes(before))) + self._pauses(areas, mine)
+                self.answer_stretch(None, start, count, turn)
+                return
+            before += STATUS + count
+
+    def _pauses(self, areas: Sequence[tuple[int, int, int]], mine: int) -> int:
+        return self.delay_ns * (1 + [number for number, _, _ in areas].index(mine))
+
+    @on("FastSyncRead")
+    def answer_fast(self, request: Any) -> None:
+        """A part of a joint answer."""
+        self._jointly([(number, request.start, request.count) for number in request.ids])
+
+    @on("FastBulkRead")
+    def answer_fast_bulk(self, request: Any) -> None:
+        """A part of a joint answer, of an area of one's own."""
+        self._jointly(_areas(request))
+
+    def _jointly(self, areas: Sequence[tuple[int, int, int]]) -> None:
+        """The first servo sends what all of them send one behind another; it ends before the first that is not there."""
+        if not areas or areas[0][0] != self.credentials["id"]:
+            return
+        present = {
+            other.credentials["id"]: other
+            for other in self.twins.members.values()
+            if isinstance(other, DynamixelTwin) and other.is_powered and other.is_tuned
+        }
+        length = 1 + sum(4 + count for _, _, count in areas)
+        whole = (
+            b"\xff\xff\xfd\x00" + bytes((BROADCAST,)) + length.to_bytes(2, "little") + bytes((STATUS_CODE,))
+        )
+        for number, start, count in areas:
+            twin = present.get(number)
+            if twin is None:
+                break
+            errors = twin.measure()
+            data = twin.stretch(start, count)
+            whole += bytes((bool(errors) << 7, number)) + (bytes(count) if data is None else data)
+            whole += CRC.compute(whole).to_bytes(2, "little")
+        self.clock.call_in(self.delay_ns, lambda: self.send_raw(whole))
+
+    @on("BulkWrite")
+    def obey_bulk(self, request: Any) -> None:
+        """One's own of many."""
+        mine = self.credentials["id"]
+        for servo in request.servos:
+            if servo.id == mine:
+                self.put(servo.start, servo.data)
+
+    @on("Reboot")
+    def restart(self, request: Any) -> None:
+        """As after power-off: full turns are forgotten, too."""
+        self.answer(request)
+        self.motion.settle(self.clock.now())
+        self.motion.at %= TURN
+        self.begin()
+
+    @on("Clear")
+    def forget_turns(self, request: Any) -> None:
+        """The position within one turn; refused while it is moved."""
+        why = "result_fail" if self["torque_enable"] else ""
+        self.answer(request, WRITE, why)
+        if not why:
+            self.before_write()
+            self.motion.at %= TURN
+            self["goal_position"] = round(self.motion.at)
+            self.apply()
+
+    @on("FactoryReset")
+    def reset(self, request: Any) -> None:
+        """As from the factory; id and speed where they are to be kept."""
+        if request.id == BROADCAST and request.keep == "nothing":
+            return
+        self.answer(request)
+        number, baud = self["id"], self["baud_rate"]
+        self._factory()
+        if request.keep in ("id", "id_and_baud"):
+            self["id"] = number
+        if request.keep == "id_and_baud":
+            self["baud_rate"] = baud
+        self.begin()
+        self.twins.renumber(self, id=self["id"])
+
+    def not_understood(self, data: bytes, reason: str) -> None:
+        """An instruction with a wrong check, or that does not exist: answered with that error."""
+        if (
+            len(data) < STATUS - 1
+            or data[4] != self.credentials["id"]
+            or not self.is_powered
+            or not self.is_tuned
+        ):
+            return
+        if data[INSTRUCTION] == STATUS_CODE:
+            return
+        if reason == "malformed: checksum":
+            self.answer(None, WRITE, "crc")
+        elif reason == "unknown":
+            self.answer(None, WRITE, "instruction")
+
+
+def _areas(request: Any) -> list[tuple[int, int, int]]:
+    return [(area.id, area.start, area.count) for area in request.areas]

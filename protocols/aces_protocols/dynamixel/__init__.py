@@ -1,0 +1,1 @@
+"""Dynamixel protocol 2.0 (Robotis X series)."""
