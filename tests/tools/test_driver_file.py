@@ -91,7 +91,7 @@ def test_its_devices_are_found(robot: Path, tmp_path: Path, monkeypatch: pytest.
     future = "from __future__ import annotations\n"
     source = DRIVER.read_text().partition("def main()")[0]
     own.write_text(source.replace(future, future + head) + SCAN)
-    command = [sys.executable, "-m", "aces_tools", "sim", "-r", robot, "--driver", own, "--json"]
+    command = [sys.executable, "-m", "aces_tools", "sim", "-r", str(robot), "--driver", str(own), "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as twins:
         try:
             assert twins.stdout is not None
