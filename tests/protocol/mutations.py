@@ -177,7 +177,7 @@ def _of_call(node: ast.Call, tree: ast.Module) -> Iterator[Change]:
     if name == "Split":
         for pair in node.args:
             if isinstance(pair, ast.Tuple):
-                yield "shifted bit", _more(pair.elts[0])
+                yield "shifted bit", _one_further(pair)
     if (
         name in ("Bytes", "Reserved", "Array", "BitLayout")
         and node.args
@@ -255,6 +255,15 @@ def _another(tree: ast.Module, word: str, own: int | float | None) -> int | floa
 
 def _more(node: ast.AST) -> Callable[[], None]:
     return _set(node, int(_number(node) or 0) + 1)
+
+
+def _one_further(pair: ast.Tuple) -> Callable[[], None]:
+    """The first of a pair, a number or an expression, is one more."""
+
+    def change() -> None:
+        pair.elts[0] = ast.BinOp(pair.elts[0], ast.Add(), ast.Constant(1))
+
+    return change
 
 
 def _set(node: ast.AST, value: object) -> Callable[[], None]:

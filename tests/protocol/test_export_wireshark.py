@@ -18,12 +18,37 @@ from typing import Any
 from xml.etree import ElementTree
 
 import pytest
-from construct import Byte, GreedyRange, Struct, VarInt
+from construct import (
+    Byte,
+    Float32b,
+    GreedyBytes,
+    GreedyRange,
+    Int16sb,
+    Int16ub,
+    PrefixedArray,
+    Struct,
+    VarInt,
+    this,
+)
 from hypothesis import settings
 
 from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
-from aces_bus.protocol import Enumeration, Protocol, Quantity, StreamScanner, Unknown, Variant, make_scanner
+from aces_bus.protocol import (
+    BitLayout,
+    Enumeration,
+    Items,
+    Protocol,
+    Quantity,
+    Split,
+    StreamScanner,
+    Sum,
+    Text,
+    Unknown,
+    Variant,
+    bits,
+    make_scanner,
+)
 from aces_bus.protocol.exchange.export_wireshark import print_dissector
 from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.plan.flatten import fixed_leaves, flatten
@@ -119,42 +144,76 @@ def compare(variant: Variant, record: Any, physical: Any, shown: Shown) -> int:
     count = 0
     for leaf in fixed_leaves(variant[name])[0]:
         node = leaf.node
+        key = f"{own}.{leaf.identifier}"
         if isinstance(node, p.Opaque):
             continue
-        key = f"{own}.{leaf.identifier}"
-        value = value_at(record, leaf.path) if not isinstance(node, (p.DelimitedField, p.MoreCells)) else None
         if isinstance(node, p.DelimitedField):
             found = shown.get(key, [""])[0]
             text = getattr(record, leaf.path)
             assert found == (text or "") or not _is_plain(text), (leaf, found, text)
+            count += 1
         elif isinstance(node, p.MoreCells):
             texts = list(getattr(record, leaf.path))
             assert shown.get(key, []) == texts or not all(map(_is_plain, texts))
-        elif value is None:
-            assert key not in shown, (leaf, shown)
-            continue
-        elif isinstance(node, p.Scalar) and node.is_bytes:
-            found = shown.get(key, [""])[0]
-            if node.kind == "bytes":
-                assert found.replace(":", "") == value.hex(), (leaf, found, value)
-        elif (isinstance(node, p.Rest) and node.size > 8) or (
-            isinstance(node, p.Scalar) and len(node.bits) > 64
-        ):
-            continue
-        elif isinstance(node, p.Scalar) and node.kind == "float":
-            assert _near(float(shown[key + ".raw" if key + ".raw" in shown else key][0]), value), (
-                leaf,
-                value,
-            )
+            count += 1
+        elif isinstance(node, p.ListNode):
+            raw, meant = ((value_at(one, leaf.path) or ()) for one in (record, physical))
+            assert len(shown.get(key, [])) == len(raw), (leaf, shown, raw)
+            count += compare_items(node, key, list(raw), list(meant), shown)
         else:
-            scale = node.scale if isinstance(node, (p.Scalar, p.FromIdentifier)) else None
-            is_scaled = scale is not None and (scale.scale != 1 or bool(scale.offset))
-            assert int(shown[f"{key}.raw" if is_scaled else key][0], 0) == int(value), (leaf, shown, value)
-            meant = value_at(physical, leaf.path)
-            if is_scaled and isinstance(meant, (int, float)):
-                assert _near(float(shown[key][0]), meant), (leaf, shown, meant)
-        count += 1
+            count += compare_values(
+                leaf.node, key, [value_at(record, leaf.path)], [value_at(physical, leaf.path)], shown
+            )
     return count
+
+
+def compare_items(node: p.ListNode, key: str, raw: list[Any], meant: list[Any], shown: Shown) -> int:
+    """As `compare`, of the items of a list: those of one kind have their values under one name, in their order."""
+    count = 0
+    if isinstance(node, p.Repeated):
+        alike = [(f"{key}.each", node.plan, raw, meant)]
+    else:
+        assert isinstance(node, p.TaggedItems)
+        alike = []
+        for kind in node.kinds:
+            both = [
+                (a.data, b.data)
+                for a, b in zip(raw, meant, strict=True)
+                if a.kind in (kind.name, kind.number) and not a.reason
+            ]
+            alike.append((f"{key}.{kind.name}", kind.plan, [a for a, _ in both], [b for _, b in both]))
+    for start, plan, some, others in alike:
+        for leaf in plan.leaves:
+            inside = leaf.path.partition(".")[2]
+            values, meanings = (
+                [value_at(one, inside) if inside else one for one in these] for these in (some, others)
+            )
+            count += compare_values(leaf.node, f"{start}{leaf.path[4:]}", values, meanings, shown)
+    return count
+
+
+def compare_values(node: p.Node, key: str, values: list[Any], meanings: list[Any], shown: Shown) -> int:
+    """As `compare`, of the values under one name, raw and as they are meant."""
+    there = [(value, meant) for value, meant in zip(values, meanings, strict=True) if value is not None]
+    if (isinstance(node, p.Rest) and node.size > 8) or (isinstance(node, p.Scalar) and len(node.bits) > 64):
+        return 0
+    scale = node.scale if isinstance(node, (p.Scalar, p.FromIdentifier)) else None
+    is_scaled = scale is not None and (scale.scale != 1 or bool(scale.offset))
+    if isinstance(node, p.Scalar) and node.is_bytes:
+        if node.kind == "bytes":
+            wanted = [value.hex() for value, _ in there if value]
+            assert [text.replace(":", "") for text in shown.get(key, [])] == wanted, (key, shown, there)
+        return len(there)
+    texts = shown.get(f"{key}.raw" if f"{key}.raw" in shown else key, [])
+    assert len(texts) == len(there), (key, shown, there)
+    for index, (text, (value, meant)) in enumerate(zip(texts, there, strict=True)):
+        if isinstance(node, p.Scalar) and node.kind == "float":
+            assert _near(float(text), value), (key, text, value)
+            continue
+        assert int(text, 0) == int(value), (key, text, value)
+        if is_scaled and isinstance(meant, (int, float)):
+            assert _near(float(shown[key][index]), meant), (key, shown, meant)
+    return len(there)
 
 
 def _is_plain(text: str) -> bool:
@@ -178,8 +237,8 @@ def drawn(variant: Variant, seeds: Iterable[int], direction: Any = None) -> list
             except UndrawableError:
                 continue
             if packet.request is not None:
-                words.append(packet.request.word)
-            words.append(packet.word)
+                words += packet.request.words
+            words += packet.words
     return words
 
 
@@ -283,6 +342,52 @@ def segments(folder: Path, words: Sequence[bytes]) -> Path:
             file.write(struct.pack("<IIII", number, 0, len(data), len(data)) + data)
             sent += len(word)
     return path
+
+
+tlv = Protocol("tlv", link="serial", baud=115_200)
+_packet = tlv.framing(
+    sync=b"\xfa\xff",
+    header=Struct("mid" / Byte, "length" / Byte),
+    size=this.length + 5,
+    max_size=200,
+    check=Sum(negated=True, over=slice(1, -1)),
+)
+_kinds: dict[str, tuple[int, Any]] = {
+    "speed": (1, Quantity(Int16sb, unit="m/s", scale=0.1)),
+    "state": (0x203, Struct("mode" / Enumeration(Byte, off=0, on=1), "height" / Float32b)),
+    "flags": (9, BitLayout(2, "a" / bits(3), "b" / bits(9, signed=True))),
+    "text": (10, Struct("text" / Text(4), "rest" / GreedyBytes)),
+}
+_packet(
+    "Data",
+    match={"mid": 0x36},
+    payload=Struct("time" / Byte, "items" / Items(tag=Int16ub, size=Byte, kinds=_kinds)),
+)
+_packet(
+    "Pairs", match={"mid": 0x37}, payload=Struct("pairs" / GreedyRange(Struct("a" / Byte, "b" / Int16sb)))
+)
+_packet(
+    "Levels",
+    match={"mid": 0x38},
+    payload=Struct("levels" / PrefixedArray(Byte, Quantity(Int16ub, unit="V", scale=0.5))),
+)
+_packet(
+    "Fixed",
+    match={"mid": 0x39},
+    payload=Struct("place" / Quantity(Split((16, 32), (0, 16), signed=True), scale=2.0**-32)),
+)
+
+
+@needs_tshark
+def test_lists_of_items(tmp_path: Path) -> None:
+    """Tagged items, known, unknown and malformed; groups up to the end and counted; behind sums that are negated."""
+    variant = tlv.variant()
+    words = drawn(variant, range(40))
+    known = {"kind": "speed", "data": -3.5}, {"kind": "state", "data": {"mode": "on", "height": 0.5}}
+    short = {"kind": 0x203, "data": b"\x01", "reason": "size 1"}  # one byte of five
+    words.append(tlv.encode("Data", time=1, items=[*known, {"kind": 77, "data": b"xyz"}, short, known[0]]))
+    words += [word[:-1] + bytes([word[-1] ^ 1]) for word in words[:4]]
+    assert check_stream(tmp_path, variant, "both", words) == {"Data", "Pairs", "Levels", "Fixed"}
 
 
 @needs_tshark

@@ -176,6 +176,33 @@ def test_of_three_numbers_one_may_be_the_odd_one() -> None:
     assert not found(p, "byte-order")
 
 
+def test_one_signed_number_that_is_never_negative() -> None:
+    """Among eight unsigned numbers whose range begins at 0 a signed one is doubtful; among fewer it is the sheet's word."""
+    p = can()
+    for number in range(8):
+        assert not found(p, "sign")
+        p.message(f"M{number}", id=number, payload=Struct("a" / Quantity(Int16ul, range=(0, 1000))))
+        if not number:
+            p.message("Odd", id=9, payload=Struct("a" / Quantity(Int16sl, scale=0.1, range=(0, 100))))
+            p.message("Both", id=10, payload=Struct("a" / Quantity(Int16sl, range=(-100, 100))))
+            p.message("Below", id=11, payload=Struct("a" / Quantity(Int16sl, offset=500, range=(0, 100))))
+    assert "Odd.a: is signed, and its range has nothing below 0; 8 other such" in only(p, "sign").text
+
+
+def test_a_few_messages_without_a_direction_were_forgotten() -> None:
+    """One message of many, or a small family of very many; where several of few have none, it is no rule there."""
+    p = can()
+    for number in range(8):
+        p.message(f"M{number}", id=number, direction="from device")
+    p.message("One", id=0x20)
+    assert "no direction=, which all 8 others have" in only(p, "direction").text
+    p.message("Two", id=0x21)
+    assert not found(p, "direction")
+    for number in range(0x30, 0x3C):
+        p.message(f"M{number}", id=number, direction="to device")
+    assert [one.message for one in found(p, "direction")] == ["One", "Two"]
+
+
 def test_bits_that_belong_to_nobody_are_noted() -> None:
     """The bits of a layout without a field are named by byte and bit."""
     p = can()

@@ -1,4 +1,4 @@
-"""Slips in shipped specs: `aces spec check` or the laws catch nine in ten of a hundred seeded ones.
+"""Slips in shipped specs: `aces spec check`, the laws or a recording catch 95 of a hundred seeded ones.
 
 `pytest -s` prints which caught which, and what slipped through, with the reason. A few of small protocols in the short
 profile, all hundred of all protocols in the long one.
@@ -15,15 +15,26 @@ import pytest
 
 from aces_bus.errors import AcesError
 from aces_bus.protocol import Protocol
+from aces_bus.protocol.against import check_recordings
+from aces_bus.protocol.columns.decode import Way
 from aces_bus.protocol.lint import check_protocol
+from aces_bus.recordings import open_recording
 from aces_bus.testing.fuzz import Fuzzer
+from tests.conftest import ROOT
 from tests.protocol.mutations import Mutation, declared, drawn, folder_of
 
 SMALL = ["minihubo_adc", "pololu_qik", "robotis"]
 ALL = [*SMALL, "hubo", "hubovia"]
+CAPTURES = ROOT / "examples" / "captures"
 SEED = 2026
 #: Scenes before the laws, for what the check lets pass.
 EXAMPLES = 64
+#: What the examples have of each protocol, and which way its bytes went.
+RECORDINGS: dict[str, tuple[str, Way | None]] = {
+    "hubo": ("hubo2plus.log", None),
+    "minihubo_adc": ("adc.bin", "from device"),
+    "robotis": ("robotis_session.dxconf.txt", "both"),
+}
 #: Why something slips through.
 REGISTERS = "registers have no worked examples"
 UNSEEN = "its worked examples read the same"
@@ -34,23 +45,39 @@ def remarks(protocol: Protocol) -> Counter[tuple[str, str]]:
     return Counter((f.rule, f.message or "") for f in check_protocol(protocol) if f.level != "note")
 
 
+def contradictions(protocol: Protocol, name: str) -> Counter[tuple[str, str]]:
+    """What the recording of a protocol says against it: rule and message."""
+    if name not in RECORDINGS:
+        return Counter()
+    file, direction = RECORDINGS[name]
+    path = CAPTURES / file
+    recording = open_recording(path, link="serial") if path.suffix == ".bin" else open_recording(path)
+    found = check_recordings(protocol, [recording], direction=direction)
+    return Counter((one.rule, one.message or "") for one in found if one.level != "note")
+
+
 @lru_cache
-def healthy(name: str, folder: Path) -> Counter[tuple[str, str]]:
-    """What the check says of the shipped spec."""
-    return remarks(declared(name, folder))
+def healthy(name: str, folder: Path) -> tuple[Counter[tuple[str, str]], Counter[tuple[str, str]]]:
+    """What the check and the recording say of the shipped spec."""
+    protocol = declared(name, folder)
+    return remarks(protocol), contradictions(protocol, name)
 
 
 def caught(mutation: Mutation, folder: Path) -> str:
-    """What catches a mutation: "import", "check: RULE", "law N"; empty when nothing does."""
+    """What catches a mutation: "import", "check: RULE", "law N", "recording: RULE"; empty when nothing does."""
     try:
         mutant = declared(mutation, folder)
     except (AcesError, TypeError, ValueError, KeyError, AttributeError, AssertionError) as error:
         return f"import: {type(error).__name__}"
-    new = remarks(mutant) - healthy(mutation.protocol, folder)
+    said, recorded = healthy(mutation.protocol, folder)
+    new = remarks(mutant) - said
     if new:
         return f"check: {min(rule for rule, _ in new)}"
     failures = Fuzzer([mutant], seed=SEED).run(EXAMPLES, most=1)
-    return f"law {failures[0].law.number}" if failures else ""
+    if failures:
+        return f"law {failures[0].law.number}"
+    against = contradictions(mutant, mutation.protocol) - recorded
+    return f"recording: {min(rule for rule, _ in against)}" if against else ""
 
 
 def reason(mutation: Mutation, folder: Path) -> str:

@@ -16,8 +16,10 @@ from tests.specs.j1939_like import j1939_like
 from tests.specs.mavlink1 import mavlink1
 from tests.specs.mit_motor import mit_motor
 from tests.specs.modbus_like import modbus_like
+from tests.specs.nmea2000_like import nmea2000_like
 from tests.specs.odrive_like import odrive_like
 from tests.specs.slip import slip
+from tests.specs.uds_like import uds_like
 from tests.specs.xbus_like import xbus_like
 
 SPECS: dict[str, Protocol] = {
@@ -32,8 +34,10 @@ SPECS: dict[str, Protocol] = {
         mavlink1,
         mit_motor,
         modbus_like,
+        nmea2000_like,
         odrive_like,
         slip,
+        uds_like,
         xbus_like,
     )
 }

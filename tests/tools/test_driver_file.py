@@ -71,6 +71,40 @@ def test_its_twins_are_served(robot: Path, tmp_path: Path, monkeypatch: pytest.M
     assert json.loads(served.stdout.splitlines()[0])["buses"]["wheels"]["address"] == "unix:wheels"
 
 
+SCAN = """
+def scan(host, job):
+    found = []
+    for node in range(1, 4):
+        if (yield from host.answers("odrive", {"node": node}, "GetEstimates", reply="Estimates", timeout_s=0.5)):
+            found.append(DeviceConfig(name=f"AXIS{node}", driver="odrive", bus=host.name, credentials={"node": node}))
+    return found
+
+driver = replace(driver, scan=scan)
+"""
+
+
+def test_its_devices_are_found(robot: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the protocol's file and the driver's, which here is the same; the robot's file that is written works with them."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    own, found = tmp_path / "own.py", tmp_path / "found.toml"
+    head = "from dataclasses import replace\nfrom aces_bus.device import DeviceConfig\n"
+    future = "from __future__ import annotations\n"
+    source = DRIVER.read_text().partition("def main()")[0]
+    own.write_text(source.replace(future, future + head) + SCAN)
+    command = [sys.executable, "-m", "aces_tools", "sim", "-r", str(robot), "--driver", str(own), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as twins:
+        try:
+            assert twins.stdout is not None
+            bus = json.loads(twins.stdout.readline())["buses"]["wheels"]["address"]
+            discover = aces("discover", "-p", own, "--driver", own, "--bus", bus, "-o", found)
+            assert discover.stderr == "found=1 missing=0\n"
+            got = aces("device", "AXIS1", "get", "-r", found, "--driver", own, "--ask", "--json")
+            assert got.returncode == 0, got.stderr
+        finally:
+            twins.terminate()
+    assert 'protocol = "own.py"' in found.read_text()
+
+
 def test_what_is_no_driver_is_refused(robot: Path, tmp_path: Path) -> None:
     """Without the file; a file without one; a name that an installed driver has."""
     (tmp_path / "none.py").write_text("x = 1\n")

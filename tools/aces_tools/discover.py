@@ -18,6 +18,7 @@ report about themselves; gears, limits and names of joints are for you to add.
 from __future__ import annotations
 
 import argparse
+import os
 from contextlib import ExitStack
 from typing import Any
 
@@ -26,6 +27,8 @@ from msgspec.structs import replace
 from aces_bus.device import Bus, Driver, Host, Job, Robot, list_drivers, load_driver
 from aces_bus.errors import AcesError, CallerError
 from aces_bus.protocol import load_protocol
+from aces_bus.protocol.files import python_file
+from aces_bus.protocol.live.scanner import adopt_protocol
 
 from .console import StatusLine, check_suffix, print_json, say, write_text
 from .devices import credential_text
@@ -55,8 +58,8 @@ ARGUMENTS: Arguments = (
     PROTOCOL.but(
         action="store",
         default=None,
-        metavar="NAME[:DIALECT]",
-        help="without a robot: what is spoken on the bus",
+        metavar="NAME[:DIALECT]|FILE.py",
+        help="without a robot: what is spoken on the bus; of a Python file with its --driver",
     ),
     OUTPUT.but(metavar="FILE.toml", help="write the robot's file there (default: standard output)"),
     JSON.but(help="what was found, as JSON"),
@@ -131,6 +134,8 @@ def _robot(arguments: argparse.Namespace) -> Robot:
     if arguments.virtual:
         raise CallerError("--virtual needs a robot whose twins are to be found: --robot NAME")
     name, _, dialect = arguments.protocol.partition(":")
+    if python_file(arguments.protocol)[0]:
+        name, dialect = adopt_protocol(arguments.protocol), ""
     protocol = load_protocol(name)
     protocol.variant(dialect or None)  # raises for one that does not exist
     if not arguments.bus:
@@ -232,8 +237,11 @@ def _write(robot: Robot, found: list[Any], arguments: argparse.Namespace) -> Non
     from aces_bus.robot import print_robot
 
     options = bus_options(robot, arguments)
-    bus = replace(
-        robot.buses["bus"], **{k: v for k, v in options["bus"].items() if k in ("channel", "interface")}
-    )
+    stated = {k: v for k, v in options["bus"].items() if k in ("channel", "interface")}
+    path, name = python_file(arguments.protocol)
+    if path:  # as the robot's file finds it, from its folder
+        path = os.path.relpath(path, os.path.dirname(arguments.output or ""))
+        stated["protocol"] = f"{path}:{name}" if name else path
+    bus = replace(robot.buses["bus"], **stated)
     whole = replace(robot, buses={"bus": bus}, devices={config.name: config for config in found})
     write_text(arguments.output, print_robot(whole), is_quiet=True)

@@ -88,6 +88,11 @@ class Bits(Construct):
         return number - (1 << self.width) if self.signed and number >> self.width - 1 else number
 
     @property
+    def is_split(self) -> bool:
+        """Whether it is in several places."""
+        return self.pieces is not None and len(self.pieces) > 1
+
+    @property
     def raw_limits(self) -> tuple[int, int] | None:
         """The least and the greatest raw number; None of a float."""
         return None if self.is_float else self._limits
@@ -133,7 +138,11 @@ def float_bits(width: int, at: int | None = None, *, order: str | None = None) -
 
 
 def Split(*pieces: tuple[int, int], signed: bool = False, order: str | None = None) -> Bits:
-    """One number in several places: `(at, width)` of each piece, least significant piece first."""
+    """One number in several places: `(at, width)` of each piece, least significant piece first.
+
+    In a `BitLayout` places are the layout's. Where its pieces are whole bytes side by side, it may also be a field of a
+    `Struct`, like a number of so many bytes; places are counted from its own first byte, in "lsb" order.
+    """
     return Bits(sum(width for _, width in pieces), tuple(pieces), signed=signed, order=order)
 
 
@@ -147,6 +156,34 @@ class Tuple(Construct):
 
     def _sizeof(self, context: Any, path: str) -> int:
         return sum(sc._sizeof(context, path) for sc in self.subcons)
+
+
+class ByteSplit(Bits):
+    """A `Split` that is a field by itself: a number of whole bytes, whose pieces are in an order of their own."""
+
+    def __init__(self, field: Bits) -> None:
+        self.__dict__.update(vars(field))
+        end = 0
+        for at, width in sorted(field.pieces or ()):
+            end = end + width if at == end else -1
+        if end < 0 or end % 8:
+            raise SpecError(
+                f"{field.place}: the pieces of a Split that is no field of a BitLayout are whole bytes side by side;"
+                " where other fields lie between them, they all go into one:"
+                ' BitLayout(3, "mode" / bits(8, at=8), "angle" / Split((0, 8), (16, 8)))'
+            )
+        self._layout = BitLayout(self.bytes, "number" / field)
+        (self.slot,) = self._layout.slots
+
+    def _parse(self, stream: Any, context: Any, path: str) -> int | float:
+        word = int.from_bytes(stream_read(stream, self.bytes, path), "little")
+        return self.raw_of(self.slot.read(word))
+
+    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+        out = io.BytesIO()
+        super()._build(obj, out, context, path)
+        stream.write(self.slot.write(int.from_bytes(out.getvalue(), "big")).to_bytes(self.bytes, "little"))
+        return obj
 
 
 class LayoutSlot:

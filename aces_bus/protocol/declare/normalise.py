@@ -20,7 +20,7 @@ from typing import Any
 import construct as c
 
 from ...errors import FieldError, SpecError
-from .bits import BitLayout, Bits
+from .bits import BitLayout, Bits, ByteSplit
 from .choices import Known, enumerations_around, enumerations_of, equal_in_both, switch_by_both
 from .delimited import Delimited
 from .fields import Enumeration, Field, Flags, Multiplexed, Quantity, SignMagnitude, inner_constructs
@@ -52,6 +52,11 @@ def normalised(payload: c.Construct | None, place: SourceLine, around: Known | N
         return _Walk(place).of(payload, "payload", {("_", *path): e for path, e in (around or {}).items()})
     except RecursionError:
         raise SpecError(f"{place}: payload: its LazyBound gives another construct at each look") from None
+
+
+def normalised_field(field: c.Construct, place: SourceLine, name: str) -> Any:
+    """A field that is in no payload, such as a register's, ready to be flattened; raises `SpecError` as `normalised`."""
+    return _Walk(place).of(field, name, {})
 
 
 def check_name(name: str, place: SourceLine) -> None:
@@ -110,10 +115,9 @@ class _Walk:
         if not reason and isinstance(con, c.BitsInteger) and not self.in_bits:
             reason = "BitsInteger reads bits, which are in BitStruct and Bitwise alone; use BytesInteger, or a BitLayout"
         if isinstance(con, Bits):
-            reason = (
-                "bits(…), Split(…) and float_bits(…) go into a BitLayout, also where they are whole bytes that lie apart:"
-                ' BitLayout(3, "mode" / bits(8, at=8), "angle" / Split((0, 8), (16, 8)))'
-            )
+            if con.is_split:
+                return con if isinstance(con, ByteSplit) else ByteSplit(con)
+            reason = "bits(…) and float_bits(…) go into a BitLayout; whole bytes are Int16ul, Float32l and the like"
         if reason:
             raise SpecError(f"{place}: {path}: {reason}")
         match con:

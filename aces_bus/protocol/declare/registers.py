@@ -14,6 +14,7 @@ import construct as c
 
 from ...errors import FieldError, SpecError, UnknownNameError
 from .fields import Quantity
+from .normalise import normalised_field
 from .place import SourceLine, caller
 
 if TYPE_CHECKING:
@@ -103,6 +104,7 @@ class RegisterMap(Mapping[str, Register]):
     ) -> Register:
         """Declare a register; `range` is of raw values. Raises `SpecError` when it overlaps another."""
         place = caller()
+        field = normalised_field(field, place, name)
         size = int(field.sizeof())
         for other in self._registers.values():
             if other.name == name:

@@ -39,8 +39,9 @@ from ..declare.protocol import Protocol
 from ..draw import bits_place
 from .finding import Finding, Level
 
-#: One number, or so few of all, against so many of the other byte order is remarked upon.
-FEW, MANY = 0.1, 2
+#: One number, or so few of all, against so many of the other byte order is remarked upon; of signs against more, for a
+#: sheet may call a number signed that is never negative.
+FEW, MANY, MANY_UNSIGNED = 0.1, 2, 8
 
 
 def check_fields(protocol: Protocol) -> Iterator[Finding]:
@@ -55,6 +56,7 @@ def check_fields(protocol: Protocol) -> Iterator[Finding]:
                 yield from _enumeration(field, adapter)
     yield from _captures(protocol)
     yield from _orders(fields)
+    yield from _signs(fields)
     yield from _gaps(protocol)
 
 
@@ -216,6 +218,21 @@ def _orders(fields: Iterable[Written]) -> Iterator[Finding]:
                 )
 
 
+def _signs(fields: Iterable[Written]) -> Iterator[Finding]:
+    """Signed numbers whose range has nothing below 0, where nearly all others of such a range are unsigned."""
+    positive = [field for field in fields if field.is_never_negative]
+    signed = [field for field in positive if field.limits is not None and field.limits[0] < 0]
+    others = len(positive) - len(signed)
+    if others >= MANY_UNSIGNED and len(signed) <= max(1, FEW * others):
+        for field in signed:
+            yield _finding(
+                "warning",
+                "sign",
+                field,
+                f"is signed, and its range has nothing below 0; {others} other such numbers are unsigned",
+            )
+
+
 def _gaps(protocol: Protocol) -> Iterator[Finding]:
     seen: set[int] = set()
     for message in protocol.declared:
@@ -349,6 +366,18 @@ class Written:
             if isinstance(adapter, SignMagnitude):
                 return -adapter.limit, adapter.limit
         return raw_limits(self.inner)
+
+    @property
+    def is_never_negative(self) -> bool:
+        """Whether it is a number whose stated range of raw values begins at 0 or above."""
+        found = (adapter for adapter in self.adapters if isinstance(adapter, Quantity))
+        quantity: Quantity | None = next(found, None)
+        if quantity is None or self.limits is None:
+            return False
+        if quantity.raw_range is not None:
+            return bool(quantity.raw_range[0] >= 0)
+        is_plain = quantity.scale > 0 and not quantity.offset
+        return bool(is_plain and quantity.range is not None and quantity.range[0] >= 0)
 
     @property
     def byte_order(self) -> str | None:

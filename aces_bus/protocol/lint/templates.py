@@ -295,15 +295,16 @@ def _directions(variants: list[Variant]) -> Iterator[Finding]:
             return
 
 
-#: Where so many messages say which way they go, one that does not was forgotten.
-MANY = 8
+#: Where so many messages say which way they go, one (or so few of all: a family) that does not was forgotten.
+MANY, FEW = 8, 0.1
 
 
 def _without_direction(protocol: Protocol) -> Iterator[Finding]:
     without = [message for message in protocol.declared if message.direction is None]
     others = len(protocol.declared) - len(without)
-    if len(without) == 1 and others >= MANY:
-        yield _finding("warning", "direction", without[0], f"no direction=, which all {others} others have")
+    if others >= MANY and len(without) <= max(1, FEW * others):
+        for message in without:
+            yield _finding("warning", "direction", message, f"no direction=, which all {others} others have")
 
 
 #: Collisions of two protocols that are named one by one.

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import construct as c
 
 from ..declare import delimited as d
-from ..declare.bits import BitLayout, Bits, LayoutSlot, whole_bits
+from ..declare.bits import BitLayout, Bits, ByteSplit, LayoutSlot, whole_bits
 from ..declare.fields import (
     Counter,
     Enumeration,
@@ -240,6 +240,18 @@ def scalar_of(con: c.Construct, offset: int) -> p.Scalar:
     return _scalar(con, offset)
 
 
+def _integer(
+    inner: Bits, offset: int, size: int, positions: Sequence[int], steps: tuple[p.Step, ...], unit: str
+) -> p.Scalar:
+    """An integer at these bits of the `size` bytes from `offset` on."""
+    bits = tuple(8 * offset + position for position in positions)
+    # What is all of these bytes may be plain ones, the highest first.
+    is_big = size > 1 and bits == whole_bits(offset, size, "big")
+    return p.Scalar(
+        "int" if inner.signed else "uint", offset, size, "big" if is_big else "little", bits, steps, unit
+    )
+
+
 def _scalar(con: c.Construct, offset: int) -> p.Scalar:
     inner, steps, unit, _ = _peel(con)
     found = tuple(steps)
@@ -247,6 +259,8 @@ def _scalar(con: c.Construct, offset: int) -> p.Scalar:
         return p.Scalar("text", offset, inner.size, unit=unit)
     if isinstance(inner, c.FormatField) and inner.fmtstr.startswith("="):
         raise NotFlat("native byte order")
+    if isinstance(inner, ByteSplit):
+        return _integer(inner, offset, inner.bytes, inner.slot.positions, found, unit)
     wire = wire_number(inner)
     if wire is not None:
         bits = whole_bits(offset, wire.size, wire.order) if wire.kind != "float" else ()
@@ -578,11 +592,7 @@ class _Builder:
         assert isinstance(inner, Bits)
         bits = tuple(8 * self.offset + q for q in slot.positions)
         if not inner.is_float:
-            kind: Any = "int" if inner.signed else "uint"
-            # A field that is its whole layout may be plain bytes, the highest first.
-            is_big = layout.size > 1 and bits == whole_bits(self.offset, layout.size, "big")
-            way: Any = "big" if is_big else "little"
-            return p.Scalar(kind, self.offset, layout.size, way, bits, tuple(steps), unit), doc
+            return _integer(inner, self.offset, layout.size, slot.positions, tuple(steps), unit), doc
         start, size = min(bits) // 8, len(bits) // 8
         orders: tuple[Literal["little", "big"], ...] = ("little", "big")
         for order in orders:
