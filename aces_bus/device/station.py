@@ -223,7 +223,7 @@ class BusEndpoint(Generic[M]):
             return
         members = self.meant_by(record)
         if not members:
-            if not any([member.overheard(record, instant) for member in self.members.values()]):
+            if not sum(member.overheard(record, instant) for member in self.members.values()):  # each of them
                 self._unaddressed(record, instant)
             return
         for member in members:
