@@ -4,7 +4,8 @@
    and within the acceleration, unless that would lead past a limit of position. A joint that begins outside of its limits
    is led inside by the same rules, and never further out.
 2. A feasible motion passes unchanged, to the last bit. What is changed is counted per state, and reported once a while.
-3. What is no finite number does not leave, and feeds no dead-man; five of them in a row for one state trip.
+3. What is no finite number does not leave, and feeds no dead-man; five of them in a row for one state are a fault, which
+   trips unless a supervisor decides otherwise.
 4. When no set-points come for `dead_man_s`, or `trip` is called, the declared action follows: "hold" (come to a stand
    within the limits, and stay), "zero duty" or "disable" (no set-points any more; who drives the devices reads `tripped`
    and acts). The dead-man's hold ends with the next set-points; every other trip is latched until `release`.
@@ -270,6 +271,8 @@ class Guard:
         self.trips = self.swallowed = self.unanchored = 0
         self.refused: dict[str, int] = {}
         self.listeners = Listeners()
+        #: Who decides what the fault "not finite" leads to; None: it trips.
+        self.fault: Callable[[ControlEvent], None] | None = None
         self._dead_man = None if dead_man_s is None else round(dead_man_s * 1e9)
         self._lines = {one: _Line(one, limit) for one, limit in bounds.items()}
         self._states: Mapping[str, StateLike] = {}
@@ -367,8 +370,12 @@ class Guard:
         line.clipped.not_finite += 1
         line.in_a_row += 1
         self._tell(line, now, "not finite")
-        if line.in_a_row == NOT_FINITE_TRIPS:
-            self.trip(f"{line.name}: {line.in_a_row} set-points in a row were not finite numbers")
+        if line.in_a_row % NOT_FINITE_TRIPS == 0:
+            why = f"{line.name}: {line.in_a_row} set-points in a row were not finite numbers"
+            if self.fault is None:
+                self.trip(why)
+            else:
+                self.fault(ControlEvent("not finite", now, self.name, why))
 
     def tick(self, now: int) -> Mapping[str, float]:
         """A cycle without set-points: whether the dead-man acts, and what goes down if it holds."""

@@ -1,6 +1,7 @@
 """Reactions: what is done about each kind of fault, as values and as the words of a robot's file and of `--on-trip`.
 
-1. Kinds are those of devices' and buses' events, and of controllers: "raised", "failed", "dead-man". "*" is any other.
+1. Kinds are those of devices' and buses' events, and of controllers: "raised", "failed",
+   "dead-man", "not finite". "*" is any other.
 2. A word that is no reaction, a kind that no event has and a source that is not there are errors, never ignored.
 """
 
@@ -69,7 +70,7 @@ DEFAULT_REACTIONS: Mapping[str, Reaction | tuple[Reaction, ...]] = {
 }
 
 #: Kinds of faults of controllers and logs; those of devices and buses are `aces_bus.device.events.Kind`.
-CONTROL_KINDS = ("raised", "failed", "dead-man", "log-failed", "log-dropped")
+CONTROL_KINDS = ("raised", "failed", "dead-man", "not finite", "log-failed", "log-dropped")
 #: The ways to stop motion, by their words.
 ACTION_OF: Mapping[str, Action] = {one: one for one in ACTIONS}
 #: Words for reactions.

@@ -69,6 +69,7 @@ class Supervisor:
         #: When it last gave set-points that went down, or had none to give (ns); None: not yet.
         self._alive: int | None = None
         #: The reactions' own functions that wait for the controller's thread, with their events.
+        guard.fault = self._react
         self._to_do: deque[tuple[Callable[[EventLike], object], EventLike]] = deque()
         listeners = getattr(controller, "listeners", None)
         if isinstance(listeners, Listeners):  # "failed" is said, not raised

@@ -341,7 +341,7 @@ class Host(BusEndpoint[Device]):
         self.counts.repeated += 1
         ticket.device.missed_at = now
         for name in ticket.reply:
-            ticket.device.timed_out[name] = ticket.device.timed_out.get(name, 0) + 1
+            ticket.device.second_answers[name] = ticket.device.second_answers.get(name, 0) + 1
         self._transmit(ticket.word, ticket.device, ticket.message, ticket.timeout_ns)
 
     def poll(self) -> None:
@@ -591,8 +591,9 @@ class Host(BusEndpoint[Device]):
         device.awaiting.remove(ticket)
         device.misses = 0
         device.answered[name] = instant
-        if device.timed_out and instant - device.missed_at > LATE_REPLY_NS:
+        if (device.timed_out or device.second_answers) and instant - device.missed_at > LATE_REPLY_NS:
             device.timed_out.clear()  # what has not come by now never will
+            device.second_answers.clear()
         ticket.answered_at = instant
         counts = self.counts
         counts.answered += 1
@@ -624,7 +625,10 @@ class Host(BusEndpoint[Device]):
         """A record that no request waits for: of a device that speaks by itself, late, or of a second one."""
         before = device.answered.get(name)
         late = device.timed_out.get(name, 0)
-        if late:
+        expected = device.second_answers.get(name, 0)
+        if expected:  # the first was only slow, on a full bus: this one was asked for, too
+            device.second_answers[name] = expected - 1
+        elif late:
             device.timed_out[name] = late - 1
             self.tell("late reply", device.name, name)
         elif before is not None and instant - before < DUPLICATE_REPLY_NS:

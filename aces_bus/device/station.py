@@ -54,6 +54,10 @@ class EndpointMember:
         """A record that is about it."""
         raise NotImplementedError
 
+    def overheard(self, record: Any, instant: int) -> bool:
+        """A record that is about nobody here; whether that was to be expected, as a heartbeat of the host."""
+        return False
+
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name}: {shown(self.credentials)}>"
 
@@ -183,6 +187,11 @@ class BusEndpoint(Generic[M]):
 
     # ------------------------------------------------------------------ words
 
+    @property
+    def is_open(self) -> bool:
+        """Whether it receives, and may send."""
+        return self._is_open
+
     def open(self) -> None:
         """Start receiving; what is open stays so."""
         if not self._is_open:
@@ -214,7 +223,8 @@ class BusEndpoint(Generic[M]):
             return
         members = self.meant_by(record)
         if not members:
-            self._unaddressed(record, instant)
+            if not sum(member.overheard(record, instant) for member in self.members.values()):  # each of them
+                self._unaddressed(record, instant)
             return
         for member in members:
             member.receive(record, instant)

@@ -325,7 +325,7 @@ class CanGate(Gate[Frame]):
         """
         made = frame if isinstance(frame, Frame) else message_to_frame(frame)
         if self.allow is not None and not self.allow.matches(made):
-            refused = f"{self._name_of(made)} is not among the identifiers that may be sent here (allow)"
+            refused = not_allowed(made)
             self._tell("not sent", refused, 1)
             raise CallerError(f"{self.name}: {refused}")
         return self._queue(
@@ -354,7 +354,7 @@ class CanGate(Gate[Frame]):
         return self._quick is None or self._quick.push()
 
     def _name_of(self, word: Frame) -> str:
-        return f"{word.arbitration_id:#x}"
+        return name_of(word)
 
     def _put_out(self, word: Frame) -> None:
         from .python_can import frame_to_message
@@ -380,6 +380,16 @@ class CanGate(Gate[Frame]):
                 number = getattr(error, "error_code", None) or getattr(error, "errno", None)
                 if number != errno.ENOBUFS or not left or self._stopping.wait(FULL_S):
                     raise
+
+
+def name_of(frame: Frame) -> str:
+    """What a frame is called in events."""
+    return f"{frame.arbitration_id:#x}"
+
+
+def not_allowed(frame: Frame) -> str:
+    """Why a frame does not leave where others are allowed."""
+    return f"{name_of(frame)} is not among the identifiers that may be sent here (allow)"
 
 
 def _opener(options: dict[str, Any], *, listen_only: bool) -> Open:

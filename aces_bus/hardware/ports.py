@@ -16,9 +16,9 @@ from msgspec.structs import replace
 from ..errors import CallerError
 from ..frames import Frame
 from ..runtime import EventClock, Loop
-from .can import CanGate
+from .can import CanGate, not_allowed
 from .datagram import DatagramGate
-from .gate import Gate, Received
+from .gate import ContentFilter, Gate, Received
 from .gate_events import BusEvent
 from .queues import AGE_S
 from .serial import SerialGate
@@ -106,7 +106,10 @@ class BasePort(Generic[Word]):
 
 
 class CanPort(BasePort[Frame]):
-    """A CAN bus: a node on a `SimulatedBus`, or a `CanGate` with the `Loop` that its frames are handed to."""
+    """A CAN bus: a node on a `SimulatedBus`, or a `CanGate` with the `Loop` that its frames are handed to.
+
+    `allow`: which frames the node may send at all (None: all); a gate has its own.
+    """
 
     link: Literal["can"] = "can"
     half_duplex = False
@@ -118,9 +121,12 @@ class CanPort(BasePort[Frame]):
         *,
         name: str = "",
         bitrate: int | None = None,
+        allow: ContentFilter[Frame] | None = None,
     ) -> None:
         super().__init__(bus, loop, name or getattr(bus, "name", "") or "can")
-        self._bus = bus
+        if allow is not None and not isinstance(bus, SimulatedBus):
+            raise CallerError(f"{self.name}: what may be sent is its gate's to know: CanGate(allow=…)")
+        self._bus, self._allow = bus, allow
         self._handler: BusHandler | None = None
         self._costs: dict[tuple[int, bool, bool], int] = {}
         self.bitrate, self.data_bitrate = bitrate or 1_000_000, None
@@ -136,9 +142,13 @@ class CanPort(BasePort[Frame]):
             self.name, received, self._happened, mailboxes=4096, restart_ns=RESTART_NS
         )
         self.node.hears_sent = False
-        send = self.node.send
+        send, allow = self.node.send, self._allow
 
         def give(word: Frame, age_ns: int, urgent: bool, topic: object, report: Told | None) -> bool:
+            if allow is not None and not allow.matches(word):
+                if self._handler is not None:
+                    self._handler("not sent", not_allowed(word))
+                return False
             # Its frames wait in its mailboxes, as in a controller's.
             return send(word) if report is None else send(word, report, age_ns or MAILBOX_AGE_NS)
 

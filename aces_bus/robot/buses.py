@@ -55,12 +55,7 @@ def gate_of(
         whole = {"channel": channel, **({"interface": bus.interface} if bus.interface else {})}
         if rate:
             whole["bitrate"] = rate
-        if bus.allow is None:
-            return CanGate({**whole, **chosen}, name=bus.name, listen_only=listen_only)
-        from ..recordings.filters import parse_filter  # NumPy: slow to import
-
-        allow = parse_filter(*bus.allow)
-        return CanGate({**whole, **chosen}, name=bus.name, listen_only=listen_only, allow=allow)
+        return CanGate({**whole, **chosen}, name=bus.name, listen_only=listen_only, **_allowed(bus))
     if bus.link == "serial":
         baud = int(chosen.pop("baud", None) or bus.baud or protocol.baud or 115_200)
         half = is_half_duplex(bus, protocol)
@@ -70,6 +65,15 @@ def gate_of(
     if bind is not None:
         return DatagramGate(_address(bus, bind), name=bus.name, listen_only=listen_only)
     return DatagramGate(peer=_address(bus, str(channel)), name=bus.name, listen_only=listen_only)
+
+
+def _allowed(bus: Bus) -> dict[str, Any]:
+    """What may be sent on a CAN bus, as an option of gates and ports; none where it is all."""
+    if bus.allow is None:
+        return {}
+    from ..recordings.filters import parse_filter  # NumPy: slow to import
+
+    return {"allow": parse_filter(*bus.allow)}
 
 
 def _address(bus: Bus, text: str) -> tuple[str, int]:
@@ -182,11 +186,15 @@ class VirtualRobot:
         self.rig: Rig = connect(
             robot, self.ports("host"), rate_hz=rate_hz, budget=budget, rules=rules, load=load
         )
-        self.simulation: Simulation = simulate(robot, self.ports("twins"), seed=seed, pose=pose, load=load)
+        twins = {bus: port_of(wire, name=f"{bus} twins") for bus, wire in self.wires.items()}
+        self.simulation: Simulation = simulate(robot, twins, seed=seed, pose=pose, load=load)
 
     def ports(self, name: str) -> dict[str, Any]:
-        """A port of each wire for one more station."""
-        return {bus: port_of(wire, name=f"{bus} {name}") for bus, wire in self.wires.items()}
+        """A port of each wire for one more host: it sends what the robot's file allows."""
+        return {
+            bus: port_of(wire, name=f"{bus} {name}", **_allowed(self.robot.buses[bus]))
+            for bus, wire in self.wires.items()
+        }
 
     def __getitem__(self, name: str) -> Any:
         """The signal "RHY.position"."""

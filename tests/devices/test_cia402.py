@@ -210,7 +210,7 @@ def test_set_points_of_a_disabled_axis_are_dropped() -> None:
 
 def test_a_drive_that_is_enabled_already_stays_so() -> None:
     """A second program's set-point, given before the drive was heard, moves it; its first controlword is 000F."""
-    with _running() as robot:
+    with _running("watchdog_ms = 0") as robot:
         robot.rig.close()
         second = connect(robot.robot, robot.ports("second"), rate_hz=100, load=_load)
         with second:
@@ -390,6 +390,116 @@ def test_a_mapping_that_cannot_work_says_how_to_change_it() -> None:
         detail = robot.events.of("alarm")[0].detail
         assert "PDO 1 is sent by transmission type 255, not at each SYNC" in detail
         assert 'pdo = "write"' in detail
+
+
+# ---------------------------------------------------------------------- the watch over the host
+
+
+def test_an_enabled_drive_watches_over_the_host() -> None:
+    """Enabling writes object 1016 (node 127, 500 ms) before the first controlword; heartbeats come; stopping ends it."""
+    with _running(enabled=False) as robot:
+        recorder = ListeningNode(robot.wires["drives"])
+        robot.devices["D"].enable().wait(5)
+        robot.advance(2)
+        assert "23 16 10 01 F4 01 7F 00" in _frames(recorder, 0x605)
+        first = [
+            f.arbitration_id for f in recorder.frames() if f.arbitration_id == 0x605 or f.data[:1] == b"\x06"
+        ]
+        assert first[0] == 0x605
+        assert set(_frames(recorder, 0x77F)) == {"05"}
+        assert len(_frames(recorder, 0x77F)) >= 4 * 3
+        assert robot["J.state"].value == "operation enabled"
+        robot.devices["D"].stop_motion().wait(2)
+        assert "23 16 10 01 00 00 7F 00" in _frames(recorder, 0x605)
+        before = len(_frames(recorder, 0x77F))
+        robot.advance(2)
+        assert len(_frames(recorder, 0x77F)) <= before + 1
+        assert robot.events.count("alarm") == 0
+
+
+def test_a_drive_without_its_host_goes_into_fault_and_is_enabled_anew() -> None:
+    """No heartbeat for 500 ms: it disables itself with emergency 8130; acknowledged and enabled, it works again."""
+    with _running() as robot:
+        recorder = ListeningNode(robot.wires["drives"])
+        device, axis = robot.devices["D"], robot.twins["D"].axes[0]
+        port = device.host.port
+        send = port.send
+        port.send = lambda word, *a, **k: (
+            True if getattr(word, "arbitration_id", 0) == 0x77F else send(word, *a, **k)
+        )
+        robot.advance(0.3)
+        assert axis.state == "operation enabled"
+        robot.advance(0.4)
+        assert axis.state == "fault"
+        assert _frames(recorder, 0x085) == ["30 81 11 00 00 00 00 00"]
+        assert "heartbeat" in robot["D.error"].value
+        port.send = send
+        robot.advance(1)
+        assert robot["D.network"].value == "pre_operational"
+        device.stop_motion().wait(2)  # over SDO: it takes no PDOs
+        device.reset_fault().wait(5)
+        device.enable().wait(5)
+        robot.advance(1)
+        assert robot["J.state"].value == "operation enabled"
+
+
+@pytest.mark.parametrize(
+    ("option", "state"), [(2, "switch on disabled"), (3, "switch on disabled"), (0, "fault")]
+)
+def test_what_a_drive_does_without_its_host_is_its_own_affair(option: int, state: str) -> None:
+    """Object 6007 as it is there counts (disable, quick stop); only "nothing" is made a fault."""
+    with _running(enabled=False) as robot:
+        device = robot.devices["D"]
+        device.write("6007", option, confirm=True).wait(1)
+        device.enable().wait(5)
+        device.host.close()
+        robot.advance(2)
+        axis = robot.twins["D"].axes[0]
+        axis.advance(robot.clock.now())
+        assert axis.state == state
+
+
+def test_one_heartbeat_a_bus() -> None:
+    """Two drives, one of them stopped: one heartbeat goes on, as often as the shorter watch wants."""
+    text = ONE.replace("SETTINGS", "counts_per_turn = 100_000").replace(", MORE", "")
+    text += 'K = { device = "E", channel = 0, lower = -1, upper = 1 }\n'
+    text = text.replace(
+        "[joints]",
+        'E = { driver = "cia402", bus = "drives", credentials = { node = 6 },'
+        " settings = { counts_per_turn = 1000, watchdog_ms = 200 } }\n[joints]",
+    )
+    robot, problems = parse_robot(text, "two.toml")
+    assert robot is not None, problems
+    with VirtualRobot(robot, rate_hz=100, load=_load) as two:
+        two.advance(0.5)
+        for name in ("D", "E"):
+            two.devices[name].enable().wait(5)
+        recorder = ListeningNode(two.wires["drives"])
+        two.advance(2)
+        assert 38 <= len(_frames(recorder, 0x77F)) <= 42
+        two.devices["D"].stop_motion().wait(2)
+        two.advance(2)
+        assert two["K.state"].value == "operation enabled"
+        assert len(_frames(recorder, 0x77F)) > 70
+
+
+def test_a_watch_that_cannot_be_had_is_an_error_with_the_way_out() -> None:
+    """All entries of 1016 watch others: enabling fails and says so; watchdog_ms = 0 does without."""
+    with _running(enabled=False) as robot:
+        device = robot.devices["D"]
+        for entry in (1, 2):
+            device.write(f"1016:{entry}", (entry << 16) + 100, confirm=True).wait(1)
+        with pytest.raises(
+            DeviceError, match=r"all 2 entries of object 1016 watch other nodes.*watchdog_ms = 0"
+        ):
+            device.enable().wait(5)
+        assert robot.twins["D"].axes[0].state == "switch on disabled"
+    with _running("watchdog_ms = 0") as robot:
+        recorder = ListeningNode(robot.wires["drives"])
+        robot.advance(1)
+        assert _frames(recorder, 0x77F) == []
+    with pytest.raises(CallerError, match="host_node = 5 is the drive's own number"):
+        VirtualRobot(_robot("host_node = 5"), rate_hz=100, load=_load)
 
 
 def test_long_objects_are_read_and_written_in_segments() -> None:

@@ -111,7 +111,7 @@ def test_nothing_but_numbers_that_are_none() -> None:
             return {**given, "RHP": float("nan")} if self.seconds(now_ns) > 0.2 else given
 
     ended, _, look, run = walk_into(lambda run: None, walk=Lost(HUBO))
-    assert ended.tripped["walk"] == "RHP: 5 set-points in a row were not finite numbers"
+    assert ended.tripped["walk"] == "walk: not finite: RHP: 5 set-points in a row were not finite numbers"
     assert look.rows[-1][0] - look.rows[0][0] <= 260 * MS
     assert motors_are_off(run)
 

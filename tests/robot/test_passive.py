@@ -7,10 +7,12 @@ from collections.abc import Mapping
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from aces_bus import load_robot
 from aces_bus.controller import controller
 from aces_bus.errors import CallerError, DeviceError
+from aces_bus.hardware.simulated.bus import ListeningNode
 from aces_bus.robot import VirtualRobot, connect, open_gates, run_real
 from aces_bus.runtime import Loop
 from aces_bus.state import UNKNOWN
@@ -133,3 +135,15 @@ def test_an_allow_list_is_the_robots_files() -> None:
     ):
         _, problems = parse_robot(text.replace('"100:7F8"', bad))
         assert any(said in one.text for one in problems), problems
+
+
+def test_an_allow_list_holds_in_virtual_runs_too() -> None:
+    """A frame that the file does not list does not leave: the event names its identifier; what is listed goes on."""
+    robot = load_robot("hubo2plus").part("RHY")
+    lower = replace(robot.buses["lower"], allow=("010:7F0",))  # references, and nothing that asks
+    with VirtualRobot(replace(robot, buses={**robot.buses, "lower": lower}), rate_hz=100) as master:
+        recorder = ListeningNode(master.wires["lower"])
+        master.advance(0.2)
+        assert list(recorder.frames()) == []
+        said = {event.detail for event in master.events.last if event.kind == "not sent"}
+        assert "0x1 is not among the identifiers that may be sent here (allow)" in said

@@ -4,6 +4,7 @@
    its heartbeat is switched on, it is started. Nothing of that moves it.
 2. What must be quick goes in PDOs: one a tick each way, at SYNC. What need not goes over SDO, one transfer at a time.
 3. It is enabled where it is. After a reboot or a fault it stays disabled until it is enabled again.
+4. While it is enabled it watches over the host, where it can (`watchdog`).
 
 Modes, states and objects: CiA 402 as `states` has it. See the README for what is not done.
 """
@@ -13,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from aces_bus.device import Job, Poll, Signal, Steps
+from aces_bus.device import UNKNOWN, Job, Poll, Signal, Steps
 from aces_bus.device.settings import settings_of
 from aces_bus.errors import AcesError, CallerError, DeviceError, NoReplyError
 
@@ -39,6 +40,7 @@ from .states import (
     emergency_text,
 )
 from .units import DriveSettings
+from .watchdog import Watchdog
 
 #: Seconds that one step of the state machine may take, and a change of mode.
 STEP_S, MODE_S = 1.0, 1.0
@@ -99,6 +101,7 @@ class Cia402(ObjectAccess[DriveAxis]):
             "error", stale_s=beats, doc="the last emergency; empty: none", source="CiA 301, EMCY; object 603F"
         )
         self.sdo = SdoChannel(self, settings.sdo_timeout_s)
+        self.watchdog = Watchdog(self, settings.watchdog_ms, settings.host_node)
         self.is_set_up = False
         self.last_beat: int | None = None
         self._tried_at = self.clock.now()
@@ -229,6 +232,7 @@ class Cia402(ObjectAccess[DriveAxis]):
             self.error.update(self.error.last, instant)
         if state == "boot_up":
             self.boots += 1
+            self.watchdog.forget()
             was_set_up, self.is_set_up = self.is_set_up, False
             self._quiet(True)
             if was_set_up:
@@ -251,6 +255,10 @@ class Cia402(ObjectAccess[DriveAxis]):
         details = f", details {record.details.hex(' ')}" if any(record.details) else ""
         self.error.update(text, instant)
         self.tell_event("alarm", f"{text}{details}")
+
+    def overheard(self, record: Any, instant: int) -> bool:
+        """The heartbeat of the program that drives, where this one looks on."""
+        return type(record).__name__ == "Heartbeat" and record.node == self.watchdog.host_node
 
     def forget(self) -> None:
         """Nothing is known any more."""
@@ -308,6 +316,9 @@ class Cia402(ObjectAccess[DriveAxis]):
         """The node is set up and says its state."""
         if not self.is_set_up:
             yield self.set_up()
+        elif not self._is_operational:
+            yield self.tell("Nmt", command="start")
+            self._quiet(False)
         for axis in self.axes:
             before = axis.heard
             yield self.until(
@@ -315,6 +326,11 @@ class Cia402(ObjectAccess[DriveAxis]):
                 STEP_S,
                 lambda axis=axis: f"{axis.name} says no statusword",  # type: ignore[misc]
             )
+
+    @property
+    def _is_operational(self) -> bool:
+        """Whether it takes PDOs, as far as is known: one that has lost the host does not."""
+        return self.is_set_up and self.network.last in (UNKNOWN, "operational")
 
     # ------------------------------------------------------------------ actions
 
@@ -331,6 +347,7 @@ class Cia402(ObjectAccess[DriveAxis]):
         return self.lead("enable", steps)
 
     def _enabled(self, axis: DriveAxis) -> Steps:
+        yield from self.watchdog.begin()
         if axis.state != "operation enabled":
             self.epoch += 1
             axis.hold()
@@ -372,7 +389,9 @@ class Cia402(ObjectAccess[DriveAxis]):
 
         def steps(job: Job) -> Steps:
             for axis in axes:
-                if not self.is_set_up:  # nothing is known of its PDOs; it may move all the same
+                if (
+                    not self._is_operational
+                ):  # it takes no PDOs, or they are not known; it may move all the same
                     yield self.sdo.download(CONTROLWORD + axis.offset, 0, word.to_bytes(2, "little"))
                     continue
                 yield from self._control(axis, word)
@@ -381,6 +400,7 @@ class Cia402(ObjectAccess[DriveAxis]):
                     STEP_S,
                     lambda axis=axis: f"{axis.name} stays enabled",  # type: ignore[misc]
                 )
+            yield from self.watchdog.end()
 
         return self.job(name, steps)
 

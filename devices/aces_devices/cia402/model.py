@@ -33,8 +33,10 @@ from .units import Units
 
 #: Emergency codes: following error, over-voltage inside, device temperature, homing.
 FOLLOWING, OVER_VOLTAGE, HOT, NO_HOME = 0x8611, 0x3210, 0x4210, 0xFF01
+#: The heartbeat of a node that is watched is missing (CiA 301).
+HOST_GONE = 0x8130
 #: Bits of the error register 1001.
-REGISTERS = {FOLLOWING: 0x21, OVER_VOLTAGE: 0x05, HOT: 0x09, NO_HOME: 0x81}
+REGISTERS = {FOLLOWING: 0x21, OVER_VOLTAGE: 0x05, HOT: 0x09, NO_HOME: 0x81, HOST_GONE: 0x11}
 #: A homing search that has found nothing for so long fails (ms).
 SEARCH_MS = 10_000
 POSITION_MODES = ("profile_position", "homing", "cyclic_position")
@@ -280,13 +282,28 @@ class AxisModel:
 
     def fail(self, code: int) -> None:
         """A fault: it stops, and says so."""
+        self._fail(code)
+        self._tell(code, REGISTERS.get(code, 0x01))
+
+    def _fail(self, code: int) -> None:
         self.error = code
         self.state = "fault"
         self.speed = 0.0
         self._bits = 0
         self._searched = -1
         self.motor.free(self.at)
-        self._tell(code, REGISTERS.get(code, 0x01))
+
+    def lost_connection(self) -> None:
+        """What object 6007 says of a connection that is lost: 1 a fault, 2 disable voltage, 3 quick stop."""
+        match self.objects.get(0x6007, 0):
+            case 1 if self.state != "fault":
+                self._fail(HOST_GONE)
+            case 2:
+                self.control(self.word & ~2)
+            case 3:
+                self.control(self.word & ~4 | 2)
+            case _:
+                pass
 
     def cause(self, code: int, there: bool) -> None:
         """The cause of a fault has come, or gone."""

@@ -3,6 +3,7 @@
 1. `canopen` answers SDO and NMT and repeats heartbeats; PDOs are ours: its local node takes no RPDO (canopen 2.4).
 2. What canopen sends is read by the spec and leaves as that message: so the twin misbehaves as all twins do.
 3. It begins as a drive does: a boot-up message, pre-operational, "switch on disabled".
+4. It watches over the nodes that object 1016 names, each from its first heartbeat on (CiA 301).
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ from aces_bus.device import Twin
 from aces_bus.device.settings import settings_of
 from aces_bus.protocol import make_scanner
 from aces_bus.protocol.record import as_dict
+from aces_bus.runtime import Timer
 
 from .dictionary import dictionary_of
-from .model import HOT, OVER_VOLTAGE, REGISTERS, AxisModel
+from .model import HOST_GONE, HOT, OVER_VOLTAGE, REGISTERS, AxisModel
 from .pdo import RECEIVED, SENT, PdoLayout, layouts, offset_of
 from .units import DriveSettings, units_of
+from .watchdog import CONSUMER
 
 #: From power to the boot-up message (ns).
 BOOT_NS = 1_000_000
@@ -39,6 +42,8 @@ class Cia402Twin(Twin):
         "no_pdo": "sends no PDOs",
     }
     network: Any = None
+    #: By node: when its heartbeat is missed.
+    _watched: dict[int, Timer]
 
     def setup(self) -> None:
         """The node and its axes, as just switched on."""
@@ -76,6 +81,7 @@ class Cia402Twin(Twin):
         self._pending: dict[int, bytes] = {}
         self._syncs = 0
         self._timers_of_pdos: list[Any] = []
+        self._end_watch()
         self._apply_faults()
         self.clock.call_in(BOOT_NS, lambda: self._boot(network))
 
@@ -124,12 +130,54 @@ class Cia402Twin(Twin):
             self.setup()
             return
         self.node.nmt.on_command(0, bytearray(record.meta.raw), 0.0)
-        for timer in self._timers_of_pdos:
-            timer.stop()
-        self._timers_of_pdos.clear()
+        self._end_timers_of_pdos()
         if self.node.nmt.state == "OPERATIONAL":
             self.inputs, self.outputs = self._layouts(RECEIVED), self._layouts(SENT)
             self._repeat()
+
+    def overheard(self, record: Any, instant: int) -> bool:
+        """The heartbeat of a node that it may watch over."""
+        if type(record).__name__ != "Heartbeat":
+            return False
+        node = record.node
+        timer = self._watched.pop(node, None)
+        if timer is not None:
+            timer.cancel()
+        if self.is_powered:
+            for wait_ms in self._waits_for(node):
+                self._watched[node] = self.clock.call_in(wait_ms * 1_000_000, lambda: self._lost(node))
+        return True
+
+    def _waits_for(self, node: int) -> list[int]:
+        """How long it waits for a node's heartbeat (ms), in none or one entry of object 1016."""
+        if CONSUMER not in self.dictionary:
+            return []
+        entries = [self._number(CONSUMER, n) for n in range(1, self._number(CONSUMER, 0) + 1)]
+        return [entry & 0xFFFF for entry in entries if entry >> 16 & 0xFF == node and entry & 0xFFFF][:1]
+
+    def _lost(self, node: int) -> None:
+        """A node that it watches over is gone: what object 6007 says; PDOs are ignored from now on (1029 is 0)."""
+        self._watched.pop(node, None)
+        if not self._waits_for(node):  # it was told not to watch any more
+            return
+        now = self.clock.now()
+        for axis in self.axes.values():
+            axis.advance(now)
+            axis.lost_connection()
+        self._emergency(HOST_GONE, REGISTERS[HOST_GONE])
+        if self.node.nmt.state == "OPERATIONAL":
+            self._end_timers_of_pdos()
+            self.node.nmt.state = "PRE-OPERATIONAL"
+
+    def _end_watch(self) -> None:
+        for timer in getattr(self, "_watched", {}).values():
+            timer.cancel()
+        self._watched = {}
+
+    def _end_timers_of_pdos(self) -> None:
+        for timer in self._timers_of_pdos:
+            timer.stop()
+        self._timers_of_pdos.clear()
 
     def _layouts(self, side: tuple[int, int, int]) -> dict[int, PdoLayout]:
         """The PDOs as the dictionary has them now."""
@@ -271,13 +319,13 @@ class Cia402Twin(Twin):
             for axis in self.axes.values():
                 axis.advance(self.clock.now())
                 axis.state = "not ready to switch on"
-            for timer in self._timers_of_pdos:
-                timer.stop()
+            self._end_timers_of_pdos()
+            self._end_watch()
         super().power(on)
 
     def stop(self) -> None:
         """End what repeats."""
         super().stop()
         self.network.stop()
-        for timer in self._timers_of_pdos:
-            timer.stop()
+        self._end_timers_of_pdos()
+        self._end_watch()

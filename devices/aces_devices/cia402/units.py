@@ -59,6 +59,20 @@ class DriveSettings(msgspec.Struct, frozen=True, kw_only=True):
     heartbeat_ms: Annotated[
         int, Meta(ge=0, description="the drive's heartbeat (ms), 500 when absent; 0 leaves it as it is")
     ] = 500
+    watchdog_ms: Annotated[
+        int,
+        Meta(
+            ge=0,
+            le=0xFFFF,
+            description=(
+                "how long an enabled drive whose file has object 1016 goes on without the host's heartbeat (ms), 500 when"
+                " absent; 0: for ever"
+            ),
+        ),
+    ] = 500
+    host_node: Annotated[
+        int, Meta(ge=1, le=127, description="the node number of the host's heartbeat, 127 when absent")
+    ] = 127
     sdo_timeout_s: Annotated[
         float, Meta(gt=0, description="how long an SDO answer may take (s), 0.3 when absent")
     ] = 0.3

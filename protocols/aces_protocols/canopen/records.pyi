@@ -62,9 +62,9 @@ class Emergency(Record, frozen=True):
     details: bytes
 
 class Heartbeat(Record, frozen=True):
-    """A node's state: when it has booted, then again and again. `toggle` alternates in answers to node guarding only.
+    """A node's state: when it has booted, then again and again; also the host's, for nodes that watch over it. `toggle` alternates in answers to node guarding only.
 
-    from device; source: CiA 301 (canopen; ros2_canopen)
+    source: CiA 301 (canopen; ros2_canopen)
     """
     node: int
     """node id"""

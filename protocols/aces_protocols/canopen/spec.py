@@ -163,9 +163,9 @@ Emergency = canopen.message(
 Heartbeat = canopen.message(
     "Heartbeat",
     id=0x700 + Node,
-    direction="from device",
     payload=BitLayout(1, "state" / Enumeration(bits(7), STATES), "toggle" / bits(1)),
-    doc="A node's state: when it has booted, then again and again. `toggle` alternates in answers to node guarding only.",
+    doc="A node's state: when it has booted, then again and again; also the host's, for nodes that watch over it. `toggle`"
+    " alternates in answers to node guarding only.",
     source=CIA301,
     examples=[
         ("705#00", {"node": 5, "state": "boot_up", "toggle": 0}),

@@ -1,0 +1,123 @@
+"""A drive that watches over its host: without the host's heartbeat an enabled drive goes into its fault reaction.
+
+1. It watches while it may move: enabling begins that, and a stop that is confirmed ends it: an orderly end is no fault.
+2. One heartbeat a bus, whatever the number of drives, sent by the thread of the buses: a host that hangs sends none.
+3. Only where the drive's file has object 1016; a drive that says that it would do nothing (6007 is 0) is set to a fault.
+
+An entry of object 1016 is `node << 16 | ms`; a drive watches from that node's first heartbeat on (CiA 301).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from aces_bus.device import Steps
+from aces_bus.errors import AcesError, CallerError, DeviceError
+
+from .sdo import SdoRefused
+
+if TYPE_CHECKING:
+    from .driver import Cia402
+
+CONSUMER, ABORT_OPTION = 0x1016, 0x6007
+#: What a drive does when its connection is lost, object 6007: nothing; go into fault.
+NO_ACTION, FAULT = 0, 1
+#: So many heartbeats go into the time that a drive waits.
+BEATS = 4
+
+
+class Watchdog:
+    """One drive's watch over the host."""
+
+    def __init__(self, device: Cia402, wait_ms: int, host_node: int) -> None:
+        self.device, self.wait_ms, self.host_node = device, wait_ms, host_node
+        #: The entry of object 1016 that is ours while it watches; None: it does not.
+        self.entry: int | None = None
+        self._beats = False
+        if host_node == device.node:
+            raise CallerError(
+                f"{device.name}: host_node = {host_node} is the drive's own number; give another"
+            )
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether it is wanted, and the drive's file has the object."""
+        return bool(self.wait_ms) and self.device.dictionary.get_variable(CONSUMER, 1) is not None
+
+    def begin(self) -> Steps:
+        """Have the drive watch. Fails with `DeviceError` where all its entries watch others."""
+        if not self.is_possible or self.entry is not None:
+            return
+        device = self.device
+        entry = yield from self._free()
+        for axis in device.axes:
+            yield from self._react(ABORT_OPTION + axis.offset)
+        yield device.sdo.download(
+            CONSUMER, entry, (self.host_node << 16 | self.wait_ms).to_bytes(4, "little")
+        )
+        self.entry = entry
+        if not self._beats:
+            self._beats = True
+            self._beat()
+
+    def end(self) -> Steps:
+        """Have it watch no more, for it is stopped."""
+        entry = self.entry
+        if entry is None or any(axis.state == "operation enabled" for axis in self.device.axes):
+            return
+        try:
+            yield self.device.sdo.download(CONSUMER, entry, (self.host_node << 16).to_bytes(4, "little"))
+        except AcesError:
+            return  # heartbeats go on as long as there is a host; then it is a fault of a drive that is off
+        self.entry = None
+
+    def forget(self) -> None:
+        """It has booted: it does not watch."""
+        self.entry = None
+
+    def _free(self) -> Steps:
+        """The entry that is ours already, or the first that watches nobody."""
+        sdo = self.device.sdo
+        count: bytes = yield sdo.upload(CONSUMER, 0)
+        free: int | None = None
+        for number in range(1, count[0] + 1):
+            data: bytes = yield sdo.upload(CONSUMER, number)
+            node, wait_ms = data[2], int.from_bytes(data[:2], "little")
+            if node == self.host_node:
+                return number
+            if free is None and not (node and wait_ms):
+                free = number
+        if free is None:
+            raise DeviceError(
+                f"{self.device.name}: it cannot watch over the host: all {count[0]} entries of object 1016 watch other"
+                " nodes; clear one, or watchdog_ms = 0 does without"
+            )
+        return free
+
+    def _react(self, index: int) -> Steps:
+        """Whether the drive does something when the host is gone; else it is to."""
+        device = self.device
+        if device.dictionary.get_variable(index, 0) is None:
+            return
+        try:
+            data: bytes = yield device.sdo.upload(index, 0)
+            if int.from_bytes(data, "little", signed=True) == NO_ACTION:
+                yield device.sdo.download(index, 0, FAULT.to_bytes(2, "little"))
+        except SdoRefused as error:
+            raise DeviceError(
+                f"{device.name}: {error}; watchdog_ms = 0 does without its watch over the host"
+            ) from error
+
+    def _beat(self) -> None:
+        """The first of the bus's drives that watch this number has the heartbeat sent for all."""
+        device = self.device
+        if self.entry is None:
+            self._beats = False
+            return
+        mates = (getattr(one, "watchdog", None) for one in device.host.devices.values())
+        watching = [one for one in mates if isinstance(one, Watchdog) and one.entry is not None]
+        leader = next(one for one in watching if one.host_node == self.host_node)
+        if leader is self and device.host.is_open:
+            device.tell("Heartbeat", node=self.host_node, state="operational", toggle=0)
+        wait_ms = min(one.wait_ms for one in watching)
+        device.clock.call_in(wait_ms * 1_000_000 // BEATS, self._beat)
