@@ -23,13 +23,13 @@ from .declare.fields import (
     Text,
     top,
 )
-from .declare.framing import Escaped, Framing
+from .declare.framing import Escaped, Framing, Trailer
 from .declare.items import Items
 from .declare.message import Message, Request
 from .declare.pattern import IdField
 from .declare.protocol import Protocol, Variant
 from .declare.registers import Register, RegisterMap
-from .declare.stuffing import Cobs, Insert, Slip
+from .declare.stuffing import Cobs, CutZeros, Insert, Slip
 from .live.can import CanScanner
 from .live.scanner import Scanner, list_protocols, load_protocol, make_scanner
 from .live.stream import StreamScanner
@@ -48,6 +48,7 @@ __all__ = [
     "Cobs",
     "Counter",
     "Crc",
+    "CutZeros",
     "Delimited",
     "Enumeration",
     "Escaped",
@@ -83,6 +84,7 @@ __all__ = [
     "StreamScanner",
     "Sum",
     "Text",
+    "Trailer",
     "Tuple",
     "Unknown",
     "Variant",
