@@ -24,14 +24,14 @@ from .declare.fields import (
     Text,
     top,
 )
-from .declare.framing import Escaped, Framing
+from .declare.framing import Escaped, Framing, Trailer
 from .declare.isotp import IsoTp
 from .declare.items import Items
 from .declare.message import Message, Request
 from .declare.pattern import IdField
 from .declare.protocol import Protocol, Variant
 from .declare.registers import Register, RegisterMap
-from .declare.stuffing import Cobs, Insert, Slip
+from .declare.stuffing import Cobs, CutZeros, Insert, Slip
 from .declare.transport import FrameKind, FrameNumber, FramePart, Transport
 from .live.can import CanScanner
 from .live.scanner import Scanner, list_protocols, load_protocol, make_scanner
@@ -51,6 +51,7 @@ __all__ = [
     "Cobs",
     "Counter",
     "Crc",
+    "CutZeros",
     "Delimited",
     "Enumeration",
     "Escaped",
@@ -91,6 +92,7 @@ __all__ = [
     "StreamScanner",
     "Sum",
     "Text",
+    "Trailer",
     "Transport",
     "Tuple",
     "Unknown",

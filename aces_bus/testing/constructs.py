@@ -30,6 +30,7 @@ from ..protocol.declare.fields import Enumeration, Field, Multiplexed, SignMagni
 from ..protocol.declare.items import Items
 from ..protocol.declare.message import Message
 from ..protocol.declare.normalise import sizes
+from ..protocol.declare.stuffing import CutZeros
 from .source import ChoiceSource, edge_number, spread
 
 #: How many times bytes are tried that a construct may read.
@@ -570,6 +571,8 @@ def _content(source: ChoiceSource, size: int, message: Message) -> bytes:
         data = (data[:at] + marks + data[at + len(marks) :])[:size]
     if framing.end and framing.stuffing is None:
         data = data.replace(framing.end[:1], b"\x55")
+    if isinstance(framing.stuffing, CutZeros) and not data[-1]:
+        data = data[:-1] + b"\x55"
     return data
 
 

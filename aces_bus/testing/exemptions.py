@@ -16,6 +16,7 @@ import construct as c
 from ..protocol.declare.bits import FLOATS, Bits
 from ..protocol.declare.fields import SignMagnitude
 from ..protocol.declare.message import Message
+from ..protocol.declare.stuffing import CutZeros
 from ..protocol.plan import nodes as p
 from .constructs import parts_of
 
@@ -42,6 +43,12 @@ def _has_format(mark: str) -> Callable[[Any], bool]:
 CASE = Kind(
     "case of a check",
     "hexadecimal digits mean the same in either case; the check is written as its framing's format says",
+    lambda con: False,
+)
+#: Of framings that cut zeros; its field is called `zeros`.
+ZEROS = Kind(
+    "zeros at the end",
+    "zeros at the end of the data may be there or not; they are sent as few as may be",
     lambda con: False,
 )
 KINDS = (
@@ -95,6 +102,8 @@ def exemptions(message: Message) -> tuple[Exemption, ...]:
     framing = message.framing
     if framing is not None and framing.check is not None and framing.check.digits is not None:
         found["check", CASE.name] = Exemption("check", CASE)
+    if framing is not None and isinstance(framing.stuffing, CutZeros):
+        found["zeros", ZEROS.name] = Exemption("zeros", ZEROS)
     return tuple(Exemption(e.field, e.kind, bits.get(e.field, frozenset())) for e in found.values())
 
 

@@ -7,6 +7,7 @@
     my_spec.py              the one protocol that a Python file declares; my_spec.py:NAME where there are several;
                             dialect and configuration follow as above (my_spec.py:NAME:D08@robot.toml)
     car.dbc                 a database of messages: .dbc, .kcd, .sym, .arxml; CANopen: .eds, .dcf
+    common.xml              a MAVLink dialect; common.xml:v1 for the packets of MAVLink 1
     can0=car.dbc            any of these, for the frames of one channel only
 
 What of a database cannot be taken over is said once, on stderr.
@@ -42,7 +43,8 @@ from aces_bus.protocol.files import protocol_of_file
 from .console import say
 
 _FILE = re.compile(
-    r"(?P<path>.+\.(?P<kind>py|dbc|kcd|sym|arxml|eds|dcf))(?P<names>(?::[^:@/\\]+)*)(?:@(?P<configuration>.+))?",
+    rf"(?P<path>.+\.(?P<kind>py|{'|'.join(suffix[1:] for suffix in SUFFIXES)}))"
+    r"(?P<names>(?::[^:@/\\]+)*)(?:@(?P<configuration>.+))?",
     re.IGNORECASE,
 )
 _CHANNEL = re.compile(r"(?P<channel>[^=:@/\\]+)=(?P<rest>.+)", re.DOTALL)
@@ -82,9 +84,11 @@ def named_protocol(text: str) -> Named:
     if found := _FILE.fullmatch(text):
         names = found["names"].split(":")[1:]
         if found["kind"].lower() != "py":
-            if names or found["configuration"] is not None:
-                raise CallerError(f"-p {text}: {found['path']} has neither dialects nor configurations")
-            return Named(_of_database(found["path"]), None, None)
+            protocol = _of_database(found["path"])
+            if len(names) > bool(protocol.dialects) or found["configuration"] is not None:
+                has = "no configurations" if protocol.dialects else "neither dialects nor configurations"
+                raise CallerError(f"-p {text}: {found['path']} has {has}")
+            return Named(protocol, names[0] if names else None, None)
         protocol = protocol_of_file(found["path"], names)
         if len(names) > 1:
             raise CallerError(f"-p {text}: nothing named {names[1]!r} is left to choose; {SYNTAX}")

@@ -80,6 +80,44 @@ class Neighbours:
 _BITS = 0x1FFF_FFFF
 
 
+class StreamNeighbours:
+    """The messages on a stream that are declared so far, by framing, dialects and the number in the header that selects
+    them: with whom a new one may share a packet is found without trying them all."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        #: By framing and dialects, then by number; None: of any number.
+        self._groups: dict[_Group, dict[int | None, list[tuple[int, Message]]]] = {}
+
+    def add(self, message: Message) -> None:
+        """Know one more message."""
+        group = self._groups.setdefault((message.framing, message.dialects), {})
+        for number in _selected(message) or (None,):
+            group.setdefault(number, []).append((self._count, message))
+        self._count += 1
+
+    def of(self, message: Message) -> list[Message]:
+        """The messages that a glance does not show to be apart from `message`, as declared."""
+        found: dict[int, Message] = {}
+        numbers = _selected(message)
+        for (framing, dialects), group in self._groups.items():
+            if dialects is not None and message.dialects is not None and not dialects & message.dialects:
+                continue
+            is_same = framing is message.framing and numbers is not None
+            for some in (group.get(n, ()) for n in (*(numbers or ()), None)) if is_same else group.values():
+                found.update(some)
+        return [found[place] for place in sorted(found)]
+
+
+_Group = tuple[Framing | None, frozenset[str] | None]
+
+
+def _selected(message: Message) -> tuple[int, ...] | None:
+    """The few numbers that select a message of its framing; None where they are many, or it has none."""
+    pattern = message.selecting
+    return tuple(pattern) if pattern is not None and len(pattern) <= 16 else None
+
+
 def check_against(made: Message, declared: Iterable[Message]) -> None:
     """Raise `SpecError` when a new message cannot be told from one declared before."""
     for other in declared:

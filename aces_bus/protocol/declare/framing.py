@@ -6,7 +6,9 @@ A packet on the wire is  sync | header | payload | check | end,  and one of thre
 * `end`: bytes that close it (`b"\\r\\n"`), with `stuffing` to keep them out of the data;
 * `end="silence"`: a pause on the line longer than `gap`.
 
-1. A framing knows nothing of messages.
+Behind the check there may be a `trailer` (a signature).
+
+1. A framing knows nothing of messages, but for how long each is where zeros are cut off them (`sizes`).
 2. `judge` is the slow, obvious truth about one candidate; generated scanners must agree with it on every input.
 3. Every framing has a `max_size`: memory is bounded whatever the wire says.
 """
@@ -25,7 +27,7 @@ from .checks import Check
 from .fields import innermost, wire_number
 from .head import Head, heads_of
 from .place import SourceLine, caller
-from .stuffing import Cobs, Insert, Slip, Stuffing
+from .stuffing import Cobs, CutZeros, Insert, Slip, Stuffing
 
 if TYPE_CHECKING:
     from .message import Message
@@ -77,10 +79,24 @@ class Escaped:
 
 
 @dataclass(frozen=True)
+class Trailer:
+    """`size` bytes behind the check of those packets in whose header field `field` bit `bit` is set: MAVLink's signature is
+    `Trailer(13, "incompat_flags")`.
+
+    In records they are the end of the message's last field, which takes all bytes that there are.
+    """
+
+    size: int
+    field: str
+    bit: int = 0
+
+
+@dataclass(frozen=True)
 class Affine:
     """size = factor × length + constant, read off a size expression so that building can invert it.
 
     Where the length is `escape`, a `wide` one behind the header counts instead, and its bytes are of the packet too.
+    Where a bit of `flags` is set, a trailer of `more` bytes is; `mask` is that bit.
     """
 
     length: Head
@@ -88,6 +104,9 @@ class Affine:
     constant: int
     escape: int | None = None
     wide: Head | None = None
+    flags: Head | None = None
+    mask: int = 0
+    more: int = 0
 
     def invert(self, size: int) -> int | None:
         """The length field of a packet of `size` bytes; None when it has no number for that."""
@@ -109,6 +128,10 @@ class Affine:
         if len(packet) < head.offset + head.size:
             return None
         number = head.number(packet)
+        if self.flags is not None:
+            if len(packet) < self.reach:
+                return None
+            return self.factor * number + self.constant + self.trailing(packet)
         if self.wide is None or self.escape is None or number < self.escape:
             return self.factor * number + self.constant
         if number > self.escape:
@@ -118,17 +141,20 @@ class Affine:
         number = self.wide.number(packet)
         return self.factor * number + self.constant + self.wide.size if number >= self.escape else 0
 
+    def trailing(self, packet: bytes) -> int:
+        """How many bytes are behind the check of a packet that begins so."""
+        return self.more if self.flags is not None and self.flags.number(packet) & self.mask else 0
+
     @property
     def reach(self) -> int:
         """How many bytes of a packet say its size, at most."""
-        last = self.wide or self.length
-        return last.offset + last.size
+        return max(one.offset + one.size for one in (self.length, self.wide, self.flags) if one is not None)
 
     @property
     def largest(self) -> int:
         """The size of the longest packet that can be said."""
         last = self.wide or self.length
-        more = self.wide.size if self.wide is not None else 0
+        more = self.wide.size if self.wide is not None else self.more
         return self.factor * ((1 << 8 * last.size) - 1) + self.constant + more
 
 
@@ -186,6 +212,7 @@ class Framing:
         end: bytes | str | None = None,
         stuffing: Stuffing | None = None,
         check: Check | None = None,
+        trailer: Trailer | None = None,
         max_size: int | None = None,
         gap: float | None = None,
         name: str = "",
@@ -232,6 +259,11 @@ class Framing:
             if stuffing is not None:
                 raise SpecError(f"{self.place}: a length that is escaped does not go with stuffing")
             self.stuffing = WideLength(self.affine, self.head_end + self.check_size)
+        self.trailer = trailer
+        if trailer is not None:
+            self.affine = self._trailed(trailer)
+        #: Where zeros are cut off: by the number that selects a message, the bytes of its fields behind the header.
+        self.sizes: dict[int, int] = {}
         self.max_size = max_size if max_size is not None else (self.fixed_size or 0)
         self.min_size = self.head_end + self.check_size + len(self.end)
         if self.max_size < max(1, self.min_size):
@@ -288,7 +320,39 @@ class Framing:
         wide = Head("wide_length", size.wide, self.head_end, wire.size, wire.order, False, False)
         return replace(affine, escape=size.escape, wide=wide)
 
+    def _trailed(self, trailer: Trailer) -> Affine:
+        flags = next((head for head in self.heads if head.name == trailer.field), None)
+        if flags is None or not 0 <= trailer.bit < 8 * flags.size or trailer.size < 1:
+            names = ", ".join(head.name for head in self.heads if head.name) or "none"
+            raise SpecError(
+                f"{self.place}: a trailer has bytes and is there by a bit of a header field (there are: {names})"
+            )
+        if self.affine is None or self.affine.wide is not None or not self.sync:
+            raise SpecError(f"{self.place}: a trailer is for packets with sync bytes and size=this.FIELD + …")
+        if self.check is None or self.check.kind != "crc":
+            raise SpecError(f"{self.place}: a trailer follows a CRC")
+        if not isinstance(self.stuffing, CutZeros):
+            raise SpecError(f"{self.place}: a trailer is for packets with stuffing=CutZeros()")
+        return replace(self.affine, flags=flags, mask=1 << trailer.bit, more=trailer.size)
+
     # ------------------------------------------------------------------ declaring messages
+
+    def known(self, message: Message, numbers: Iterable[int] | None) -> None:
+        """Note how long a message is, whose selecting header field has these `numbers`; None: it says none."""
+        if not isinstance(self.stuffing, CutZeros):
+            return
+        if numbers is None:
+            raise SpecError(
+                f"{message.place}: zeros that were cut off are given back by the message's size:"
+                f" match the header's {self.extra_head.name if self.extra_head else 'number of the message'}"
+            )
+        size = message.payload_start - self.head_end + message.least
+        for number in numbers:
+            if self.sizes.setdefault(number, size) != size:
+                raise SpecError(
+                    f"{message.place}: two messages {number} of {self.sizes[number]} and {size} bytes:"
+                    f" how many zeros were cut off {message.name} cannot be said"
+                )
 
     def __call__(self, name: str, **declared: Any) -> Message:
         """Declare a message in this framing; the keywords are those of `Protocol.message`."""
@@ -350,11 +414,16 @@ class Framing:
             return MORE
         return self._checked(data[start : start + size], extras)
 
+    def parted(self, packet: bytes) -> tuple[bytes, bytes]:
+        """A packet up to its check, and what is behind that."""
+        size = self.affine.trailing(packet) if self.affine is not None else 0
+        return (packet[:-size], packet[-size:]) if size else (packet, b"")
+
     def _checked(self, packet: bytes, extras: dict[int, bytes] | None) -> Judgement:
         # The check covers the bytes on the wire, except where the whole packet is stuffed.
         inserted = self.stuffing is not None and self.stuffing.is_inside
         try:
-            covered = packet if inserted else self.logical(packet)
+            covered = self.parted(packet)[0] if inserted else self.logical(packet)
         except ValueError as error:
             return BAD(str(error))
         judged = self.judge_data(covered, packet, extras)
@@ -392,10 +461,15 @@ class Framing:
         if self.stuffing is None:
             return packet
         if self.stuffing.is_inside:
-            end = len(packet) - self.check_size
-            inner = packet[self.head_end : end]
+            body, behind = self.parted(packet)
+            end = len(body) - self.check_size
+            inner = body[self.head_end : end]
             plain = self.stuffing.unstuff(inner)
-            return packet if plain is inner else packet[: self.head_end] + plain + packet[end:]
+            if self.sizes:
+                plain = (
+                    plain.rstrip(b"\0").ljust(self.sizes.get(self.extra_number(packet), 0), b"\0") + behind
+                )
+            return packet if plain is inner else body[: self.head_end] + plain + body[end:]
         inner = packet[len(self.sync) : len(packet) - len(self.end)]
         return self.sync + self.stuffing.unstuff(inner) + self.end
 
@@ -423,7 +497,8 @@ class Framing:
     def checks_of(self, packet: bytes, extra: bytes) -> tuple[bytes, bytes]:
         """The check that a packet should have, and the one that it has; raises `ValueError` where it cannot be unstuffed."""
         assert self.check is not None
-        whole = packet if self.stuffing is not None and self.stuffing.is_inside else self.logical(packet)
+        inserted = self.stuffing is not None and self.stuffing.is_inside
+        whole = self.parted(packet)[0] if inserted else self.logical(packet)
         end = len(whole) - len(self.end) - self.check_size
         covered = self.check.covered(whole, len(self.sync), end, extra=extra)
         return self.check.encode(covered), whole[end : end + self.check_size]
@@ -446,6 +521,8 @@ class Framing:
             parts.append(f"end by silence, at most {self.max_size} bytes")
         if self.stuffing is not None:
             parts.append(self.stuffing.describe)
+        if self.trailer is not None:
+            parts.append(f"{self.trailer.size} more by {self.trailer.field} bit {self.trailer.bit}")
         return parts
 
     def __repr__(self) -> str:

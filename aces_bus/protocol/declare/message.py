@@ -165,6 +165,8 @@ class Message:
             raise SpecError(
                 f"{place}: the check of every packet ends with bytes of its message; give {name} its check_extra"
             )
+        if framing is not None:
+            framing.known(self, self.selecting)
 
     # ------------------------------------------------------------------ declaration checks
 
@@ -422,13 +424,23 @@ class Message:
             or not any(isinstance(p, Extra) for p in framing.check.over or ())
         ):
             return None
+        if self.selecting is not None:
+            return dict.fromkeys(self.selecting, self.check_extra)
         head = framing.extra_head
-        for own in self.heads_written:
-            if head is not None and own.name == head.name and own.pattern is not None:
-                return dict.fromkeys(own.pattern, self.check_extra)
         raise SpecError(
             f"{self.place}: the check of {framing.name} is seeded by {head.name if head else '?'}; match it"
         )
+
+    @property
+    def selecting(self) -> IdPattern | None:
+        """The numbers by which the header selects this message; None where it does not."""
+        head = self.framing.extra_head if self.framing is not None else None
+        return next((own.pattern for own in self.heads_written if head and own.name == head.name), None)
+
+    @property
+    def least(self) -> int:
+        """The bytes of the payload, at least."""
+        return sizes(self.payload)[0]
 
     @cached_property
     def check_span(self) -> tuple[int, int, Literal["little", "big"]]:

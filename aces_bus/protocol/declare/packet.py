@@ -245,6 +245,16 @@ class PacketStruct(Construct):
 
     def framed(self, framing: Framing, head: bytes, body: bytes) -> bytes:
         packet = framing.sync + head
+        behind = b""
+        if framing.affine is not None and (size := framing.affine.trailing(packet)):
+            if len(body) < self.message.least + size:
+                name = framing.affine.flags.name if framing.affine.flags is not None else ""
+                raise FieldError(
+                    f"{self.message.name}: by its {name} {size} bytes are behind its check; its last field ends with them"
+                )
+            body, behind = body[:-size], body[-size:]
+        if framing.sizes and len(body) > self.message.least and not body[-1]:
+            raise FieldError(f"{self.message.name}: zeros at its end are not sent; leave them out")
         if framing.stuffing is not None and framing.affine is not None:
             packet = packet[: framing.head_end] + framing.stuffing.stuff(packet[framing.head_end :] + body)
         else:
@@ -292,6 +302,7 @@ class PacketStruct(Construct):
                     f"{self.message.name}: no packet may have one of the bytes {never} inside it"
                 )
             packet += framing.end
+        packet += behind
         if framing.not_next and packet[len(framing.sync)] in framing.not_next:
             followed = f"{packet[len(framing.sync)]:02X} behind {framing.sync.hex(' ').upper()}"
             raise FieldError(

@@ -86,7 +86,7 @@ class Protocol:
         self.framings: list[Framing] = []
         self.register_map: RegisterMap | None = None
         self._variants: dict[Any, Variant] = {}
-        self._neighbours = ambiguity.Neighbours()
+        self._neighbours, self._on_stream = ambiguity.Neighbours(), ambiguity.StreamNeighbours()
 
     # ------------------------------------------------------------------ declaring
 
@@ -210,7 +210,8 @@ class Protocol:
             ambiguity.check_against(made, self._neighbours.of(made.identifier))
             self._neighbours.add(made)
         else:
-            ambiguity.check_against(made, self.declared)
+            ambiguity.check_against(made, self._on_stream.of(made))
+            self._on_stream.add(made)
         self.declared.append(made)
         self.messages.setdefault(name, made)
         # Scanners that exist keep what they know; the next one knows this message too.

@@ -54,6 +54,30 @@ class Insert(Stuffing):
 
 
 @dataclass(frozen=True)
+class CutZeros(Stuffing):
+    """Zeros at the end of the data are not sent, but for the first `least` bytes (MAVLink 2).
+
+    Who reads gives them back up to the size of the message's own fields (`Framing.logical`), whether they were cut or not.
+    """
+
+    least: int = 1
+    is_inside = True
+
+    @property
+    def describe(self) -> str:
+        return "without the zeros at the end of the data"
+
+    def stuff(self, data: bytes) -> bytes:
+        return data[: self.least] + data[self.least :].rstrip(b"\0")
+
+    def unstuff(self, wire: bytes) -> bytes:
+        return wire
+
+    def largest(self, size: int) -> int:
+        return size
+
+
+@dataclass(frozen=True)
 class Slip(Stuffing):
     """SLIP (RFC 1055): C0 ends a packet; C0 in the data is DB DC, DB is DB DD."""
 

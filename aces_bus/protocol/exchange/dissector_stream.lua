@@ -70,12 +70,50 @@ function unstuff.insert(data, stuffing)
   return out
 end
 
+-- The first `count` bytes of what stands at `start`, from 0 on.
+local function beginning(bytes, start, count)
+  local head = {}
+  for at = 0, count - 1 do head[at] = bytes[start + at] end
+  return head
+end
+
+-- How many bytes are behind the check of the packet at `start`.
+local function trailing(framing, bytes, start)
+  local length = framing.length
+  if not length or not length.flags then return 0 end
+  return number(beginning(bytes, start, length.last + 1), length.flags) == 1 and length.more or 0
+end
+
+-- The packet with the zeros that were cut off its message, and what is behind the check before it.
+local function refilled(framing, bytes, start, size)
+  local behind = trailing(framing, bytes, start)
+  local stop, tail = size - behind - framing.check.size, size - behind
+  local out = beginning(bytes, start, stop)
+  local selecting = number(beginning(bytes, start, framing.head_end), framing.extra)
+  local count = stop
+  while count > framing.head_end and out[count - 1] == 0 do count = count - 1 end
+  local least = framing.head_end + (framing.stuffing.sizes[selecting] or 0)
+  while count < least do
+    out[count] = 0
+    count = count + 1
+  end
+  for _, from in ipairs({ { tail, size }, { stop, tail } }) do
+    for at = from[1], from[2] - 1 do
+      out[count] = bytes[start + at]
+      count = count + 1
+    end
+  end
+  return out, count
+end
+
 -- The packet `bytes[start…start+size-1]` without stuffing: bytes from 0 on, and how many; nil when it cannot be.
 local function logical(framing, bytes, start, size)
   local head, tail = 0, 0
   local stuffing = framing.stuffing
   if not stuffing then
     head = size
+  elseif stuffing.kind == "zeros" then
+    return refilled(framing, bytes, start, size)
   elseif stuffing.kind == "wide" then
     -- The wider length goes, where there is one.
     local length = framing.length
@@ -171,9 +209,8 @@ local function judged(framing, bytes, start, stop, is_over)
     if size == #framing.sync + #framing.stop then return "dead" end
   elseif framing.length then
     if left < framing.length.last + 1 then return "more" end
-    local head = {}
-    for at = 0, framing.length.last do head[at] = bytes[start + at] end
     local length = framing.length
+    local head = beginning(bytes, start, length.last + 1)
     local value = number(head, length.pieces)
     if length.wide and value >= length.escape then
       if value > length.escape then return "dead" end
@@ -184,7 +221,7 @@ local function judged(framing, bytes, start, stop, is_over)
       if value < length.escape then return "dead" end
       size = length.wide_size
     end
-    size = (size or 0) + length.factor * value + length.constant
+    size = (size or 0) + length.factor * value + length.constant + trailing(framing, bytes, start)
   else
     size = framing.size
   end
@@ -194,12 +231,12 @@ local function judged(framing, bytes, start, stop, is_over)
   if left < size then return "more" end
   local packet, count = logical(framing, bytes, start, size)
   local kind = framing.stuffing and framing.stuffing.kind
-  local is_inserted = kind == "insert" or kind == "wide"
+  local is_inserted = kind == "insert" or kind == "wide" or kind == "zeros"
   if not packet or count < framing.min_size then return "dead" end
   local covered_packet, covered_size = packet, count
   if is_inserted then
-    covered_packet, covered_size = {}, size
-    for at = 0, size - 1 do covered_packet[at] = bytes[start + at] end
+    covered_size = size - trailing(framing, bytes, start)
+    covered_packet = beginning(bytes, start, covered_size)
   end
   if not is_check_good(framing, covered_packet, covered_size) then return "dead" end
   return size, packet, count

@@ -44,6 +44,8 @@ def print_source(
 ) -> str:
     """The module that declares `protocol`. `problems` are what is not in it; `origin` is what it was made from, in our
     words ("a DBC file"). Raises `CallerError` for what this page of the language does not hold."""
+    if protocol.link != "can":
+        raise CallerError(f"{protocol.name} is no protocol on CAN: its framings are not printed as source")
     return _Printer(protocol).module(problems, origin)
 
 

@@ -22,7 +22,7 @@ from ..declare.framing import Framing, WideLength
 from ..declare.message import Direction, Message
 from ..declare.pattern import IdPattern
 from ..declare.protocol import Variant
-from ..declare.stuffing import Cobs, Insert, Slip
+from ..declare.stuffing import Cobs, CutZeros, Insert, Slip
 from ..plan import nodes as p
 from ..plan.flatten import fixed_leaves
 from .names import snake, unused
@@ -229,6 +229,11 @@ class _Printer:
             if wide is not None:
                 table["length"]["wide"] = _pieces(whole_bits(wide.offset, wide.size, wide.order))
                 table["length"]["wide_size"] = wide.size
+            flags, mask = framing.affine.flags, framing.affine.mask
+            if flags is not None:
+                bit = whole_bits(flags.offset, flags.size, flags.order)[mask.bit_length() - 1]
+                table["length"] |= {"flags": _pieces((bit,)), "more": framing.affine.more}
+                table["length"]["last"] = framing.affine.reach - 1
         table["size"] = framing.fixed_size
         table["stop"] = list(framing.end)
         table["is_silent"] = framing.is_silent
@@ -247,6 +252,8 @@ class _Printer:
             }
         elif isinstance(stuffing, WideLength):
             table["stuffing"] = {"kind": "wide"}
+        elif isinstance(stuffing, CutZeros):
+            table["stuffing"] = {"kind": "zeros", "sizes": framing.sizes}
         elif isinstance(stuffing, (Slip, Cobs)):
             table["stuffing"] = {"kind": "slip" if isinstance(stuffing, Slip) else "cobs"}
         return table

@@ -111,9 +111,11 @@ def excerpt(text: str) -> str:
 
 def clean_text(text: str) -> str:
     """A text from elsewhere without characters that do not print; lines stay lines."""
+    if text.isprintable():
+        return text.strip()
     return "".join(ch if ch.isprintable() or ch == "\n" else " " for ch in text).strip()
 
 
 def one_line(text: str) -> str:
     """A text from elsewhere as part of a comment: printable, without line ends."""
-    return " ".join(clean_text(text).split())
+    return clean_text(" ".join(text.split()))

@@ -153,7 +153,8 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
         out.depth += 1
     if framing.affine is not None:
         head = framing.affine.length
-        _more(out, f"end - i < {head.offset + head.size}")
+        flags = framing.affine.flags
+        _more(out, f"end - i < {framing.affine.reach if flags is not None else head.offset + head.size}")
         length = _number_of(head)
         factor = f"{framing.affine.factor} * " if framing.affine.factor != 1 else ""
         constant, wide, escape = framing.affine.constant, framing.affine.wide, framing.affine.escape
@@ -163,6 +164,11 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
         out.depth += 1
         if wide is None:
             out.line(f"size = {factor}{length} + {constant}")
+            if flags is not None:
+                out.lines(
+                    f"if {_number_of(flags)} & {framing.affine.mask:#x}:",
+                    f"    size += {framing.affine.more}",
+                )
         else:
             out.lines(
                 f"size = {length}",
@@ -198,6 +204,13 @@ def _number_of(head: Head) -> str:
     if head.size == 1:
         return f"buffer[i + {head.offset}]"
     return f'from_bytes(buffer[i + {head.offset} : i + {head.offset + head.size}], "{head.order}")'
+
+
+def _number_in(head: Head) -> str:
+    """The number in these bytes of a packet that was cut out, as an expression."""
+    if head.size == 1:
+        return f"packet[{head.offset}]"
+    return f'from_bytes(packet[{head.offset}:{head.offset + head.size}], "{head.order}")'
 
 
 def _has_sized_sync(framing: Framing) -> bool:
@@ -313,7 +326,7 @@ def _checked(out: SourceText, number: int, framing: Framing, decode: str, *, alo
                 f"        sums_{number}.fail(buffer[{start}:{end}], base + {start})",
                 "if not good:",
             )
-        elif plain is not None and not _has_extra(check):
+        elif plain is not None and not _has_extra(check) and framing.trailer is None:
             start = f"i + {plain}" if plain else "i"
             out.lines(
                 f"if crc_{number}(buffer[{start}:{end}]) != {_stored(check, 'j')}:",
@@ -473,14 +486,17 @@ def print_check(out: SourceText, number: int, framing: Framing) -> None:
     out.line(f"def check_{number}(packet):")
     out.depth += 1
     out.line(f'"""Why the check of a packet fails ({comment_line(check.describe)}), or None."""')
+    affine = framing.affine
+    if affine is not None and affine.flags is not None:
+        out.lines(
+            f"if {_number_in(affine.flags)} & {affine.mask:#x}:",
+            f"    packet = packet[:-{affine.more}]",
+        )
     if any(isinstance(part, Extra) for part in check.over or ()):
         head = framing.extra_head
         assert head is not None
-        key = f"packet[{head.offset}]"
-        if head.size > 1:
-            key = f'from_bytes(packet[{head.offset}:{head.offset + head.size}], "{head.order}")'
         out.lines(
-            f"message = {key}",
+            f"message = {_number_in(head)}",
             f"extra = extras_{number}(message)",
             "if extra is None:",
             "    return f'malformed: no message {message} to check by'",

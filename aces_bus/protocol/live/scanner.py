@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import typing
+import warnings
 from collections.abc import Callable, Sequence
 from importlib.metadata import EntryPoint
 from threading import Lock, current_thread
@@ -148,9 +150,10 @@ _adopted: dict[str, Protocol] = {}
 
 
 def load_protocol(name: str) -> Protocol:
-    """The installed protocol `name`, or that of a Python file by its path: `lamp.py`, or `lamp.py:NAME` of several.
+    """The installed protocol `name`, or that of a file by its path: `lamp.py` (`lamp.py:NAME` of several), `car.dbc`,
+    `common.xml` and the other kinds of docs/captures.md. A warning says what of a database could not be taken over.
 
-    Raises `UnknownNameError` with the names that exist, `CallerError` for what a file raises.
+    Raises `UnknownNameError` with the names that exist, `CallerError` for what a file raises or cannot be read.
     """
     path, attribute = python_file(name)
     if path:
@@ -159,7 +162,31 @@ def load_protocol(name: str) -> Protocol:
         if names:  # the only protocol of the file has another name
             raise UnknownNameError(f"protocol in {path}", attribute, [protocol.name])
         return protocol
-    return _adopted[name] if name in _adopted else PROTOCOLS.load(name)
+    if name in _adopted:
+        return _adopted[name]
+    from ..exchange import SUFFIXES
+
+    return _of_database(name) if name.lower().endswith(SUFFIXES) else PROTOCOLS.load(name)
+
+
+#: The protocols of databases, by path, time of change and size: a file is read once, and warned of once.
+_databases: dict[tuple[str, int, int], Protocol] = {}
+
+
+def _of_database(path: str) -> Protocol:
+    from ..exchange import load_database
+
+    try:
+        status = os.stat(path)
+        known = (os.path.realpath(path), status.st_mtime_ns, status.st_size)
+    except (OSError, ValueError):
+        known = (path, 0, -1)  # loading says what is wrong
+    if known not in _databases:
+        imported = load_database(path)
+        if imported.problems:
+            warnings.warn(imported.summary, stacklevel=3)
+        _databases[known] = imported.protocol
+    return _databases[known]
 
 
 def adopt_protocol(path: str) -> str:

@@ -29,7 +29,7 @@ from ..console import check_suffix, print_json, say, write_text
 from ..options import JSON, OUTPUT, STRICT, Arguments, argument, flag
 
 ARGUMENTS: Arguments = (
-    argument("file", metavar="FILE", help=f"one of the kinds {' '.join(SUFFIXES)}"),
+    argument("file", metavar="FILE", help=f"one of the kinds {' '.join(SUFFIXES)}; what is on CAN"),
     OUTPUT.but(metavar="FILE.py"),
     flag("--force", help="write -o FILE.py even if it exists"),
     JSON.but(help="source and problems as one JSON object on standard output"),
