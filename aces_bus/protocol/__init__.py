@@ -24,6 +24,7 @@ from .declare.fields import (
     top,
 )
 from .declare.framing import Escaped, Framing
+from .declare.item_list import ItemList
 from .declare.items import Items
 from .declare.message import Message, Request
 from .declare.pattern import IdField
@@ -62,6 +63,7 @@ __all__ = [
     "IdField",
     "Insert",
     "InvertedSum",
+    "ItemList",
     "Items",
     "Message",
     "Meta",

@@ -55,6 +55,8 @@ def gate_of(
         whole = {"channel": channel, **({"interface": bus.interface} if bus.interface else {})}
         if rate:
             whole["bitrate"] = rate
+        if protocol.has_fd:
+            whole["fd"] = True
         if bus.allow is None:
             return CanGate({**whole, **chosen}, name=bus.name, listen_only=listen_only)
         from ..recordings.filters import parse_filter  # NumPy: slow to import
