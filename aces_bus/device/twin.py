@@ -24,6 +24,7 @@ from typing import Protocol as Interface
 import msgspec
 
 from ..errors import CallerError, FieldError, UnknownNameError
+from ..frames import FD_LENGTHS
 from ..protocol import Protocol, Variant
 from ..runtime import EventClock, Timer
 from .config import DeviceConfig, Robot
@@ -181,7 +182,7 @@ class Twin(EndpointMember):
         if "wrong_check" in faults:
             word = with_data(word, lambda data: data[:-1] + bytes((data[-1] ^ 0x55,)) if data else data)
         if "short" in faults:
-            word = with_data(word, lambda data: data[:-1])
+            word = _shorter(word)
         if "late" in faults:
             delay += round(faults["late"] * 1e9)
         self._transmit(word, delay)
@@ -321,6 +322,14 @@ class Twins(BusEndpoint[Twin]):
 
     def _unaddressed(self, record: Any, instant: int) -> None:
         self.others += 1
+
+
+def _shorter(word: Any) -> Any:
+    """A frame or packet that is a byte short; a CAN FD frame of more than 8 has the next length that there is."""
+    if isinstance(word, (bytes, bytearray)):
+        return word[:-1]
+    size = max((n for n in FD_LENGTHS if n < len(word.data)), default=0)
+    return with_data(word, lambda data: data[:size])
 
 
 def with_data(word: Any, change: Callable[[bytes], bytes]) -> Any:

@@ -170,6 +170,12 @@ class FirstOf(NamedTuple):
     number: int
 
 
+class Held(NamedTuple):
+    """A step into a list of items whose data hold values by name: to the first of this name in a good item."""
+
+    name: str
+
+
 class _Each:
     """A step into a list of groups: to every one of them."""
 
@@ -178,7 +184,7 @@ class _Each:
 
 
 EACH = _Each()
-WayStep = str | int | FirstOf | _Each
+WayStep = str | int | FirstOf | Held | _Each
 
 
 def getter(way: Sequence[WayStep]) -> Callable[[Any], Any]:
@@ -201,6 +207,10 @@ def _walker(way: Sequence[WayStep]) -> Callable[[Any], Any]:
             if isinstance(step, FirstOf):
                 good = (item for item in value if _part(item, "reason") is None)
                 value = next((item for item in good if _part(item, "kind") in step), None)
+            elif isinstance(step, Held):
+                data = (_part(item, "data") for item in value if _part(item, "reason") is None)
+                held = (_part(one, step.name) for one in data if isinstance(one, (Mapping, msgspec.Struct)))
+                value = next((one for one in held if one is not None), None)
             elif isinstance(step, int):
                 value = value[step] if isinstance(value, (tuple, list)) and step < len(value) else None
             else:

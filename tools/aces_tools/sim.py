@@ -269,11 +269,12 @@ class SimulatedRobot:
             self.reached[name] = {"kind": "can", "interface": "aces", "address": text}
             if is_served:
                 continue
-            bitrate = self.robot.buses[name].bitrate or spoken_on(self.robot)[name].bitrate or 1_000_000
+            protocol = spoken_on(self.robot)[name]
+            bitrate = self.robot.buses[name].bitrate or protocol.bitrate or 1_000_000
             _warm()
             plain = text.removeprefix("unix:")
             is_path = "/" in plain
-            channel = ServedChannel(name if is_path else plain, bitrate=bitrate)
+            channel = ServedChannel(name if is_path else plain, bitrate=bitrate, fd=protocol.has_fd)
             server = BusServer([channel], unix=plain if is_path else "", tcp=None, socketcand=None, said=say)
             stack.callback(server.close)
             thread = threading.Thread(target=server.serve, name=f"bus {name}", daemon=True)

@@ -377,7 +377,7 @@ def dtype_of(node: p.Node, raw: bool = False) -> Any:
         return np.dtype(f"u{_bytes(8 * node.size)}") if node.size <= 8 else None
     if isinstance(node, p.DelimitedField):
         return np.dtype(np.float64) if not raw and node.conversion in ("number", "degrees") else None
-    if isinstance(node, p.Scalar) and node.kind == "float":
+    if isinstance(node, p.NamedValue) or (isinstance(node, p.Scalar) and node.kind == "float"):
         return np.dtype(np.float64)
     if node.raw_range is None or (isinstance(node, p.Scalar) and len(node.bits) > 64):
         return None

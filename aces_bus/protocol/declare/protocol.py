@@ -112,6 +112,11 @@ class Protocol:
         self.framings.append(made)
         return made
 
+    @property
+    def has_fd(self) -> bool:
+        """Whether it has CAN FD frames: its bus is then opened for them."""
+        return any(message.fd for message in self.messages.values())
+
     def message(
         self,
         name: str,

@@ -38,8 +38,7 @@ def field_table(plan: p.MessagePlan, captured: Mapping[str, str] | None = None) 
                 only = f"only while {when.selector.name} is {listed(when.values)}"
                 doc = f"{only}; {doc}" if doc else only
             rows.append(_field_row(one.path, one.node, doc, captured or {}))
-        if isinstance(one.node, p.ListNode):
-            rows += [_inner_row(inner) for inner in one.node.inside(one)]
+        rows += [_inner_row(inner) for inner in one.node.inside(one)]
     return rows
 
 
@@ -115,6 +114,8 @@ def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -
             return FieldRow(name, f"field {node.index}", kind, node.unit, names=_names(node), doc=doc or note)
         case p.MoreCells():
             return FieldRow(name, f"field {node.start}…", "texts", doc=doc)
+        case p.NamedValue():
+            return FieldRow(name, "", "number", node.unit, names=_names(node), doc=doc)
         case _:
             reason = node.reason if isinstance(node, p.Opaque) else ""
             return FieldRow(name, "", "by construct", doc=doc or reason)

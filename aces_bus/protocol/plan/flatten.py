@@ -26,6 +26,7 @@ from ..declare.fields import (
     wire_number,
 )
 from ..declare.head import Head
+from ..declare.item_list import ItemList
 from ..declare.items import Items
 from ..declare.message import Message
 from ..declare.normalise import sizes
@@ -73,7 +74,7 @@ def flatten(message: Message) -> p.MessagePlan:
         read = builder.constants  # what was read before it stopped is true all the same
         builder = _Builder(message, tail)
         builder.constants = read
-        builder.fields = [p.PlanField(name, p.Opaque(opaque)) for name in names]
+        builder.fields = [p.PlanField(name, _opaque(message.payload, name, opaque)) for name in names]
     check = message.check.field if message.check is not None else None
     fields += [f for f in builder.fields if f.name != check]
     least = message.payload_start + (sizes(message.payload)[0] if opaque else builder.least) + tail
@@ -104,6 +105,20 @@ def flatten(message: Message) -> p.MessagePlan:
         doc=message.doc,
         place=message.place.stable,
     )
+
+
+def _opaque(payload: c.Construct, name: str, reason: str) -> p.Opaque:
+    """A field that construct decodes, with what is known of its inside."""
+    items = next((one for one in getattr(payload, "subcons", ()) if one.name == name), None)
+    while isinstance(items, c.Renamed):
+        items = items.subcon
+    if not isinstance(items, ItemList):
+        return p.Opaque(reason)
+    values: list[tuple[str, int, p.NamedValue]] = []
+    for value, (number, unit, names) in items.values.items():
+        steps = (p.ValueNames(tuple(names.items())),) if names else ()
+        values.append((value, number, p.NamedValue(unit, steps)))
+    return p.OpaqueItems(reason, tuple(values))
 
 
 def _claims(always: int, masks: dict[p.Selector, dict[int, int]], outer: p.When | None) -> tuple[Any, ...]:

@@ -16,7 +16,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 from ..declare.bits import runs_of, whole_bits
-from ..record import EACH, FirstOf, WayStep
+from ..record import EACH, FirstOf, Held, WayStep
 
 
 @dataclass(frozen=True)
@@ -138,6 +138,10 @@ class Node:
             elif isinstance(step, Scale):
                 found.update(step.names)
         return found
+
+    def inside(self, leaf: NodePath) -> Iterator[NodePath]:
+        """What columns have behind a list: the single values of its items; `leaf` is the list itself."""
+        return iter(())
 
     @property
     def flags(self) -> dict[str, int]:
@@ -362,10 +366,6 @@ class ListNode(Node):
     def known_names(self) -> list[str] | None:
         return None
 
-    def inside(self, leaf: NodePath) -> Iterator[NodePath]:
-        """The single values of the items, as columns have them; `leaf` is the list itself."""
-        raise NotImplementedError
-
 
 @dataclass(frozen=True)
 class TaggedItems(ListNode):
@@ -482,6 +482,31 @@ class Opaque(Node):
     @property
     def known_names(self) -> list[str] | None:
         return None
+
+
+@dataclass(frozen=True)
+class NamedValue(Node):
+    """A number that construct decodes, of a known unit; `steps` at most its names."""
+
+    unit: str = ""
+    steps: tuple[Step, ...] = ()
+
+
+@dataclass(frozen=True)
+class OpaqueItems(Opaque):
+    """Items that construct decodes, whose data hold these values by name: (name, number, what it is) of each."""
+
+    values: tuple[tuple[str, int, NamedValue], ...]
+
+    def inside(self, leaf: NodePath) -> Iterator[NodePath]:
+        """The first value of each name."""
+        for name, number, node in self.values:
+            plan = MessagePlan(name, (PlanField("data", node),), (), (), None, 0)
+            kind = ItemKind(name, number, plan, None)
+            way = (*leaf.way, Held(name))
+            yield ItemPath(
+                f"{leaf.path}.{name}", way, node, leaf.field, "", leaf.whens, leaf.conditions, kind, "data"
+            )
 
 
 @dataclass(frozen=True)
@@ -642,8 +667,7 @@ class MessagePlan:
         found: list[NodePath] = []
         for leaf in self.leaves:
             found.append(leaf)
-            if isinstance(leaf.node, ListNode):
-                found += leaf.node.inside(leaf)
+            found += leaf.node.inside(leaf)
         return tuple(found)
 
     @cached_property

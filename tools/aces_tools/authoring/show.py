@@ -231,8 +231,12 @@ def _path(message: Message, hangs: bool) -> dict[str, Any]:
         "why": why,
         "fields": [
             {"field": leaf.path, "path": "generated", "how": _how(leaf.node)}
-            if not isinstance(leaf.node, p.Opaque)
-            else {"field": leaf.path, "path": "construct", "how": leaf.node.reason}
+            if not isinstance(leaf.node, (p.Opaque, p.NamedValue))
+            else {
+                "field": leaf.path,
+                "path": "construct",
+                "how": getattr(leaf.node, "reason", "a value of an item"),
+            }
             for leaf in plan.columns
         ],
     }

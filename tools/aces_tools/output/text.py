@@ -309,7 +309,11 @@ def value_printer(node: p.Node) -> Show:
                 "{" + ", ".join(f"{n}={_or_unknown(s, g(value))}{u}" for n, g, s, u in inner) + "}"
             )
         case p.TaggedItems():
-            return _show_items(node)
+            nodes = {kind.name: kind.plan.fields[0].node for kind in node.kinds}
+            return _show_items({name: (value_printer(inner), _unit(inner)) for name, inner in nodes.items()})
+        case p.OpaqueItems():
+            units = {name: _unit(inner) for name, _, inner in node.values}
+            return _show_items({}, lambda data: _named_values(data, units))
         case p.Repeated():
             (group,) = node.plan.fields
             return _show_each(group.node)
@@ -346,20 +350,32 @@ def _show_each(node: p.Node) -> Show:
     return lambda values: f"[{', '.join(_or_unknown(one, value) + unit for value in values)}]"
 
 
-def _show_items(node: p.TaggedItems) -> Show:
+def _show_items(shows: Mapping[str, tuple[Show, str]], otherwise: Show | None = None) -> Show:
     """Each item as its kind and data, one that is unknown or malformed as bytes with the reason."""
-    nodes = {kind.name: kind.plan.fields[0].node for kind in node.kinds}
-    shows = {name: (value_printer(inner), _unit(inner)) for name, inner in nodes.items()}
 
     def one(item: Any) -> str:
         kind = "" if item.kind is None else f"{item.kind}="
         if item.reason is not None or item.kind not in shows:
             more = f" ({item.reason})" if item.reason is not None else ""
-            return kind + anything(item.data) + more
+            return kind + (otherwise or anything)(item.data) + more
         shown, unit = shows[item.kind]
         return kind + _or_unknown(shown, item.data) + unit
 
     return lambda items: f"[{', '.join(map(one, items))}]"
+
+
+def _named_values(data: Any, units: Mapping[str, str]) -> str:
+    """Values by name, with their units where they are numbers."""
+    names = getattr(data, "__struct_fields__", None)
+    if names is None:
+        return anything(data)
+    values = ((name, getattr(data, name)) for name in names if name[0] != "_")
+    number = (int, float)
+    shown = (
+        f"{name}={anything(value)}{units.get(name, '') if isinstance(value, number) else ''}"
+        for name, value in values
+    )
+    return f"{{{', '.join(shown)}}}"
 
 
 def _show_number(node: p.Scalar | p.FromIdentifier) -> Show:

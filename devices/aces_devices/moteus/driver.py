@@ -1,0 +1,411 @@
+"""mjbots moteus: one controller, one joint, by position or by speed.
+
+1. Every set-point carries the watchdog and the limits: what the device forgets, it is told again in the next tick.
+2. Nothing moves before `enable`, which holds the joint where it is; a fault, a time-out or a reboot ends that, and is told.
+3. A stop is mode 0 (or the brake), and counts when the device answers that it is in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import partial
+from math import inf, nan, tau
+from operator import mul
+from typing import Annotated, Any, ClassVar, Literal
+
+import msgspec
+from msgspec import Meta
+
+from aces_bus.device import (
+    Device,
+    Driver,
+    Host,
+    Job,
+    OutgoingMessage,
+    Poll,
+    Setpoint,
+    Signal,
+    Steps,
+    Ticket,
+)
+from aces_bus.device.config import DeviceConfig
+from aces_bus.device.settings import described, settings_of
+from aces_bus.errors import CallerError, DeviceError
+from aces_protocols.moteus.registers import BY_NAME
+from aces_protocols.moteus.spec import REPLIES
+from aces_protocols.moteus.subframes import register_values
+
+from .twin import MoteusTwin
+
+#: The watchdog where the robot's file does not say: the controller's own default, or five ticks where they are longer.
+WATCHDOG_S, WATCHDOG_TICKS = 0.1, 5
+#: The same on a bus without ticks, which repeats nothing: the motor stops then.
+UNTICKED_S = 0.5
+#: How long a controller is given to reach a mode (ns), and between two looks.
+MODE_NS, LOOK_NS = 500_000_000, 5_000_000
+#: Modes in which no torque moves the joint: off, a fault, the windings shorted.
+STILL = frozenset(("stopped", "fault", "brake"))
+#: What is read in each tick, by type: the least bytes that the wire needs for what a controller of motion wants.
+STATE = (
+    ("read_i8", ["mode"]),
+    ("read_f32", ["position", "velocity", "torque"]),
+    ("read_i16", ["voltage", "temperature", "fault"]),
+)
+#: What is read once in a while, and how often (s).
+SLOW, SLOW_S = (("read_i16", ["motor_temperature"]),), 1.0
+
+Item = dict[str, Any]
+
+
+class MoteusSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """The driver's own keys in a robot file."""
+
+    max_torque: (
+        Annotated[
+            float,
+            Meta(
+                gt=0,
+                description="the greatest torque (N·m at the controller's output), as configured when absent",
+            ),
+        ]
+        | None
+    ) = None
+    watchdog_s: (
+        Annotated[
+            float,
+            Meta(
+                gt=0,
+                description="without a set-point for so long the controller stops (s), when absent 0.1 or five ticks",
+            ),
+        ]
+        | None
+    ) = None
+    kp_scale: Annotated[float, Meta(ge=0, description="share of the configured kp, 1 when absent")] = 1.0
+    kd_scale: Annotated[float, Meta(ge=0, description="share of the configured kd, 1 when absent")] = 1.0
+    stop: Annotated[
+        Literal["release", "brake"],
+        Meta(
+            description='what a stop does: "release" the motor (default), or "brake" by shorting its windings'
+        ),
+    ] = "release"
+
+
+def write(kind: str, **values: Any) -> Item:
+    """A sub-frame that writes registers."""
+    return {"kind": f"write_{kind}", "data": values}
+
+
+def one_command(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
+    """One frame a controller, with all of its set-points."""
+    given: dict[Device, dict[str, float]] = {}
+    for want in wants:
+        given.setdefault(want.device, {})[want.path] = want.value
+    for device, values in given.items():
+        yield OutgoingMessage(device, "Command", {"subframes": device.motion(values)})  # type: ignore[attr-defined]
+
+
+class Moteus(Device):
+    """Signals: position, velocity, torque of the joint; mode, fault, voltage, temperatures of the controller."""
+
+    protocol = "moteus"
+    rules: ClassVar = {"Command": one_command}
+    streams = ("Command",)
+    actions: ClassVar = {
+        "enable": "hold the joint where it is: clear faults, then position mode (a wheel: speed 0)",
+        "disable": "end set-points and stop",
+        "set_zero": "call where the joint is its zero, until the controller is switched off; only while it is stopped",
+        "identify": "ask for model, firmware and serial number",
+    }
+    asking: ClassVar = ("identify",)
+
+    # ------------------------------------------------------------------ declaration
+
+    def setup(self) -> None:
+        """Signals of the joint and of the controller, and what is polled."""
+        settings = self.settings = settings_of(self.name, MoteusSettings, self.config.settings)
+        if len(self.joints) > 1:
+            names = ", ".join(joint.name for joint in self.joints)
+            raise CallerError(f"{self.name}: a moteus moves one joint, not {names}")
+        joint = self.joint = self.joints[0] if self.joints else None
+        command = "position" if joint is None else joint.command
+        if command not in ("position", "speed"):
+            raise CallerError(
+                f'{self.name}: {joint.name if joint else ""} is moved by "position" or "speed", not {command!r}:'
+                " only these modes have the controller's watchdog"
+            )
+        self.turns = command == "speed"
+        #: Turns of the controller's output for a rad of the joint, with the sign; rad of its zero.
+        self.per_rad = (joint.direction if joint else 1) * ((joint.ratio if joint else None) or 1.0) / tau
+        self.zero = (joint.zero or 0.0) * (joint.direction if joint else 1) if joint else 0.0
+        rate = self.host.rate_hz
+        usual = max(WATCHDOG_S, WATCHDOG_TICKS / rate) if rate else UNTICKED_S
+        self.watchdog_s = settings.watchdog_s or usual
+        self.enabled = False
+        self.alarms: frozenset[str] = frozenset()
+        queries = [
+            {"subframes": [{"kind": kind, "data": names} for kind, names in one]} for one in (STATE, SLOW)
+        ]
+        self.polls = (Poll("Query", REPLIES, queries[0]), Poll("Query", REPLIES, queries[1], every_s=SLOW_S))
+        self._signals(joint.name if joint else self.name)
+
+    def _signals(self, owner: str) -> None:
+        joint, per_rad = self.joint, self.per_rad
+        self.known: dict[str, tuple[Signal, Any]] = {}
+
+        def add(name: str, of: str, to_si: Any = None, **more: Any) -> Signal:
+            made = self.add_signal(name, read_from=REPLIES, source="registers.md", **more)
+            self.known[of] = (made, to_si)
+            return made
+
+        fast = (joint.max_speed if joint else None) or inf
+        self.position = add(
+            "position",
+            "position",
+            lambda turns: turns / per_rad - self.zero,
+            unit="rad",
+            owner=owner,
+            doc="Where the joint is; set: where it is to go.",
+            lower=None if self.turns or joint is None else joint.lower,
+            upper=None if self.turns or joint is None else joint.upper,
+            **(
+                {}
+                if self.turns
+                else {"set": "Command.position", "from_si": lambda rad: (rad + self.zero) * per_rad}
+            ),
+        )
+        add(
+            "velocity",
+            "velocity",
+            lambda turns: turns / per_rad,
+            unit="rad/s",
+            owner=owner,
+            doc="How fast the joint turns.",
+            lower=-fast if self.turns and fast < inf else None,
+            upper=fast if self.turns and fast < inf else None,
+            **({"set": "Command.velocity", "from_si": partial(mul, per_rad)} if self.turns else {}),
+        )
+        add(
+            "torque",
+            "torque",
+            lambda t: t * per_rad * tau,
+            unit="N·m",
+            owner=owner,
+            doc="Torque of the joint.",
+        )
+        self.mode = add("mode", "mode", doc="The controller's mode.")
+        add("fault", "fault", doc='Why it is in mode fault, or what limits it; "none".')
+        add("voltage", "voltage", unit="V", doc="Supply.")
+        add("temperature", "temperature", unit="°C", doc="The board's temperature.")
+        add(
+            "motor_temperature",
+            "motor_temperature",
+            unit="°C",
+            doc="The motor's; 0 without a sensor.",
+            stale_s=5 * SLOW_S,
+        )
+
+    # ------------------------------------------------------------------ down
+
+    def motion(self, given: dict[str, float]) -> list[Item]:
+        """The sub-frames of a set-point (turns, turns/s): mode first, then where to, the limits and the watchdog."""
+        settings, joint = self.settings, self.joint
+        per_rad = abs(self.per_rad)
+        values: dict[str, float] = {
+            "command_position": given.get("position", nan),
+            "command_velocity": given.get("velocity", 0.0),
+            "command_timeout": self.watchdog_s,
+        }
+        if settings.kp_scale != 1.0 or settings.kd_scale != 1.0:
+            values |= {"command_kp_scale": settings.kp_scale, "command_kd_scale": settings.kd_scale}
+        if settings.max_torque is not None:
+            values["command_position_max_torque"] = settings.max_torque
+        if joint is not None and joint.max_speed is not None:
+            values["command_velocity_limit"] = joint.max_speed * per_rad
+        if joint is not None and joint.max_acceleration is not None:
+            values["command_accel_limit"] = joint.max_acceleration * per_rad
+        return [write("i8", mode="position"), *runs(values)]
+
+    def takes(self, signal: Signal) -> bool | None:
+        """Only while it is enabled."""
+        return self.enabled and super().takes(signal)
+
+    # ------------------------------------------------------------------ up
+
+    def heard(self, record: Any, instant: int) -> None:
+        """Values of registers; what is not a number is not known."""
+        for one in record.subframes:
+            if one.reason is not None:
+                self.tell_event("malformed", f"a sub-frame of its answer is {one.reason}")
+            elif one.kind == "read_error":
+                self.tell_event("malformed", f"it cannot read {one.data.register}: error {one.data.error}")
+        values = register_values(record.subframes)
+        for name, (target, to_si) in self.known.items():
+            value = values.get(name)
+            if value is None or value != value:
+                continue
+            target.update(value if to_si is None else to_si(value), instant)
+        mode = values.get("mode")
+        if mode is None:
+            return
+        fault = str(values.get("fault", "unknown"))
+        before, self.alarms = self.alarms, frozenset((fault,)) if mode == "fault" else frozenset()
+        self.tell_alarms(self.alarms, before)
+        if not self.enabled or mode == "position":
+            return
+        self._off()
+        if mode == "position_timeout":
+            self.tell_event(
+                "alarm", f"no set-point came for {self.watchdog_s:g} s: its watchdog has stopped it"
+            )
+        elif mode != "fault":
+            self.rebooted(f"it was enabled, and its mode is {mode}")
+
+    def _off(self) -> None:
+        self.enabled = False
+        self.drop("Command")
+
+    def _ask(self, *items: Item, reads: Sequence[str] = ("mode", "fault")) -> Ticket:
+        """Write, then read whole numbers; the answer is the ticket's record."""
+        reading = [{"kind": "read_i32", "data": [name]} for name in reads]
+        return self.ask("Query", reply=REPLIES, subframes=[*items, *reading])
+
+    # ------------------------------------------------------------------ actions
+
+    def enable(self) -> Job:
+        """Clear faults, then hold: fails with `DeviceError` when the controller does not reach its mode."""
+
+        def steps(job: Job) -> Steps:
+            self._off()
+            yield self._ask(write("i8", mode="stopped"))
+            self.is_driven = True
+            hold = self.motion({})
+            end = self.clock.now() + MODE_NS
+            while True:
+                state = register_values((yield self._ask(*hold)).subframes)
+                if state.get("mode") == "position":
+                    break
+                if state.get("mode") == "fault" or self.clock.now() > end:
+                    yield self.stop_motion()
+                    raise DeviceError(
+                        f"{self.name} is in mode {state.get('mode')}, fault {state.get('fault')}"
+                    )
+                yield LOOK_NS
+            self.enabled = True
+            if self.turns:
+                self.want("Command", "velocity", 0.0)
+            else:
+                self.want("Command", "position", nan)
+
+        return self.job("enable", steps)
+
+    def disable(self) -> Job:
+        """Stop, and see that it has."""
+
+        def steps(job: Job) -> Steps:
+            yield self.stop_motion()
+            yield self.confirm_stopped()
+
+        return self.job("disable", steps)
+
+    def stop_motion(self) -> Ticket:
+        """Set-points end; the motor is free, or shorted (setting `stop`)."""
+        self._off()
+        mode = "brake" if self.settings.stop == "brake" else "stopped"
+        return self.tell_now("Command", subframes=[write("i8", mode=mode)])
+
+    def confirm_stopped(self) -> Job:
+        """Whether it says so."""
+
+        def steps(job: Job) -> Steps:
+            mode = register_values((yield self._ask()).subframes).get("mode")
+            if mode not in STILL:
+                raise DeviceError(f"its mode is {mode}")
+
+        return self.job("look whether it has stopped", steps)
+
+    def set_zero(self) -> Job:
+        """Call where the joint is its zero. Fails with `DeviceError` while it is not stopped."""
+
+        def steps(job: Job) -> Steps:
+            mode = register_values((yield self._ask()).subframes).get("mode")
+            if self.enabled or mode not in STILL:
+                raise DeviceError(f"{self.name} is in mode {mode}: stop it before its zero is moved")
+            yield self._ask(write("f32", set_output_exact=self.zero * self.per_rad))
+
+        return self.job("set zero", steps)
+
+    def identify(self) -> Job:
+        """Ask who it is: the result is {register: number}."""
+
+        def steps(job: Job) -> Steps:
+            names = ("model_number", "firmware_version", "serial_number1", "serial_number2", "serial_number3")
+            return register_values((yield self._ask(reads=names)).subframes)
+
+        return self.job("identify", steps)
+
+
+def runs(values: dict[str, float]) -> list[Item]:
+    """Values by register as floats, those that follow one another in one sub-frame."""
+    found: list[Item] = []
+    last = -2
+    for name in sorted(values, key=lambda name: BY_NAME[name].number):
+        number = BY_NAME[name].number
+        if number != last + 1:
+            found.append(write("f32"))
+        found[-1]["data"][name] = values[name]
+        last = number
+    return found
+
+
+#: How long each number is given to answer (s): a controller answers within 1 ms, adapters collect frames.
+PATIENCE_S = 0.02
+
+
+def _scan(host: Host, job: Job) -> Steps:
+    """Ask every number for its mode: a question that changes nothing."""
+    found: list[DeviceConfig] = []
+    for number in range(1, 127):
+        job.progress, job.text = number / 127, f"number {number}, {len(found)} found"
+        answer = yield from host.answers(
+            "moteus",
+            {"id": number},
+            "Query",
+            reply=REPLIES,
+            timeout_s=PATIENCE_S,
+            subframes=[{"kind": "read_i8", "data": ["mode"]}],
+        )
+        if answer is not None:
+            found.append(
+                DeviceConfig(
+                    name=f"MOTEUS{number}", driver="moteus", bus=host.name, credentials={"id": number}
+                )
+            )
+    return found
+
+
+EXAMPLE = """
+name = "moteus"
+rate_hz = 20
+
+[buses]
+can = { link = "can", protocol = "moteus", bitrate = 1_000_000 }
+
+[devices]
+KNEE = { driver = "moteus", bus = "can", credentials = { id = 11 }, settings = { stop = "brake", max_torque = 1.5 } }
+WHEEL = { driver = "moteus", bus = "can", credentials = { id = 1 } }
+
+[joints]
+KNEE_PITCH = { device = "KNEE", lower = -0.1, upper = 2.0, direction = -1, zero = 0.2, gear = [1, 2], max_speed = 3.0 }
+DRIVE = { device = "WHEEL", type = "continuous", command = "speed", max_speed = 20.0, direction = -1 }
+"""
+
+driver = Driver(
+    "moteus",
+    device=Moteus,
+    twin=MoteusTwin,
+    example=EXAMPLE,
+    doc="mjbots moteus servo controller on CAN FD: one joint by position or speed.",
+    source="mjbots/moteus docs/protocol/can.md, registers.md",
+    scan=_scan,
+    settings=described(MoteusSettings),
+)

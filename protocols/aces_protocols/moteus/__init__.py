@@ -1,0 +1,1 @@
+"""mjbots moteus: brushless servo controllers with a register protocol on CAN FD."""

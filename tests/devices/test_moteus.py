@@ -1,0 +1,171 @@
+"""mjbots moteus: driver and twin."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from aces_bus.errors import CallerError, DeviceError, NotStoppedError
+from aces_bus.robot import VirtualRobot, parse_robot
+from aces_bus.testing.conformance import driver_tests
+from aces_protocols.moteus.subframes import register_values
+
+test_moteus = driver_tests("moteus")
+
+ARM = """
+name = "arm"
+rate_hz = 50
+[buses]
+can = { link = "can", protocol = "moteus", bitrate = 1_000_000 }
+[devices]
+M = { driver = "moteus", bus = "can", credentials = { id = 1 }, settings = { max_torque = 1.5, watchdog_s = 0.2 } }
+[joints]
+J = { device = "M", lower = -1, upper = 1, max_speed = 2.0, max_acceleration = 30.0 }
+"""
+
+
+def arm(text: str = ARM) -> VirtualRobot:
+    robot, problems = parse_robot(text)
+    assert robot is not None, problems
+    return VirtualRobot(robot, rate_hz=50)
+
+
+def commands(robot: VirtualRobot) -> list[dict[str, Any]]:
+    """What the twin is told by `Command`s, from now on."""
+    found: list[dict[str, Any]] = []
+    twin = robot.twins["M"]
+    take = twin._handlers["Command"]
+
+    def noting(request: Any) -> None:
+        found.append(register_values(request.subframes))
+        take(request)
+
+    twin._handlers["Command"] = noting
+    return found
+
+
+def test_every_set_point_has_limits_and_watchdog() -> None:
+    """Position in turns, and with it, in each tick, the limits of the robot's file and the watchdog."""
+    with arm() as robot:
+        robot.advance(0.1)
+        robot.rig.each("enable").wait(5)
+        told = commands(robot)
+        robot["J"].set(0.5)
+        robot.advance(1.0)
+        assert robot["J.position"].value == pytest.approx(0.5)
+        assert len(told) == pytest.approx(50, abs=2)
+        assert told[-1] == {
+            "mode": "position",
+            "command_position": pytest.approx(0.5 / math.tau, rel=1e-6),
+            "command_velocity": 0.0,
+            "command_position_max_torque": 1.5,
+            "command_timeout": pytest.approx(0.2),
+            "command_velocity_limit": pytest.approx(2.0 / math.tau),
+            "command_accel_limit": pytest.approx(30.0 / math.tau),
+        }
+
+
+def test_enabling_holds_where_it_is() -> None:
+    """NaN is "where you are now": nothing moves, and the mode is position."""
+    with VirtualRobot(arm().robot, rate_hz=50, pose={"J": 0.3}) as robot:
+        robot.advance(0.1)
+        robot.rig.each("enable").wait(5)
+        told = commands(robot)
+        robot.advance(0.5)
+        assert robot["M.mode"].value == "position"
+        assert robot["J.position"].value == pytest.approx(0.3, abs=1e-6)
+        assert math.isnan(told[-1]["command_position"])
+
+
+def test_without_a_host_its_watchdog_stops_it() -> None:
+    """Set-points that end leave a controller in mode 11; the driver says so, and takes no more until it is enabled."""
+    with arm() as robot:
+        robot.advance(0.1)
+        robot.rig.each("enable").wait(5)
+        robot.devices["M"].drop("Command")
+        robot.advance(0.15)
+        assert robot.twins["M"].mode == "position"
+        robot.advance(0.15)
+        assert robot.twins["M"].mode == "position_timeout"
+        assert "its watchdog has stopped it" in robot.events.of("alarm")[-1].detail
+        robot["J"].set(0.5)
+        robot.advance(0.2)
+        assert robot["J.position"].value == 0.0
+        robot.rig.each("enable").wait(5)
+        robot["J"].set(0.2)
+        robot.advance(1.0)
+        assert robot["J.position"].value == pytest.approx(0.2)
+
+
+def test_a_fault_is_told_and_ends_set_points() -> None:
+    """By its name; enabling fails with it until it is over."""
+    with arm() as robot:
+        robot.advance(0.1)
+        robot.rig.each("enable").wait(5)
+        robot.twins["M"].fault("trip")
+        robot.advance(0.1)
+        assert robot.events.of("alarm")[-1].detail == "over_temperature"
+        assert not robot.devices["M"].enabled  # type: ignore[attr-defined]
+        with pytest.raises(DeviceError, match="mode fault, fault over_temperature"):
+            robot.rig.each("enable").wait(5)
+        robot.twins["M"].fault("trip", on=False)
+        robot.rig.each("enable").wait(5)
+        robot.advance(0.1)
+        assert robot.events.of("alarm over")
+
+
+def test_a_stop_is_confirmed_or_named() -> None:
+    """It counts when the controller says that it is stopped; one that does not take it is named."""
+    with arm() as robot:
+        robot.advance(0.1)
+        robot.rig.each("enable").wait(5)
+        robot["J"].set(1.0)
+        robot.advance(0.1)
+        robot.rig.stop_motion().wait(5)
+        robot.advance(0.1)
+        assert robot.twins["M"].mode == "stopped"
+        where = robot["J.position"].value
+        robot.advance(0.5)
+        assert robot["J.position"].value == where
+        robot.rig.each("enable").wait(5)
+        twin: Any = robot.twins["M"]
+        twin._handlers["Command"] = lambda request: None  # deaf to commands, and answers
+        twin.command["command_timeout"] = math.nan
+        twin._until = None
+        with pytest.raises(NotStoppedError, match=r"M.*its mode is position"):
+            robot.rig.stop_motion().wait(5)
+
+
+def test_a_wheel_turns_at_a_speed() -> None:
+    """`command = "speed"`: no position, a velocity; `stop = "brake"` shorts the windings."""
+    text = ARM.replace("lower = -1, upper = 1,", 'type = "continuous", command = "speed", direction = -1,')
+    with arm(text.replace("max_torque = 1.5", 'stop = "brake"')) as robot:
+        robot.advance(0.1)
+        robot.rig.each("enable").wait(5)
+        robot["J.velocity"].set(1.5)
+        robot.advance(1.0)
+        assert robot["J.velocity"].value == pytest.approx(1.5, rel=1e-5)
+        assert robot["J.position"].value > 1.0
+        robot.rig.stop_motion().wait(5)
+        assert robot.twins["M"].mode == "brake"
+
+
+def test_what_cannot_be() -> None:
+    """A moteus has one joint, by position or speed: other modes have no watchdog."""
+    with pytest.raises(CallerError, match="only these modes have the controller's watchdog"):
+        arm(ARM.replace("lower = -1,", 'command = "current", lower = -1,'))
+
+
+def test_its_zero_is_moved_only_while_it_is_stopped() -> None:
+    """And is where the joint is then."""
+    with VirtualRobot(arm().robot, rate_hz=50, pose={"J": 0.3}) as robot:
+        robot.advance(0.1)
+        device: Any = robot.devices["M"]
+        device.set_zero().wait(5)
+        robot.advance(0.1)
+        assert robot["J.position"].value == pytest.approx(0.0, abs=1e-6)
+        robot.rig.each("enable").wait(5)
+        with pytest.raises(DeviceError, match="stop it before its zero is moved"):
+            device.set_zero().wait(5)
