@@ -24,13 +24,9 @@ from .declare.fields import (
     Text,
     top,
 )
-<<<<<<< HEAD
 from .declare.framing import Escaped, Framing, Trailer
 from .declare.isotp import IsoTp
-=======
-from .declare.framing import Escaped, Framing
 from .declare.item_list import ItemList
->>>>>>> w4
 from .declare.items import Items
 from .declare.message import Message, Request
 from .declare.pattern import IdField
@@ -75,11 +71,8 @@ __all__ = [
     "IdField",
     "Insert",
     "InvertedSum",
-<<<<<<< HEAD
     "IsoTp",
-=======
     "ItemList",
->>>>>>> w4
     "Items",
     "Message",
     "Meta",

@@ -55,18 +55,9 @@ def gate_of(
         whole = {"channel": channel, **({"interface": bus.interface} if bus.interface else {})}
         if rate:
             whole["bitrate"] = rate
-<<<<<<< HEAD
-        return CanGate({**whole, **chosen}, name=bus.name, listen_only=listen_only, **_allowed(bus))
-=======
         if protocol.has_fd:
             whole["fd"] = True
-        if bus.allow is None:
-            return CanGate({**whole, **chosen}, name=bus.name, listen_only=listen_only)
-        from ..recordings.filters import parse_filter  # NumPy: slow to import
-
-        allow = parse_filter(*bus.allow)
-        return CanGate({**whole, **chosen}, name=bus.name, listen_only=listen_only, allow=allow)
->>>>>>> w4
+        return CanGate({**whole, **chosen}, name=bus.name, listen_only=listen_only, **_allowed(bus))
     if bus.link == "serial":
         baud = int(chosen.pop("baud", None) or bus.baud or protocol.baud or 115_200)
         half = is_half_duplex(bus, protocol)
