@@ -43,7 +43,8 @@ if TYPE_CHECKING:
 class Poll:
     """What is asked again and again: `message` with `fields`, answered by one of `reply`.
 
-    `every_s` None: in each tick of the host. `timeout_s` counts from the end of the request on the wire.
+    `every_s` None: in each tick of the host. `timeout_s` counts from the end of the request on the wire. `asked_by`: messages
+    of set-points that are answered in the same way: in a tick that sends one, this is not sent besides.
     """
 
     message: str
@@ -51,6 +52,7 @@ class Poll:
     fields: Mapping[str, Any] = field(default_factory=dict[str, Any])
     every_s: float | None = None
     timeout_s: float = 0.05
+    asked_by: Collection[str] = ()
 
     @property
     def replies(self) -> frozenset[str]:
@@ -512,13 +514,17 @@ class Device(EndpointMember):
         """Send a message that is not answered. The ticket is over when it has left, and fails when it does not."""
         return self.ask(message, **fields)
 
-    def tell_now(self, message: str, **fields: Any) -> Ticket:
+    def tell_now(self, message: str, *, reply: str = "", timeout_s: float = 0.05, **fields: Any) -> Ticket:
         """Send a message as `tell`, before all others and instead of what still waits for this device: for stops.
 
-        While the bus is lost it waits, and is the first to leave when the bus is back.
+        With `reply` it is over when that has come. While the bus is lost it waits, and is the first to leave when the bus is
+        back.
         """
         word = self.host.word(self, message, fields)
-        return self.host.ask(Ticket(self.clock, self, message, word, frozenset(), 0, urgent=True))
+        names = frozenset((reply,)) if reply else frozenset[str]()
+        return self.host.ask(
+            Ticket(self.clock, self, message, word, names, round(timeout_s * 1e9), urgent=True)
+        )
 
     def job(self, name: str, steps: Callable[[Job], Steps]) -> Job:
         """Begin something that takes several steps; see `Job`."""

@@ -89,6 +89,8 @@ class Host(BusEndpoint[Device]):
         self.unknown_handlers: list[Callable[[UnknownWord, int], None]] = []
         self.unknown_devices: Counter[str] = Counter()
         self.slots: deque[PollSlot] = deque()
+        #: By device and message of set-points: the poll that it stands for.
+        self._asked_by: dict[tuple[str, str], PollSlot] = {}
         #: Whether some devices are asked before others in each tick.
         self._has_priorities = False
         #: Called in each tick, and when set-points were given without one, before these are gathered.
@@ -149,6 +151,7 @@ class Host(BusEndpoint[Device]):
             if self._half and not self._period:
                 slot.due = NEVER_NS  # asked on request: `poll` or `tick`
             self.slots.append(slot)
+            self._asked_by.update(dict.fromkeys(((member.name, one) for one in poll.asked_by), slot))
         self._has_priorities = len({slot.priority for slot in self.slots}) > 1
         return member
 
@@ -222,6 +225,7 @@ class Host(BusEndpoint[Device]):
         device = self.members.get(name)
         super().remove(name)
         self.slots = deque(slot for slot in self.slots if slot.device is not device)
+        self._asked_by = {key: slot for key, slot in self._asked_by.items() if slot.device is not device}
 
     def renumber(self, member: Device, **credentials: int) -> None:
         """A device has other credentials from now on: its polls ask for them."""
@@ -337,12 +341,15 @@ class Host(BusEndpoint[Device]):
 
     def _ask_again(self, ticket: Ticket, now: int) -> None:
         """A poll was not answered within its tick: it is sent once more, and one answer of both may come late."""
+        self._again(ticket, now)
+        self._transmit(ticket.word, ticket.device, ticket.message, ticket.timeout_ns)
+
+    def _again(self, ticket: Ticket, now: int) -> None:
         ticket.tries += 1
         self.counts.repeated += 1
         ticket.device.missed_at = now
         for name in ticket.reply:
             ticket.device.second_answers[name] = ticket.device.second_answers.get(name, 0) + 1
-        self._transmit(ticket.word, ticket.device, ticket.message, ticket.timeout_ns)
 
     def poll(self) -> None:
         """Ask everything once, now, whatever the budget: for hosts without a rate."""
@@ -356,7 +363,8 @@ class Host(BusEndpoint[Device]):
                     self._take_slot(slot, now)
         self._pump()
 
-    def _take_slot(self, slot: PollSlot, now: int) -> None:
+    def _take_slot(self, slot: PollSlot, now: int, *, is_asked: bool = False) -> None:
+        """It is a poll's turn; where it `is_asked` already, its answer is on its way."""
         if self._half and not self._period:
             slot.due = NEVER_NS
         elif slot.every_ns:
@@ -372,7 +380,10 @@ class Host(BusEndpoint[Device]):
         )
         slot.waiting = ticket
         self.counts.polls += 1
-        if self._half:
+        if is_asked:
+            ticket.tries += 1
+            self._await(ticket, now)
+        elif self._half:
             self._speak(ticket)
         elif slot.common and self._asked_all.get(slot.word) == now:
             self._await(ticket, now)
@@ -407,7 +418,14 @@ class Host(BusEndpoint[Device]):
                     self._line.append(Ticket(self.clock, out.device, out.message, word, NO_REPLY, 0))
                 else:
                     used += self.port.wire_ns(word)
-                    self._transmit(word, out.device, out.message)
+                    is_sent = self._transmit(word, out.device, out.message)
+                    slot = self._asked_by.get((out.device.name, out.message)) if is_sent else None
+                    if slot is not None and not out.device.is_silent:  # one that is silent is asked besides
+                        used += slot.wire_ns
+                        if slot.waiting is None:
+                            self._take_slot(slot, now, is_asked=True)
+                        else:
+                            self._again(slot.waiting, now)
                 out.device.is_driven = not self.passive
         if self._half and wanted:
             self._pump()

@@ -4,7 +4,7 @@
 2. Whether it is on is what the motor says, not what it was told. One that switches itself off loses its set-points.
 3. It is enabled where it is; a stop ends its set-points and switches it off.
 
-A driver declares its `modes` and signals, and says how to switch on (`bring_up`), what holds (`hold`), how to switch off
+A driver declares its `modes` and signals, and says how to switch on (`bring_up`), what keeps it where it is (`stay`), how to switch off
 (`switch_off`) and how to ask whether it is (`ask_state`); what its messages say goes to `shows`.
 """
 
@@ -170,7 +170,7 @@ class SingleMotor(MotorDevice[SingleAxis]):
         """Steps that lead from off to being told to switch on: mode, limits, the set-point where it is."""
 
     @abstractmethod
-    def hold(self) -> None:
+    def stay(self) -> None:
         """Want (`want`) what keeps it where it is."""
 
     @abstractmethod
@@ -215,7 +215,7 @@ class SingleMotor(MotorDevice[SingleAxis]):
             )
             if self.faults:
                 raise DeviceError(f"{self.name} cannot be enabled: {', '.join(sorted(self.faults))}")
-            self.hold()
+            self.stay()
 
         return self.lead("enable", steps)
 

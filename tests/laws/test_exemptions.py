@@ -21,6 +21,18 @@ LISTED: dict[str, dict[str, set[str]]] = {
         "NaN of half precision": {"Beside.r2"},
         "signalling NaN": {"Floats.aligned", "Nested.ratio"},
     },
+    "damiao": {
+        # Modes and registers are single-precision floats.
+        "signalling NaN": {
+            "PositionVelocity.position",
+            "PositionVelocity.velocity_limit",
+            "Velocity.velocity",
+            "ForcePosition.position",
+            "ReadFloatReply.value",
+            "WriteFloat.value",
+            "WriteFloatReply.value",
+        }
+    },
     "hubo": {
         # The boards' set-points and duties are sign and magnitude (hubo-ach, hubo-daemon.c).
         "negative zero": {

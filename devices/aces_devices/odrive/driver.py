@@ -196,7 +196,7 @@ class Odrive(SingleMotor):
         job.progress, job.text = 0.5, "closed loop"
         yield self.tell("SetAxisState", state="closed_loop")
 
-    def hold(self) -> None:
+    def stay(self) -> None:
         """Where it is; no velocity, no torque."""
         self.want(TARGETS[self.mode][0], self.mode, self._present())
 

@@ -422,35 +422,28 @@ tells(
     doc="Versions of the protocol, the hardware and the firmware.",
     source=NEW,
 )  # fmt: skip
-for name, command, direction, opcode, doc, examples in (
-    (
-        "RxSdo",
-        0x04,
-        "to device",
-        Enumeration(Byte, read=0, write=1),
-        "Read or write a parameter (or call a function) by the number that this very firmware gives it.",
-        [
-            ("064#00 23 01 00", {"node": 3, "opcode": "read", "endpoint": 0x123, "value": b""}),
-            ("064#01 23 01 00 00 00 A0 3F", {"node": 3, "opcode": "write", "value": bytes.fromhex("0000A03F")}),
-        ],
-    ),
-    ("TxSdo", 0x05, "from device", Byte, "The parameter's value (from 0.6.11 on writes are confirmed, too).", []),
-):  # fmt: skip
-    odrive.message(
-        name,
-        id=Node << 5 | command,
-        direction=direction,
-        dialect="0.6",
-        payload=Struct(
-            "opcode" / opcode,
-            "endpoint" / Int16ul,
-            "reserved_byte" / Reserved(1),
-            "value" / Default(GreedyBytes, b""),
-        ),
-        doc=doc,
-        source=RESOURCES,
-        examples=examples,
-    )
+PARAMETER = ("endpoint" / Int16ul, "reserved_byte" / Reserved(1), "value" / Default(GreedyBytes, b""))
+takes(
+    "RxSdo",
+    0x04,
+    Struct("opcode" / Enumeration(Byte, read=0, write=1), *PARAMETER),
+    dialect="0.6",
+    doc="Read or write a parameter (or call a function) by the number that this very firmware gives it.",
+    source=RESOURCES,
+    examples=[
+        ("064#00 23 01 00", {"node": 3, "opcode": "read", "endpoint": 0x123, "value": b""}),
+        ("064#01 23 01 00 00 00 A0 3F", {"node": 3, "opcode": "write", "value": bytes.fromhex("0000A03F")}),
+    ],
+)
+odrive.message(
+    "TxSdo",
+    id=Node << 5 | 0x05,
+    direction="from device",
+    dialect="0.6",
+    payload=Struct("opcode" / Byte, *PARAMETER),
+    doc="The parameter's value (from 0.6.11 on writes are confirmed, too).",
+    source=RESOURCES,
+)
 takes("Reboot", 0x16, dialect="0.5", doc="Boot anew.", source=OLD)
 takes(
     "Reboot",

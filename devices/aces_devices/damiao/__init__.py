@@ -1,0 +1,5 @@
+"""Damiao DM motors: MIT frame, position, velocity and force modes; their twin."""
+
+from .driver import driver
+
+__all__ = ["driver"]

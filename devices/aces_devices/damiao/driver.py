@@ -1,0 +1,421 @@
+"""Damiao DM motors: a joint with stiffness, damping and torque, or by position or velocity.
+
+1. What numbers mean is in the motor: PMAX, VMAX, TMAX (registers 21 to 23) are read before anything is believed or enabled.
+2. A command is answered by a feedback, as a question is: in a tick that sends one nothing else is asked.
+3. Without stiffness and damping (the joint's `gains`, or the signals `kp` and `kd`) nothing holds: both are 0 at first.
+4. The motor's own time-out (register 9) switches it off when commands stay out.
+
+Sources: see the spec.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Annotated, Any, ClassVar, Literal
+
+import msgspec
+from msgspec import Meta
+
+from aces_bus.device import Driver, Host, Job, Poll, Signal, SingleMotor, Steps, Ticket
+from aces_bus.device.config import DeviceConfig
+from aces_bus.device.settings import described, settings_of
+from aces_bus.errors import AcesError, CallerError, DeviceError, UnknownNameError
+from aces_protocols.damiao.spec import INTEGERS, KD_MAX, KP_MAX, MODELS, READ_ONLY, REGISTERS, SHARE
+
+from .twin import DamiaoTwin
+
+#: Units of register 9 (s).
+TIMEOUT_UNIT_S = 50e-6
+#: The motor's time-out where the robot's file does not say: ten ticks, and at least this (s).
+WATCHDOG_S = 0.1
+#: Speed on the way in modes that need one and joints that state none (rad/s).
+USUAL_SPEED = 1.0
+#: Mode → its number in register 10.
+NUMBERS: Mapping[str, int] = {"mit": 1, "position_velocity": 2, "velocity": 3, "force_position": 4}
+#: A motor whose ranges could not be read is asked for them again after so long (ns).
+RETRY_NS = 1_000_000_000
+#: Statuses that are no fault.
+_WELL = ("disabled", "enabled")
+
+
+class DamiaoSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """The driver's own keys in a robot file."""
+
+    mode: Annotated[
+        Literal["mit", "position_velocity", "velocity", "force_position"] | None,
+        Meta(description="how it is controlled; when absent mit, for joints that are set by speed velocity"),
+    ] = None
+    ranges: Annotated[
+        tuple[float, float, float] | None,
+        Meta(
+            description="PMAX, VMAX, TMAX for who only listens; when absent those of the model (they are read where asked)"
+        ),
+    ] = None
+    timeout_s: Annotated[
+        float | None,
+        Meta(
+            ge=0,
+            description="the motor's time-out (s), 0: none; when absent ten ticks, at least 0.1 s; none without a rate",
+        ),
+    ] = None
+    current_limit: Annotated[
+        float, Meta(ge=0, le=1, description="share of the current in force_position, 0.1 when absent")
+    ] = 0.1
+    master: Annotated[
+        int,
+        Meta(ge=0, le=0x1F, description="what it answers under (register 7), for its twin; 0 when absent"),
+    ] = 0
+
+
+class Damiao(SingleMotor):
+    """One motor. Signals of the joint: position, velocity, torque, kp, kd; of the motor: status and temperatures."""
+
+    protocol = "damiao"
+    streams = ("Command", "PositionVelocity", "Velocity", "ForcePosition")
+    polls = (Poll("AskFeedback", "Feedback", {"how": 0}, timeout_s=0.02, asked_by=streams),)
+    modes: ClassVar = {
+        "mit": {name: f"Command.{name}" for name in ("position", "velocity", "torque", "kp", "kd")},
+        "position_velocity": {"position": "PositionVelocity.position"},
+        "velocity": {"velocity": "Velocity.velocity"},
+        "force_position": {"position": "ForcePosition.position"},
+    }
+    usual_modes: ClassVar = {"position": "mit", "speed": "velocity", "current": "mit"}
+    actions: ClassVar = {
+        **SingleMotor.motor_actions,
+        "clear_error": "clear the fault; the motor stays off",
+        "set_zero": "the present position is 0 of the motor from now on; confirm=true",
+        "read": "read a register by its name or number",
+        "write": "write a register, until it is switched off; confirm=true",
+        "registers": "read all registers",
+        "store": "keep the registers for good; confirm=true",
+    }
+    asking: ClassVar = ("read", "registers")
+
+    def setup(self) -> None:
+        """The signals of the motor; its numbers mean nothing yet."""
+        settings = self.settings = settings_of(self.name, DamiaoSettings, self.config.settings)
+        self.declare(mode=settings.mode)
+        dialect = str(self.variant.dialect)
+        #: What the spec's numbers are of the motor's: 1 where the spec has shares, else the model's ranges.
+        self._spec = (1.0, 1.0, 1.0) if dialect == SHARE else MODELS[dialect]
+        model = self.config.model or (dialect if dialect != SHARE else None)
+        if self.config.model is not None and self.config.model not in MODELS:
+            raise UnknownNameError(f"model of {self.name}", self.config.model, MODELS)
+        self._filed = settings.ranges or (MODELS[model] if model is not None else None)
+        #: PMAX (rad), VMAX (rad/s), TMAX (N·m) of this motor; None: not known yet.
+        self.ranges: tuple[float, float, float] | None = self._filed if self.host.passive else None
+        gains = self.joint.gains if self.joint is not None else None
+        #: Stiffness and damping where none were set: N·m/rad, N·m·s/rad at the joint.
+        self.usual = {"kp": (gains and gains.kp) or 0.0, "kd": (gains and gains.kd) or 0.0}
+        self._tried_at = -RETRY_NS
+        scale = self.scale
+        for index, (name, unit, to_si, from_si, doc) in enumerate(
+            (
+                ("position", "rad", scale.angle, scale.raw_angle, "where the joint is"),
+                (
+                    "velocity",
+                    "rad/s",
+                    scale.speed,
+                    scale.raw_speed,
+                    "how fast it turns; set in mit: what damping aims at",
+                ),
+                (
+                    "torque",
+                    "N·m",
+                    scale.torque,
+                    scale.raw_torque,
+                    "torque; set: what is added to stiffness and damping",
+                ),
+            )
+        ):
+            self.add_motor_signal(
+                name, unit=unit, of=f"Feedback.{name}", to_si=partial(self._measured, index, to_si),
+                from_si=partial(self._wanted, index, from_si), doc=doc, source="MIT frame",
+            )  # fmt: skip
+        for name, unit, most in (("kp", "N·m/rad", KP_MAX), ("kd", "N·m·s/rad", KD_MAX)):
+            self.add_motor_signal(
+                name, unit=unit, from_si=scale.raw_gain, lower=0.0, upper=scale.gain(most),
+                doc="stiffness" if name == "kp" else "damping", source="MIT frame",
+            )  # fmt: skip
+        self.add_signal(
+            "status", of="Feedback.status", to_si=str, doc="on, off, or its fault", source="MIT frame, byte 0"
+        )
+        for name, part in (("temperature", "mos"), ("motor_temperature", "rotor")):
+            self.add_signal(
+                name,
+                unit="°C",
+                of=f"Feedback.{part}_temperature",
+                doc=f"{part}",
+                source="MIT frame, bytes 6, 7",
+            )
+        if self.ranges is not None:
+            self._limit(self.ranges)
+
+    # ------------------------------------------------------------------ what numbers mean
+
+    def _measured(self, index: int, to_si: Callable[[float], float], value: float) -> float | None:
+        if self.ranges is None:
+            return None  # as a share it says nothing
+        return to_si(value * self.ranges[index] / self._spec[index])
+
+    def _wanted(self, index: int, from_si: Callable[[float], float], value: float) -> float:
+        raw = from_si(float(value))
+        if self.mode != "mit" or self.ranges is None:
+            return raw
+        limit = self._spec[index]
+        return max(-limit, min(limit, raw / self.ranges[index] * limit))
+
+    def _limit(self, ranges: tuple[float, float, float]) -> None:
+        """What the numbers can say, within what the joint may do."""
+        self.ranges = ranges
+        joint, scale = self.joint, self.scale
+        ends = sorted((scale.angle(-ranges[0]), scale.angle(ranges[0])))
+        fast, strong = abs(scale.speed(ranges[1])), abs(scale.torque(ranges[2]))
+        if joint is not None:
+            ends = [
+                ends[0] if joint.lower is None else max(ends[0], joint.lower),
+                ends[1] if joint.upper is None else min(ends[1], joint.upper),
+            ]
+            fast = min(fast, joint.max_speed or fast)
+        for name, lower, upper in (
+            ("position", *ends),
+            ("velocity", -fast, fast),
+            ("torque", -strong, strong),
+        ):
+            signal: Signal = self.signals[f"{self.owner}.{name}"]
+            signal.lower, signal.upper = lower, upper
+        self.epoch += 1
+
+    def read_ranges(self) -> Steps:
+        """Steps that read PMAX, VMAX and TMAX. Raises `DeviceError` for ranges that are none."""
+        found: list[float] = []
+        for name in ("position_max", "velocity_max", "torque_max"):
+            found.append((yield self.read(name)))
+        if not all(0 < value < 1e6 for value in found):
+            raise DeviceError(f"{self.name}: its ranges PMAX, VMAX, TMAX are {found}: these are none")
+        ranges = (found[0], found[1], found[2])
+        if self._filed is not None and any(
+            abs(one - other) > 1e-3 * other for one, other in zip(ranges, self._filed, strict=True)
+        ):
+            self.tell_event(
+                "alarm",
+                f"its ranges are {', '.join(f'{one:g}' for one in ranges)}; the robot's file means"
+                f" {', '.join(f'{one:g}' for one in self._filed)}. The motor's count",
+            )
+        if ranges != self.ranges:
+            self._limit(ranges)
+
+    def start(self) -> Job:
+        """Read what its numbers mean; again when it comes later."""
+        self._tried_at = self.clock.now()
+
+        def steps(job: Job) -> Steps:
+            try:
+                yield from self.read_ranges()
+            except AcesError:
+                if self.last_heard is not None:
+                    raise
+
+        return self.job("start", steps)
+
+    def heard(self, record: Any, instant: int) -> None:
+        """A feedback says whether it is on."""
+        if type(record).__name__ != "Feedback":
+            return
+        status = str(record.status)
+        self.shows(status == "enabled", () if status in _WELL else (status,))
+        if self.ranges is None and not self.host.passive and instant - self._tried_at > RETRY_NS:
+            self.start()
+
+    # ------------------------------------------------------------------ switching
+
+    def bring_up(self, job: Job) -> Steps:
+        """Its ranges, its mode, its time-out; then on."""
+        job.text = "registers"
+        yield from self.read_ranges()
+        number = NUMBERS[self.mode]
+        if (yield self.read("control_mode")) != number:
+            yield self.write("control_mode", number, confirm=True)
+        timeout_s, rate = self.settings.timeout_s, self.host.rate_hz
+        if timeout_s is None and rate:
+            timeout_s = max(WATCHDOG_S, 10 / rate)
+        if timeout_s is not None:
+            yield self.write("timeout", round(timeout_s / TIMEOUT_UNIT_S), confirm=True)
+        yield self.ask_state()
+        job.progress, job.text = 0.8, "on"
+        yield self.ask("Enable", reply="Feedback")
+
+    def stay(self) -> None:
+        """Where it is, with the stiffness and damping of the file; no velocity, no torque."""
+        here = self.signals[f"{self.owner}.position"].last
+        for name, path in self.modes[self.mode].items():
+            message, _, field = path.partition(".")
+            value = self.usual.get(name, here if name == "position" else 0.0)
+            self.want(message, field, self._given_as[name](value))
+
+    def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
+        """The speed on the way, and the share of the current, in modes that have them."""
+        if message not in ("PositionVelocity", "ForcePosition"):
+            return fields
+        joint = self.joint
+        speed = (joint.nominal_speed or joint.max_speed or USUAL_SPEED) if joint is not None else USUAL_SPEED
+        more: dict[str, Any] = {"velocity_limit": abs(self.scale.raw_speed(speed))}
+        if message == "ForcePosition":
+            more = {
+                "velocity_limit": min(100.0, more["velocity_limit"]),
+                "current_limit": self.settings.current_limit,
+            }
+        return {**fields, **more}
+
+    def is_followed(self, signal: Signal) -> bool:
+        """Not while it has no stiffness: then it gives way on purpose."""
+        is_soft = self.mode == "mit" and not self._given.get("Command", {}).get("kp")
+        return not is_soft and super().is_followed(signal)
+
+    def switch_off(self) -> Ticket:
+        """Off; its answer says so."""
+        return self.tell_now("Disable", reply="Feedback")
+
+    def ask_state(self) -> Ticket:
+        """Ask for a feedback."""
+        return self.ask("AskFeedback", reply="Feedback", how=0)
+
+    # ------------------------------------------------------------------ actions
+
+    def clear_error(self) -> Ticket:
+        """Clear the fault."""
+        return self.ask("ClearError", reply="Feedback")
+
+    def set_zero(self, confirm: bool) -> Job:
+        """The present position is the motor's 0 from now on, also after power-off. Fails while it is on."""
+        if confirm is not True:
+            raise CallerError(f"{self.name}: say confirm=True; its old zero is lost")
+
+        def steps(job: Job) -> Steps:
+            yield self.ask_state()
+            self.check_off("zero can be set")
+            yield self.ask("SetZero", reply="Feedback")
+            self.epoch += 1
+
+        return self.job("set zero", steps)
+
+    def _register(self, register: str | int) -> tuple[int, str]:
+        """Its number, and whether it holds a float or an integer."""
+        number = REGISTERS.get(register) if isinstance(register, str) else int(register)
+        if number is None and isinstance(register, str) and register.isdigit():
+            number = int(register)
+        if number is None or number not in REGISTERS.values():
+            raise UnknownNameError(f"register of {self.name}", str(register), REGISTERS)
+        return number, "Integer" if number in INTEGERS else "Float"
+
+    def read(self, register: str | int) -> Job:
+        """Read a register: its value, in the motor's unit. Raises `UnknownNameError`."""
+        number, kind = self._register(register)
+
+        def steps(job: Job) -> Steps:
+            told = yield self.ask(f"Read{kind}", reply=f"Read{kind}Reply", register=number)
+            return told.value
+
+        return self.job(f"read {register}", steps)
+
+    def write(self, register: str | int, value: float, confirm: bool) -> Job:
+        """Write a register, until the motor is switched off. Fails with `DeviceError` when it answers another value."""
+        number, kind = self._register(register)
+        if number in READ_ONLY:
+            raise CallerError(f"{self.name}: register {register} can only be read")
+        if confirm is not True:
+            raise CallerError(f"{self.name}: say confirm=True; a register can change what all numbers mean")
+
+        def steps(job: Job) -> Steps:
+            given = float(value) if kind == "Float" else int(value)
+            told = yield self.ask(f"Write{kind}", reply=f"Write{kind}Reply", register=number, value=given)
+            if abs(told.value - given) > 1e-5 * abs(given):
+                raise DeviceError(
+                    f"{self.name}: register {register} was written {given}, and is {told.value}"
+                )
+
+        return self.job(f"write {register}", steps)
+
+    def registers(self) -> Job:
+        """Read all registers that it answers: name → value."""
+
+        def steps(job: Job) -> Steps:
+            found: dict[str, Any] = {}
+            for index, name in enumerate(REGISTERS):
+                job.progress, job.text = index / len(REGISTERS), name
+                try:
+                    found[name] = yield self.read(name)
+                except AcesError:
+                    if not found:
+                        raise
+            return found
+
+        return self.job("registers", steps)
+
+    def store(self, confirm: bool) -> Job:
+        """Keep the registers for good. Fails while it is on."""
+        if confirm is not True:
+            raise CallerError(
+                f"{self.name}: say confirm=True; what was written so far outlives power-off then"
+            )
+
+        def steps(job: Job) -> Steps:
+            yield self.ask_state()
+            self.check_off("registers can be stored")
+            yield self.tell("Store", how=1)
+
+        return self.job("store", steps)
+
+
+def _scan(host: Host, job: Job) -> Steps:
+    """Ask numbers 1 to 15 for a feedback."""
+    found: list[DeviceConfig] = []
+    for motor in range(1, 16):
+        job.progress, job.text = motor / 15, f"motor {motor}, {len(found)} found"
+        told = yield from host.answers(
+            "damiao", {"motor": motor}, "AskFeedback", reply="Feedback", timeout_s=0.02, retries=1, how=0
+        )
+        if told is not None:
+            settings = {"master": told.master} if told.master else {}
+            found.append(
+                DeviceConfig(
+                    name=f"DM{motor}",
+                    driver="damiao",
+                    bus=host.name,
+                    credentials={"motor": motor},
+                    settings=settings,
+                )
+            )
+    return found
+
+
+#: A joint a mode; two models, of which one says other ranges than its file.
+EXAMPLE = """
+name = "damiao"
+rate_hz = 20
+
+[buses]
+arm = { link = "can", protocol = "damiao", bitrate = 1_000_000 }
+
+[devices]
+DM1 = { driver = "damiao", bus = "arm", credentials = { motor = 1 }, model = "4340", settings = { master = 0x11 } }
+DM2 = { driver = "damiao", bus = "arm", credentials = { motor = 2 }, settings = { mode = "position_velocity" } }
+DM3 = { driver = "damiao", bus = "arm", credentials = { motor = 3 }, model = "4310" }
+
+[joints]
+ELBOW = { device = "DM1", direction = -1, zero = 0.2, lower = -1.5, upper = 1.5, max_speed = 6, gains = { kp = 60, kd = 2 } }
+WRIST = { device = "DM2", lower = -1, upper = 1, nominal_speed = 3 }
+WHEEL = { device = "DM3", type = "continuous", command = "speed", max_speed = 20 }
+"""
+
+driver = Driver(
+    "damiao",
+    device=Damiao,
+    twin=DamiaoTwin,
+    example=EXAMPLE,
+    doc="Damiao DM motor: a joint with stiffness, damping and torque (MIT), or by position or velocity.",
+    source="python-damiao-driver; DM_CAN.py; openarm_can; motorcontrol",
+    scan=_scan,
+    settings=described(DamiaoSettings),
+)

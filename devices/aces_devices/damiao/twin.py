@@ -1,0 +1,213 @@
+"""The twin of a Damiao motor: MIT's law and three other modes, registers, faults, its time-out.
+
+1. Every command of the mode that register 10 says is answered by a feedback; those of other modes are not heard
+   (python-damiao-driver, motor-control-modes).
+2. Registers are kept until it is switched off, or for good by Store. Zero is for good at once.
+3. Without a command for longer than register 9 (units of 50 µs; 0: for ever) it is off: lost_communication.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from aces_bus.device import JointScale, Twin, on
+from aces_protocols.damiao.spec import INTEGERS, MODELS, READ_ONLY, REGISTERS, SHARE
+
+from ..joint_model import AMBIENT, MotorModel, joint_of
+
+#: The motor's ranges where the robot's file has no model: those of a 4310.
+USUAL = MODELS["4310"]
+#: What position modes hold with (N·m/rad), and velocity modes (N·m·s/rad): choices.
+STIFFNESS, DAMPING = 80.0, 2.0
+_MODES = {1: "Command", 2: "PositionVelocity", 3: "Velocity", 4: "ForcePosition"}
+_FAULTS = (
+    "over_voltage",
+    "under_voltage",
+    "over_current",
+    "mos_over_temperature",
+    "rotor_over_temperature",
+    "overload",
+)
+
+
+class DamiaoTwin(Twin):
+    """One motor. `registers` holds its registers by number, `status` what its feedbacks say."""
+
+    protocol = "damiao"
+    faults: ClassVar = {
+        name: f"status {name}: it is off, and stays so until the error is cleared" for name in _FAULTS
+    }
+    reply_delay_ns = 30_000
+    stored: dict[int, float] | None = None
+    #: What is added to the motor's angle, as zero was set (rad).
+    offset = 0.0
+
+    def setup(self) -> None:
+        """Off, where it was, with the registers that were stored."""
+        settings = self.config.settings
+        ranges = settings.get("ranges") or MODELS.get(self.config.model or "", USUAL)
+        dialect = str(self.variant.dialect)
+        self._spec = (1.0, 1.0, 1.0) if dialect == SHARE else MODELS[dialect]
+        if self.stored is None:
+            self.stored = {
+                **dict.fromkeys(REGISTERS.values(), 0.0),
+                7: settings.get("master", 0),
+                8: self.credentials["motor"],
+                10: 1,
+                35: 4,
+                **dict(zip((21, 22, 23), ranges, strict=True)),
+            }
+        self.registers = dict(self.stored)
+        self.scale = JointScale.of(self.joints[0] if self.joints else None)
+        speed, torque = self.registers[22] / self.scale.ratio, self.registers[23] * self.scale.ratio
+        self.motor = joint_of(
+            self, MotorModel(speed=speed, stall_current=10.0, torque_constant=torque / 10.0)
+        )
+        self.status = "disabled"
+        self._watch: Any = None
+
+    # ------------------------------------------------------------------ what it says
+
+    @property
+    def angle(self) -> float:
+        """Where the motor is (rad)."""
+        return self.scale.raw_angle(self.motor.position(self.clock.now())) + self.offset
+
+    def feedback(self) -> None:
+        """Position, velocity and torque within the ranges, temperatures, status."""
+        for fault in _FAULTS:
+            if fault in self.active_faults:
+                self.go_off(fault)
+        angle, scale, motor = self.angle, self.scale, self.motor
+        measured = (angle, scale.raw_speed(motor.v), scale.raw_torque(motor.torque))
+        shares = [
+            max(-unit, min(unit, value / self.registers[21 + index] * unit))
+            for index, (value, unit) in enumerate(zip(measured, self._spec, strict=True))
+        ]
+        self.reply(
+            "Feedback", master=int(self.registers[7]), status=self.status, position=shares[0], velocity=shares[1],
+            torque=shares[2], mos_temperature=round(AMBIENT), rotor_temperature=min(255, round(motor.temperature)),
+        )  # fmt: skip
+
+    # ------------------------------------------------------------------ switching
+
+    def go_off(self, status: str = "disabled") -> None:
+        """Give way."""
+        self.status = status
+        self.motor.free(self.clock.now())
+        if self._watch is not None:
+            self._watch.cancel()
+            self._watch = None
+
+    @on("Enable")
+    def enable(self, request: Any) -> None:
+        """On, without torque, unless there is a fault."""
+        if self.status == "disabled":
+            self.status = "enabled"
+            self.motor.impede(self.clock.now(), 0.0, 0.0, 0.0, 0.0, 0.0)
+            self.watch_over()
+        self.feedback()
+
+    @on("Disable")
+    def disable(self, request: Any) -> None:
+        """Off; a fault stays."""
+        if self.status == "enabled":
+            self.go_off()
+        self.feedback()
+
+    @on("ClearError")
+    def clear(self, request: Any) -> None:
+        """Off, without a fault."""
+        self.go_off()
+        self.feedback()
+
+    @on("SetZero")
+    def zero(self, request: Any) -> None:
+        """Here is 0."""
+        self.offset -= self.angle
+        self.feedback()
+
+    @on("AskFeedback")
+    def asked(self, request: Any) -> None:
+        """Say how it is."""
+        self.feedback()
+
+    def watch_over(self) -> None:
+        """A command has come: the time-out begins anew."""
+        if self._watch is not None:
+            self._watch.cancel()
+        wait = round(self.registers[9] * 50_000)
+        self._watch = self.clock.call_in(wait, self.lost) if wait else None
+
+    def lost(self) -> None:
+        """No command for too long."""
+        if self.is_powered and self.status == "enabled":
+            self.go_off("lost_communication")
+
+    def power(self, on: bool) -> None:
+        """See `Twin.power`."""
+        if not on:
+            self.go_off()
+        super().power(on)
+
+    # ------------------------------------------------------------------ commands
+
+    def heard(self, record: Any, instant: int) -> None:
+        """A command of a mode, where it is the present one."""
+        if type(record).__name__ != _MODES[int(self.registers[10])]:
+            return
+        if self.status == "enabled":
+            self.watch_over()
+            self.drive(record, instant)
+        self.feedback()
+
+    def drive(self, record: Any, now: int) -> None:
+        """Carry a command out."""
+        scale, motor = self.scale, self.motor
+        match type(record).__name__:
+            case "Command":
+                raw = [
+                    getattr(record, name) * self.registers[21 + index] / self._spec[index]
+                    for index, name in enumerate(("position", "velocity", "torque"))
+                ]
+                goal, speed, torque = (
+                    scale.angle(raw[0] - self.offset),
+                    scale.speed(raw[1]),
+                    scale.torque(raw[2]),
+                )
+                motor.impede(now, goal, speed, scale.gain(record.kp), scale.gain(record.kd), torque)
+            case "Velocity":
+                motor.impede(now, 0.0, scale.speed(record.velocity), 0.0, scale.gain(DAMPING), 0.0)
+            case _:
+                goal = scale.angle(record.position - self.offset)
+                motor.impede(now, goal, 0.0, scale.gain(STIFFNESS), scale.gain(DAMPING), 0.0)
+
+    # ------------------------------------------------------------------ registers
+
+    @on("ReadFloat", "ReadInteger")
+    def read(self, request: Any) -> None:
+        """What it holds; registers that it has not are not answered."""
+        self.tell(request, "Read")
+
+    @on("WriteFloat", "WriteInteger")
+    def write(self, request: Any) -> None:
+        """Take it, unless it can only be read."""
+        number = REGISTERS.get(request.register)
+        if number is not None and number not in READ_ONLY:
+            self.registers[number] = request.value
+        self.tell(request, "Write")
+
+    def tell(self, request: Any, verb: str) -> None:
+        """The register of a request."""
+        number = REGISTERS.get(request.register)
+        if number is None:
+            return
+        value = self.angle if number in (80, 81) else self.registers[number]
+        kind, value = ("Integer", int(value)) if number in INTEGERS else ("Float", float(value))
+        self.reply(f"{verb}{kind}Reply", master=int(self.registers[7]), register=number, value=value)
+
+    @on("Store")
+    def store(self, request: Any) -> None:
+        """Keep the registers; while it is off."""
+        if self.status != "enabled":
+            self.stored = dict(self.registers)

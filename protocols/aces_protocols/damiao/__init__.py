@@ -1,0 +1,1 @@
+"""Damiao motors on CAN: the MIT frame and its relatives, registers."""
