@@ -278,6 +278,8 @@ def meet(one: IdPattern, other: IdPattern, width: int) -> int | None:
 
     Walks the bits from the top, keeping a prefix only while each pattern can still be completed.
     """
+    if one is other and one.largest < 1 << width:
+        return one.constant + sum(bounds(capture.values)[0] << capture.shift for capture in one.captures)
     if len(one) > len(other):
         one, other = other, one
     if len(one) <= 4096:

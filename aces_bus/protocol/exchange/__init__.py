@@ -19,7 +19,7 @@ from ...errors import CallerError
 from .problems import ImportedProtocol, ImportProblem, Loss
 
 #: What files are taken for, by their suffix.
-SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml", ".eds", ".dcf", ".xml")
+SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml", ".eds", ".dcf", ".xml", ".json")
 
 
 def load_database(path: str | Path) -> ImportedProtocol:
@@ -34,6 +34,10 @@ def load_database(path: str | Path) -> ImportedProtocol:
         from .import_eds import load_eds
 
         return load_eds(name)
+    if suffix == ".json":
+        from .import_canboat import load_canboat
+
+        return load_canboat(name)
     if suffix == ".xml":
         from .import_mavlink import load_mavlink
 

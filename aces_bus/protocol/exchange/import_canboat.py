@@ -1,0 +1,549 @@
+"""canboat's table of NMEA 2000 (`canboat.json`) as a protocol: a message each PGN, or each of a PGN's proprietary forms.
+
+1. A PGN whose shape cannot be said is left out, with the reason; it costs itself, not the file.
+2. What has the same numbers in front (manufacturer, industry, …) is matched by them: they are the message's template, and
+   reserved bits among them are captured, so that no bit is lost.
+3. Work is bounded, by bytes and by numbers of PGNs, fields and names, before it is done.
+
+The identifier has `priority`, `source` and, where a PGN is addressed (PDU format below 240, SAE J1939-21), `destination`. Bits
+without a meaning are in `reserved`, bytes behind the known fields in `trailing`. A value is raw × resolution + offset in the
+table's SI unit; the highest raw values that the table names (unknown, out of range, reserved) are unknown, as are the others.
+
+Sources: canboat/canboat `docs/canboat.json`, schema 2, and `docs/canboat.html` of the field types.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import construct as c
+
+from ...errors import AcesError, CallerError
+from ..declare.bits import BitLayout, bits, float_bits
+
+FastPacket: Any = None
+from ..declare.fields import Enumeration, Flags, Quantity, Text
+from ..declare.message import Message
+from ..declare.pattern import IdField, IdPattern
+from ..declare.place import SourceLine
+from ..declare.protocol import Protocol
+from .import_build import TRAILING
+from .import_dbc import protocol_name, read_text
+from .names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
+from .problems import ImportedProtocol, ImportProblem, clean_text, one_line, without_place
+
+#: Bytes of the largest table, and its PGNs, fields, and values with names.
+MOST_BYTES, MOST_PGNS, MOST_FIELDS, MOST_NAMES = 32 * 1024 * 1024, 16_384, 131_072, 262_144
+#: bit/s of every NMEA 2000 network.
+BITRATE = 250_000
+#: The longest fast packet, and the longest list item, in bits.
+MOST_BITS = 8 * 223
+
+#: What is a number; of the others `_KINDS` says what they are.
+_NUMBERS = frozenset(
+    {"NUMBER", "TIME", "DURATION", "DATE", "PGN", "MMSI", "ISO_NAME", "FIELD_INDEX", "INDIRECT_LOOKUP"}
+)
+_PADDING = frozenset({"RESERVED", "SPARE"})
+_STRINGS = frozenset({"STRING_LAU", "STRING_LZ"})
+_OTHERS = frozenset({"LOOKUP", "BITLOOKUP", "FLOAT", "STRING_FIX", "BINARY", "DECIMAL"})
+_SHAPED = {
+    "VARIABLE": "a field that another one says the kind of",
+    **dict.fromkeys(
+        ("DYNAMIC_FIELD_KEY", "DYNAMIC_FIELD_LENGTH", "DYNAMIC_FIELD_VALUE"), "fields that say their own kind"
+    ),
+}
+_UNITS = {"deg": "°", "Cos Phi": "", "VAR": "var", "semi-circle": "", "semi-circle/s": "1/s"}
+
+
+def load_canboat(path: str) -> ImportedProtocol:
+    """The table as a protocol. Raises `CallerError` when it is no such table, or nothing of it can be used."""
+    text = read_text(path, "json")
+    if len(text) > MOST_BYTES:
+        raise CallerError(f"{path}: {len(text):,} characters; at most {MOST_BYTES:,} are read")
+    try:
+        table: Any = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise CallerError(f"{path}: not JSON that can be read: {one_line(str(error))}") from None
+    pgns = table.get("PGNs") if isinstance(table, dict) else None
+    if not isinstance(pgns, list):
+        raise CallerError(f"{path}: not a table of canboat: it has no list PGNs")
+    builder = _Builder(path, table, pgns, _lines(text))
+    protocol = builder.build()
+    problems = tuple(sorted(builder.problems))
+    if not protocol.declared:
+        first = f"; first: {problems[0]}" if problems else ""
+        raise CallerError(f"{path}: no PGN in it can be used{first}")
+    return ImportedProtocol(protocol, problems, len(pgns), path)
+
+
+def _lines(text: str) -> list[int]:
+    """The lines where a PGN's number is, in order."""
+    found: list[int] = []
+    at, line = 0, 1
+    for match in re.finditer(r'"PGN"\s*:\s*\d', text):
+        line += text.count("\n", at, match.start())
+        at = match.start()
+        found.append(line)
+    return found
+
+
+class _LeftOut(Exception):
+    """This PGN cannot be taken over; the argument says why."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Field:
+    """A field as the table has it. `width` is in bits; None: it varies."""
+
+    name: str
+    text: str
+    kind: str
+    width: int | None
+    given: Mapping[str, Any]
+    #: The only value that it has in its form of the PGN.
+    match: int | None
+
+    @property
+    def size(self) -> int:
+        """Bits that it has at least."""
+        return 0 if self.width is None else self.width
+
+    @property
+    def is_padding(self) -> bool:
+        return self.kind in _PADDING
+
+    @property
+    def is_signed(self) -> bool:
+        """Whether it is in two's complement: what has an offset is not."""
+        return bool(self.given.get("Signed")) and not self.given.get("Offset")
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """The least and the greatest raw value."""
+        low = -(1 << self.size - 1) if self.is_signed else 0
+        return low, low + (1 << self.size) - 1
+
+    @property
+    def is_bytes(self) -> bool:
+        return self.kind in ("STRING_FIX", "BINARY", "DECIMAL")
+
+    @property
+    def is_aligned(self) -> bool:
+        """Whether it is whole bytes."""
+        return not self.size % 8 and not (_whole(self.given.get("BitStart")) or 0)
+
+
+@dataclass
+class _Form:
+    """One form of a PGN: the fields, of which some may have one value."""
+
+    given: Mapping[str, Any]
+    line: int
+    id: str
+    pgn: int
+    fields: list[_Field]
+
+    @cached_property
+    def fixed(self) -> int:
+        """How many fields have one value."""
+        return sum(field.match is not None for field in self.fields)
+
+    @property
+    def is_fast(self) -> bool:
+        return self.given.get("Type") == "Fast"
+
+    def head_size(self, behind: Sequence[Sequence[_Field]]) -> int:
+        """Bytes before these cells, of a form without lists."""
+        left = sum(field.size for cell in behind for field in cell)
+        return (sum(field.size for field in self.fields) - left) // 8
+
+
+class _Builder:
+    def __init__(
+        self, path: str, table: Mapping[str, Any], pgns: Sequence[Any], lines: Sequence[int]
+    ) -> None:
+        self.path, self.pgns = path, pgns
+        self.lines = lines if len(lines) == len(pgns) else [0] * len(pgns)
+        self.problems: list[ImportProblem] = []
+        self.taken = set(TAKEN_BY_CODE)
+        self.names = _tables(table, "LookupEnumerations", "EnumValues", "Value")
+        self.flags = _tables(table, "LookupBitEnumerations", "EnumBitValues", "Bit")
+        version = f", version {clean_text(str(table['Version']))[:40]}" if "Version" in table else ""
+        self.protocol = Protocol(
+            protocol_name(path), link="can", bitrate=BITRATE, doc=f"NMEA 2000{version}", source=path
+        )
+        self.protocol.place = SourceLine(path, 1)
+
+    def _problem(self, line: int, reason: str, *, is_note: bool = False) -> None:
+        self.problems.append(ImportProblem(line, reason, is_note=is_note))
+
+    def build(self) -> Protocol:
+        if len(self.pgns) > MOST_PGNS:
+            raise CallerError(f"{self.path}: {len(self.pgns):,} PGNs; at most {MOST_PGNS:,} are read")
+        if sum(len(one.get("Fields") or ()) for one in self.pgns if isinstance(one, dict)) > MOST_FIELDS:
+            raise CallerError(f"{self.path}: more than {MOST_FIELDS:,} fields")
+        if sum(map(len, [*self.names.values(), *self.flags.values()])) > MOST_NAMES:
+            raise CallerError(f"{self.path}: more than {MOST_NAMES:,} names of values")
+        forms: dict[int, list[_Form]] = {}
+        for given, line in zip(self.pgns, self.lines, strict=True):
+            label = (
+                one_line(str(given.get("Id") or given.get("PGN")))[:60] if isinstance(given, dict) else "?"
+            )
+            try:
+                form = self._form(given, line)
+                forms.setdefault(form.pgn, []).append(form)
+            except _LeftOut as reason:
+                self._problem(line, f"PGN {label}: {reason}: left out")
+        for some in forms.values():
+            self._declare_all(some)
+        return self.protocol
+
+    def _form(self, given: Any, line: int) -> _Form:
+        fields = given.get("Fields") if isinstance(given, dict) else None
+        number = _whole(given.get("PGN")) if isinstance(given, dict) else None
+        if number is None or not 0 <= number < 1 << 18 or not isinstance(fields, list):
+            raise _LeftOut("a PGN has a number below 2¹⁸ and a list Fields")
+        if given.get("Fallback"):
+            raise _LeftOut("what stands for all PGNs that are not known")
+        kind = given.get("Type")
+        if kind not in ("Single", "Fast"):
+            raise _LeftOut(
+                f"of the type {one_line(str(kind))[:20]}, sent in a way that is neither one frame nor a fast packet"
+            )
+        if kind == "Fast" and FastPacket is None:
+            raise _LeftOut("a fast packet")
+        return _Form(
+            given, line, str(given.get("Id") or f"pgn{number}"), number, [_field(one) for one in fields]
+        )
+
+    def _declare_all(self, forms: Sequence[_Form]) -> None:
+        """The forms of one PGN: of two that a packet may be, the one with more fixed values goes first."""
+        declared: list[tuple[int, str]] = []
+        for form in sorted(forms, key=lambda form: form.fixed):
+            name, known = unused(form.id, self.taken), len(self.problems)
+            try:
+                made = self._declare(form, name, tuple(one for fixed, one in declared if fixed < form.fixed))
+            except (_LeftOut, AcesError) as reason:
+                del self.problems[known:]
+                said = re.sub(r" \([^()]*:\d+\)", "", without_place(reason)).partition("; say what")[0]
+                self._problem(form.line, f"PGN {one_line(form.id)[:60]}: {said}: left out")
+                continue
+            made.place = SourceLine(self.path, form.line or 1)
+            declared.append((form.fixed, name))
+            if name != form.id:
+                self._problem(form.line, f"PGN {one_line(form.id)[:60]} is called {name} here", is_note=True)
+
+    def _declare(self, form: _Form, name: str, overrides: tuple[str, ...]) -> Message:
+        prefix, match, payload = _Shape(self, form).made()
+        facts = [clean_text(str(form.given.get(key) or "")) for key in ("Description", "Explanation")]
+        return self.protocol.message(
+            name,
+            id=_identifier(form.pgn),
+            prefix=prefix,
+            match=match,
+            payload=payload,
+            extended=True,
+            overrides=overrides,
+            doc="\n".join(filter(None, facts)),
+            source=f"PGN {form.pgn}",
+            **({"transport": FastPacket()} if form.is_fast else {}),
+        )
+
+    def number(self, field: _Field, place: c.Construct) -> c.Construct:
+        """What a number in these bits means."""
+        get = field.given.get
+        unit = clean_text(str(get("Unit") or ""))
+        unit = _UNITS.get(unit, unit)
+        if field.kind == "FLOAT":
+            return Quantity(place, unit=unit) if unit else place
+        assert field.width is not None
+        low, high = field.limits
+        if field.kind == "BITLOOKUP":
+            known = self.flags.get(str(get("LookupBitEnumeration")), {})
+            return Flags(place, {name: bit for name, bit in known.items() if 0 <= bit < field.width})
+        names: dict[str, int] = {}
+        if field.kind == "LOOKUP":
+            known = self.names.get(str(get("LookupEnumeration")), {})
+            names = {name: number for name, number in known.items() if low <= number <= high}
+        sentinels = (_whole(get(key)) for key in ("UnknownValue", "OutOfRangeValue", "ReservedValue"))
+        unknown = [one for one in sentinels if one is not None and low <= one <= high]
+        unknown = [one for one in dict.fromkeys(unknown) if one not in names.values()]
+        scale, offset = _factor(get("Resolution"), 1), _factor(get("Offset"), 0)
+        if names and scale == 1 and not offset and not unknown:
+            return Enumeration(place, names)
+        is_plain = scale == 1 and not offset and not unit and not unknown and not names
+        if is_plain or len(unknown) > high - low:
+            return place
+        return Quantity(place, unit=unit, scale=scale, offset=offset, unknown=unknown, names=names)
+
+
+class _Shape:
+    """How the fields of one form lie in its data."""
+
+    def __init__(self, builder: _Builder, form: _Form) -> None:
+        self.builder, self.form = builder, form
+        self.taken = {"reserved", TRAILING, *TAKEN_BY_RECORDS, "priority", "source", "destination"}
+        for one in form.fields:
+            if one.kind in _SHAPED:
+                raise _LeftOut(_SHAPED[one.kind])
+            if "Condition" in one.given:
+                raise _LeftOut("a field that is there on a condition")
+        self.groups = _groups(form)
+        #: By the place of a field that counts a list, how it is asked for.
+        self.counts: dict[int, Any] = {count: None for _, _, count in self.groups if count is not None}
+
+    def made(self) -> tuple[c.Struct | None, dict[str, Any], c.Construct]:
+        """The prefix, what it must be, and the payload behind it."""
+        fields = self.form.fields
+        end = self.groups[0][0] if self.groups else len(fields)
+        if any(one.match is not None for one in fields[end:]):
+            raise _LeftOut("a fixed value in a list")
+        cells = list(_cells(fields[:end]))
+        heads = max(
+            (n + 1 for n, cell in enumerate(cells) if any(f.match is not None for f in cell)), default=0
+        )
+        match: dict[str, Any] = {}
+        prefix = [self._head(cell, match) for cell in cells[:heads]]
+        return c.Struct(*prefix) if prefix else None, match, self._payload(cells[heads:])
+
+    def _name(self, field: _Field) -> str:
+        made = unused(field.name, self.taken)
+        if made != field.name and not field.is_padding:
+            said = f"field {one_line(self.form.id)[:60]}.{one_line(field.name)[:60]} is called {made} here"
+            self.builder.problems.append(ImportProblem(self.form.line, said, is_note=True))
+        return made
+
+    def _named(self, field: _Field, construct: c.Construct) -> c.Construct:
+        return c.Renamed(construct, newname=self._name(field), newdocs=clean_text(field.text))
+
+    # ------------------------------------------------------------------ what fixed values are in
+
+    def _head(self, cell: Sequence[_Field], match: dict[str, Any]) -> c.Construct:
+        """Whole bytes of the template: fixed values, and beside them what is captured."""
+        size = sum(field.size for field in cell) // 8
+        if len(cell) == 1 and cell[0].match is None and not cell[0].is_padding:
+            return self._named(cell[0], self._alone(cell[0]))
+        if size > 4:
+            raise _LeftOut(f"fixed values among {size} bytes that have no other borders")
+        pattern, shift = IdPattern(0), 0
+        for field in cell:
+            if field.match is not None:
+                if not 0 <= field.match < 1 << field.size:
+                    raise _LeftOut(f"{one_line(field.name)[:60]} is never {field.match}")
+                pattern = pattern + (field.match << shift)
+            elif field.size > 16:
+                raise _LeftOut(f"{one_line(field.name)[:60]} has {field.size} bits beside a fixed value")
+            else:
+                values = range(1 << field.size)
+                pattern = pattern + (IdField(self._name(field), values, doc=clean_text(field.text)) << shift)
+            shift += field.size
+        name = self._name(cell[0]) if cell[0].match is not None else unused("head", self.taken)
+        match[name] = pattern
+        return c.Renamed(_integer(size, is_signed=False), newname=name)
+
+    # ------------------------------------------------------------------ what is behind
+
+    def _payload(self, cells: Sequence[Sequence[_Field]]) -> c.Construct:
+        fields = [field for cell in cells for field in cell]
+        size = sum(field.size for field in fields) // 8
+        has_room = self.form.is_fast or bool(self.groups) or self.form.head_size(cells) + size < 8
+        is_fixed = not self.groups and all(field.width is not None for field in fields)
+        if fields and is_fixed and not any(map(_is_in_bytes, fields)):
+            return self._layout(fields, TRAILING if has_room else "")
+        made = self._struct(cells)
+        for start, length, count in self.groups:
+            made.append(self._list(self.form.fields[start : start + length], count))
+        is_open = self.groups[-1][2] is None if self.groups else bool(fields) and _is_open_end(fields[-1])
+        if has_room and not is_open:
+            made.append(TRAILING / c.Default(c.GreedyBytes, b"") * "bytes behind the known fields")
+        return c.Struct(*made)
+
+    def _layout(self, fields: Sequence[_Field], trailing: str = "", path: Any = None) -> BitLayout:
+        """Fields in bits; `path` is how the layout is asked for."""
+        made: list[c.Construct] = []
+        at = 0
+        for field in fields:
+            place: c.Construct
+            if not field.is_padding:
+                place = (
+                    float_bits(32, at)
+                    if field.kind == "FLOAT"
+                    else bits(field.size, at, signed=field.is_signed)
+                )
+                index = self.form.fields.index(field)
+                if index not in self.counts:
+                    place = self.builder.number(field, place)
+                made.append(self._named(field, place))
+                if index in self.counts and path is not None:
+                    self.counts[index] = path[made[-1].name]
+            at += field.size
+        return BitLayout(at // 8, *made, trailing=trailing)
+
+    def _struct(self, cells: Sequence[Sequence[_Field]]) -> list[c.Construct]:
+        made: list[c.Construct] = []
+        for cell in cells:
+            if len(cell) > 1:
+                name = unused("bits", self.taken)
+                made.append(c.Renamed(self._layout(cell, path=c.this[name]), newname=name))
+                continue
+            (field,) = cell
+            index = self.form.fields.index(field)
+            made.append(self._named(field, self._alone(field, is_count=index in self.counts)))
+            if index in self.counts:
+                self.counts[index] = c.this[made[-1].name]
+        return made
+
+    def _alone(self, field: _Field, *, is_count: bool = False) -> c.Construct:
+        """A field of whole bytes by itself."""
+        if field.kind == "STRING_LAU":
+            text = c.Struct("encoding" / c.Byte * "0: UTF-16, 1: one byte a character", "text" / Text())
+            return c.Prefixed(c.Byte, text, includelength=True)
+        if field.kind == "STRING_LZ":
+            return c.Prefixed(c.Byte, Text())
+        if field.width is None and field is self.form.fields[-1] and not self.groups:
+            return c.GreedyBytes
+        if field.width is None:
+            raise _LeftOut(f"{one_line(field.name)[:60]} has a length that its own bytes do not say")
+        size = field.width // 8
+        if field.is_padding:
+            return c.Default(c.Bytes(size), b"\xff" * size)
+        if field.kind == "STRING_FIX":
+            return Text(size)
+        if _is_in_bytes(field):
+            return c.Bytes(size)
+        place = c.Float32l if field.kind == "FLOAT" else _integer(size, is_signed=field.is_signed)
+        return place if is_count else self.builder.number(field, place)
+
+    def _list(self, fields: Sequence[_Field], count: int | None) -> c.Construct:
+        """A list of groups; without a count it takes all bytes that there are."""
+        cells = list(_cells(fields))
+        outer, self.taken = self.taken, set(TAKEN_BY_RECORDS)
+        is_plain = all(field.width is not None and not _is_in_bytes(field) for field in fields)
+        group: c.Construct
+        group = (
+            self._layout(fields)
+            if is_plain and any(len(cell) > 1 for cell in cells)
+            else c.Struct(*self._struct(cells))
+        )
+        self.taken = outer
+        asked = self.counts[count] if count is not None else None
+        if count is not None and asked is None:
+            raise _LeftOut("a list whose count is not before it")
+        name = unused("list", self.taken)
+        return c.Renamed(c.GreedyRange(group) if count is None else c.Array(asked, group), newname=name)
+
+
+def _is_in_bytes(field: _Field) -> bool:
+    """Whether a field is read as bytes or text: what is no number, at the borders of bytes."""
+    return field.kind in _STRINGS or (field.is_bytes and field.is_aligned)
+
+
+def _is_open_end(field: _Field) -> bool:
+    """Whether a field takes all bytes that there are."""
+    return field.width is None and field.kind not in _STRINGS
+
+
+def _cells(fields: Sequence[_Field]) -> Iterator[list[_Field]]:
+    """The fields in runs of whole bytes, as short as may be."""
+    cell: list[_Field] = []
+    width = 0
+    for field in fields:
+        cell.append(field)
+        width += field.size
+        if width % 8 == 0:
+            yield cell
+            cell, width = [], 0
+    if cell:
+        raise _LeftOut(f"its fields end inside a byte, {width % 8} bits behind one")
+
+
+def _groups(form: _Form) -> list[tuple[int, int, int | None]]:
+    """The lists of a form: the place of the first field, how many fields a group has, the place of what counts them."""
+    found: list[tuple[int, int, int | None]] = []
+    end: int | None = None
+    for number in ("1", "2"):
+        start, size, count = (
+            _whole(form.given.get(f"RepeatingFieldSet{number}{word}"))
+            for word in ("StartField", "Size", "CountField")
+        )
+        if start is None and size is None:
+            continue
+        if (
+            not start
+            or not size
+            or (end is not None and start - 1 != end)
+            or start - 1 + size > len(form.fields)
+        ):
+            raise _LeftOut("lists that are not one behind the other")
+        if found and found[-1][2] is None:
+            raise _LeftOut("a list behind one without a count")
+        end = start - 1 + size
+        found.append((start - 1, size, None if count is None else count - 1))
+    if end is not None and end != len(form.fields):
+        raise _LeftOut("fields behind a list")
+    return found
+
+
+@lru_cache(maxsize=256)
+def _identifier(pgn: int) -> IdPattern:
+    """The identifiers of a parameter group: any priority and source, any destination where it is addressed."""
+    pattern = IdField("priority", range(8)) << 26
+    if pgn >> 8 & 0xFF < 240:
+        return (
+            pattern
+            | (IdField("destination", range(256)) << 8)
+            | IdField("source", range(256))
+            | (pgn & 0x3FF00) << 8
+        )
+    return pattern | IdField("source", range(256)) | pgn << 8
+
+
+def _integer(size: int, *, is_signed: bool) -> c.Construct:
+    name = f"Int{8 * size}{'s' if is_signed else 'u'}l"
+    return getattr(c, name) if hasattr(c, name) else c.BytesInteger(size, signed=is_signed, swapped=True)
+
+
+def _field(given: Any) -> _Field:
+    if not isinstance(given, dict) or not isinstance(given.get("Id"), str):
+        raise _LeftOut("a field without an Id")
+    kind = str(given.get("FieldType"))
+    width = None if given.get("BitLengthVariable") or kind in _STRINGS else _whole(given.get("BitLength"))
+    if kind not in _NUMBERS | _PADDING | _STRINGS | _SHAPED.keys() | _OTHERS:
+        raise _LeftOut(f"a field of the type {one_line(kind)[:30]}")
+    if width is not None and not 0 < width <= MOST_BITS:
+        raise _LeftOut(f"a field of {width} bits")
+    if kind == "FLOAT" and width != 32:
+        raise _LeftOut(f"a float of {width} bits")
+    text = str(given.get("Description") or given.get("Name") or "")
+    return _Field(given["Id"], text, kind, width, given, _whole(given.get("Match")))
+
+
+def _tables(table: Mapping[str, Any], key: str, values: str, number: str) -> dict[str, dict[str, int]]:
+    """The names of values, by the name of their table; of two values with one name the second has its number behind it."""
+    found: dict[str, dict[str, int]] = {}
+    for one in table.get(key) or ():
+        names: dict[str, int] = {}
+        for entry in (one.get(values) if isinstance(one, dict) else None) or ():
+            value = _whole(entry.get(number)) if isinstance(entry, dict) else None
+            name = clean_text(str(entry.get("Name") or "")) if value is not None else ""
+            if value is not None and name and value not in names.values():
+                names[name if name not in names else f"{name} {value}"] = value
+        if isinstance(one, dict):
+            found[str(one.get("Name"))] = names
+    return found
+
+
+def _whole(value: Any) -> int | None:
+    return value if isinstance(value, int) and not isinstance(value, bool) and abs(value) < 1 << 64 else None
+
+
+def _factor(value: Any, usual: float) -> float:
+    """A resolution or an offset, an integer where it is whole."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return usual
+    return int(value) if float(value).is_integer() else value
