@@ -10,6 +10,7 @@ from .counts import ScanCounts
 from .declare.bits import BitLayout, Split, Tuple, bits, float_bits
 from .declare.checks import Check, Crc, Extra, Fletcher, IdBytes, InvertedSum, Sum, Xor
 from .declare.delimited import AsciiDegrees, AsciiEnumeration, AsciiInteger, AsciiNumber, AsciiText, Delimited
+from .declare.fast_packet import FastPacket
 from .declare.fields import (
     Counter,
     Enumeration,
@@ -24,12 +25,14 @@ from .declare.fields import (
     top,
 )
 from .declare.framing import Escaped, Framing, Trailer
+from .declare.isotp import IsoTp
 from .declare.items import Items
 from .declare.message import Message, Request
 from .declare.pattern import IdField
 from .declare.protocol import Protocol, Variant
 from .declare.registers import Register, RegisterMap
 from .declare.stuffing import Cobs, CutZeros, Insert, Slip
+from .declare.transport import FrameKind, FrameNumber, FramePart, Transport
 from .live.can import CanScanner
 from .live.scanner import Scanner, list_protocols, load_protocol, make_scanner
 from .live.stream import StreamScanner
@@ -53,16 +56,21 @@ __all__ = [
     "Enumeration",
     "Escaped",
     "Extra",
+    "FastPacket",
     "Field",
     "FlagSet",
     "Flags",
     "Fletcher",
     "Frame",
+    "FrameKind",
+    "FrameNumber",
+    "FramePart",
     "Framing",
     "IdBytes",
     "IdField",
     "Insert",
     "InvertedSum",
+    "IsoTp",
     "Items",
     "Message",
     "Meta",
@@ -85,6 +93,7 @@ __all__ = [
     "Sum",
     "Text",
     "Trailer",
+    "Transport",
     "Tuple",
     "Unknown",
     "Variant",

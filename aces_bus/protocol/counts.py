@@ -1,6 +1,6 @@
 """Where every byte and frame went.
 
-1. The bins sum to the input: frames = decoded + unknown + malformed + errors + filtered;
+1. The bins sum to the input: frames = decoded + control + unknown + malformed + errors + pending + filtered;
    bytes = decoded + unknown + malformed + skipped + pending + filtered.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-BINS = ("decoded", "unknown", "malformed", "skipped", "filtered", "errors", "pending")
+BINS = ("decoded", "control", "unknown", "malformed", "skipped", "filtered", "errors", "pending")
 
 
 @dataclass
@@ -27,6 +27,11 @@ class ScanCounts:
     records: int = 0
     missed: int = 0
     reasons: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def control(self) -> int:
+        """Frames that only steer a transport: flow control, acknowledgements."""
+        return self._bin("control")
 
     @property
     def unknown(self) -> int:

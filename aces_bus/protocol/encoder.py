@@ -13,7 +13,7 @@ from typing import Any
 from construct import Construct, ConstructError, Default, Renamed
 from construct import Struct as Payload
 
-from ..errors import AcesError, FieldError, UnknownNameError
+from ..errors import AcesError, CallerError, FieldError, UnknownNameError
 from ..frames import Frame
 from .declare.bits import BitLayout
 from .declare.message import Message
@@ -22,7 +22,7 @@ from .declare.protocol import Variant
 from .generate.encode import CALLED, NoEncoder, print_encoder
 from .generate.load import load_source
 from .generate.source import NameScope, comment_line
-from .keys import EXTENDED, REMOTE
+from .keys import EXTENDED, REMOTE, key_of
 
 #: Identifier, data, whether the identifier has 29 bits, whether remote, whether CAN FD.
 CanParts = tuple[int, bytes, bool, bool, bool]
@@ -38,12 +38,15 @@ class Encoder:
     def __init__(self, variant: Variant) -> None:
         self.variant = variant
         self._counters: dict[tuple[Any, ...], int] = {}
+        #: Packets that `next` has sent, by transport and key: some transports number them.
+        self._sequences: dict[tuple[int, int], int] = {}
         self._quick, self.source, self.through_construct = quick_encoders(variant)
         #: By message, what its fields are when they are not given: what construct would take, too.
         self._unsaid = {name: found for name in self._quick if (found := unsaid(variant[name].payload))}
 
     def encode(self, message: str, /, **fields: Any) -> Any:
-        """A python-can message (CAN) or the packet's bytes, from values in the sheet's units.
+        """A python-can message (CAN), a list of them where a transport carries the message, or the packet's bytes, from
+        values in the sheet's units.
 
         Raises `UnknownNameError` for a message or field that does not exist, `FieldError` for a value that does not fit
         or is missing.
@@ -51,7 +54,8 @@ class Encoder:
         return self.build(self.variant[message], fields)
 
     def next(self, message: str, /, **fields: Any) -> Any:
-        """Like `encode`, with rolling counters one more than in the last message of the same device."""
+        """Like `encode`, with rolling counters one more than in the last message of the same device, and packets of a
+        transport numbered as it numbers them."""
         found = self.variant[message]
         who = tuple(fields.get(capture.name) for capture in found.identifier.captures)
         for name, modulo in found.counters.items():
@@ -59,20 +63,56 @@ class Encoder:
                 key = (message, name, who)
                 self._counters[key] = (self._counters.get(key, -1) + 1) % modulo
                 fields[name] = self._counters[key]
-        return self.build(found, fields)
+        return self.build(found, fields, counts=True)
 
-    def build(self, message: Message, fields: dict[str, Any], *, raw: bool = False) -> Any:
-        """The frame (a python-can message) or packet of `message`."""
+    def build(
+        self, message: Message, fields: dict[str, Any], *, raw: bool = False, counts: bool = False
+    ) -> Any:
+        """The frame (a python-can message) or packet of `message`; a list of frames where a transport carries it. With
+        `counts` its packets are numbered as they go out."""
         built = self._built(message, fields, raw=raw)
-        return built if isinstance(built, bytes) else new_can(*built)
+        if isinstance(built, bytes):
+            return built
+        if message.transport is None:
+            return new_can(*built)
+        return [new_can(*parts) for parts in self._carried(message, built, counts=counts)]
 
     def word(self, message: Message, fields: dict[str, Any]) -> Frame | bytes:
-        """What goes out: an immutable frame (CAN) or the packet's bytes. Raises as `encode`."""
+        """What goes out: an immutable frame (CAN) or the packet's bytes. Raises as `encode`; of a message that takes several
+        frames see `words`."""
         built = self._built(message, fields)
         if isinstance(built, bytes):
             return built
-        identifier, data, extended, remote, fd = built
-        return Frame(identifier, data, is_extended_id=extended, is_remote_frame=remote, is_fd=fd)
+        if message.transport is not None:
+            raise CallerError(f"{message.name} goes out in several frames ({message.transport.title})")
+        return _frame(built)
+
+    def words(self, message: Message, fields: dict[str, Any]) -> list[Frame | bytes]:
+        """All that goes out for one message: one frame or packet, or the frames of its transport. Raises as `encode`."""
+        built = self._built(message, fields)
+        if isinstance(built, bytes):
+            return [built]
+        if message.transport is None:
+            return [_frame(built)]
+        return [_frame(parts) for parts in self._carried(message, built, counts=True)]
+
+    def _carried(self, message: Message, parts: CanParts, *, counts: bool) -> list[CanParts]:
+        """The frames of a packet, as its transport cuts it."""
+        transport = message.transport
+        assert transport is not None
+        identifier, data, extended, _, _ = parts
+        key, number = key_of(identifier, extended=extended), 0
+        if counts:
+            who = (id(transport), key)
+            number = self._sequences.get(who, 0)
+            self._sequences[who] = number + 1
+        try:
+            frames = transport.split(key, data, number, message.check_extra)
+        except FieldError as error:
+            raise FieldError(f"{message.name}: {error}") from None
+        return [
+            (one & 0x1FFF_FFFF, piece, bool(one & EXTENDED), False, transport.fd) for one, piece in frames
+        ]
 
     def writer(
         self, message: Message, tags: Mapping[str, Any]
@@ -83,7 +123,7 @@ class Encoder:
         def usual(fields: Mapping[str, Any]) -> Frame | bytes:
             return self.word(message, {**tags, **fields})
 
-        if quick is None or message.framing is not None:
+        if quick is None or message.framing is not None or message.transport is not None:
             return usual
         known = {**self._unsaid.get(message.name, {}), **tags}
         extended, remote, fd = message.extended, message.remote, message.fd
@@ -196,6 +236,11 @@ def quick_encoders(
     called = {"Struct": struct.Struct, "Unusual": UnusualValue, **names.bound}
     space = load_source(source, f"aces {variant.label} encoders", called)
     return {name: space[function] for name, function in functions.items()}, source, others
+
+
+def _frame(parts: CanParts) -> Frame:
+    identifier, data, extended, remote, fd = parts
+    return Frame(identifier, data, is_extended_id=extended, is_remote_frame=remote, is_fd=fd)
 
 
 def new_can(identifier: int, data: bytes, extended: bool, remote: bool, fd: bool) -> Any:

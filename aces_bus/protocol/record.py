@@ -32,7 +32,9 @@ class Meta(msgspec.Struct, frozen=True, gc=False):
 
     `time` is in seconds, as the capture or the adapter has it, None when unknown. `offset` and `size` are in bytes and
     only of streams; `identifier`, `extended` and `fd` only of CAN. `direction` is "to device", "from device" or None.
-    `raw` are the data bytes (CAN) or the packet as it stood on the wire (streams).
+    `raw` are the data bytes (CAN) or the packet as it stood on the wire (streams). Of a packet that a transport carried in
+    several frames, `raw` are its bytes, `time` is that of its last frame, `first_time` that of its first one, and `frames`
+    are the data of each.
     """
 
     protocol: str | None
@@ -48,6 +50,8 @@ class Meta(msgspec.Struct, frozen=True, gc=False):
     is_rx: bool | None = None
     offset: int | None = None
     size: int | None = None
+    first_time: float | None = None
+    frames: tuple[bytes, ...] = ()
 
     @property
     def time_ns(self) -> int | None:
@@ -55,6 +59,20 @@ class Meta(msgspec.Struct, frozen=True, gc=False):
         if self.time is None or not isfinite(self.time):
             return None
         return int(Decimal(repr(float(self.time))).scaleb(9))
+
+
+class CarriedBytes(bytes):
+    """The bytes of a packet that a transport carried, with the data of its frames and the time of the first one."""
+
+    frames: tuple[bytes, ...]
+    first_time: float | None
+
+    @classmethod
+    def of(cls, data: bytes, frames: Sequence[bytes], first_time: float | None) -> CarriedBytes:
+        """The bytes with what they came in."""
+        made = cls(data)
+        made.frames, made.first_time = tuple(frames), first_time
+        return made
 
 
 class Record(msgspec.Struct, frozen=True, gc=False):
@@ -79,7 +97,11 @@ class Record(msgspec.Struct, frozen=True, gc=False):
         is_rx: bool | None = self._rx
         if kind._is_stream:
             return Meta(*head, is_rx=is_rx, offset=key, size=len(head[-1]))
-        return Meta(*head, key & 0x1FFF_FFFF, bool(key & EXTENDED), bool(key & FD), bool(key & REMOTE), is_rx)
+        flags = (key & 0x1FFF_FFFF, bool(key & EXTENDED), bool(key & FD), bool(key & REMOTE), is_rx)
+        raw = head[-1]
+        if isinstance(raw, CarriedBytes):
+            return Meta(*head[:-1], bytes(raw), *flags, first_time=raw.first_time, frames=raw.frames)
+        return Meta(*head, *flags)
 
     def __repr__(self) -> str:
         inside = ", ".join(f"{name}={getattr(self, name)!r}" for name in field_names(type(self)))
@@ -93,7 +115,8 @@ class Part(msgspec.Struct, frozen=True, gc=False):
 class Unknown(Record, frozen=True, gc=False):
     """A record of bytes or of a frame that no message claims, with the reason: nothing vanishes.
 
-    `reason` is "unknown", "unknown: needs request A|B", "malformed: <why>", "skipped", "pending" or "error frame".
+    `reason` is "unknown", "unknown: needs request A|B", "malformed: <why>", "skipped", "pending", "error frame" or, of a
+    frame that only steers a transport, "control: <what>".
     """
 
     reason: str

@@ -21,14 +21,19 @@ from .declare.ambiguity import needing_context, ordered, request_names
 from .declare.framing import Framing, Verdict
 from .declare.message import Direction, Message, Request
 from .declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, can_image
+from .declare.packet_rule import DecidedFrames, PacketRule, packet_image
 from .declare.protocol import Variant
+from .declare.transport import Transport
+from .keys import EXTENDED
 
 
 @dataclass(frozen=True)
 class ReferenceItem:
     """One thing in the input: a message with its fields, or a loss with its reason.
 
-    `offset` and `size` are in bytes (streams), or the frame's number and 1 (CAN).
+    `offset` and `size` are in bytes (streams), or the frame's number and 1 (CAN); of a packet that a transport carried its
+    last frame's number and how many it came in, with `packet`, its image; `transport` is whose frames they are, `frame` the
+    last one.
     """
 
     offset: int
@@ -41,6 +46,9 @@ class ReferenceItem:
     request: PastRequest | None = field(default=None, compare=False, repr=False)
     known: int = field(default=0, compare=False, repr=False)
     is_silent: bool = field(default=False, compare=False, repr=False)
+    packet: bytes = field(default=b"", compare=False, repr=False)
+    transport: Transport | None = field(default=None, compare=False, repr=False)
+    frame: Any = field(default=None, compare=False, repr=False)
 
 
 @dataclass(eq=False)
@@ -155,11 +163,23 @@ class Reference:
             contextual = needing_context(messages)
             context = RequestRule(messages, contextual, variant.protocol.broadcast)
             self.sides.append((variant, messages, contextual, context))
+        #: Transports with the rule of their packets under way: received, and sent by us.
+        self.transports: list[tuple[Transport, PacketRule, PacketRule]] = []
+        for _, messages, _, _ in self.sides:
+            for message in messages:
+                transport = message.transport
+                if transport is not None and all(transport != known for known, _, _ in self.transports):
+                    self.transports.append((transport, PacketRule(transport), PacketRule(transport)))
 
     # ------------------------------------------------------------------ one packet
 
     def _decode(
-        self, image: bytes, channel: Any, time: float | None, framing: Framing | None
+        self,
+        image: bytes,
+        channel: Any,
+        time: float | None,
+        framing: Framing | None,
+        transport: Transport | None = None,
     ) -> tuple[str, Message | None, Any]:
         """(reason, message, fields) of one whole packet."""
         lost = "unknown"
@@ -168,7 +188,7 @@ class Reference:
             plain = None
             problem = ""
             for message in messages:
-                if message.framing is not framing:
+                if message.framing is not framing or message.transport != transport:
                     continue
                 try:
                     values = message.struct.parse(image, raw=True)
@@ -247,11 +267,29 @@ class Reference:
                 context.open.append(PastRequest(message.name, channel, time, values))
         return "", message, message.struct.parse(image, raw=self.raw, request=request)
 
-    def sent(self, image: bytes, channel: Any = None, time: float | None = None) -> None:
+    def sent_frame(self, frame: Any) -> None:
+        """Our own transmission of a CAN frame."""
+        mine = self._transport_of(frame)
+        if mine is None:
+            self.sent(_image(frame), frame.channel, frame.timestamp)
+            return
+        key = frame.arbitration_id | (EXTENDED if frame.is_extended_id else 0)
+        for decided in mine[2].decide(frame, 0, key, bytes(frame.data)):
+            image = (
+                packet_image(mine[0], decided, self._extra_of(mine[0], decided.key))
+                if not decided.reason
+                else None
+            )
+            if image is not None:
+                self.sent(image, frame.channel, frame.timestamp, mine[0])
+
+    def sent(
+        self, image: bytes, channel: Any = None, time: float | None = None, transport: Transport | None = None
+    ) -> None:
         """Our own transmission (on CAN its image): a request that replies may hang on."""
         for variant, _, _, context in self.sides:
             for message in ordered(variant.messages.values()):
-                if message.name in context.requests:
+                if message.name in context.requests and message.transport == transport:
                     try:
                         values = message.struct.parse(image, raw=True)
                     except (ConstructError, AcesError):
@@ -261,25 +299,104 @@ class Reference:
 
     # ------------------------------------------------------------------ frames
 
-    def frames(self, frames: Iterable[Any]) -> list[ReferenceItem]:
-        """What each frame is."""
-        found = []
-        for number, frame in enumerate(frames):
+    def frames(self, frames: Iterable[Any], first: int = 0) -> list[ReferenceItem]:
+        """What the frames are, of which the first one is number `first`; frames of packets under way are left for later."""
+        found: list[ReferenceItem] = []
+        for number, frame in enumerate(frames, first):
             if frame.is_error_frame:
                 found.append(ReferenceItem(number, 1, None, None, "error frame"))
                 continue
-            image = can_image(
-                frame.arbitration_id,
-                bytes(frame.data),
-                extended=frame.is_extended_id,
-                remote=frame.is_remote_frame,
-                fd=frame.is_fd,
-            )
+            mine = self._transport_of(frame)
+            if mine is not None:
+                key = frame.arbitration_id | (EXTENDED if frame.is_extended_id else 0)
+                for decided in mine[1].decide(frame, number, key, bytes(frame.data)):
+                    found += self._packet(mine[0], decided)
+                continue
             self._request = None
-            reason, message, fields = self._decode(image, frame.channel, frame.timestamp, None)
+            reason, message, fields = self._decode(_image(frame), frame.channel, frame.timestamp, None)
             names = (message.name, message.protocol.name) if message is not None else (None, None)
             found.append(ReferenceItem(number, 1, names[0], fields, reason, names[1], self._request))
         return found
+
+    def end(self) -> list[ReferenceItem]:
+        """The frames that are pending when the input ends."""
+        return [
+            ReferenceItem(one.number, 1, None, None, "pending", transport=transport, frame=one.frame)
+            for transport, rule, _ in self.transports
+            for decided in rule.end()
+            for one in decided.frames
+        ]
+
+    def _transport_of(self, frame: Any) -> tuple[Transport, PacketRule, PacketRule] | None:
+        """Whose frame it is: the transport of the first message, or with the first identifiers, that fit."""
+        key = frame.arbitration_id | (EXTENDED if frame.is_extended_id else 0)
+        for _, messages, _, _ in self.sides:
+            own = list(dict.fromkeys(m.transport for m in messages if m.transport is not None))
+            for transport in own:
+                if frame.is_remote_frame:
+                    continue
+                named = any(
+                    m.transport == transport
+                    and m.extended == frame.is_extended_id
+                    and m.identifier.match(frame.arbitration_id) is not None
+                    for m in messages
+                )
+                if named or transport.is_own(key):
+                    known = next(one for one in self.transports if one[0] == transport)
+                    return known if transport.fd or not frame.is_fd else None
+        return None
+
+    def _extra_of(self, transport: Transport, key: int) -> bytes:
+        """The `check_extra` of the first message that an identifier of a packet may be of."""
+        for _, messages, _, _ in self.sides:
+            for message in messages:
+                is_its = message.transport == transport and message.extended == bool(key & EXTENDED)
+                if is_its and message.identifier.match(key & 0x1FFF_FFFF) is not None:
+                    return message.check_extra
+        return b""
+
+    def _packet(self, transport: Transport, decided: DecidedFrames) -> list[ReferenceItem]:
+        """What the frames are of which a transport has decided."""
+        reason, message, fields = decided.reason, None, None
+        last = decided.frames[-1]
+        image = b""
+        self._request = None
+        if not reason:
+            image = packet_image(transport, decided, self._extra_of(transport, decided.key)) or b""
+            reason = "" if image else "malformed: checksum"
+        if not reason:
+            reason, message, fields = self._decode(
+                image, last.frame.channel, last.frame.timestamp, None, transport
+            )
+        if message is not None:
+            size = len(decided.frames)
+            return [
+                ReferenceItem(
+                    last.number,
+                    size,
+                    message.name,
+                    fields,
+                    "",
+                    message.protocol.name,
+                    self._request,
+                    packet=image,
+                    transport=transport,
+                    frame=last.frame,
+                )
+            ]
+        return [
+            ReferenceItem(
+                one.number,
+                1,
+                None,
+                None,
+                reason,
+                packet=image if one is last else b"",
+                transport=transport,
+                frame=one.frame,
+            )
+            for one in decided.frames
+        ]
 
     # ------------------------------------------------------------------ bytes
 
@@ -353,3 +470,14 @@ class Reference:
             return self._decode(packet, None, None, framing)
         finally:
             self.sides = sides
+
+
+def _image(frame: Any) -> bytes:
+    """The image of a frame that `message.struct` parses."""
+    return can_image(
+        frame.arbitration_id,
+        bytes(frame.data),
+        extended=frame.is_extended_id,
+        remote=frame.is_remote_frame,
+        fd=frame.is_fd,
+    )

@@ -17,6 +17,7 @@ from ..protocol.declare.ambiguity import needing_context
 from ..protocol.declare.framing import Framing
 from ..protocol.declare.message import Message
 from ..protocol.declare.protocol import Variant
+from ..protocol.declare.transport import Transport
 from ..protocol.encoder import Encoder
 from ..protocol.live.scanner import Scanner, make_scanner
 from ..protocol.reference import Reference, ReferenceItem
@@ -104,6 +105,11 @@ class Bench:
         return min(1.0, sum(sizes) / len(sizes) / USUAL)
 
     @cached_property
+    def has_transports(self) -> bool:
+        """Whether some messages are carried in several frames."""
+        return any(m.transport is not None for _, m in cast(self.wire, self.direction).messages)
+
+    @cached_property
     def by_name(self) -> dict[tuple[str, str], Message]:
         """The messages of the wire by the names of protocol and message."""
         return {(v.name, m.name): m for v, m in cast(self.wire, self.direction).messages}
@@ -171,7 +177,12 @@ class _Remembering(Reference):
         return super()._at(data, start, silent=silent)
 
     def _decode(
-        self, image: bytes, channel: Any, time: float | None, framing: Framing | None
+        self,
+        image: bytes,
+        channel: Any,
+        time: float | None,
+        framing: Framing | None,
+        transport: Transport | None = None,
     ) -> tuple[str, Message | None, Any]:
         sides = self.sides
         self.sides = [
@@ -183,11 +194,11 @@ class _Remembering(Reference):
                 if framing is not None:  # frames are seldom the same twice
                     for _, messages, _, _ in self.sides:
                         messages[:] = map(self._known, messages)
-                return super()._decode(image, channel, time, framing)
-            key = (self.raw, image, framing, tuple(side[0] for side in sides))
+                return super()._decode(image, channel, time, framing, transport)
+            key = (self.raw, image, framing, transport, tuple(side[0] for side in sides))
             answer = self.said.get(key)
             if answer is None:
-                answer = super()._decode(image, channel, time, framing)
+                answer = super()._decode(image, channel, time, framing, transport)
                 self.keep(key, answer)
             found: tuple[str, Message | None, Any] = answer
             return found
@@ -236,6 +247,7 @@ class _StandIn:
         self.message, self.reference = message, reference
         self.struct = self
         self.name, self.framing, self.protocol = message.name, message.framing, message.protocol
+        self.transport = message.transport
         self.within, self.request_fields, self.outer = message.within, message.request_fields, message.outer
 
     @property

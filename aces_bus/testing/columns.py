@@ -45,14 +45,20 @@ def columns_difference(
         return f"link is {columnar.link}, not {live.link}"
     tables: list[MessageTable] = []
     items: list[Any] = []
+    rows: list[int] = []
+    numbered_live: Any = live if getattr(live, "has_transports", False) else None
     channels = Channels()
     whole = FrameTable.from_frames(scene.words, channels) if is_can and len(cuts) % 2 else None
     at = 0
     for cut in (*cuts, len(scene)):
         cut = max(at, cut)
         words: Any = scene.words[at:cut]
-        feed: Any = live.feed
-        items += feed(words)
+        if numbered_live is not None:
+            given_live, origins = numbered_live.feed_numbered(words, range(at, cut))
+            items, rows = items + given_live, rows + origins
+        else:
+            feed: Any = live.feed
+            items += feed(words)
         if is_can:
             words = FrameTable.from_frames(words, channels) if whole is None else whole.take(slice(at, cut))
         given = columnar.feed(words)
@@ -64,11 +70,18 @@ def columns_difference(
             return (
                 f"after {at}, counts {plain_counts(columnar.counts)} instead of {plain_counts(live.counts)}"
             )
-    items += live.close()
+    if numbered_live is not None:
+        given_live, origins = numbered_live.close_numbered()
+        items, rows = items + given_live, rows + origins
+    else:
+        items += live.close()
     tables += columnar.close()
     if plain_counts(columnar.counts) != plain_counts(live.counts):
         return f"at the end, counts {plain_counts(columnar.counts)} instead of {plain_counts(live.counts)}"
-    numbered = list(enumerate(items)) if is_can else [(item.meta.offset, item) for item in items]
+    if numbered_live is not None:
+        numbered = list(zip(rows, items, strict=True))
+    else:
+        numbered = list(enumerate(items)) if is_can else [(item.meta.offset, item) for item in items]
     return _messages(wire, numbered, tables, raw, is_can) or _losses(
         numbered, tables, include_unknown, is_can
     )
@@ -186,7 +199,10 @@ def _losses(
     given = [table for table in tables if not table.message]
     if not include_unknown:
         return "has a table of losses, without include_unknown" if given else ""
-    wanted = [(row, item) for row, item in numbered if isinstance(item, Unknown)]
+    # Of a packet that is given up, the frames came before others that are known already: rows say which is which.
+    wanted = sorted(
+        ((row, item) for row, item in numbered if isinstance(item, Unknown)), key=lambda one: one[0]
+    )
     got: list[ScannedItem] = []
     pieces: dict[int, bytes] = {}
     by_row = dict(wanted)
@@ -206,6 +222,7 @@ def _losses(
         ScannedItem(row, 1 if is_can else item.meta.size or 0, None, None, item.reason, None)
         for row, item in wanted
     ]
+    got.sort(key=lambda item: item.offset)
     if not is_can:
         got, truth = join_losses(got), join_losses(truth)
     if got != truth:

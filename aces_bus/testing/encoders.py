@@ -18,7 +18,9 @@ from construct import ConstructError
 from ..errors import AcesError, FieldError, UnknownNameError
 from ..protocol.declare.fields import FlagSet
 from ..protocol.declare.message import Message
+from ..protocol.declare.packet_rule import PacketRule, packet_image
 from ..protocol.encoder import Encoder
+from ..protocol.keys import key_of
 from .trial import Trial, image_of
 
 #: What construct raises for a value that does not fit.
@@ -92,7 +94,7 @@ def _difference(
 ) -> str:
     try:
         made: Any = (
-            encoder.encode(message.name, **fields) if way == "encode" else encoder.word(message, fields)
+            encoder.encode(message.name, **fields) if way == "encode" else encoder.words(message, fields)
         )
     except (FieldError, UnknownNameError) as error:
         if image is not None:
@@ -100,10 +102,24 @@ def _difference(
         return _misnamed(error, message, refusal, change)
     except Exception as error:
         return f"raises {type(error).__name__}: {error}"
-    got = bytes(made) if message.framing is not None else image_of(made)
+    got = _image(message, made if isinstance(made, list) else [made])
     if image is None:
         return f"gives {got.hex()}, where construct refuses"
     return "" if got == image else f"gives {got.hex()}, and construct builds {image.hex()}"
+
+
+def _image(message: Message, words: Sequence[Any]) -> bytes:
+    """The image of what an encoder made: of a packet that a transport carries, by the rule of the reference."""
+    if message.transport is None:
+        (word,) = words
+        return bytes(word) if message.framing is not None else image_of(word)
+    rule, found = PacketRule(message.transport), b""
+    for number, frame in enumerate(words):
+        key = key_of(frame.arbitration_id, extended=frame.is_extended_id)
+        for decided in rule.decide(frame, number, key, bytes(frame.data)):
+            if not decided.reason and len(decided.frames) == len(words):
+                found = packet_image(message.transport, decided, message.check_extra) or b""
+    return found
 
 
 def _misnamed(error: AcesError, message: Message, refusal: str, change: Change | None) -> str:

@@ -13,9 +13,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any
 
 from construct import ConstructError
@@ -48,6 +50,7 @@ from .trial import (
     law,
     plain_counts,
     play,
+    record_image,
     reference_items,
     scanned_items,
     scanner_of,
@@ -117,7 +120,7 @@ def oracle(trial: Trial) -> None:
     got = trial.scanned
     if got != trial.expected:
         trial.fail(2, _first_difference("the reference", trial.expected, "the scanner", got))
-    wanted = [_physically(trial, item) for item in got]
+    wanted = [_physically(trial, item, record) for item, record in zip(got, _each(trial, got), strict=True)]
     if trial.physical != wanted:
         trial.fail(2, "physical: " + _first_difference("construct", wanted, "the scanner", trial.physical))
     encoders(trial)
@@ -126,15 +129,19 @@ def oracle(trial: Trial) -> None:
         _columns_agree(trial, (MODES[(len(trial.scene) + len(trial.cuts)) % len(MODES)],))
 
 
-def _physically(trial: Trial, item: ScannedItem) -> ScannedItem:
+def _each(trial: Trial, got: Sequence[ScannedItem]) -> Sequence[Any]:
+    """On CAN the records of some items; of a stream an item says by itself where it is."""
+    return trial.given if trial.bench.is_can else [None] * len(got)
+
+
+def _physically(trial: Trial, item: ScannedItem, record: Any) -> ScannedItem:
     """What was given in raw values, in physical ones by construct."""
     if item.message is None:
         return item
     message = trial.bench.by_name[item.protocol or "", item.message]
     request = {name: item.fields[name] for name in message.request_fields}
-    words = trial.scene.words
     image = (
-        image_of(words[item.offset]) if trial.bench.is_can else words[item.offset : item.offset + item.size]
+        trial.scene.words[item.offset : item.offset + item.size] if record is None else record_image(record)
     )
     fields = trial.bench.once(
         ("physical", message, image, tuple(request.values())),
@@ -195,7 +202,8 @@ def chunking(trial: Trial) -> None:
         trial.fail(3, f"{how}counts {counts} instead of {trial.counts}")
     if trial.bench.is_can and trial.columns and not trial.scene.sent_at:
         scanner: Any = trial.bench.scanner()
-        table = as_items(scanner.feed_table(FrameTable.from_frames(trial.scene.words)), is_can=True)
+        given = scanner.feed_table(FrameTable.from_frames(trial.scene.words)) + scanner.close()
+        table = as_items(given, is_can=True)
         if table != trial.scanned:
             trial.fail(3, "as a table: " + _first_difference("whole", trial.scanned, "the table", table))
 
@@ -251,6 +259,9 @@ def _candidates(framing: Framing, seen: bytes, begin: int) -> Sequence[int]:
 def _no_frame_overlooked(trial: Trial) -> None:
     who = cast(trial.bench.wire, trial.direction)
     scanned = trial.scanned
+    if trial.bench.has_transports:
+        _no_packet_overlooked(trial)
+        return
     if len(scanned) != len(trial.scene):
         trial.fail(4, f"of {len(trial.scene)} frames, {len(scanned)} came out")
     for number, frame in enumerate(trial.scene.words):
@@ -265,6 +276,32 @@ def _no_frame_overlooked(trial: Trial) -> None:
                 message, image
             ):
                 trial.fail(4, f"frame {number} is {message.name}, but was {item.reason}")
+
+
+def _no_packet_overlooked(trial: Trial) -> None:
+    """Where all frames of a packet follow one another, with none of another packet of its session between, it is found.
+
+    Looked for by the frames that its transport makes of what was drawn.
+    """
+    for packet in trial.sample(trial.scene.packets):
+        if packet.message.transport is None or packet.message.reply_to or packet.message.after:
+            continue
+        wire = [(f.arbitration_id, f.data) for f in packet.words]
+        mine = [
+            f for f in trial.scene.words if f.arbitration_id in {i for i, _ in wire} and not f.is_error_frame
+        ]
+        if [(f.arbitration_id, f.data) for f in mine] != wire or len({f.channel for f in mine}) > 1:
+            continue  # other frames of these identifiers are there, too
+        times = [f.timestamp for f in mine]
+        slow = packet.message.transport.timeout_s
+        if any(None not in (a, b) and b - a > slow for a, b in pairwise(times)):
+            continue
+        if not any(
+            f.is_remote_frame or f.is_extended_id != packet.message.extended for f in mine
+        ) and not any(item.message == packet.message.name for item in trial.scanned):
+            trial.fail(
+                4, f"{packet.message.name} {packet.image[5:].hex()} was not found in {len(wire)} frames"
+            )
 
 
 # ---------------------------------------------------------------------- 5
@@ -298,6 +335,9 @@ def accounting(trial: Trial) -> None:
     given, counts, balance = trial.cut_up
     if balance or counts["total"] != len(scene):
         trial.fail(6, f"bins do not sum to {len(scene)}: {counts}")
+    if trial.bench.has_transports:
+        _frames_accounted(trial, given, counts)
+        return
     if is_can and len(given) != len(scene):
         trial.fail(6, f"of {len(scene)} frames, {len(given)} came out")
     spans = [(i, 1) for i in range(len(given))] if is_can else [(g.meta.offset, g.meta.size) for g in given]
@@ -323,6 +363,39 @@ def accounting(trial: Trial) -> None:
         )
     less = trial.bench.scanner(include_unknown=False)
     names = [type(item).__name__ for item in play(less, scene, trial.cuts)]
+    if plain_counts(less.counts) != counts:
+        trial.fail(6, f"without everything, counts are {plain_counts(less.counts)}, not {counts}")
+    if names != [type(item).__name__ for item in given if not isinstance(item, Unknown)]:
+        trial.fail(6, "without everything, other records come")
+
+
+def _frames_accounted(trial: Trial, given: Sequence[Any], counts: dict[str, Any]) -> None:
+    """Law 6 where a record may be of several frames: each frame is in one of what was given, and counted there."""
+    came: Counter[bytes] = Counter()
+    losses: Counter[str] = Counter()
+    decoded = records = 0
+    for item in given:
+        frames = item.meta.frames or (item.meta.raw,)
+        came.update(frames)
+        if isinstance(item, Unknown):
+            losses[item.reason] += 1
+        else:
+            decoded, records = decoded + len(frames), records + 1
+    fed = Counter(bytes(frame.data) for frame in trial.scene.words)
+    if came != fed:
+        trial.fail(
+            6, f"frames that came out of nothing: {came - fed}; frames that did not come out: {fed - came}"
+        )
+    pending = losses.pop("pending", 0)
+    if (decoded, records, pending, dict(losses)) != tuple(
+        counts[name] for name in ("decoded", "records", "pending", "reasons")
+    ):
+        trial.fail(
+            6,
+            f"given: decoded={decoded} records={records} pending={pending} {dict(losses)}; counts: {counts}",
+        )
+    less = trial.bench.scanner(include_unknown=False)
+    names = [type(item).__name__ for item in play(less, trial.scene, trial.cuts)]
     if plain_counts(less.counts) != counts:
         trial.fail(6, f"without everything, counts are {plain_counts(less.counts)}, not {counts}")
     if names != [type(item).__name__ for item in given if not isinstance(item, Unknown)]:

@@ -17,6 +17,7 @@ from ..frames import Frame
 from ..protocol.declare.head import Head
 from ..protocol.declare.message import Message, Request
 from ..protocol.declare.protocol import Variant
+from ..protocol.keys import EXTENDED
 from .constructs import Hints, Room, drawer, hints
 from .source import ChoiceSource, edge_number, spread
 
@@ -38,9 +39,20 @@ class DrawnPacket:
     request: DrawnPacket | None = None
 
     @property
-    def word(self) -> Any:
-        """What a scanner is fed: a `Frame` (CAN) or the packet's bytes."""
-        return self.image if self.message.framing is not None else image_frame(self.image)
+    def words(self) -> list[Any]:
+        """What a scanner is fed: frames (CAN; several where a transport carries it), or the packet's bytes."""
+        return [self.image] if self.message.framing is not None else self.carried()
+
+    def carried(self, sequence: int = 0, **more: Any) -> list[Frame]:
+        """Its frames, the `sequence`th packet of its sender; `more` of all of them."""
+        transport = self.message.transport
+        if transport is None:
+            return [image_frame(self.image, **more)]
+        key = int.from_bytes(self.image[:4], "big")
+        return [
+            Frame(one & 0x1FFF_FFFF, data, is_extended_id=bool(one & EXTENDED), is_fd=transport.fd, **more)
+            for one, data in transport.split(key, self.image[5:], sequence, self.message.check_extra)
+        ]
 
 
 def image_frame(image: bytes, **more: Any) -> Frame:
@@ -175,6 +187,9 @@ def _room(message: Message, source: ChoiceSource) -> Room:
     if framing is None:
         assert message.lengths is not None
         lengths = message.lengths if isinstance(message.lengths, range) else sorted(message.lengths)
+        if message.transport is not None and source.integer(0, 7):
+            # Long packets are much like shorter ones, and seldom: a scene has room for more of these.
+            lengths = lengths[: max(1, min(len(lengths), 40))]
         return Room(source.choice(lengths) - message.payload_start, True)
     rest = message.payload_start + framing.check_size + len(framing.end)
     if framing.fixed_size is not None:

@@ -248,9 +248,13 @@ def adversary(wire: Wire, direction: Way, source: ChoiceSource, *, size: int = 3
 
 
 def draw_frames(wire: Wire, direction: Way, source: ChoiceSource, *, size: int = 24) -> Scene:
-    """About `size` CAN frames: valid, nearly valid, foreign, remote, FD, extended, error frames."""
+    """About `size` CAN frames: valid, nearly valid, foreign, remote, FD, extended, error frames.
+
+    Packets of several frames are under way at the same time; frames of them are lost, come twice or in another order.
+    """
     who = cast(wire, direction)
     frames: list[Frame] = []
+    under_way: list[list[Frame]] = []
     sent_at: list[tuple[int, Any]] = []
     packets: list[DrawnPacket] = []
     time: float | None = 0.0 if source.integer(0, 3) else None
@@ -266,6 +270,11 @@ def draw_frames(wire: Wire, direction: Way, source: ChoiceSource, *, size: int =
             "channel": channel,
             "is_rx": part.choice((None, True, False)),
         }
+        if under_way and part.integer(0, 3):
+            mine = part.choice(under_way)
+            frames.append(replace(mine.pop(0), timestamp=time))
+            under_way = [left for left in under_way if left]
+            continue
         if how >= 30:
             frames.append(_foreign(part, about))
             continue
@@ -278,18 +287,56 @@ def draw_frames(wire: Wire, direction: Way, source: ChoiceSource, *, size: int =
             continue
         packet = _pick(who, part)
         if packet.request is not None and part.integer(0, 7):
-            asked = image_frame(packet.request.image, **about)
+            asked = packet.request.carried(**about)
             if direction in (None, "both") and part.integer(0, 3):
-                frames.append(asked)
+                frames += asked
             elif who.can_send:
-                sent_at.append((len(frames), asked))
+                sent_at += [(len(frames), one) for one in asked]
+        if packet.message.transport is not None:
+            carried = packet.carried(part.integer(0, 3), **about)
+            if how < 20:
+                packets.append(packet)
+            else:
+                carried = _jumbled(carried, packet.message, how - 20, part)
+            if carried:
+                under_way.append(carried)
+            continue
         frame = image_frame(packet.image, **about)
         if how < 20:
             packets.append(packet)
         else:
             frame = _damaged(frame, packet.message, how - 20, part)
         frames.append(frame)
+    for left in under_way:
+        # Some packets are whole; of others the scene has only the beginning.
+        frames += [
+            replace(frame, timestamp=time) for frame in left[: source.integer(0, min(40, 2 * len(left)))]
+        ]
     return Scene(tuple(frames), (), tuple(sent_at), tuple(packets))
+
+
+def _jumbled(frames: list[Frame], message: Message, how: int, source: ChoiceSource) -> list[Frame]:
+    """The frames of a packet with something wrong: lost, twice, in another order, damaged, steered."""
+    out = list(frames)
+    at = source.integer(0, len(out) - 1)
+    if how in (0, 1):
+        del out[at : at + source.integer(1, 2)]
+    elif how in (2, 3):
+        out.insert(source.integer(at, len(out)), out[at])
+    elif how in (4, 5):
+        out.insert(source.integer(0, len(out) - 1), out.pop(at))
+    elif how == 6:
+        assert message.transport is not None
+        steering = [kind for kind in message.transport.kinds if kind.role == "control"]
+        data = bytearray(8)
+        for bits, value in source.choice(steering).match if steering else ():
+            bits.put(data, value)
+        out.insert(at, replace(out[at], data=bytes(data)))
+    elif how == 7:
+        out = out[:at] + frames
+    else:
+        out[at] = _damaged(out[at], message, source.integer(0, 9), source)
+    return out
 
 
 def rechecked(message: Message, identifier: int, data: bytes) -> bytes:

@@ -363,7 +363,7 @@ def _simpler_packets(scene: Scene) -> Iterator[Scene]:
 
 
 def _words_of(scene: Scene, packet: DrawnPacket) -> Any:
-    return packet.image if isinstance(scene.words, bytes) else (packet.word,)
+    return packet.image if isinstance(scene.words, bytes) else tuple(packet.words)
 
 
 def simpler_values(values: Any) -> Iterator[Any]:

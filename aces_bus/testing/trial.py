@@ -94,7 +94,7 @@ def scanned_items(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> l
 def as_items(given: Iterable[Any], is_can: bool) -> list[ScannedItem]:
     """What a scanner gave, in its form for comparison."""
     if is_can:
-        return [_item(item, number, 1) for number, item in enumerate(given)]
+        return [_item(item, number, max(1, len(item.meta.frames))) for number, item in enumerate(given)]
     return join_losses(_item(item, item.meta.offset, item.meta.size) for item in given)
 
 
@@ -120,11 +120,12 @@ def items_by(reference: Reference, scene: Scene) -> list[ScannedItem]:
     out: list[ScannedItem] = []
     at = 0
     for offset, frame in [*scene.sent_at, (len(scene.words), None)]:
-        for f in reference.frames(scene.words[at:offset]):
-            out.append(ScannedItem(len(out), 1, f.message, comparable(f.fields), f.reason, f.protocol))
+        found = reference.frames(scene.words[at:offset])
+        for f in [*found, *(reference.end() if frame is None else ())]:
+            out.append(ScannedItem(len(out), f.size, f.message, comparable(f.fields), f.reason, f.protocol))
         at = offset
         if frame is not None:
-            reference.sent(image_of(frame), frame.channel, frame.timestamp)
+            reference.sent_frame(frame)
     return out
 
 
@@ -157,6 +158,14 @@ def image_of(frame: Any) -> bytes:
     )
 
 
+def record_image(record: Any) -> bytes:
+    """The image that a record was read from."""
+    meta = record.meta
+    if meta.identifier is None:
+        return bytes(meta.raw)
+    return can_image(meta.identifier, meta.raw, extended=meta.extended, remote=meta.remote, fd=meta.fd)
+
+
 def comparable(value: Any) -> Any:
     """A value for comparison by bits: floats as their bytes, sequences as lists, numbers of every kind as int."""
     if isinstance(value, float):
@@ -175,6 +184,7 @@ def plain_counts(counts: ScanCounts) -> dict[str, Any]:
     bins = (
         "total",
         "decoded",
+        "control",
         "unknown",
         "malformed",
         "skipped",
@@ -296,12 +306,15 @@ class Trial:
     def accepted(self) -> Iterator[tuple[Message, bytes, dict[str, Any]]]:
         """Message, image and request's fields of each record that the scanner gave."""
         names = self.bench.by_name
-        for number, record in enumerate(self.given):
+        for record in self.given:
             if isinstance(record, Unknown):
                 continue
             message = names[record._protocol, type(record).__name__]
-            image = image_of(self.scene.words[number]) if message.framing is None else record.meta.raw
-            yield message, image, {name: getattr(record, name) for name in message.request_fields}
+            yield (
+                message,
+                record_image(record),
+                {name: getattr(record, name) for name in message.request_fields},
+            )
 
 
 Judge = Callable[[Trial], None]
@@ -351,6 +364,7 @@ __all__ = [
     "law",
     "plain_counts",
     "play",
+    "record_image",
     "reference_items",
     "scanned_items",
     "scanner_of",

@@ -37,12 +37,13 @@ def test_every_message_is_drawn_and_heard(variant: Any) -> None:
 def _hear(scanner: Scanner, packet: DrawnPacket) -> list[Any]:
     if isinstance(scanner, CanScanner):
         if packet.request is not None:
-            scanner.sent(packet.request.word)
-        return scanner.feed([packet.word])
+            for frame in packet.request.words:
+                scanner.sent(frame)
+        return scanner.feed(packet.words)
     assert isinstance(scanner, StreamScanner)
     if packet.request is not None:
-        scanner.sent(packet.request.word)
-    return scanner.feed(packet.word) + scanner.idle()
+        scanner.sent(packet.request.image)
+    return scanner.feed(packet.image) + scanner.idle()
 
 
 @pytest.mark.parametrize("name", [*REGISTERED, "ubx", "nmea0183", "opaque_corners", "can_corners"])

@@ -116,7 +116,7 @@ def test_random_values_are_no_quantities(name: str) -> None:
     words: list[Any] = []
     for number, message in enumerate(list(variant.messages.values())[:8]):
         source = spread(number, 1 << 14)
-        words += [draw_packet(message, source.branch(), variant).word for _ in range(40)]
+        words += [word for _ in range(40) for word in draw_packet(message, source.branch(), variant).words]
     if protocol.link != "can":
         words = [b"".join(words)]
     found = [one for one in check_recordings(variant, [words], direction="both") if one.rule in DRAWN]

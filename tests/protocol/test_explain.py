@@ -15,7 +15,7 @@ from aces_bus.protocol.explain.template import Template
 from aces_bus.protocol.lint.examples import example_frame
 from aces_bus.testing import laws
 from aces_bus.testing.source import spread
-from aces_bus.testing.trial import ScannedItem, comparable, image_of, join_losses
+from aces_bus.testing.trial import ScannedItem, comparable, join_losses
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.robotis.spec import robotis
 from tests.laws.wires import CASES, MIXED, Case
@@ -28,14 +28,14 @@ def heard_of(attempts: list[Attempt]) -> list[ScannedItem]:
     """Attempts in the form in which scanners and reference are compared."""
     found = [
         ScannedItem(
-            one.start,
+            number if one.is_can else one.start,
             one.found.size * one.run,
             one.found.message,
             comparable(one.found.fields),
             one.found.reason,
             one.found.protocol,
         )
-        for one in attempts
+        for number, one in enumerate(attempts)
     ]
     return found if attempts and attempts[0].is_can else join_losses(found)
 
@@ -48,11 +48,11 @@ def explained(variants: tuple[Variant, ...], direction: Any, scene: Any) -> list
     at = 0
     for offset, frame in [*scene.sent_at, (len(scene.words), None)]:
         for word in scene.words[at:offset]:
-            attempts.append(tracer.explain_frame(word, len(attempts)))
+            attempts += tracer.explain_frames([word], len(attempts))
         at = offset
         if frame is not None:
-            tracer.sent(image_of(frame), frame.channel, frame.timestamp)
-    return attempts
+            tracer.sent_frame(frame)
+    return attempts + tracer.explain_end()
 
 
 @pytest.mark.parametrize("case", [*CASES, *MIXED], ids=str)

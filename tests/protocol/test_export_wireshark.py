@@ -178,8 +178,8 @@ def drawn(variant: Variant, seeds: Iterable[int], direction: Any = None) -> list
             except UndrawableError:
                 continue
             if packet.request is not None:
-                words.append(packet.request.word)
-            words.append(packet.word)
+                words += packet.request.words
+            words += packet.words
     return words
 
 

@@ -180,8 +180,11 @@ def _scanned(variant: Any, message: Any, example: Example) -> bool:
     scanner = _scanner(variant, message.direction if variant.link != "can" else None)
     scanner.reset()
     if variant.link == "can":
-        words = [example.word] if example.request is None else [example.request, example.word]
-        records = scanner.feed([example_frame(word) for word in words])[len(words) - 1 :]
+        words = [] if example.request is None else [example.request]
+        records = scanner.feed(
+            [example_frame(word) for word in [*words, *(example.frames or (example.word,))]]
+        )
+        records = records[len(words) :]
     else:
         if example.request is not None:
             scanner.sent(example.request.data)
@@ -191,7 +194,10 @@ def _scanned(variant: Any, message: Any, example: Example) -> bool:
     values = as_dict(records[0])
     given = {field: value for field, value in values.items() if field not in message.request_fields}
     made = variant.encoder.encode(message.name, **given)
-    same = made == example.word.data if variant.link != "can" else bytes(made.data) == example.word.data
+    if message.transport is not None:
+        same = [bytes(frame.data) for frame in made] == [frame.data for frame in example.frames]
+    else:
+        same = made == example.word.data if variant.link != "can" else bytes(made.data) == example.word.data
     return same and all(agree(values[field], wanted) for field, wanted in example.fields.items())
 
 

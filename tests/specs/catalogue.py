@@ -17,9 +17,11 @@ from tests.specs.mavlink1 import mavlink1
 from tests.specs.mit_motor import mit_motor
 from tests.specs.modbus_like import modbus_like
 from tests.specs.nmea0183 import nmea0183
+from tests.specs.nmea2000_like import nmea2000_like
 from tests.specs.odrive_like import odrive_like
 from tests.specs.slip import slip
 from tests.specs.ubx import ubx
+from tests.specs.uds_like import uds_like
 from tests.specs.xbus_like import xbus_like
 
 SPECS: dict[str, Protocol] = {
@@ -35,9 +37,11 @@ SPECS: dict[str, Protocol] = {
         mit_motor,
         modbus_like,
         nmea0183,
+        nmea2000_like,
         odrive_like,
         slip,
         ubx,
+        uds_like,
         xbus_like,
     )
 }

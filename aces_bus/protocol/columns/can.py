@@ -18,7 +18,7 @@ import numpy as np
 
 from ...frame_table import ERROR, RX, TX, UNUSUAL, FrameTable
 from ...frame_table import REMOTE as REMOTE_FLAG
-from ..counts import ScanCounts
+from ..counts import ScanCounts, sum_counts
 from ..declare.ambiguity import ordered
 from ..declare.message import Direction, Message
 from ..declare.protocol import Variant
@@ -117,18 +117,17 @@ class CanColumns:
         """Where every frame went so far."""
         live = self._scanner.counts
         own = self._counts
-        both = ScanCounts(decoded=own.decoded + live.decoded, missed=own.missed + live.missed)
-        both.reasons = dict(own.reasons)
-        for reason, number in live.reasons.items():
-            both.lose(number, reason)
-        both.records = both.decoded
-        both.total = both.decoded + sum(both.reasons.values())
+        both = sum_counts((own, live))
+        both.records = own.decoded + live.records
+        both.total = both.decoded + both.pending + sum(both.reasons.values())
         return both
 
     # ------------------------------------------------------------------ which messages a key may be
 
     def _slot(self, key: int) -> int:
         """The slot of a key: the messages that it may be, in the order in which they are tried."""
+        if self._scanner.is_carried(key):
+            return _LIVE
         names: list[tuple[int, str]] = []
         for number, wire in enumerate(self._wires):
             for message in ordered(wire.candidates(key)):
@@ -220,12 +219,13 @@ class CanColumns:
         batch = _Batch(table, order, rows)
         lost: list[_Lost] = []
         tables: list[MessageTable] = []
+        older: list[MessageTable] = []
         start = 0
         for slot, end in enumerate(ends):
             if end == start:
                 continue
             if slot == _LIVE:
-                self._live(batch, start, end, tables, lost)
+                self._live(batch, start, end, tables, lost, older)
             elif slot in (_UNKNOWN, _ERROR):
                 reason = "unknown" if slot == _UNKNOWN else "error frame"
                 self._counts.lose(end - start, reason)
@@ -235,13 +235,13 @@ class CanColumns:
                 self._decode(batch, start, end, self._candidates[slot], tables, lost)
             start = end
         out = merge_tables(tables)
-        if lost and self.include_unknown:
-            out.append(self._lost_table(batch, lost))
+        if self.include_unknown and (lost or older):
+            out += merge_tables([*older, self._lost_table(batch, lost)] if lost else older)
         return out
 
     def close(self) -> list[MessageTable]:
-        """Frames are whole: the end of a capture decides nothing on CAN."""
-        return []
+        """The end of a capture: frames of packets that are not whole are pending. Other frames are whole."""
+        return merge_tables(self._slow.close()) if self.include_unknown else self._slow.close()[:0]
 
     def _decode(
         self,
@@ -296,8 +296,9 @@ class CanColumns:
         end: int,
         tables: list[MessageTable],
         lost: list[_Lost],
+        older: list[MessageTable],
     ) -> None:
-        """Frames that the live scanner decides, in their order."""
+        """Frames that the live scanner decides, in their order; `older` are losses of frames of earlier pieces."""
         places = batch.order[start:end]
         some = batch.table.take(places)
         if self._defer:
@@ -307,6 +308,10 @@ class CanColumns:
             if table.message:
                 tables.append(table)
             elif self.include_unknown:
+                is_old = table.row < batch.numbers[0]
+                if is_old.any():
+                    older.append(table.take(np.flatnonzero(is_old)))
+                    table = table.take(np.flatnonzero(~is_old))
                 lost.append(_Lost(np.searchsorted(batch.numbers, table.row), table["reason"].values.tolist()))
 
     # ------------------------------------------------------------------ losses
@@ -538,5 +543,5 @@ class ChannelColumns(ChannelScanners[CanColumns]):
         return merge_tables(tables)
 
     def close(self) -> list[MessageTable]:
-        """Frames are whole: the end of a capture decides nothing on CAN."""
-        return []
+        """The end of a capture; see `CanColumns.close`."""
+        return merge_tables(table for scanner in self._scanners.values() for table in scanner.close())

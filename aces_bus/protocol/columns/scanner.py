@@ -111,13 +111,22 @@ class RecordColumns:
 
     def close(self) -> list[MessageTable]:
         """The capture has ended."""
+        scanner: Any = self.scanner
+        if getattr(scanner, "has_transports", False):
+            items, origins = scanner.close_numbered()
+            return self.tables(items, np.array(origins, np.int64))
         return self.tables(self.scanner.close(), None)
 
     def frames(self, table: FrameTable, rows: Array) -> list[MessageTable]:
         """The tables of frames that are `rows` of the capture, in rising order. Instants stay exact."""
         self.channels = table.channels
-        tables = self.tables(self.scanner.feed(table.frames()), rows)
-        return [replace(one, time=table.time[np.searchsorted(rows, one.row)]) for one in tables]
+        scanner: Any = self.scanner
+        frames = table.frames()
+        if not getattr(scanner, "has_transports", False):
+            tables = self.tables(scanner.feed(frames), rows)
+            return [replace(one, time=table.time[np.searchsorted(rows, one.row)]) for one in tables]
+        items, origins = scanner.feed_numbered(frames, rows.tolist())
+        return [_timed(one, table, rows) for one in self.tables(items, np.array(origins, np.int64))]
 
     def tables(self, items: Sequence[Any], rows: Array | None) -> list[MessageTable]:
         """Records and `Unknown`s as tables; `rows` are their numbers, None for a stream's (their offsets)."""
@@ -140,6 +149,12 @@ class RecordColumns:
             else:
                 tables.append(gatherer.table(some, numbers, self.channels))
         return tables
+
+
+def _timed(made: MessageTable, table: FrameTable, rows: Array) -> MessageTable:
+    """A table with the exact instants of its frames, as far as they are among `rows`."""
+    places = np.minimum(np.searchsorted(rows, made.row), len(rows) - 1)
+    return replace(made, time=np.where(rows[places] == made.row, table.time[places], made.time))
 
 
 def make_column_scanner(

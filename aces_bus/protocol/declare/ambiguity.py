@@ -121,6 +121,9 @@ def _selected(message: Message) -> tuple[int, ...] | None:
 def check_against(made: Message, declared: Iterable[Message]) -> None:
     """Raise `SpecError` when a new message cannot be told from one declared before."""
     for other in declared:
+        if made.framing is None and made.transport != other.transport:
+            _check_apart(made, other)
+            continue
         found = unresolved(made, other)
         if found is not None:
             raise SpecError(
@@ -128,6 +131,22 @@ def check_against(made: Message, declared: Iterable[Message]) -> None:
                 " say what tells them apart (direction, dialect, when, reply_to, after)"
                 f" or order them with overrides={other.name!r}"
             )
+
+
+def _check_apart(made: Message, other: Message) -> None:
+    """Raise `SpecError` where one transport would take the frames of another, or of a message that is a frame."""
+    from .protocol import share_dialect
+
+    if not share_dialect(made, other) or made.extended != other.extended:
+        return
+    if (number := meet(made.identifier, other.identifier, 29 if made.extended else 11)) is not None:
+        named = [
+            f"{one.transport.title}" if one.transport is not None else "a frame" for one in (made, other)
+        ]
+        raise SpecError(
+            f"{made.place}: identifier {number:#x} of {made.name!r} is {named[0]}, and of {other.name!r} ({other.place})"
+            f" {named[1]}: what frames of an identifier are, one of them decides"
+        )
 
 
 def unresolved(one: Message, other: Message) -> Conflict | None:
@@ -301,12 +320,17 @@ def _numbers(choice: _Choice, fixed: Mapping[int, int]) -> Iterator[int]:
 
 def _can_conflict(one: Message, other: Message) -> Conflict | None:
     if (
-        (one.extended, one.remote) != (other.extended, other.remote)
+        one.transport != other.transport
+        or (one.extended, one.remote) != (other.extended, other.remote)
         or set(one.formats).isdisjoint(other.formats)
         or one.identifier.is_apart(other.identifier)
     ):
         return None
     lengths = sorted(set(one.lengths or ()) & set(other.lengths or ()), reverse=True)
+    if one.transport is not None and one.plan.lengths_by is None and other.plan.lengths_by is None:
+        # Behind the last constant one length is like another.
+        reach = max((c.offset for m in (one, other) for c in m.plan.constants), default=0) + 1
+        lengths = [length for length in lengths if length <= reach or length == lengths[0]]
     identifier = meet(one.identifier, other.identifier, 29 if one.extended else 11) if lengths else None
     if identifier is None:
         return None

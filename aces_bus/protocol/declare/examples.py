@@ -8,6 +8,7 @@
     examples=[("FF FF 01 02 00 FC", {"id": 1, "error": [], "parameters": b""})]                   a stream: the packet
     examples=[(b"$GPHDT,274.07,T*03\\r\\n", {"heading": 274.07})]                                     characters
     examples=[("1C0#22 00 29 09", {"current": [1.37, 0.02], "temperature": 41}, "001#00 04")]     with its request
+    examples=[(["7E8#10 09 62 F1 90 31 32 33", "7E8#21 34 35 36"], {"did": 0xF190})]    in the frames of a transport
 
 Identifiers of 29 bits have eight digits, CAN FD has `##`, a remote frame `#R`, as candump writes them. Fields are in the
 sheet's units, enumerations by name, flags as a list of names; fields left out are not compared.
@@ -16,12 +17,14 @@ sheet's units, enumerations by name, flags as a list of names; fields left out a
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ...errors import SpecError
+from ..keys import EXTENDED
 from .place import SourceLine
+from .transport import Transport
 
 _FRAME = re.compile(
     r"(?P<id>[0-9A-Fa-f]{1,8})#(?:(?P<fd>#)(?P<flags>[0-9A-Fa-f])?(?P<long>[0-9A-Fa-f \t]*)"
@@ -61,11 +64,15 @@ class ExampleFrame:
 
 @dataclass(frozen=True)
 class Example:
-    """A packet or frame, (some of) the fields that it means, and the request that it answers."""
+    """A packet or frame, (some of) the fields that it means, and the request that it answers.
+
+    `frames` are those that a transport carried it in; `word` is then the packet that they are.
+    """
 
     word: ExampleFrame
     fields: Mapping[str, Any]
     request: ExampleFrame | None = None
+    frames: tuple[ExampleFrame, ...] = ()
 
 
 def frame_text(frame: Any) -> str:
@@ -104,8 +111,16 @@ def parse_word(text: str | bytes, *, is_can: bool) -> ExampleFrame:
     return ExampleFrame(data, identifier, extended, found["remote"] is not None, found["fd"] is not None)
 
 
-def as_examples(given: Iterable[Any], place: SourceLine, *, is_can: bool) -> tuple[Example, ...]:
-    """What a spec wrote after `examples=`; raises `SpecError` for what is none."""
+def as_examples(
+    given: Iterable[Any],
+    place: SourceLine,
+    *,
+    is_can: bool,
+    transport: Transport | None = None,
+    extra: bytes = b"",
+) -> tuple[Example, ...]:
+    """What a spec wrote after `examples=`; raises `SpecError` for what is none. `transport` carries the message, with
+    `extra` in its check."""
     found: list[Example] = []
     for item in given:
         if isinstance(item, Example):
@@ -114,7 +129,9 @@ def as_examples(given: Iterable[Any], place: SourceLine, *, is_can: bool) -> tup
         if (
             not isinstance(item, (tuple, list))
             or not 2 <= len(item) <= 3
-            or not isinstance(item[0], (str, bytes))
+            or not (
+                isinstance(item[0], (str, bytes)) or (transport is not None and isinstance(item[0], Sequence))
+            )
             or not isinstance(item[1], Mapping)
             or not (len(item) == 2 or isinstance(item[2], (str, bytes)))
         ):
@@ -124,7 +141,37 @@ def as_examples(given: Iterable[Any], place: SourceLine, *, is_can: bool) -> tup
             )
         try:
             request = parse_word(item[2], is_can=is_can) if len(item) == 3 else None
-            found.append(Example(parse_word(item[0], is_can=is_can), dict(item[1]), request))
+            if transport is not None:
+                texts: Iterable[Any] = [item[0]] if isinstance(item[0], (str, bytes)) else item[0]
+                frames = tuple(parse_word(text, is_can=True) for text in texts)
+                word = _packet_of(frames, transport, extra)
+                found.append(Example(word, dict(item[1]), request, frames))
+            else:
+                found.append(Example(parse_word(item[0], is_can=is_can), dict(item[1]), request))
         except ValueError as error:
             raise SpecError(f"{place}: example {error}") from None
     return tuple(found)
+
+
+def _packet_of(frames: Sequence[ExampleFrame], transport: Transport, extra: bytes) -> ExampleFrame:
+    """The packet that some frames are; raises `ValueError` where they are none."""
+    from .packet_rule import PacketRule, packet_image
+
+    rule = PacketRule(transport)
+    said = "they are not a whole packet"
+    for number, frame in enumerate(frames):
+        key = (frame.identifier or 0) | (EXTENDED if frame.extended else 0)
+        for decided in rule.decide(_Silent(), number, key, frame.data):
+            image = packet_image(transport, decided, extra) if not decided.reason else None
+            if image is not None and len(decided.frames) == len(frames):
+                return ExampleFrame(image[5:], decided.key & 0x1FFF_FFFF, bool(decided.key & EXTENDED))
+            said = decided.reason or "its check does not hold" if image is None else said
+    raise ValueError(f"{', '.join(map(str, frames))}: by {transport.title}, {said}")
+
+
+@dataclass(frozen=True)
+class _Silent:
+    """What the rule of packets asks of a frame beside its bytes."""
+
+    channel: str | None = None
+    timestamp: float | None = None

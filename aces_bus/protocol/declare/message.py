@@ -28,6 +28,7 @@ from .normalise import check_name, check_selectors, normalised, sizes
 from .packet import PacketStruct
 from .pattern import IdPattern, describe_values
 from .place import SourceLine
+from .transport import Transport
 
 if TYPE_CHECKING:
     from ..plan.nodes import MessagePlan
@@ -87,6 +88,7 @@ class Message:
         place: SourceLine,
         identifier: IdPattern | None,
         framing: Framing | None,
+        transport: Transport | None,
         prefix: c.Struct | None,
         payload: c.Construct | None,
         match: Mapping[str, Any],
@@ -112,6 +114,8 @@ class Message:
         self.name = name
         self.place = place
         self.framing = framing
+        #: What carries its packets in several frames; None where a frame is the message.
+        self.transport = transport
         self.identifier = identifier if identifier is not None else IdPattern(0)
         self.extended, self.remote, self.fd = extended, remote, fd
         #: Whether frames of up to 8 bytes are it in both formats, classic and CAN FD; `fd` is then how it is sent.
@@ -210,6 +214,8 @@ class Message:
                     f"{self.place}: length is for CAN; a stream's packets end as their framing says"
                 )
             return None
+        if self.transport is not None:
+            return self._packet_lengths(self.transport, length, low, high)
         top = 64 if self.fd else 8
         high = top if high is None else high + self.payload_start
         if self.remote and high:
@@ -243,6 +249,30 @@ class Message:
                     f"{self.place}: no {'CAN FD' if self.fd else 'classic CAN'} frame has {one} bytes"
                 )
         return wanted
+
+    def _packet_lengths(
+        self, transport: Transport, length: int | Collection[int] | None, low: int, high: int | None
+    ) -> Collection[int]:
+        """How long packets are that a transport carries."""
+        if self.fd or self.remote or self.any_format:
+            raise SpecError(
+                f"{self.place}: fd, remote and any_format are of frames; those of {self.name} are made by its transport"
+            )
+        most = transport.max_size
+        low = max(low, transport.min_size)
+        top = most if high is None else min(most, high + self.payload_start)
+        wanted = range(low, top + 1) if length is None else (length,) if isinstance(length, int) else length
+        if not wanted or min(wanted) < low or max(wanted) > top:
+            end = None if high is None else high + self.payload_start
+            more = "…" if end is None else f"…{end}" if end > low else ""
+            given = (
+                "" if length is None else f"length {describe_values(wanted)} does not go with {self.name}: "
+            )
+            raise SpecError(
+                f"{self.place}: {given}its fields take {low}{more} bytes, and packets of {transport.title} have"
+                f" {most} at most"
+            )
+        return wanted if isinstance(wanted, range) else tuple(sorted(wanted))
 
     def _check_fields(self) -> None:
         places: dict[str, str] = {}

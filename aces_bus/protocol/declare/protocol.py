@@ -22,6 +22,7 @@ from .framing import Framing
 from .message import DIRECTIONS, ConfigurationCondition, Direction, Message, as_requests
 from .pattern import as_pattern
 from .place import caller, caller_scope
+from .transport import Transport
 
 if TYPE_CHECKING:
     from ..columns.decode import DecodedRecording
@@ -118,6 +119,7 @@ class Protocol:
         payload: c.Construct | None = None,
         id: Any = None,
         framing: Framing | None = None,
+        transport: Transport | None = None,
         prefix: c.Struct | None = None,
         match: Mapping[str, Any] | None = None,
         length: int | Collection[int] | None = None,
@@ -140,7 +142,8 @@ class Protocol:
     ) -> Message:
         """Declare a message; raises `SpecError` with file and line when it cannot be right.
 
-        `id` is the CAN identifier (a number or a pattern with captures), `match` gives head fields their value or
+        `id` is the CAN identifier (a number or a pattern with captures), `transport` carries its packets in several frames
+        (`IsoTp`, `FastPacket`, …), `match` gives head fields their value or
         pattern, `length` the data lengths that occur when the fields leave a choice. With `any_format` frames of up to 8
         bytes are taken in both formats, classic and CAN FD, and sent as `fd` says. `direction`, `dialect`, `when`,
         `reply_to`, `after` (with `within` seconds) say what bytes cannot: see the architecture page. `overrides` names
@@ -148,6 +151,12 @@ class Protocol:
         `spec.examples`.
         """
         place = caller(self._scope)
+        if transport is not None:
+            if self.link != "can" or not isinstance(transport, Transport):  # pyright: ignore[reportUnnecessaryIsInstance]
+                raise SpecError(
+                    f"{place}: a transport carries packets in CAN frames, such as IsoTp(); not {transport!r}"
+                )
+            id = transport.identifier(direction) if id is None else id
         if (self.link == "can") != (id is not None):
             raise SpecError(f"{place}: a message on CAN needs id=…, one on a stream a framing")
         if self.link != "can" and framing is None:
@@ -168,6 +177,7 @@ class Protocol:
             place=place,
             identifier=as_pattern(id, "identifier") if id is not None else None,
             framing=framing,
+            transport=transport,
             prefix=prefix,
             payload=payload,
             match=match or {},
@@ -187,7 +197,9 @@ class Protocol:
             check_extra=check_extra,
             doc=doc,
             source=source,
-            examples=as_examples(examples, place, is_can=self.link == "can"),
+            examples=as_examples(
+                examples, place, is_can=self.link == "can", transport=transport, extra=check_extra
+            ),
         )
         for other in self.declared if name in self.messages else ():
             # Also where `when` keeps them apart: a variant with boards of both kinds has one message of a name.

@@ -14,7 +14,9 @@ from typing import Any, Literal
 from ..declare.framing import Framing, Judgement, Verdict
 from ..declare.message import Direction, Message
 from ..declare.packet import can_image
+from ..declare.packet_rule import packet_frame
 from ..declare.protocol import Variant
+from ..declare.transport import Transport
 from ..reference import PastRequest, Reference, ReferenceItem
 from .attempt import Attempt, Death, FieldRead, Step, TemplateTrace
 from .template import Template
@@ -138,10 +140,24 @@ class Tracer(Reference):
 
     # ------------------------------------------------------------------ frames
 
-    def explain_frame(self, frame: Any, number: int = 0) -> Attempt:
-        """What a frame is, and why; frames must come in their order, since replies hang on requests."""
-        (found,) = self.frames([frame])
-        found = replace(found, offset=number)
+    def explain_frames(self, frames: Iterable[Any], first: int = 0) -> list[Attempt]:
+        """What frames are, and why, the first one being number `first`; frames must come in their order, since replies hang
+        on requests and packets on the frames before. A packet that a transport carried is one attempt, with its last frame.
+        """
+        attempts: list[Attempt] = []
+        for number, frame in enumerate(frames, first):
+            for found in self.frames([frame], number):
+                attempts.append(self._explain_item(found, frame))
+        return attempts
+
+    def explain_end(self) -> list[Attempt]:
+        """The frames that are in no packet when the frames end."""
+        return [self._explain_item(found, found.frame) for found in self.end()]
+
+    def _explain_item(self, found: ReferenceItem, frame: Any) -> Attempt:
+        number = found.offset
+        if found.transport is not None:
+            frame = packet_frame(found.packet, found.frame) if found.packet else found.frame
         data = bytes(frame.data)
         image = can_image(
             frame.arbitration_id,
@@ -150,15 +166,15 @@ class Tracer(Reference):
             remote=frame.is_remote_frame,
             fd=frame.is_fd,
         )
-        if frame.is_error_frame:
+        if frame.is_error_frame or (found.transport is not None and not found.packet):
             return Attempt(number, (), (), (), found, number + 1, is_can=True, frame=frame, raw=data)
         contest = _Contest(self.templates)
-        words = words_of(frame, data)
+        words, every = _shown(words_of(frame, data))
         for word in words:
             contest.word(
                 (
                     t,
-                    frame_death(t, frame, data, word)
+                    frame_death(t, frame, data, word, found.transport)
                     or (_whole_death(t, image, found) if word is words[-1] else None),
                 )
                 for t in contest.alive
@@ -185,12 +201,14 @@ class Tracer(Reference):
             _asked(found.request),
             is_can=True,
             frame=frame,
+            left_out=every - len(words),
             raw=data,
         )
 
-    def explain_frames(self, frames: Iterable[Any]) -> list[Attempt]:
-        """The attempts at some frames."""
-        return [self.explain_frame(frame, number) for number, frame in enumerate(frames)]
+
+def _shown(words: list[Word]) -> tuple[list[Word], int]:
+    """The words of a frame or packet that are explained, and how many there are: of a long one the first, and the last."""
+    return ([*words[: WORDS - 1], words[-1]] if len(words) > WORDS else words), len(words)
 
 
 class _Contest:
@@ -318,11 +336,15 @@ def words_of(frame: Any, data: bytes) -> list[Word]:
     return words + [(f"d{at}", f"{byte:02X}", at) for at, byte in enumerate(data)]
 
 
-def frame_death(template: Template, frame: Any, data: bytes, word: Word) -> tuple[str, str] | None:
+def frame_death(
+    template: Template, frame: Any, data: bytes, word: Word, transport: Transport | None = None
+) -> tuple[str, str] | None:
     message = template.message
     place, _, offset = word
     match place:
         case "id":
+            if message.transport != transport:
+                return "transport", message.transport.title if message.transport is not None else "a frame"
             if message.identifier.match(frame.arbitration_id) is None:
                 return "identifier", message.identifier.describe(8 if message.extended else 3)
             is_plain = not (frame.is_extended_id or frame.is_remote_frame or frame.is_fd)

@@ -34,11 +34,17 @@ def why_unknown(
             is_remote_frame=meta.remote,
             is_fd=meta.fd,
         )
-        attempt = tracer.explain_frame(frame)
+        attempts = tracer.explain_frames([frame])
     else:
-        attempt = tracer.explain_stream(meta.raw)[0]
+        attempts = tracer.explain_stream(meta.raw)[:1]
     near = {one.name for one in tracer.templates if _has_head(one.message, meta)}
-    died = [death for step in attempt.steps for death in step.died if death.template in near]
+    died = [
+        death
+        for attempt in attempts
+        for step in attempt.steps
+        for death in step.died
+        if death.template in near
+    ]
     return "; ".join(f"{death.template}: {death.why} {death.detail}" for death in died)
 
 

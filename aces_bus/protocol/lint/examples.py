@@ -155,7 +155,9 @@ def read_example(variant: Variant, message: Message, example: Example) -> Refere
     """What the reference makes of an example, its request being seen first."""
     if message.framing is None:
         reference = Reference([variant])
-        words = [example.word] if example.request is None else [example.request, example.word]
+        words = [*(example.frames or (example.word,))]
+        if example.request is not None:
+            words.insert(0, example.request)
         return reference.frames([example_frame(word) for word in words])[-1]
     reference = Reference([variant], direction=message.direction)
     if example.request is not None:

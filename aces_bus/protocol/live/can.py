@@ -25,9 +25,11 @@ from ..counts import ScanCounts, sum_counts
 from ..declare.message import Direction, Message
 from ..declare.packet import ContentError, LengthError, WrongCheckError, can_image
 from ..declare.protocol import Variant
+from ..declare.transport import Transport
 from ..keys import EXTENDED, FD, REMOTE, key_of
-from ..record import Meta, Record, Unknown
+from ..record import CarriedBytes, Meta, Record, Unknown
 from .decide import REMEMBERED, Decider, Decode
+from .reassemble import Packet, Reassembler
 
 #: By the two highest flags of a frame table, RX and TX: whether a frame was received.
 _WAY = RX.bit_length() - 1
@@ -108,14 +110,33 @@ class _Wire(Decider):
 
     def __init__(self, variant: Variant, direction: Direction | Literal["both"] | None, *, raw: bool) -> None:
         super().__init__(variant, direction, raw=raw)
-        keys = _keys(tuple(self.messages))
+        #: The keys of frames (None), and of the packets of each transport.
+        self._spaces = {
+            transport: _keys(tuple(m for m in self.messages if m.transport == transport))
+            for transport in (
+                None,
+                *dict.fromkeys(m.transport for m in self.messages if m.transport is not None),
+            )
+        }
         #: The candidates of each key that is spelt out.
-        self.spelt_out = keys.spelt_out
-        self._patterns, self._all = keys.patterns if keys.has_patterns else None, keys.all
+        self.spelt_out = self._spaces[None].spelt_out
 
-    def candidates(self, key: int) -> list[Message]:
-        """The messages whose identifier and flags fit, in order."""
-        return self._all.of(key)
+    @property
+    def transports(self) -> list[Transport]:
+        """What carries its messages that are longer than a frame."""
+        return [transport for transport in self._spaces if transport is not None]
+
+    def carried_by(self, key: int) -> Transport | None:
+        """The transport whose frames have a key, which is without the flag of CAN FD."""
+        for transport, keys in self._spaces.items():
+            if transport is not None and (keys.all.of(key) or transport.is_own(key)):
+                return transport
+        return None
+
+    def candidates(self, key: int, transport: Transport | None = None) -> list[Message]:
+        """The messages whose identifier and flags fit, in order; of a `transport`, those of its packets."""
+        keys = self._spaces.get(transport)
+        return keys.all.of(key) if keys is not None else []
 
     @staticmethod
     def matching(key: int, messages: Iterable[Message]) -> list[Message]:
@@ -125,15 +146,16 @@ class _Wire(Decider):
             m for m in messages if key & _KINDS in _kinds_of(m) and m.identifier.match(identifier) is not None
         ]
 
-    def lookup(self, key: int) -> Decode | None:
+    def lookup(self, key: int, transport: Transport | None = None) -> Decode | None:
         """The function that decodes a key; None for one that no message has."""
-        found: Sequence[Message] = self.spelt_out.get(key, ())
-        if not found and self._patterns is not None:
-            found = self._patterns.of(key)
+        keys = self._spaces.get(transport)
+        found: Sequence[Message] = keys.spelt_out.get(key, ()) if keys is not None else ()
+        if not found and keys is not None and keys.has_patterns:
+            found = keys.patterns.of(key)
         return self.decide(found, alone=True) if found else None
 
-    def reason(self, key: int, data: bytes) -> str:
-        """Why a frame is none of the messages."""
+    def reason(self, key: int, data: bytes, transport: Transport | None = None) -> str:
+        """Why a frame, or a packet of a `transport`, is none of the messages."""
         need = self.need_of(key)
         if need:
             self.forget_need()
@@ -142,7 +164,7 @@ class _Wire(Decider):
         image = can_image(
             identifier, data, extended=bool(key & EXTENDED), remote=bool(key & REMOTE), fd=bool(key & FD)
         )
-        for message in self.candidates(key):
+        for message in self.candidates(key, transport):
             try:
                 message.struct.parse(image, raw=True)
             except LengthError:
@@ -181,7 +203,7 @@ class CanScanner:
         #: By key, what decodes it; made when the first frame with that key comes.
         self._table: dict[int, Decode] = {}
         #: By key, the requests that a frame of our own may be.
-        self._asked: dict[int, list[tuple[_Wire, Message]]] = {}
+        self._asked: dict[Any, list[tuple[_Wire, Message]]] = {}
         #: By key and data, requests of our own with their fields: polls are the same frames again and again.
         self._requests: dict[tuple[int, bytes], tuple[_Wire, str, Mapping[str, Any]]] = {}
         self._counts = ScanCounts()
@@ -196,6 +218,16 @@ class CanScanner:
                         self.contested.setdefault(key, (owner, wire.variant.label))
         #: Records given out, and how many of them were `Unknown`.
         self._given = [0, 0]
+        self._carriers = [
+            _Carrier(t) for t in dict.fromkeys(t for wire in self.wires for t in wire.transports)
+        ]
+        #: By key (without the flag of CAN FD), whose frames they are.
+        self._carrier_of: dict[int, _Carrier | None] = {}
+        #: Frames of packets that were decoded, beside one each; those that were pending when the capture ended.
+        self._beside = self._left = 0
+        #: The number of the frame that is looked at, and where what was given out last came from; see `feed_numbered`.
+        self._number = 0
+        self._origins: list[int] | None = None
         # The method's place is taken by the closure: no look-up of `self` in the hot loop.
         self.__dict__["feed"] = self._make_feed()
 
@@ -231,8 +263,10 @@ class CanScanner:
     def counts(self) -> ScanCounts:
         """Where every frame went so far."""
         counts = self._counts
-        counts.records = counts.decoded = self._given[0] - self._given[1]
-        counts.total = counts.decoded + sum(counts.reasons.values())
+        counts.records = self._given[0] - self._given[1]
+        counts.decoded = counts.records + self._beside
+        counts.pending = self._left + sum(carrier.reassembler.pending for carrier in self._carriers)
+        counts.total = counts.decoded + counts.pending + sum(counts.reasons.values())
         counts.missed = sum(wire.missed for wire in self.wires)
         return counts
 
@@ -251,9 +285,7 @@ class CanScanner:
             out: list[Any] = []
             for frame in frames:
                 if frame.is_extended_id or frame.is_remote_frame or frame.is_fd or frame.is_error_frame:
-                    record = unusual(frame)
-                    if record is not None:
-                        out.append(record)
+                    unusual(frame, out)
                     continue
                 try:
                     # Adding to b"" copies a bytearray in half the time of bytes(…).
@@ -263,9 +295,8 @@ class CanScanner:
                 except (KeyError, error):
                     record = None
                 if record is None:
-                    record = unusual(frame)
-                    if record is None:
-                        continue
+                    unusual(frame, out)
+                    continue
                 out.append(record)
             given[0] += len(out)
             return out
@@ -299,26 +330,123 @@ class CanScanner:
                 except (KeyError, error):
                     record = None
             if record is None:
-                record = unusual(frames.take(slice(number, number + 1)).frames()[0])
-                if record is None:
-                    continue
+                unusual(frames.take(slice(number, number + 1)).frames()[0], out)
+                continue
             out.append(record)
         self._given[0] += len(out)
         return out
 
-    def _unusual(self, frame: Any) -> Any:
+    @property
+    def has_transports(self) -> bool:
+        """Whether some messages are carried in several frames: then not every frame gives something by itself."""
+        return bool(self._carriers)
+
+    def is_carried(self, key: int) -> bool:
+        """Whether frames of a key are a transport's."""
+        bare = key & ~FD
+        carrier = self._find_carrier(bare) if self._carriers else None
+        return carrier is not None and (key == bare or carrier.transport.fd)
+
+    def carries(self, frame: Any) -> bool:
+        """Whether a frame is a transport's."""
+        return self.is_carried(
+            key_of(
+                frame.arbitration_id,
+                extended=frame.is_extended_id,
+                remote=frame.is_remote_frame,
+                fd=frame.is_fd,
+            )
+        )
+
+    def feed_numbered(self, frames: Iterable[Any], numbers: Iterable[int]) -> tuple[list[Record], list[int]]:
+        """`feed`, and for each that is given the number of its frame; of a packet, of its last one."""
+        out: list[Any] = []
+        origins: list[int] = []
+        for frame, number in zip(frames, numbers, strict=True):
+            self._number, self._origins = number, []
+            given = self.feed((frame,))
+            out += given
+            origins += self._origins or [number] * len(given)
+        self._origins = None
+        return out, origins
+
+    def _unusual(self, frame: Any, out: list[Any]) -> None:
         """A frame that is not a plain data frame of a known identifier, or was refused: its record or its loss."""
         identifier = frame.arbitration_id
         if frame.is_error_frame:
-            return self._lost(frame, "error frame")
+            return self._lost(frame, "error frame", out)
         key = key_of(identifier, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd)
         data = bytes(frame.data)
+        if self._carriers:
+            bare = key & ~FD
+            carrier = self._carrier_of[bare] if bare in self._carrier_of else self._find_carrier(bare)
+            if carrier is not None and (key == bare or carrier.transport.fd):
+                self._carry(carrier, frame, bare, data, out)
+                return None
         if key != identifier or key not in self._table:
             record = self._rare(frame, key, data)
             if record is not None:
-                return record
+                out.append(record)
+                return None
         reasons = [wire.reason(key, data) for wire in self.wires]
-        return self._lost(frame, next((r for r in reasons if r != "unknown"), "unknown"))
+        return self._lost(frame, next((r for r in reasons if r != "unknown"), "unknown"), out)
+
+    # ------------------------------------------------------------------ packets of several frames
+
+    def _find_carrier(self, key: int) -> _Carrier | None:
+        """Whose frames have a key, which is remembered: the first protocol that has it in a transport decides."""
+        transport = next((t for wire in self.wires if (t := wire.carried_by(key)) is not None), None)
+        found = next((one for one in self._carriers if one.transport == transport), None)
+        if len(self._carrier_of) < REMEMBERED:
+            self._carrier_of[key] = found
+        return found
+
+    def _carry(self, carrier: _Carrier, frame: Any, key: int, data: bytes, out: list[Any]) -> None:
+        packets = carrier.reassembler.take(frame, self._number, key, data, frame.channel, frame.timestamp)
+        for packet in packets:
+            self._packet(carrier, packet, out)
+
+    def _packet(self, carrier: _Carrier, packet: Packet, out: list[Any]) -> None:
+        """A packet's record, or the loss of its frames."""
+        frames, reason = packet.frames, packet.reason
+        if not reason:
+            record, reason = self._decoded(carrier, packet)
+            if record is not None:
+                out.append(record)
+                self._beside += len(frames) - 1
+                if self._origins is not None:
+                    self._origins.append(frames[-1].number)
+                return
+        for one in frames:
+            self._lost(one.frame, reason, out)
+            if self._origins is not None:
+                self._origins.append(one.number)
+
+    def _decoded(self, carrier: _Carrier, packet: Packet) -> tuple[Any, str]:
+        """A packet's record; where it has none, the reason."""
+        key, frames = packet.key, packet.frames
+        transport, last = carrier.transport, frames[-1]
+        data = self._unwrapped(transport, packet)
+        if data is None:
+            return None, "malformed: checksum"
+        decode = carrier.table.get(key)
+        if decode is None:
+            found = [one for wire in self.wires if (one := wire.lookup(key, transport)) is not None]
+            if found:
+                decode = found[0] if len(found) == 1 else self._chain(found)
+                if len(carrier.table) < REMEMBERED:
+                    carrier.table[key] = decode
+        if decode is not None:
+            raw = CarriedBytes.of(data, [one.data for one in frames], frames[0].time)
+            try:
+                record = decode(data, key, last.time, last.frame.channel, raw, last.frame.is_rx)
+            except (KeyError, struct.error):
+                record = None
+            if record is not None:
+                self._forget_needs()
+                return record, ""
+        reasons = [wire.reason(key, data, transport) for wire in self.wires]
+        return None, next((r for r in reasons if r != "unknown"), "unknown")
 
     def _rare(self, frame: Any, key: int, data: bytes) -> Any:
         """The record of a frame with flags, or with a key that comes for the first time."""
@@ -333,10 +461,19 @@ class CanScanner:
             self._forget_needs()
         return record
 
-    def _lost(self, frame: Any, reason: str) -> Unknown | None:
+    def _unwrapped(self, transport: Transport, packet: Packet) -> bytes | None:
+        """A packet's bytes without the check that its transport has added; None where it does not hold."""
+        if len(packet.frames) == 1:
+            return packet.data
+        candidates = (m for wire in self.wires for m in wire.candidates(packet.key, transport))
+        return transport.unwrapped(packet.data, next((m.check_extra for m in candidates), b""))
+
+    def _lost(self, frame: Any, reason: str, out: list[Any]) -> None:
         self._counts.lose(1, reason)
-        if not self.include_unknown:
-            return None
+        if self.include_unknown:
+            out.append(self._unknown(frame, reason))
+
+    def _unknown(self, frame: Any, reason: str) -> Unknown:
         self._given[1] += 1
         meta = Meta(
             None,
@@ -357,22 +494,43 @@ class CanScanner:
         """Forget everything seen, counts included: as if just made."""
         self._counts = ScanCounts()
         self._given[:] = 0, 0
+        self._beside = self._left = 0
         for wire in self.wires:
             wire.reset()
+        for carrier in self._carriers:
+            carrier.reset()
 
     def sent(self, frame: Any) -> None:
         """Our own transmission: a request that replies may hang on. It is not counted and gives no record."""
         key = frame.arbitration_id
         if frame.is_extended_id or frame.is_remote_frame or frame.is_fd:
             key = key_of(key, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd)
-        asked = self._asked.get(key)
+        if self._carriers:
+            bare = key & ~FD
+            carrier = self._carrier_of[bare] if bare in self._carrier_of else self._find_carrier(bare)
+            if carrier is not None:
+                for packet in carrier.sent.take(
+                    frame, 0, bare, bytes(frame.data), frame.channel, frame.timestamp
+                ):
+                    if not packet.reason and (data := self._unwrapped(carrier.transport, packet)) is not None:
+                        self._note_sent(packet.key, data, frame, carrier.transport)
+                return
+        self._note_sent(key, bytes(frame.data), frame, None)
+
+    def _note_sent(self, key: int, data: bytes, frame: Any, transport: Transport | None) -> None:
+        """Note a frame or packet of ours where it is a request."""
+        asked = self._asked.get((key, transport)) if transport is not None else self._asked.get(key)
         if asked is None:
-            asked = [(wire, message) for wire in self.wires for message in wire.matching(key, wire.asked)]
+            asked = [
+                (wire, message)
+                for wire in self.wires
+                for message in wire.matching(key, wire.asked)
+                if message.transport == transport
+            ]
             if len(self._asked) < REMEMBERED:
-                self._asked[key] = asked
+                self._asked[key if transport is None else (key, transport)] = asked
         if not asked:
             return
-        data = bytes(frame.data)
         known = self._requests.get((key, data))
         if known is None:
             known = next(
@@ -391,12 +549,46 @@ class CanScanner:
         wire.context.note(name, frame.channel, frame.timestamp, values)
 
     def idle(self, time: float | None = None) -> list[Record]:
-        """Frames are whole: silence decides nothing on CAN."""
-        return []
+        """Silence: packets of a transport that wait too long at `time`, or for ever, are malformed. Frames are whole."""
+        return self._end([packet for one in self._carriers for packet in one.reassembler.idle(time)])
 
     def close(self) -> list[Record]:
-        """Frames are whole: the end of a capture decides nothing on CAN."""
-        return []
+        """The end of a capture: frames of packets that are not whole are pending, and stay so."""
+        return self.close_numbered()[0]
+
+    def close_numbered(self) -> tuple[list[Record], list[int]]:
+        """`close`, and for each that is given the number of its frame."""
+        packets = [packet for one in self._carriers for packet in one.reassembler.close()]
+        left = [one for packet in packets for one in packet.frames]
+        self._left += len(left)
+        if not self.include_unknown:
+            return [], []
+        out: list[Any] = [self._unknown(one.frame, "pending") for one in left]
+        self._given[0] += len(out)
+        return out, [one.number for one in left]
+
+    def _end(self, packets: Iterable[Packet]) -> list[Record]:
+        out: list[Any] = []
+        for packet in packets:
+            for one in packet.frames:
+                self._lost(one.frame, packet.reason, out)
+        self._given[0] += len(out)
+        return out
+
+
+class _Carrier:
+    """A transport in a scanner: its packets under way, received and sent, and what decodes them."""
+
+    def __init__(self, transport: Transport) -> None:
+        self.transport = transport
+        self.reassembler, self.sent = Reassembler(transport), Reassembler(transport)
+        #: By key of a packet, what decodes it; made when the first packet with that key comes.
+        self.table: dict[int, Decode] = {}
+
+    def reset(self) -> None:
+        """Forget packets under way."""
+        self.reassembler.reset()
+        self.sent.reset()
 
 
 #: Channels with scanners of their own; the frames of more channels share the one of unbound protocols.
@@ -481,9 +673,9 @@ class ChannelScanner(ChannelScanners[CanScanner]):
         self.of(frame.channel).sent(frame)
 
     def idle(self, time: float | None = None) -> list[Record]:
-        """Frames are whole: silence decides nothing on CAN."""
-        return []
+        """Silence on all channels; see `CanScanner.idle`."""
+        return [record for scanner in self._scanners.values() for record in scanner.idle(time)]
 
     def close(self) -> list[Record]:
-        """Frames are whole: the end of a capture decides nothing on CAN."""
-        return []
+        """The end of a capture; see `CanScanner.close`."""
+        return [record for scanner in self._scanners.values() for record in scanner.close()]

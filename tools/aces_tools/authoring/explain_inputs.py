@@ -54,14 +54,17 @@ class FrameInput:
         for number, frame in enumerate(self.frames):
             self.seen = number + 1
             if number < first:
-                (record,) = scanner.feed([frame])
-                if type(record) is not Unknown and type(record).__name__ in interesting:
-                    tracer.frames([frame])
+                records = scanner.feed([frame])
+                is_part = scanner.has_transports and scanner.carries(frame)
+                if is_part or any(
+                    type(r) is not Unknown and type(r).__name__ in interesting for r in records
+                ):
+                    tracer.frames([frame], number)
                 continue
-            found.append(tracer.explain_frame(frame, number))
-            if len(found) == count:
-                break
-        return found
+            found += tracer.explain_frames([frame], number)
+            if len(found) >= count:
+                return found[:count]
+        return (found + tracer.explain_end())[:count]
 
 
 @dataclass

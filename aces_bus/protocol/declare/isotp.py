@@ -1,0 +1,107 @@
+"""ISO-TP (ISO 15765-2): packets of up to 4095 bytes in CAN frames, as diagnostics use it.
+
+Facts: the frame types, their fields and limits are those of ISO 15765-2 as python-can-isotp 2 carries them out
+(`isotp/protocol.py`, `isotp/address.py`).
+Choice: only what is received is judged; a receiver's flow control is counted and is no part of a packet.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal
+
+from ...errors import SpecError
+from .pattern import IdPattern, as_pattern
+from .place import caller
+from .transport import FrameKind, FrameNumber, Transport
+
+_TYPE = FrameNumber(0, 0xF0)
+
+
+def _kinds(address: int) -> tuple[FrameKind, ...]:
+    most = 7 - address
+    return (
+        FrameKind("next", "consecutive frame", ((_TYPE, 2),), number=FrameNumber(0, 0x0F)),
+        FrameKind(
+            "single",
+            "long single frame",
+            ((FrameNumber(0), 0),),
+            2,
+            size=FrameNumber(1),
+            least=most + 1,
+            over=8 - address,
+        ),
+        FrameKind("single", "single frame", ((_TYPE, 0),), size=FrameNumber(0, 0x0F), least=1, most=most),
+        FrameKind(
+            "first",
+            "long first frame",
+            ((FrameNumber(0, size=2), 0x1000),),
+            6,
+            size=FrameNumber(2, size=4),
+            least=4096,
+        ),
+        FrameKind(
+            "first",
+            "first frame",
+            ((_TYPE, 1),),
+            2,
+            size=FrameNumber(0, 0x0FFF, size=2),
+            least=most + 1,
+            most=4095,
+        ),
+        FrameKind("control", "flow control", ((_TYPE, 3),)),
+    )
+
+
+@dataclass(frozen=True)
+class IsoTp(Transport):
+    """ISO-TP. Messages name their identifiers (`id=`), or the transport names both, and a message its direction:
+
+        uds = IsoTp(to_device=0x7E0 + Ecu, from_device=0x7E8 + Ecu)
+        p.message("ReadData", transport=uds, direction="to device", payload=…)
+
+    Give both where long messages are sent: flow control comes back with the other identifier. `addressing`: with "extended"
+    and "mixed" the first byte of each frame is an address (of the target; an extension), and so is the first byte of each
+    packet. `fd`: CAN FD, frames of up to 64 bytes. `pad`: fill frames up to 8 bytes with this one.
+
+    Numbers of consecutive frames begin at 1, and behind 15 comes 0. `timeout_s` is N_Cr, 1 s (ISO 15765-2).
+    """
+
+    title: ClassVar[str] = "ISO-TP"
+
+    to_device: Any = None
+    from_device: Any = None
+    extended: bool = False
+    addressing: Literal["normal", "extended", "mixed"] = "normal"
+    address: int = field(default=0, init=False, repr=False)
+    kinds: tuple[FrameKind, ...] = field(default=(), init=False, repr=False)
+    modulo: int = field(default=16, init=False, repr=False)
+    first_number: int = field(default=1, init=False, repr=False)
+    any_order: bool = field(default=False, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.addressing not in ("normal", "extended", "mixed"):
+            raise SpecError(
+                f"{caller()}: addressing of ISO-TP is normal, extended or mixed, not {self.addressing!r}"
+            )
+        object.__setattr__(self, "address", 0 if self.addressing == "normal" else 1)
+        object.__setattr__(self, "kinds", _kinds(self.address))
+        for name in ("to_device", "from_device"):
+            given = getattr(self, name)
+            if given is not None:
+                object.__setattr__(self, name, as_pattern(given, name))
+        super().__post_init__()
+
+    @property
+    def patterns(self) -> tuple[tuple[IdPattern, bool], ...]:
+        return tuple((one, self.extended) for one in (self.to_device, self.from_device) if one is not None)
+
+    def identifier(self, direction: str | None) -> IdPattern | None:
+        """The identifier of packets in a direction, where the transport names it."""
+        found: IdPattern | None = {"to device": self.to_device, "from device": self.from_device}.get(
+            direction or ""
+        )
+        return found
+
+
+__all__ = ["IsoTp"]

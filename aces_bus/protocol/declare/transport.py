@@ -1,0 +1,294 @@
+"""Transports: how a packet that is longer than a CAN frame is cut into frames, and which frames are one packet.
+
+1. A transport says of a single frame what it is (`part`); what frames make together is the rule of `Transport`, which
+   scanner, reference and columns each carry out by themselves.
+2. A message of a transport is matched on packets exactly as others are on frames: identifier, constants, length, fields.
+3. Nothing here keeps anything between two calls.
+
+A transport is mostly a table of the kinds of its frames: `IsoTp` and `FastPacket` are nothing else. One whose frames are
+told apart otherwise (by their identifiers, say) overrides `part` and `split`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import ClassVar, Literal, NamedTuple
+
+from ...errors import FieldError, SpecError
+from ...frames import FD_LENGTHS
+from ..keys import EXTENDED, REMOTE
+from .pattern import IdPattern
+from .place import caller
+
+#: What a frame is: a whole packet; a packet's first frame; one that follows; one that only steers (flow control, an
+#: acknowledgement); one that ends a packet before its end; none of the transport.
+Role = Literal["single", "first", "next", "control", "abort", "bad"]
+
+
+@dataclass(frozen=True)
+class FrameNumber:
+    """A number in a frame: of the `size` bytes from `byte` on (negative: from the end), the bits of `mask`, moved down."""
+
+    byte: int
+    mask: int = 0
+    size: int = 1
+    order: Literal["little", "big"] = "big"
+
+    def __post_init__(self) -> None:
+        if not self.mask:
+            object.__setattr__(self, "mask", (1 << 8 * self.size) - 1)
+
+    @property
+    def shift(self) -> int:
+        """How far the bits are above bit 0."""
+        return (self.mask & -self.mask).bit_length() - 1
+
+    def of(self, data: bytes) -> int | None:
+        """The number in a frame's data; None where the frame is too short."""
+        start = self.byte if self.byte >= 0 else len(data) + self.byte
+        piece = data[start : start + self.size] if start >= 0 else b""
+        if len(piece) < self.size:
+            return None
+        return (int.from_bytes(piece, self.order) & self.mask) >> self.shift
+
+    def put(self, data: bytearray, number: int) -> None:
+        """Write the number into a frame's data."""
+        start = self.byte if self.byte >= 0 else len(data) + self.byte
+        old = int.from_bytes(data[start : start + self.size], self.order) & ~self.mask
+        data[start : start + self.size] = (old | number << self.shift).to_bytes(self.size, self.order)
+
+
+@dataclass(frozen=True)
+class FrameKind:
+    """One kind of frame: how it is recognised, and where it has what.
+
+    `match`: numbers that it has. `head` and `tail`: bytes in front of and behind its piece of the packet. `size`: how long
+    the packet is, in bytes, `least` to `most`. `number`: which of the following frames it is. `sequence`: a number that all
+    frames of one packet share, and frames of another do not. `last`: 1 in the last frame, where frames say so. `over`: only
+    frames of more than so many bytes. `name` is for people.
+    """
+
+    role: Role
+    name: str
+    match: tuple[tuple[FrameNumber, int], ...] = ()
+    head: int = 1
+    tail: int = 0
+    size: FrameNumber | None = None
+    least: int = 0
+    most: int = (1 << 32) - 1
+    number: FrameNumber | None = None
+    sequence: FrameNumber | None = None
+    last: FrameNumber | None = None
+    over: int = 0
+
+    def fits(self, data: bytes) -> bool:
+        """Whether a frame with these data is of this kind."""
+        return len(data) > self.over and all(bits.of(data) == value for bits, value in self.match)
+
+
+class FramePart(NamedTuple):
+    """What a frame is to its transport.
+
+    `session` tells packets apart that are under way at the same time; frames of one packet have the same. `key` (identifier
+    and flags, see `keys`) is that of the packet. `size` is the packet's, of a first frame; None where its last frame says
+    that it is the last. `number` is that of a following frame. `reason` says what a frame is that is no part of a packet:
+    "control: flow control", "malformed: length".
+    """
+
+    role: Role
+    session: Hashable = None
+    data: bytes = b""
+    key: int = 0
+    size: int | None = None
+    number: int = 0
+    is_last: bool = False
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Transport:
+    """How packets are cut into CAN frames, and the rule by which frames are packets again.
+
+    A *first* frame opens a packet, *next* frames go on with it, a *single* frame is one. Packets under way are told apart
+    by channel and session (`FramePart.session`), so that senders do not disturb one another.
+
+    * A next frame has the number that is due: the first one `first_number`, then one more each, modulo `modulo`. Another
+      number: a frame is missing, and the packet is malformed. With `any_order` next frames may come in any order, each one
+      once.
+    * A frame that is the same as the one before it is *repeated* (a controller that sent again what had arrived): it is
+      malformed alone, its packet goes on.
+    * All frames of a packet but the last are full: they have the `room` of a next frame.
+    * A first or single frame of the same session while a packet is open: that packet is malformed, it was restarted.
+    * More than `timeout_s` seconds between two frames of a session: the packet before is malformed, it timed out.
+    * `senders` packets may be open at once; when one more begins, the oldest is malformed. With `max_size`, the number of
+      bytes of the longest packet, this bounds what is kept.
+
+    `fd`: its frames are CAN FD. `address` bytes at the beginning of each frame belong to the address: they keep packets
+    apart, too, and a packet's data begin with them. `pad` fills frames up (None: they are as short as they can be).
+    """
+
+    #: For people, in messages and docs.
+    title: ClassVar[str] = "transport"
+
+    fd: bool = False
+    address: int = 0
+    pad: int | None = None
+    max_size: int = 4095
+    timeout_s: float = 1.0
+    senders: int = 256
+
+    #: The kinds of its frames, in the order of trial.
+    kinds: tuple[FrameKind, ...] = field(default=(), kw_only=True, repr=False)
+    modulo: int = field(default=16, kw_only=True, repr=False)
+    first_number: int = field(default=1, kw_only=True, repr=False)
+    any_order: bool = field(default=False, kw_only=True, repr=False)
+
+    def __post_init__(self) -> None:
+        for name, least in (("max_size", 1), ("senders", 1), ("address", 0)):
+            if getattr(self, name) < least:
+                raise SpecError(f"{caller()}: {name} of {self.title} is at least {least}")
+        if not self.timeout_s > 0:
+            raise SpecError(
+                f"{caller()}: timeout_s of {self.title} is a time in seconds, not {self.timeout_s}"
+            )
+
+    @property
+    def frame_size(self) -> int:
+        """How many bytes a full frame has."""
+        return 64 if self.fd else 8
+
+    @property
+    def min_size(self) -> int:
+        """How many bytes a packet has at least."""
+        least = [kind.least for kind in self.kinds if kind.role in ("single", "first")]
+        return self.address + min(least, default=0)
+
+    @property
+    def patterns(self) -> tuple[tuple[IdPattern, bool], ...]:
+        """Identifiers of frames that it carries beside those of its messages, and whether they have 29 bits."""
+        return ()
+
+    def identifier(self, direction: str | None) -> IdPattern | None:
+        """The identifier of packets in a direction ("to device", "from device"), where the transport names it."""
+        return None
+
+    # ------------------------------------------------------------------ reading
+
+    def part(self, key: int, data: bytes) -> FramePart:
+        """What a frame is; `key` is without the flag of CAN FD."""
+        address = data[: self.address]
+        body = data[self.address :] if self.address else data
+        for kind in self.kinds:
+            if kind.fits(body):
+                return self._part(kind, key, address, body)
+        return FramePart("bad", reason=f"malformed: no frame of {self.title}")
+
+    def _part(self, kind: FrameKind, key: int, address: bytes, body: bytes) -> FramePart:
+        if kind.role == "control":
+            return FramePart("control", reason=f"control: {kind.name}")
+        sequence = kind.sequence.of(body) if kind.sequence is not None else None
+        session = (key, address, sequence)
+        piece = body[kind.head : len(body) - kind.tail]
+        number = kind.number.of(body) if kind.number is not None else 0
+        is_last = kind.last is not None and kind.last.of(body) == 1
+        size = kind.size.of(body) if kind.size is not None else None
+        if number is None or (kind.size is not None and size is None) or kind.head + kind.tail > len(body):
+            return FramePart("bad", reason="malformed: length")
+        if size is not None and not kind.least <= size <= kind.most:
+            return FramePart("bad", reason="malformed: length")
+        if kind.role == "single":
+            if size is not None and size > len(piece):
+                return FramePart("bad", reason="malformed: length")
+            return FramePart("single", session, address + piece[:size], key)
+        if kind.role == "first":
+            if size is not None and size + self.address > self.max_size:
+                return FramePart("bad", reason="malformed: too long")
+            total = None if size is None else size + self.address
+            return FramePart("first", session, address + piece, key, total, number, is_last)
+        return FramePart("next", session, piece, key, None, number, is_last)
+
+    def room(self, length: int) -> int:
+        """How many bytes of a packet a full next frame has, the first frame having had `length` bytes of data."""
+        following = self._following
+        return length - self.address - following.head - following.tail
+
+    def lengths(self) -> tuple[int, ...]:
+        """How many bytes of data a first frame may have that is not the only one: those of a full frame."""
+        return tuple(n for n in FD_LENGTHS if n >= 8) if self.fd else (8,)
+
+    @cached_property
+    def _following(self) -> FrameKind:
+        return next(kind for kind in self.kinds if kind.role == "next")
+
+    def unwrapped(self, data: bytes, extra: bytes) -> bytes | None:
+        """A packet of several frames without what the transport has added to it (a check), or None where that is wrong.
+
+        `extra` is the `check_extra` of the message that its identifier is of.
+        """
+        return data
+
+    # ------------------------------------------------------------------ writing
+
+    def split(self, key: int, data: bytes, sequence: int = 0, extra: bytes = b"") -> list[tuple[int, bytes]]:
+        """The frames of a packet, as key and data; `sequence` counts the packets of a sender.
+
+        Raises `FieldError` for a packet that is too long.
+        """
+        if len(data) > self.max_size:
+            raise FieldError(f"a packet of {len(data)} bytes; {self.title} has {self.max_size} at most")
+        address, body = data[: self.address], data[self.address :]
+        room = self.frame_size - self.address
+        for kind in self.kinds:
+            longest = min(kind.most, room - kind.head - kind.tail)
+            if kind.role == "single" and kind.least <= len(body) <= longest:
+                return [(key, self._frame(kind, address, body, sequence, size=len(body)))]
+        for kind in self.kinds:
+            if kind.role == "first" and kind.least <= len(body) <= kind.most:
+                break
+        else:
+            raise FieldError(f"a packet of {len(body)} bytes, which {self.title} cannot carry")
+        at = room - kind.head - kind.tail
+        frames = [(key, self._frame(kind, address, body[:at], sequence, size=len(body)))]
+        following, number = self._following, self.first_number
+        step = room - following.head - following.tail
+        while at < len(body):
+            piece, at = body[at : at + step], at + step
+            numbers = {"number": number % self.modulo, "last": at >= len(body)}
+            frames.append((key, self._frame(following, address, piece, sequence, **numbers)))
+            number += 1
+        return frames
+
+    def _frame(self, kind: FrameKind, address: bytes, piece: bytes, sequence: int, **numbers: int) -> bytes:
+        body = bytearray(bytes(kind.head) + piece + bytes(kind.tail))
+        for bits, value in kind.match:
+            bits.put(body, value)
+        if kind.sequence is not None:
+            kind.sequence.put(body, sequence & kind.sequence.mask >> kind.sequence.shift)
+        for name, number in numbers.items():
+            bits_of = getattr(kind, name)
+            if bits_of is not None:
+                bits_of.put(body, number)
+        return self.padded(address + bytes(body), kind.over + 1)
+
+    def padded(self, data: bytes, least: int = 0) -> bytes:
+        """A frame's data filled up to a length that a frame may have."""
+        least = max(least, 8 if self.pad is not None else 0, len(data))
+        length = next(n for n in FD_LENGTHS if n >= least) if self.fd else least
+        return data.ljust(length, bytes([self.pad if self.pad is not None else 0xCC]))
+
+    @property
+    def describe(self) -> str:
+        """In words for people."""
+        return f"{self.title}, packets of up to {self.max_size} bytes"
+
+    def is_own(self, key: int) -> bool:
+        """Whether frames of a key, without the flag of CAN FD, are the transport's own, whatever its messages."""
+        return not key & REMOTE and any(
+            is_long == bool(key & EXTENDED) and pattern.match(key & 0x1FFF_FFFF) is not None
+            for pattern, is_long in self.patterns
+        )
+
+
+__all__ = ["FrameKind", "FrameNumber", "FramePart", "Role", "Transport"]
