@@ -8,6 +8,7 @@
                             dialect and configuration follow as above (my_spec.py:NAME:D08@robot.toml)
     car.dbc                 a database of messages: .dbc, .kcd, .sym, .arxml; CANopen: .eds, .dcf
     common.xml              a MAVLink dialect; common.xml:v1 for the packets of MAVLink 1
+    canboat.json            canboat's table of NMEA 2000
     can0=car.dbc            any of these, for the frames of one channel only
 
 What of a database cannot be taken over is said once, on stderr.

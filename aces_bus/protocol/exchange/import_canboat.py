@@ -25,6 +25,7 @@ import construct as c
 
 from ...errors import AcesError, CallerError
 from ..declare.bits import BitLayout, bits, float_bits
+
 FastPacket: Any = None
 from ..declare.fields import Enumeration, Flags, Quantity, Text
 from ..declare.message import Message
@@ -44,13 +45,17 @@ BITRATE = 250_000
 MOST_BITS = 8 * 223
 
 #: What is a number; of the others `_KINDS` says what they are.
-_NUMBERS = frozenset({"NUMBER", "TIME", "DURATION", "DATE", "PGN", "MMSI", "ISO_NAME", "FIELD_INDEX", "INDIRECT_LOOKUP"})
+_NUMBERS = frozenset(
+    {"NUMBER", "TIME", "DURATION", "DATE", "PGN", "MMSI", "ISO_NAME", "FIELD_INDEX", "INDIRECT_LOOKUP"}
+)
 _PADDING = frozenset({"RESERVED", "SPARE"})
 _STRINGS = frozenset({"STRING_LAU", "STRING_LZ"})
 _OTHERS = frozenset({"LOOKUP", "BITLOOKUP", "FLOAT", "STRING_FIX", "BINARY", "DECIMAL"})
 _SHAPED = {
     "VARIABLE": "a field that another one says the kind of",
-    **dict.fromkeys(("DYNAMIC_FIELD_KEY", "DYNAMIC_FIELD_LENGTH", "DYNAMIC_FIELD_VALUE"), "fields that say their own kind"),
+    **dict.fromkeys(
+        ("DYNAMIC_FIELD_KEY", "DYNAMIC_FIELD_LENGTH", "DYNAMIC_FIELD_VALUE"), "fields that say their own kind"
+    ),
 }
 _UNITS = {"deg": "°", "Cos Phi": "", "VAR": "var", "semi-circle": "", "semi-circle/s": "1/s"}
 
@@ -159,7 +164,9 @@ class _Form:
 
 
 class _Builder:
-    def __init__(self, path: str, table: Mapping[str, Any], pgns: Sequence[Any], lines: Sequence[int]) -> None:
+    def __init__(
+        self, path: str, table: Mapping[str, Any], pgns: Sequence[Any], lines: Sequence[int]
+    ) -> None:
         self.path, self.pgns = path, pgns
         self.lines = lines if len(lines) == len(pgns) else [0] * len(pgns)
         self.problems: list[ImportProblem] = []
@@ -184,7 +191,9 @@ class _Builder:
             raise CallerError(f"{self.path}: more than {MOST_NAMES:,} names of values")
         forms: dict[int, list[_Form]] = {}
         for given, line in zip(self.pgns, self.lines, strict=True):
-            label = one_line(str(given.get("Id") or given.get("PGN")))[:60] if isinstance(given, dict) else "?"
+            label = (
+                one_line(str(given.get("Id") or given.get("PGN")))[:60] if isinstance(given, dict) else "?"
+            )
             try:
                 form = self._form(given, line)
                 forms.setdefault(form.pgn, []).append(form)
@@ -203,10 +212,14 @@ class _Builder:
             raise _LeftOut("what stands for all PGNs that are not known")
         kind = given.get("Type")
         if kind not in ("Single", "Fast"):
-            raise _LeftOut(f"of the type {one_line(str(kind))[:20]}, sent in a way that is neither one frame nor a fast packet")
+            raise _LeftOut(
+                f"of the type {one_line(str(kind))[:20]}, sent in a way that is neither one frame nor a fast packet"
+            )
         if kind == "Fast" and FastPacket is None:
             raise _LeftOut("a fast packet")
-        return _Form(given, line, str(given.get("Id") or f"pgn{number}"), number, [_field(one) for one in fields])
+        return _Form(
+            given, line, str(given.get("Id") or f"pgn{number}"), number, [_field(one) for one in fields]
+        )
 
     def _declare_all(self, forms: Sequence[_Form]) -> None:
         """The forms of one PGN: of two that a packet may be, the one with more fixed values goes first."""
@@ -291,7 +304,9 @@ class _Shape:
         if any(one.match is not None for one in fields[end:]):
             raise _LeftOut("a fixed value in a list")
         cells = list(_cells(fields[:end]))
-        heads = max((n + 1 for n, cell in enumerate(cells) if any(f.match is not None for f in cell)), default=0)
+        heads = max(
+            (n + 1 for n, cell in enumerate(cells) if any(f.match is not None for f in cell)), default=0
+        )
         match: dict[str, Any] = {}
         prefix = [self._head(cell, match) for cell in cells[:heads]]
         return c.Struct(*prefix) if prefix else None, match, self._payload(cells[heads:])
@@ -355,7 +370,11 @@ class _Shape:
         for field in fields:
             place: c.Construct
             if not field.is_padding:
-                place = float_bits(32, at) if field.kind == "FLOAT" else bits(field.size, at, signed=field.is_signed)
+                place = (
+                    float_bits(32, at)
+                    if field.kind == "FLOAT"
+                    else bits(field.size, at, signed=field.is_signed)
+                )
                 index = self.form.fields.index(field)
                 if index not in self.counts:
                     place = self.builder.number(field, place)
@@ -406,7 +425,11 @@ class _Shape:
         outer, self.taken = self.taken, set(TAKEN_BY_RECORDS)
         is_plain = all(field.width is not None and not _is_in_bytes(field) for field in fields)
         group: c.Construct
-        group = self._layout(fields) if is_plain and any(len(cell) > 1 for cell in cells) else c.Struct(*self._struct(cells))
+        group = (
+            self._layout(fields)
+            if is_plain and any(len(cell) > 1 for cell in cells)
+            else c.Struct(*self._struct(cells))
+        )
         self.taken = outer
         asked = self.counts[count] if count is not None else None
         if count is not None and asked is None:
@@ -445,11 +468,17 @@ def _groups(form: _Form) -> list[tuple[int, int, int | None]]:
     end: int | None = None
     for number in ("1", "2"):
         start, size, count = (
-            _whole(form.given.get(f"RepeatingFieldSet{number}{word}")) for word in ("StartField", "Size", "CountField")
+            _whole(form.given.get(f"RepeatingFieldSet{number}{word}"))
+            for word in ("StartField", "Size", "CountField")
         )
         if start is None and size is None:
             continue
-        if not start or not size or (end is not None and start - 1 != end) or start - 1 + size > len(form.fields):
+        if (
+            not start
+            or not size
+            or (end is not None and start - 1 != end)
+            or start - 1 + size > len(form.fields)
+        ):
             raise _LeftOut("lists that are not one behind the other")
         if found and found[-1][2] is None:
             raise _LeftOut("a list behind one without a count")
@@ -465,7 +494,12 @@ def _identifier(pgn: int) -> IdPattern:
     """The identifiers of a parameter group: any priority and source, any destination where it is addressed."""
     pattern = IdField("priority", range(8)) << 26
     if pgn >> 8 & 0xFF < 240:
-        return pattern | (IdField("destination", range(256)) << 8) | IdField("source", range(256)) | (pgn & 0x3FF00) << 8
+        return (
+            pattern
+            | (IdField("destination", range(256)) << 8)
+            | IdField("source", range(256))
+            | (pgn & 0x3FF00) << 8
+        )
     return pattern | IdField("source", range(256)) | pgn << 8
 
 

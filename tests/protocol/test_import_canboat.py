@@ -1,0 +1,147 @@
+"""canboat's table of NMEA 2000 as a protocol: what it says is taken over, what cannot be said is left out by name."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from aces_bus.errors import CallerError, FieldError
+from aces_bus.frames import Frame
+from aces_bus.protocol import as_dict
+from aces_bus.protocol.exchange import ImportedProtocol, load_database
+from aces_bus.testing import laws
+from aces_bus.testing.source import spread
+
+BOAT = Path(__file__).parents[1] / "data" / "canboat" / "boat.json"
+
+
+@cache
+def boat() -> ImportedProtocol:
+    return load_database(BOAT)
+
+
+def table(tmp_path: Path, *pgns: Any, **more: Any) -> ImportedProtocol:
+    path = tmp_path / "own.json"
+    good = {"PGN": 130000, "Id": "good", "Type": "Single", "Fields": [_number("a", 8)]}
+    path.write_text(json.dumps({"PGNs": [good, *pgns], **more}, indent=1), encoding="utf-8")
+    return load_database(path)
+
+
+def _number(name: str, width: int, **more: Any) -> dict[str, Any]:
+    return {"Id": name, "BitLength": width, "FieldType": "NUMBER", **more}
+
+
+def decoded(*frames: tuple[int, str]) -> list[Any]:
+    scanner = boat().protocol.scanner(include_unknown=True)
+    return scanner.feed([Frame(key, bytes.fromhex(data), is_extended_id=True) for key, data in frames])
+
+
+def test_a_parameter_group_is_recognised_whoever_sends_it() -> None:
+    """Priority and source are fields, the destination too where the group is addressed."""
+    water, asked = decoded((0x19FD0605, "01 C1 FE 72 9C FF FF FF"), (0x18EAFF10, "00 EE 00"))
+    assert as_dict(water) == {
+        "priority": 6,
+        "source": 5,
+        "sid": 1,
+        "source_": "Air",
+        "full": "Never",
+        "temperature": 294.38,
+        "heading": -0.0100,
+        "reserved": 0xFFFF << 48,
+    }
+    assert (asked.priority, asked.destination, asked.source, asked.pgn) == (6, 255, 16, 0xEE00)
+
+
+def test_values_that_are_not_there_are_unknown() -> None:
+    """The sentinels of the table, but where a value of that number has a name; what is unknown is sent as the first."""
+    (record,) = decoded((0x19FD0605, "FE 3F FF FF FF 7F FF FF"))
+    assert (record.sid, record.source_, record.temperature, record.heading) == (None, None, None, None)
+    assert record.full == "No"
+    sent = boat().protocol.encode("waterTemperature", **as_dict(record))
+    assert bytes(sent.data).hex(" ") == "ff 3f ff ff ff 7f ff ff"
+    with pytest.raises(FieldError, match="means unknown"):
+        boat().protocol.encode("waterTemperature", **{**as_dict(record), "sid": 254})
+
+
+def test_forms_of_a_proprietary_group_are_told_by_their_fixed_values() -> None:
+    """The one with more of them goes first; reserved bits beside them are kept."""
+    own, other = decoded((0x1CFF1405, "FE 9F 02 07 30 75 09 FF"), (0x1CFF1405, "13 99 01 02 03 04 05 06"))
+    assert type(own).__name__ == "ownStatus"
+    assert (own.reserved_, own.instance, own.power) == (3, 2, 10000)
+    assert list(own.alarms) == ["Too hot", "Low oil"]
+    assert type(other).__name__ == "anyProprietary"
+    assert (other.bits.manufacturerCode, other.bits.industryCode, other.data) == (
+        "Other",
+        4,
+        bytes(range(1, 7)),
+    )
+    for record in (own, other):
+        again = boat().protocol.encode(type(record).__name__, **as_dict(record))
+        assert (again.arbitration_id, bytes(again.data)) == (0x1CFF1405, record.meta.raw)
+
+
+def test_what_cannot_be_said_is_left_out_by_name() -> None:
+    """With the line of its PGN and the reason."""
+    said = {one.reason.partition(":")[0]: str(one).partition(": ")[2] for one in boat().losses}
+    assert said["PGN onCondition"] == "PGN onCondition: a field that is there on a condition: left out"
+    assert said["PGN half"] == "PGN half: its fields end inside a byte, 4 bits behind one: left out"
+    assert said["PGN rest"] == "PGN rest: what stands for all PGNs that are not known: left out"
+    assert said["PGN commanded"].startswith("PGN commanded: of the type ISO, sent in a way that is neither")
+    (half,) = (one for one in boat().losses if "half" in one.reason)
+    assert '"half"' in BOAT.read_text(encoding="utf-8").splitlines()[half.line - 1]
+    assert boat().protocol["ownStatus"].place.line == 37
+
+
+def test_the_laws_hold() -> None:
+    """On drawn frames: round trip, oracle and columns, accounting, …"""
+    variant = boat().protocol.variant()
+    for law in laws.LAWS:
+        for seed in range(3):
+            if not law.streams_only:
+                law(variant, "both", *laws.draw_arguments(law, variant, "both", spread(seed)))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("{", "own.json: not JSON that can be read"),
+        ("[]", "own.json: not a table of canboat: it has no list PGNs"),
+        ('{"PGNs": 3}', "own.json: not a table of canboat: it has no list PGNs"),
+        ('{"PGNs": []}', "own.json: no PGN in it can be used"),
+        ("[" * 100_000, "own.json: not JSON that can be read"),
+    ],
+)
+def test_files_that_are_refused(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "own.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(CallerError, match=said):
+        load_database(path)
+
+
+@pytest.mark.parametrize(
+    ("pgn", "said"),
+    [
+        (3, "a PGN has a number below"),
+        ({"PGN": 1 << 18, "Fields": []}, "a PGN has a number below"),
+        ({"PGN": 7, "Id": "b", "Type": "Single", "Fields": [3]}, "a field without an Id"),
+        ({"PGN": 7, "Id": "b", "Type": "Single", "Fields": [_number("a", 0)]}, "a field of 0 bits"),
+        ({"PGN": 7, "Id": "b", "Type": "Single", "Fields": [_number("a", 72)]}, "PGN b: "),
+        ({"PGN": 7, "Id": "b", "Type": "Single", "Fields": [_number("a", 8, Match=300)]}, "a is never 300"),
+        ({"PGN": 7, "Id": "b", "Type": "Single", "Fields": [{"Id": "a", "FieldType": "TENSOR"}]}, "the type TENSOR"),
+        ({"PGN": 130000, "Id": "b", "Type": "Single", "Fields": [_number("a", 8)]}, "is ambiguous with 'good'"),
+        (
+            {"PGN": 7, "Id": "b", "Type": "Single", "RepeatingFieldSet1StartField": 1, "RepeatingFieldSet1Size": 1,
+             "Fields": [_number("a", 8), _number("b", 8)]},
+            "fields behind a list",
+        ),
+    ],
+)  # fmt: skip
+def test_a_group_that_cannot_be_costs_itself(tmp_path: Path, pgn: Any, said: str) -> None:
+    imported = table(tmp_path, pgn)
+    (problem,) = imported.losses
+    assert said in problem.reason
+    assert set(imported.protocol.messages) == {"good"}
