@@ -8,6 +8,7 @@ import io
 import math
 import re
 import struct
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -41,12 +42,15 @@ from aces_tools.plotting.series import (
     Series,
     TimeAxis,
     broken,
+    silence,
     thin,
 )
 from aces_tools.protocols_arg import parse_protocols
 from aces_tools.window import TimeWindow
 
 from .conftest import Aces
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
@@ -252,6 +256,44 @@ def test_too_many_devices_end_the_reading(messages: dict[tuple[str, str], Declar
     n = MOST_LINES + 1
     with pytest.raises(CallerError, match=r"more than 64 lines.*State\[board=0\].load"):
         collector.add(_table(range(n), load=np.zeros(n), board=np.arange(n, dtype=np.uint8)))
+
+
+def test_a_gap_is_some_periods() -> None:
+    """Of what comes periodically; what comes when it happens has none, and so have a few samples."""
+    assert silence(np.arange(100) * 0.01) == pytest.approx(0.05)
+    assert silence(np.append(np.arange(100) * 0.01, 9.0)) == pytest.approx(0.05)
+    assert silence(np.cumsum(np.tile([0.1, 0.2, 3.0], 10))) == math.inf
+    assert silence(np.arange(4) * 0.01) == math.inf
+
+
+def test_no_signals_are_named(aces: Aces, tmp_path: Path) -> None:
+    """Of many signals the most telling are drawn, by unit; it is said how many, and never an error."""
+    capture = ROOT / "examples" / "captures" / "hubo2plus.log"
+    result = aces("plot", capture, "-p", "hubo@hubo2plus", "-o", tmp_path / "all.svg")
+    assert result.status == 0
+    assert re.search(r"drawn: \d+ of \d+ signals; --list shows all", result.err)
+    text = (tmp_path / "all.svg").read_text()
+    assert "Encoder" in text
+    assert "Current" in text
+    assert "driver_on" not in text
+    piped = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "aces_tools",
+            "plot",
+            "-",
+            "-p",
+            "hubo@hubo2plus",
+            "-o",
+            str(tmp_path / "pipe.svg"),
+        ],
+        stdin=capture.open("rb"),
+        capture_output=True,
+        check=False,
+        cwd=ROOT,
+    )
+    assert (piped.returncode, b"some are left out" in piped.stderr) == (0, True)
 
 
 def test_lines_are_broken_where_nothing_came() -> None:

@@ -6,7 +6,7 @@
   candump can0 | aces plot - -p car.py 'Motor.speed:r-' , 'Motor.torque' --show
 
 CAPTUREs come first, then SIGNALs; - as the first is standard input. Without
-SIGNALs each message that occurs gets a subplot.
+SIGNALs what each message has is drawn; of many signals those that say most.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ import numpy as np
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import NO_TIME, FrameTable
 from aces_bus.protocol.columns.table import MessageTable
+from aces_bus.recordings import Recording
 
 from .console import check_not_read, say
 from .decode_columns import TableDecoding
@@ -30,9 +31,7 @@ from .options import COLOR, DIRECTION, FROM, OUTPUT, PROTOCOL, TIME, TO, Argumen
 from .plotting.picture import LARGEST, Limits, LineNames, Picture, PlotPanel, panels_of
 from .plotting.select import Wanted, declared, parse_groups, parse_pattern, select
 from .plotting.series import Collector, Series, TimeAxis
-
-#: As `cantools plot` has it: a line is interrupted where nothing came for so many seconds.
-LONGEST_GAP_S = 100.0
+from .plotting.telling import telling
 
 EPILOG = """\
 signals:
@@ -84,13 +83,14 @@ ARGUMENTS: Arguments = (
     flag("--show", help="open a window"),
     FROM,
     TO,
-    TIME.but(choices=["relative", "absolute"], help="from the first frame on, or as recorded (default: relative)"),
+    TIME.but(
+        choices=["relative", "absolute"], help="from the first frame on, or as recorded (default: relative)"
+    ),
     argument(
         "--break-time",
         type=axis_number,
-        default=LONGEST_GAP_S,
         metavar="SECONDS",
-        help="interrupt a line where nothing came for so long; -1: never (default: %(default)g)",
+        help="interrupt a line where nothing came for so long; -1: never (default: five periods of a message)",
     ),
     flag("--step", help="hold each value until the next one, instead of straight lines"),
     argument("--title", default="", metavar="TEXT", help="above all"),
@@ -111,6 +111,16 @@ DEFAULTS: dict[str, Any] = {"message": [], "filter": [], "strict": False}
 
 
 def run(arguments: argparse.Namespace) -> int:
+    files, signals = split_arguments(arguments.items)
+    if not signals and not arguments.list and all(os.path.isfile(file) for file in files):
+        survey = Survey(argparse.Namespace(**vars(arguments)))
+        survey.run()
+        if chosen := survey.chosen:
+            arguments.items = [*files, *chosen]
+            number = len(chosen) - chosen.count("-")
+            say(
+                f"drawn: {number} of {len(survey.collector.series)} signals; --list shows all, name those you want"
+            )
     return Plotting(arguments).run()
 
 
@@ -129,7 +139,9 @@ class Plotting(TableDecoding):
         wanted = self._wanted()
         self._check_output()
         self.clock = TimeAxis()
-        self.collector = Collector(wanted, self.clock, self.window, keeps_points=not arguments.list)
+        self.collector = Collector(
+            wanted, self.clock, self.window, keeps_points=not arguments.list, leaves_out=not self.groups
+        )
 
     def _wanted(self) -> Mapping[tuple[str, str], Wanted]:
         patterns = [pattern for group in self.groups for axis in group for pattern in axis]
@@ -210,9 +222,7 @@ class Plotting(TableDecoding):
             self.groups
             or [[[parse_pattern(name)]] for name in dict.fromkeys(s.signal.message for s in series)],
             series,
-            longest_gap=self.arguments.break_time
-            if self.clock.origin is not None and self.arguments.break_time >= 0
-            else None,
+            longest_gap=self._longest_gap,
             by_unit=not self.groups,
         )
         self._say_what_is_absent(series)
@@ -239,6 +249,12 @@ class Plotting(TableDecoding):
             from .plotting import terminal
 
             terminal.print_picture(picture, self.arguments.color)
+
+    @property
+    def _longest_gap(self) -> float | None:
+        """Where lines are interrupted (s); None as the messages' periods say."""
+        given: float | None = self.arguments.break_time
+        return math.inf if self.clock.origin is None or (given is not None and given < 0) else given
 
     def _place(self, one: Series) -> Any:
         """What series are sorted by: messages as they are declared, then devices."""
@@ -306,10 +322,38 @@ class Plotting(TableDecoding):
 
     def _summarise(self) -> None:
         if self.collector.left_out:
-            say("there are more devices than a list shows: some are left out; name those wanted: [board=3]")
+            say(
+                "there are more signals than a picture or a list shows: some are left out; name those wanted: [board=3]"
+            )
         if self.clock.timeless:
             say(f"{self.clock.timeless} messages have no time, and are left out")
         super()._summarise()
+
+
+class Survey(Plotting):
+    """A look at what there is, before signals are chosen: nothing is drawn, and nothing said."""
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        super().__init__(arguments)
+        self.collector.keeps_points = False
+        #: The signals that say most; none where all can be drawn.
+        self.chosen: list[str] = []
+
+    def _finish(self, *, is_whole: bool) -> None:
+        self.progress.close()
+        self.chosen = telling(sorted(self.collector.series.values(), key=self._place))
+
+    def _complain(self, message: str) -> None:
+        self.status = 2
+
+    def _problems(self, capture: Recording, *, is_over: bool = False) -> None:
+        pass
+
+    def _warn(self, contested: Mapping[int, tuple[str, str]], key: int, identifier: int) -> None:
+        pass
+
+    def _summarise(self) -> None:
+        pass
 
 
 LIST_HEAD = ("signal", "count", "min", "max", "unit")

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .select import CHANNEL, ImageFormat, PlotSignal, SignalPattern
-from .series import MOST_LINES, Key, Series, TimeAxis, broken, matching, too_many
+from .series import MOST_LINES, Key, Series, TimeAxis, broken, matching, silence, too_many
 
 Array = npt.NDArray[Any]
 Sort = Literal["numbers", "names", "flags"]
@@ -127,7 +127,8 @@ def panels_of(
     longest_gap: float | None = None,
     by_unit: bool = False,
 ) -> list[PlotPanel]:
-    """The panels of subplots × axes × patterns. `by_unit` gives each unit its own.
+    """The panels of subplots × axes × patterns. `by_unit` gives each unit its own; lines are interrupted where more than
+    `longest_gap` lies between two points (None: as each message's period says).
 
     Raises `CallerError` when there are too many lines.
     """
@@ -141,8 +142,7 @@ def panels_of(
                 if one.others:
                     continue
                 x, y = one.points()
-                if longest_gap is not None:
-                    x, y = broken(x, y, longest_gap)
+                x, y = broken(x, y, silence(x) if longest_gap is None else longest_gap)
                 kind = one.signal.kind
                 if (one.signal.bit is not None or kind.names is not None) and not pattern.format.marker:
                     x, y = value_changes(x, y)

@@ -32,6 +32,8 @@ BUCKETS = 8192
 MOST_POINTS = 1 << 17
 #: Lines in one picture: more cannot be distinguished, nor listed beside it.
 MOST_LINES = 64
+#: A message that comes so often is periodic where most of its periods are alike, and gone after so many of them.
+PERIODS, MISSED = 8, 5
 #: Lines in a list of signals.
 MOST_SERIES = 4096
 
@@ -120,6 +122,15 @@ def broken(x: Array, y: Array, longest: float) -> tuple[Array, Array]:
     return (np.insert(x, at, x[at - 1]), np.insert(y, at, np.nan)) if len(at) else (x, y)
 
 
+def silence(x: Array) -> float:
+    """From where on nothing between two points is a gap: some periods where they come periodically, else no time is."""
+    steps = np.diff(x)
+    if len(steps) < PERIODS:
+        return np.inf
+    period = float(np.median(steps))
+    return MISSED * period if np.quantile(steps, 0.8) <= 2 * period else np.inf
+
+
 @dataclass
 class TimeAxis:
     """The horizontal axis. `origin` is the instant of zero in ns, None where the captures have no times: then frames
@@ -154,7 +165,8 @@ class TimeAxis:
 class Collector:
     """Collects the wanted signals out of tables. With `keeps_points` False it only counts.
 
-    Raises `CallerError` as soon as there are more lines than a picture can show, and not at the end of a long recording.
+    Raises `CallerError` as soon as there are more lines than a picture can show, and not at the end of a long recording;
+    with `leaves_out` the others are left out.
     """
 
     def __init__(
@@ -164,11 +176,12 @@ class Collector:
         window: TimeWindow | None = None,
         *,
         keeps_points: bool = True,
+        leaves_out: bool = False,
     ) -> None:
         self.wanted = wanted
         self.clock = clock
         self.window = window
-        self.keeps_points = keeps_points
+        self.keeps_points, self.leaves_out = keeps_points, leaves_out
         self.series: dict[tuple[PlotSignal, Key], Series] = {}
         #: Lines that there was no room for.
         self.left_out = 0
@@ -209,9 +222,10 @@ class Collector:
             key = tuple(part for part in key if part[0] != signal.column)
         found = self.series.get((signal, key))
         if found is None and there:
-            if self.keeps_points and len(self.series) >= MOST_LINES:
+            is_full = self.keeps_points and len(self.series) >= MOST_LINES
+            if is_full and not self.leaves_out:
                 raise too_many(next(iter(self.series.values())))
-            if len(self.series) >= MOST_SERIES:
+            if is_full or len(self.series) >= MOST_SERIES:
                 self.left_out += 1
                 return None
             found = self.series[signal, key] = Series(signal, key)
