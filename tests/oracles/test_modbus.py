@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any
 
@@ -69,7 +69,7 @@ def bench() -> Robot:
 
 
 @contextmanager
-def a_line(robot: Robot) -> Iterator[tuple[Any, PtyPort, list[bytes]]]:
+def a_line(robot: Robot) -> Generator[tuple[Any, PtyPort, list[bytes]]]:
     """A simulated line whose other end is a pseudo-terminal, and all that passes on it."""
     line: Any = wire_of(robot.buses["line"], modbus, VirtualClock(time.monotonic_ns()))
     passed: list[bytes] = []
@@ -79,7 +79,7 @@ def a_line(robot: Robot) -> Iterator[tuple[Any, PtyPort, list[bytes]]]:
 
 
 @contextmanager
-def a_twin() -> Iterator[tuple[Any, PtyPort, list[bytes]]]:
+def a_twin() -> Generator[tuple[Any, PtyPort, list[bytes]]]:
     """Our twin at the end of a pseudo-terminal."""
     robot = bench()
     with a_line(robot) as (line, port, passed):
@@ -150,7 +150,7 @@ def test_pymodbus_reads_our_packets_and_we_its() -> None:
     from pymodbus.framer import FramerRTU  # type: ignore[import-untyped,unused-ignore]
     from pymodbus.pdu import DecodePDU  # type: ignore[import-untyped,unused-ignore]
 
-    for is_server, message, fields, attributes in (
+    cases: list[tuple[bool, str, dict[str, Any], dict[str, Any]]] = [
         (True, "ReadRegisters", {"function": 4, "start": 7, "count": 125}, {"address": 7, "count": 125}),
         (
             True,
@@ -167,7 +167,8 @@ def test_pymodbus_reads_our_packets_and_we_its() -> None:
         (False, "UnaskedRegisters", {"function": 3, "registers": [9, 0xFFFF]}, {"registers": [9, 0xFFFF]}),
         (False, "RegistersWritten", {"start": 1, "count": 2}, {"address": 1, "count": 2}),
         (False, "Refusal", {"function": 3, "reason": "busy"}, {"exception_code": 6}),
-    ):
+    ]
+    for is_server, message, fields, attributes in cases:
         packet = modbus.encode(message, unit=17, **fields)
         framer = FramerRTU(DecodePDU(is_server))
         used, unit, _, content = framer.decode(packet)
@@ -208,7 +209,7 @@ def test_minimalmodbus_reads_and_writes_our_twin() -> None:
 
 
 @contextmanager
-def a_server(path: str, holds: Any) -> Iterator[None]:
+def a_server(path: str, holds: Any) -> Generator[None]:
     """pymodbus' server on this terminal, on a thread of its own."""
     loop = asyncio.new_event_loop()
     made: list[Any] = []

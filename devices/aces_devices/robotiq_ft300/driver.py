@@ -48,14 +48,15 @@ class Ft300(ModbusDevice):
         "start_stream": "have it send by itself",
         "stop_stream": "have it send nothing more by itself",
     }
-    settings: Ft300Settings
 
     def setup(self) -> None:
         """See `ModbusDevice.setup`; of a stream nothing is polled."""
         super().setup()
+        assert isinstance(self.settings, Ft300Settings)
+        self._is_streamed = self.settings.stream
         self._streamed_at = -BROKEN_NS
-        self._is_wanted = self.settings.stream
-        if not self.settings.stream:
+        self._is_wanted = self._is_streamed
+        if not self._is_streamed:
             return
         self.polls = ()
         self.spans.clear()
@@ -68,7 +69,7 @@ class Ft300(ModbusDevice):
 
     def start(self) -> Job | None:
         """Begin the stream, and see that it goes on."""
-        return self.job("stream", self._watch) if self.settings.stream else super().start()
+        return self.job("stream", self._watch) if self._is_streamed else super().start()
 
     def _watch(self, job: Job) -> Steps:
         while True:
@@ -84,7 +85,7 @@ class Ft300(ModbusDevice):
 
     def start_stream(self) -> Job:
         """Have it send by itself, until it is stopped or switched off."""
-        self._is_wanted = self.settings.stream
+        self._is_wanted = self._is_streamed
         return self.job("start stream", lambda job: self._sent(START))
 
     def stop_stream(self) -> Ticket:
