@@ -20,7 +20,7 @@ from ..protocol import StreamScanner, Variant, make_scanner
 from ..protocol import Unknown as UnknownWord
 from ..protocol.declare.message import Message
 from ..protocol.record import protocol_name_of
-from ..runtime import EventClock
+from ..runtime import EventClock, Timer
 from .config import DeviceConfig, Joint, Robot, Sensor
 from .port import Port
 
@@ -115,6 +115,12 @@ class BusEndpoint(Generic[M]):
         )
         self._is_can = port.link == "can"
         self._is_open = False
+        #: Where packets may end by silence: how long that is (ns), and when it is over.
+        self._silence_ns = 0
+        self._silence: Timer | None = None
+        if isinstance(self.scanner, StreamScanner) and port.link == "serial":
+            if any(framing.is_silent for framing in self.scanner.framings):
+                self._silence_ns = round(self.scanner.gap * 1e9)
 
     # ------------------------------------------------------------------ members
 
@@ -202,12 +208,24 @@ class BusEndpoint(Generic[M]):
         """Stop receiving."""
         if self._is_open:
             self._is_open = False
+            if self._silence is not None:
+                self._silence.cancel()
             self.port.close()
 
     def _received(self, word: Any, instant: int) -> None:
         """One word of the port."""
         for record in self._feed((word,) if self._is_can else word):
             self.deliver(record, instant)
+        if self._silence_ns:
+            self._await_silence()
+
+    def _await_silence(self) -> None:
+        """What is incomplete ends when nothing comes for as long as the protocol says."""
+        if self._silence is not None:
+            self._silence.cancel()
+            self._silence = None
+        if isinstance(self.scanner, StreamScanner) and self.scanner.buffered:
+            self._silence = self.clock.call_in(self._silence_ns, self.fell_silent)
 
     def fell_silent(self) -> None:
         """A stream is silent: what is incomplete never will be."""

@@ -56,6 +56,7 @@ from aces_bus.recordings.write.pcapng import PcapngWriter
 from aces_bus.testing.packets import UndrawableError, draw_packet
 from aces_bus.testing.source import spread
 from aces_protocols.hubo.spec import hubo
+from aces_protocols.nmea0183.spec import nmea0183
 from aces_protocols.robotis.spec import robotis
 from tests.laws.corners import CORNERS
 from tests.specs.catalogue import SPECS as CATALOGUE
@@ -314,7 +315,7 @@ def check_stream(folder: Path, variant: Variant, direction: Any, words: Sequence
 @pytest.mark.parametrize("name", STREAMS)
 def test_streams(name: str, tmp_path: Path) -> None:
     """Lengths, ends, silence, stuffing, checks, characters: packets whole, cut, behind junk and several in a word."""
-    protocol = robotis if name == "robotis" else SPECS[name]
+    protocol = {"robotis": robotis, "nmea0183": nmea0183, **SPECS}[name]
     for variant in protocol.variants():
         for direction in ("to device", "from device", "both") if IS_LONG else ("both",):
             if not variant.messages_for(direction):

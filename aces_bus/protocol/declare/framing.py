@@ -16,7 +16,7 @@ Behind the check there may be a `trailer` (a signature).
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,7 @@ from ...errors import SpecError
 from .checks import Check
 from .fields import innermost, wire_number
 from .head import Head, heads_of
+from .pattern import describe_values
 from .place import SourceLine, caller
 from .stuffing import Cobs, CutZeros, Insert, Slip, Stuffing
 
@@ -208,6 +209,7 @@ class Framing:
         not_next: bytes = b"",
         not_inside: bytes = b"",
         header: Struct | None = None,
+        match: Mapping[str, Collection[int]] | None = None,
         size: int | Callable[[Any], Any] | Escaped | None = None,
         end: bytes | str | None = None,
         stuffing: Stuffing | None = None,
@@ -234,6 +236,8 @@ class Framing:
         self.gap = gap
         self.heads = heads_of(header, len(sync), self.place, "header")
         self.head_end = len(sync) + sum(h.size for h in self.heads)
+        #: Where nothing marks a packet's beginning: the header bytes, by their offset, that its packets have.
+        self.match = self._matched(match or {})
         self.check_size = check.size if check is not None else 0
         self.is_silent = end == "silence"
         if isinstance(end, str) and not self.is_silent:
@@ -303,6 +307,26 @@ class Framing:
                 f"{self.place}: size must be a whole multiple of {length.name!r} plus a constant, so that it can be inverted"
             )
         return Affine(length, factor, base)
+
+    def _matched(self, match: Mapping[str, Collection[int]]) -> tuple[tuple[Head, frozenset[int]], ...]:
+        """The header fields by which packets are of this framing at all, in the order of their bytes."""
+        if match and self.sync:
+            raise SpecError(
+                f"{self.place}: match= of a framing is for packets without sync bytes; behind these, match= of messages does"
+            )
+        found: list[tuple[Head, frozenset[int]]] = []
+        heads = {head.name: head for head in self.heads if head.name is not None and head.size == 1}
+        for name, numbers in match.items():
+            if name not in heads:
+                raise SpecError(
+                    f"{self.place}: match= names one-byte fields of the header, not {name!r}"
+                    f" (there are: {', '.join(heads) or 'none'})"
+                )
+            chosen = frozenset(numbers)
+            if not chosen or not chosen <= frozenset(range(256)):
+                raise SpecError(f"{self.place}: match= of {name!r} is numbers from 0 to 255")
+            found.append((heads[name], chosen))
+        return tuple(sorted(found, key=lambda one: one[0].offset))
 
     def _escaped(self, size: Escaped) -> Affine:
         affine = self._affine(size.size)
@@ -383,6 +407,11 @@ class Framing:
             if left == len(self.sync):
                 return MORE
             if data[start + len(self.sync)] in self.not_next:
+                return DEAD
+        for head, numbers in self.match:
+            if left <= head.offset:
+                return MORE
+            if data[start + head.offset] not in numbers:
                 return DEAD
         if self.is_silent:
             if left > self.max_size:
@@ -511,6 +540,7 @@ class Framing:
     def describe(self) -> list[str]:
         """Where its packets begin and end, in words for people."""
         parts = [f"begin with {self.sync.hex(' ').upper()}"] if self.sync else []
+        parts += [f"{head.name} {describe_values(numbers)}" for head, numbers in self.match]
         if self.fixed_size is not None:
             parts.append(f"{self.fixed_size} bytes")
         elif self.affine is not None:

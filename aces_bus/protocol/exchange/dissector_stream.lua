@@ -180,7 +180,11 @@ local function judged(framing, bytes, start, stop, is_over)
   end
   if framing.not_next then
     if left == #framing.sync then return "more" end
-    if framing.not_next[bytes[start + #framing.sync]] then return "dead" end
+    if is_among(bytes[start + #framing.sync], framing.not_next) then return "dead" end
+  end
+  for _, wanted in ipairs(framing.match or {}) do
+    if left <= wanted.at then return "more" end
+    if not is_among(bytes[start + wanted.at], wanted.values) then return "dead" end
   end
   local size
   if framing.is_silent then
@@ -194,7 +198,7 @@ local function judged(framing, bytes, start, stop, is_over)
       for index = 1, #framing.stop do
         if bytes[at + index - 1] ~= framing.stop[index] then is_end = false end
       end
-      if framing.not_inside and not is_end and framing.not_inside[bytes[at]] then return "dead" end
+      if framing.not_inside and not is_end and is_among(bytes[at], framing.not_inside) then return "dead" end
       if is_end then
         size = at + #framing.stop - start
         break
@@ -202,7 +206,7 @@ local function judged(framing, bytes, start, stop, is_over)
     end
     if not size then
       for at = math.max(start + #framing.sync, limit - #framing.stop + 1), limit - 1 do
-        if framing.not_inside and framing.not_inside[bytes[at]] then return "dead" end
+        if framing.not_inside and is_among(bytes[at], framing.not_inside) then return "dead" end
       end
       return left < framing.max_size and "more" or "dead"
     end

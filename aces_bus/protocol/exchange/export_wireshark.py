@@ -213,6 +213,10 @@ class _Printer:
         table: dict[str, Any] = {"name": framing.name, "sync": list(framing.sync)}
         if framing.not_next:
             table["not_next"] = _values(sorted(framing.not_next))
+        if framing.match:
+            table["match"] = [
+                {"at": head.offset, "values": _values(sorted(numbers))} for head, numbers in framing.match
+            ]
         if framing.not_inside:
             table["not_inside"] = _values(framing.not_inside)
         if framing.affine is not None:

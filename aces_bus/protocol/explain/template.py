@@ -116,6 +116,9 @@ class Template:
                 return "sync", f"{byte:02X}, not {data[at]:02X}"
         if len(data) > len(sync) and data[len(sync)] in self.framing.not_next:
             return "sync", f"{data[len(sync)]:02X} cannot follow it"
+        for head, numbers in self.framing.match:
+            if len(data) > head.offset and data[head.offset] not in numbers:
+                return head.name or "header", f"{data[head.offset]:02X} is none of this framing"
         return "end", "nothing is between sync and end"
 
     def _bad(self, data: bytes, reason: str) -> tuple[str, str]:

@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from ..declare.checks import Check, Extra, Fletcher, Sum, Xor
 from ..declare.framing import Framing
@@ -134,17 +134,20 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
     if framing.end and framing.stuffing is None:
         _ended(out, number, framing, decode, alone=alone)
         return
-    if not _has_sized_sync(framing):
+    if not _has_sized_start(framing):
         _judged(out, number, framing, decode, alone=alone)
         return
     sync = framing.sync
     at = len(sync)
-    out.lines(
-        f"# {comment_line(f'{framing.name}: {describe(framing)}')}",
-        f"if starts({literal(sync)}, i):",
-    )
-    out.depth += 1
+    out.line(f"# {comment_line(f'{framing.name}: {describe(framing)}')}")
+    if sync:
+        out.line(f"if starts({literal(sync)}, i):")
+        out.depth += 1
     depth = out.depth
+    for head, numbers in framing.match:
+        _more(out, f"end - i <= {head.offset}")
+        out.line(f"elif buffer[i + {head.offset}] in {_set_of(numbers)}:")
+        out.depth += 1
     if framing.not_next:
         _more(out, f"end - i == {at}")
         values = sorted(framing.not_next)
@@ -193,7 +196,7 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
         out.depth += 1
     out.line(f"j = i + {size}")
     _checked(out, number, framing, decode, alone=alone)
-    out.depth = depth - 1
+    out.depth = depth - bool(sync)
     if len(sync) > 1:
         out.line(f"elif end - i < {at} and {literal(sync)}.startswith(buffer[i:]):")
         _wait(out)
@@ -213,8 +216,16 @@ def _number_in(head: Head) -> str:
     return f'from_bytes(packet[{head.offset}:{head.offset + head.size}], "{head.order}")'
 
 
-def _has_sized_sync(framing: Framing) -> bool:
-    return bool(framing.sync) and (framing.affine is not None or framing.fixed_size is not None)
+def _set_of(numbers: Collection[int]) -> str:
+    """Numbers as a set that is written once."""
+    return f"{{{', '.join(map(str, sorted(numbers)))}}}"
+
+
+def _has_sized_start(framing: Framing) -> bool:
+    """Whether the first bytes say that a packet may begin, and how long it is."""
+    return bool(framing.sync or framing.match) and (
+        framing.affine is not None or framing.fixed_size is not None
+    )
 
 
 def _asks(framing: Framing) -> bool:
@@ -225,7 +236,7 @@ def _asks(framing: Framing) -> bool:
     if framing.end:
         return framing.stuffing is None
     plain = plain_cover(check, len(framing.sync), framing.check_size)
-    return _has_sized_sync(framing) and (check.kind == "crc" or plain is None)
+    return _has_sized_start(framing) and (check.kind == "crc" or plain is None)
 
 
 def _asks_sums(framing: Framing) -> bool:

@@ -109,8 +109,9 @@ class Receiver(Device):
         origin = self.origin
         if origin is not None and "latitude" in values:
             latitude, longitude = values["latitude"], values["longitude"]
-            is_known = latitude is not None and longitude is not None
-            north, east = origin.metres(latitude, longitude) if is_known else (None, None)
+            north = east = None
+            if latitude is not None and longitude is not None:
+                north, east = origin.metres(latitude, longitude)
             values |= {"north": north, "east": east}
         if origin is not None and "height" in values:
             height = values["height"]

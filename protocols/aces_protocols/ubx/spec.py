@@ -500,6 +500,13 @@ packet(
     ),
     doc="Compensated rates and accelerations of the vehicle.",
     source="pyubx2, ESF-INS",
+    examples=[
+        (
+            "B5 62 10 15 24 00 01 0F 00 00 00 00 00 00 00 CA 5B 07 60 E3 16 00 70 2F FC FF 00 00 00 00 B0 04 00 00 78 EC FF"
+            "FF CC 80 FE FF D7 E4",
+            {"itow": 123_456_000, "rate": [1500.0, -250.0, 0.0], "accel": [12.0, -50.0, -981.0]},
+        )
+    ],
 )
 
 packet(
@@ -527,6 +534,12 @@ packet(
     ),
     doc="State of the sensor fusion.",
     source="pyubx2, ESF-STATUS",
+    examples=[
+        (
+            "B5 62 10 10 18 00 00 CA 5B 07 02 00 00 00 00 00 00 00 01 00 00 02 C5 0E 0A 00 8B 05 05 00 DB BC",
+            {"itow": 123_456_000, "fusion_mode": 1, "count": 2},
+        )
+    ],
 )
 
 # ---------------------------------------------------------------------- CFG, ACK, MON
@@ -545,6 +558,12 @@ packet(
     payload=Struct("message_group" / Byte, "message_number" / Byte, "rates" / Array(6, Byte)),
     doc="The same on each of six ports: I²C, UART 1, UART 2, USB, SPI, and one that is reserved.",
     source="pyubx2, CFG-MSG",
+    examples=[
+        (
+            "B5 62 06 01 08 00 01 07 00 01 00 02 00 00 1A E7",
+            {"message_group": 1, "message_number": 7, "rates": [0, 1, 0, 2, 0, 0]},
+        )
+    ],
 )
 packet(
     "CfgMsgPoll",

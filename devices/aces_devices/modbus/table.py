@@ -1,0 +1,205 @@
+"""A device's registers as a table: what stands in a robot's file or a TOML file, and what its numbers mean.
+
+1. A table says everything: nothing is guessed of a type, an order, a scale or whether something may be written.
+2. A value is raw × `scale` + `offset`, in `unit`; what is sent is rounded to the nearest, and never cut off: it fits, or is
+   refused.
+"""
+
+from __future__ import annotations
+
+import struct
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta
+
+from aces_bus.errors import CallerError, UnknownNameError
+
+#: Types → how struct writes them with the high byte first.
+NUMBERS = {
+    "u16": "H",
+    "s16": "h",
+    "u32": "I",
+    "s32": "i",
+    "u64": "Q",
+    "s64": "q",
+    "float": "f",
+    "double": "d",
+}
+#: The four tables of a device → the function that reads them.
+READERS = {"coil": 1, "input_bit": 2, "holding": 3, "input": 4}
+#: What one request reads at most.
+MOST_REGISTERS, MOST_BITS = 125, 2000
+
+
+class RegisterEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One register, or as many as its type takes; or a bit."""
+
+    address: Annotated[int, Meta(ge=0, le=0xFFFF)]
+    type: Literal["u16", "s16", "u32", "s32", "u64", "s64", "float", "double", "text", "bit"]
+    table: Literal["holding", "input", "coil", "input_bit"] = "holding"
+    access: Literal["read", "read-write", "write"] = "read"
+    unit: str = ""
+    scale: float = 1.0
+    offset: float = 0.0
+    #: Limits of what is set, in `unit`.
+    lower: float | None = None
+    upper: float | None = None
+    #: Of a text: how many registers it takes, two characters each.
+    count: Annotated[int, Meta(ge=1, le=MOST_REGISTERS)] = 1
+    words: Literal["high first", "low first"] = "high first"
+    bytes: Literal["high first", "low first"] = "high first"
+    #: How often it is read (s), where that is not the device's `every_s`; 0: once, when the bus is opened.
+    every_s: Annotated[float, Meta(ge=0)] | None = None
+    doc: str = ""
+    source: str = ""
+
+
+class ModbusRegister:
+    """A register of a device: its place, and its value as the 16-bit numbers on the wire."""
+
+    def __init__(self, name: str, entry: RegisterEntry) -> None:
+        self.name, self.entry = name, entry
+        self.is_bit = entry.type == "bit"
+        if self.is_bit != (entry.table in ("coil", "input_bit")):
+            raise CallerError(
+                f"register {name}: a bit is in the table 'coil' or 'input_bit', all else in 'holding' or 'input'"
+            )
+        if entry.access != "read" and entry.table in ("input", "input_bit"):
+            raise CallerError(f"register {name}: what is in the table {entry.table!r} can only be read")
+        if not entry.scale:
+            raise CallerError(f"register {name}: a scale of 0 leaves no value")
+        self.code = NUMBERS.get(entry.type, "")
+        self.size = struct.calcsize(f">{self.code}") // 2 if self.code else 1 if self.is_bit else entry.count
+        if entry.address + self.size > 0x10000:
+            raise CallerError(
+                f"register {name}: {self.size} registers from {entry.address} on end beyond 65,535"
+            )
+        self.addresses = range(entry.address, entry.address + self.size)
+
+    def value(self, raw: Sequence[int]) -> Any:
+        """The value of these registers (or of this bit)."""
+        if self.is_bit:
+            return bool(raw[0])
+        data = struct.pack(f">{len(raw)}H", *self._ordered(raw))
+        if not self.code:
+            return data.decode("latin-1").rstrip("\0 ")
+        (number,) = struct.unpack(f">{self.code}", data)
+        entry = self.entry
+        return number if entry.scale == 1 and entry.offset == 0 else number * entry.scale + entry.offset
+
+    def raw(self, value: Any) -> tuple[int, ...]:
+        """The registers of a value. Raises `CallerError` for one that does not fit."""
+        entry = self.entry
+        if self.is_bit:
+            if value not in (0, 1):
+                raise CallerError(f"register {self.name}: a bit is true or false, not {value!r}")
+            return (int(value),)
+        try:
+            if not self.code:
+                data = str(value).encode("latin-1").ljust(2 * self.size, b"\0")
+                if len(data) > 2 * self.size:
+                    raise struct.error
+            else:
+                number = (value - entry.offset) / entry.scale
+                data = struct.pack(f">{self.code}", number if self.code in "fd" else round(number))
+        except (struct.error, OverflowError, ValueError, TypeError):
+            raise CallerError(
+                f"register {self.name}: {value!r} {entry.unit} does not fit into {entry.type}"
+            ) from None
+        return self._ordered(struct.unpack(f">{self.size}H", data))
+
+    def _ordered(self, raw: Sequence[int]) -> tuple[int, ...]:
+        """Registers in the other order, of words and of bytes; the same there and back."""
+        words = tuple(raw) if self.entry.words == "high first" else tuple(reversed(raw))
+        if self.entry.bytes == "high first":
+            return words
+        return tuple((word & 0xFF) << 8 | word >> 8 for word in words)
+
+
+def registers_of(who: str, table: str | None, own: Mapping[str, Any]) -> dict[str, ModbusRegister]:
+    """The registers of a shipped table or a TOML file, and of a device's own entries, which go before.
+
+    Raises `CallerError` naming the register and what is wrong.
+    """
+    entries: dict[str, Any] = {**(_read_table(who, table) if table else {}), **own}
+    found: dict[str, ModbusRegister] = {}
+    for name, entry in entries.items():
+        try:
+            found[name] = ModbusRegister(name, msgspec.convert(entry, RegisterEntry))
+        except (msgspec.ValidationError, CallerError) as error:
+            text = str(error).removeprefix(f"register {name}: ")
+            raise CallerError(f"{who}: register {name}: {text}") from None
+    return found
+
+
+def _read_table(who: str, table: str) -> Mapping[str, Any]:
+    folder = files("aces_devices.modbus") / "tables"
+    try:
+        if table.endswith(".toml"):
+            read = tomllib.loads(Path(table).read_text(encoding="utf-8"))
+        else:
+            shipped = {
+                item.name.removesuffix(".toml"): item
+                for item in folder.iterdir()
+                if item.name.endswith(".toml")
+            }
+            if table not in shipped:
+                raise UnknownNameError(
+                    f"table of registers ({who}; a file of your own ends in .toml)", table, shipped
+                )
+            read = tomllib.loads(shipped[table].read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise CallerError(f"{who}: the table {table} cannot be read: {error}") from None
+    found = read.get("registers")
+    if not isinstance(found, dict):
+        raise CallerError(f"{who}: {table} has no [registers]")
+    return found
+
+
+def stretches(registers: Iterable[ModbusRegister]) -> list[tuple[str, int, int]]:
+    """Table, first address and number of what one request each reads: neighbours together, and nothing between.
+
+    >>> at = lambda name, address, kind="u16": ModbusRegister(name, RegisterEntry(address=address, type=kind))
+    >>> stretches([at("c", 9), at("a", 0, "float"), at("b", 2)])
+    [('holding', 0, 3), ('holding', 9, 1)]
+    """
+    found: list[tuple[str, int, int]] = []
+    for one in sorted(registers, key=lambda one: (one.entry.table, one.entry.address)):
+        table, first, end = one.entry.table, one.addresses.start, one.addresses.stop
+        most = MOST_BITS if one.is_bit else MOST_REGISTERS
+        if (
+            found
+            and found[-1][0] == table
+            and first <= found[-1][1] + found[-1][2]
+            and end - found[-1][1] <= most
+        ):
+            end = max(end, found[-1][1] + found[-1][2])
+            found[-1] = (table, found[-1][1], end - found[-1][1])
+        else:
+            found.append((table, first, end - first))
+    return found
+
+
+def bits_from(data: bytes, count: int) -> list[int]:
+    """Bits as Modbus packs them: the first is the lowest of the first byte.
+
+    >>> bits_from(bytes.fromhex("CD01"), 10)
+    [1, 0, 1, 1, 0, 0, 1, 1, 1, 0]
+    """
+    return [data[at // 8] >> at % 8 & 1 for at in range(count)]
+
+
+def bytes_from(bits: Sequence[int]) -> bytes:
+    """The bytes of bits.
+
+    >>> bytes_from([1, 0, 1, 1, 0, 0, 1, 1, 1, 0]).hex()
+    'cd01'
+    """
+    return bytes(
+        sum(bit << place for place, bit in enumerate(bits[at : at + 8])) for at in range(0, len(bits), 8)
+    )

@@ -1,0 +1,175 @@
+"""A simulated device on Modbus RTU, with the registers of its table and no others.
+
+1. What is not in the table is refused as a device does: function, address, value.
+2. Nothing happens by itself: a register has what was written, or what `put` says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, ClassVar
+
+from aces_bus.device import Twin, on
+from aces_bus.errors import UnknownNameError
+
+from .table import MOST_BITS, MOST_REGISTERS, READERS, ModbusRegister, bits_from, bytes_from, registers_of
+
+TABLES = {function: table for table, function in READERS.items()}
+
+
+class ModbusTwin(Twin):
+    """Four tables: `twin.put("voltage", 230.0)`, `twin.take("goal")`; `twin.changed` is called with each write."""
+
+    protocol = "modbus"
+    shipped_table: ClassVar[str | None] = None
+    faults: ClassVar[Mapping[str, str]] = {"busy": "refuses everything: it is busy"}
+    changed: Callable[[str, Any], None] | None = None
+
+    def setup(self) -> None:
+        """All registers zero."""
+        settings = self.config.settings
+        self.table = registers_of(
+            self.name, settings.get("table") or self.shipped_table, settings.get("registers", {})
+        )
+        self.numbers: dict[str, dict[int, int]] = {table: {} for table in READERS}
+        self.writable: dict[str, set[int]] = {table: set() for table in READERS}
+        for one in self.table.values():
+            self.numbers[one.entry.table] |= dict.fromkeys(one.addresses, 0)
+            if one.entry.access != "read":
+                self.writable[one.entry.table].update(one.addresses)
+
+    def _register(self, name: str) -> ModbusRegister:
+        if name not in self.table:
+            raise UnknownNameError(f"register of {self.name}", name, self.table)
+        return self.table[name]
+
+    def put(self, name: str, value: Any) -> None:
+        """Have a register's value, in its unit. Raises `UnknownNameError`, `CallerError` for what does not fit."""
+        one = self._register(name)
+        self.numbers[one.entry.table].update(zip(one.addresses, one.raw(value), strict=True))
+
+    def take(self, name: str) -> Any:
+        """A register's value, in its unit. Raises `UnknownNameError`."""
+        one = self._register(name)
+        kept = self.numbers[one.entry.table]
+        return one.value([kept[address] for address in one.addresses])
+
+    # ------------------------------------------------------------------ reading
+
+    @on("ReadRegisters")
+    def read_registers(self, request: Any) -> None:
+        """Holding or input registers."""
+        found = self._read(request, request.function, MOST_REGISTERS)
+        if found is not None:
+            self._answer(request, "Registers", function=request.function, registers=found)
+
+    @on("ReadBits")
+    def read_bits(self, request: Any) -> None:
+        """Coils or discrete inputs."""
+        found = self._read(request, request.function, MOST_BITS)
+        if found is not None:
+            self._answer(request, "Bits", function=request.function, bits=bytes_from(found))
+
+    def _read(self, request: Any, function: int, most: int) -> list[int] | None:
+        kept = self.numbers[TABLES[3 if function == 23 else function]]
+        addresses = range(request.start, request.start + request.count)
+        if not 1 <= request.count <= most:
+            self._refuse(request, function, "value")
+        elif any(address not in kept for address in addresses):
+            self._refuse(request, function, "address")
+        elif "busy" in self.active_faults:
+            self._refuse(request, function, "busy")
+        else:
+            return [kept[address] for address in addresses]
+        return None
+
+    # ------------------------------------------------------------------ writing
+
+    @on("WriteRegister")
+    def write_register(self, request: Any) -> None:
+        """One register."""
+        if self._write(request, 6, "holding", request.start, [request.value]):
+            self._answer(request, "RegisterWritten", start=request.start, value=request.value)
+
+    @on("WriteRegisters")
+    def write_registers(self, request: Any) -> None:
+        """Several registers."""
+        numbers = list(request.registers)
+        if len(numbers) != request.count:
+            self._refuse(request, 16, "value")
+        elif self._write(request, 16, "holding", request.start, numbers):
+            self._answer(request, "RegistersWritten", start=request.start, count=request.count)
+
+    @on("WriteBit")
+    def write_bit(self, request: Any) -> None:
+        """One coil."""
+        if request.value not in ("on", "off"):
+            self._refuse(request, 5, "value")
+        elif self._write(request, 5, "coil", request.start, [int(request.value == "on")]):
+            self._answer(request, "BitWritten", start=request.start, value=request.value)
+
+    @on("WriteBits")
+    def write_bits(self, request: Any) -> None:
+        """Several coils."""
+        if len(request.bits) != (request.count + 7) // 8:
+            self._refuse(request, 15, "value")
+        elif self._write(request, 15, "coil", request.start, bits_from(request.bits, request.count)):
+            self._answer(request, "BitsWritten", start=request.start, count=request.count)
+
+    @on("MaskRegister")
+    def mask_register(self, request: Any) -> None:
+        """Bits of a register."""
+        old = self.numbers["holding"].get(request.start, 0)
+        new = old & request.and_mask | request.or_mask & ~request.and_mask & 0xFFFF
+        if self._write(request, 22, "holding", request.start, [new]):
+            self._answer(
+                request,
+                "RegisterMasked",
+                start=request.start,
+                and_mask=request.and_mask,
+                or_mask=request.or_mask,
+            )
+
+    @on("ExchangeRegisters")
+    def exchange_registers(self, request: Any) -> None:
+        """Write registers, then read others."""
+        numbers = list(request.registers)
+        if len(numbers) != request.write_count:
+            self._refuse(request, 23, "value")
+        elif self._write(request, 23, "holding", request.write_start, numbers):
+            found = self._read(request, 23, MOST_REGISTERS)
+            if found is not None:
+                self._answer(request, "Registers", function=23, registers=found)
+
+    @on("Other")
+    def refuse_other(self, request: Any) -> None:
+        """A function that this device does not have."""
+        self._refuse(request, request.function, "function")
+
+    def _write(self, request: Any, function: int, table: str, start: int, numbers: Iterable[int]) -> bool:
+        given = dict(enumerate(numbers, start))
+        if not given:
+            self._refuse(request, function, "value")
+        elif not self.writable[table].issuperset(given):
+            self._refuse(request, function, "address")
+        elif "busy" in self.active_faults:
+            self._refuse(request, function, "busy")
+        else:
+            self.numbers[table] |= given
+            for one in self.table.values():
+                if one.entry.table == table and not given.keys().isdisjoint(one.addresses):
+                    self.was_set(one.name)
+            return True
+        return False
+
+    def was_set(self, name: str) -> None:
+        """A register has been written."""
+        if self.changed is not None:
+            self.changed(name, self.take(name))
+
+    def _refuse(self, request: Any, function: int, reason: str) -> None:
+        self._answer(request, "Refusal", function=function, reason=reason)
+
+    def _answer(self, request: Any, message: str, **fields: Any) -> None:
+        if request.unit != 0:  # what everybody is told, nobody answers
+            self.reply(message, **fields)

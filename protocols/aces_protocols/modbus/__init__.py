@@ -1,0 +1,1 @@
+"""Modbus RTU: registers and bits of any device on a serial line."""
