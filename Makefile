@@ -24,7 +24,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-oracles test-long test-steady constraints test-socketcan docs soak stops compiled test-compiled check lint types pristine format bench bench-framings golden clean
+.PHONY: help venv demo test test-oracles test-lerobot test-long test-steady constraints test-socketcan docs soak stops compiled test-compiled check lint types pristine format bench bench-framings golden clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -91,6 +91,19 @@ test: $(VENV)/.dev ## run the tests (under three minutes); ARGS="-k name" to cho
 
 test-oracles: $(VENV)/.oracles ## vendors' own programs and peer libraries against our specs and twins
 	$(PYTEST) tests/oracles $(ARGS)
+
+# LeRobot asks for far more than its bus class imports: that alone is installed, with PyTorch (TORCH names another build of it).
+LEROBOT := $(VENV)-lerobot
+TORCH ?= torch
+$(LEROBOT)/.python: pyproject.toml
+	$(PYTHON) -m venv $(LEROBOT)
+	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps 'lerobot==0.4.4'
+	$(LEROBOT)/bin/python -m pip install --quiet --disable-pip-version-check $(TORCH) accelerate datasets deepdiff draccus \
+		feetech-servo-sdk termcolor tqdm --editable '.[testing]'
+	@touch $@
+
+test-lerobot: $(LEROBOT)/.python ## LeRobot's own bus class with the twins of an SO-101 (1.3 GB with a PyTorch without CUDA)
+	$(LEROBOT)/bin/python -m pytest tests/oracles/test_lerobot.py --override-ini 'addopts=--import-mode=importlib' $(ARGS)
 
 test-long: $(VENV)/.dev ## run the tests with ACES_EXAMPLES (2000) examples per property, drawn anew; SEED=N draws them again
 	HYPOTHESIS_PROFILE=long ACES_EXAMPLES=$(ACES_EXAMPLES) $(PYTEST) --hypothesis-seed=$(SEED) $(ARGS)

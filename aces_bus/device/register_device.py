@@ -93,7 +93,7 @@ class RegisterDevice(Device):
     the device answers writes and reads.
     """
 
-    registers: ClassVar[RegisterMap]
+    registers: RegisterMap
     reply: ClassVar[str]
     payload: ClassVar[str]
     eeprom: ClassVar[range] = range(0)
@@ -443,12 +443,13 @@ class RegisterDevice(Device):
 
 def together_rule(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
     """One packet a register for all devices that want it, cut where the smallest receive buffer is full."""
-    by_register: dict[str, list[Setpoint]] = {}
+    by_register: dict[
+        RegisterCodec, list[Setpoint]
+    ] = {}  # devices with other tables have registers of their own
     for want in wants:
-        by_register.setdefault(want.path, []).append(want)
-    for name, mine in by_register.items():
+        by_register.setdefault(want.device.codec(want.path), []).append(want)
+    for codec, mine in by_register.items():
         first: RegisterDevice = mine[0].device
-        codec = first.codec(name)
         most = min(want.device.together_bytes for want in mine) - first.together_overhead
         each = max(1, most // (codec.size + 1))
         for at in range(0, len(mine), each):

@@ -87,13 +87,14 @@ class Dynamixel(ServoDevice):
     motion_span = ("present_pwm", "present_position")
     health_span = ("torque_enable", "present_temperature")
     start_span = ("model_number", "status_return_level")
-    goals_by_command: ClassVar[Mapping[str, str]] = {
+    goals_by_command: Mapping[str, str] = {
         "position": "goal_position",
         "speed": "goal_velocity",
         "current": "goal_current",
         "duty": "goal_pwm",
     }
     speed_register = "present_velocity"
+    mode_register = "operating_mode"
     shutdown_register = "shutdown"
     error_bits = HARDWARE_ERRORS
     of_request = frozenset(("crc",))
@@ -109,15 +110,12 @@ class Dynamixel(ServoDevice):
     # ------------------------------------------------------------------ declaration
 
     def setup(self) -> None:
-        """As every servo, in a mode and with a model."""
-        joint = self.joints[0] if self.joints else None
+        """As every servo, with a model."""
         self.model = MODEL_NAMES.get(self.config.model or "")
         self._asks_why = False
         #: Whether its watchdog has stopped it: it takes no goals until it is enabled anew.
         self.is_cut_off = False
         super().setup()
-        #: The operating mode that the joint needs.
-        self.mode = mode_of(joint, self.settings)
         if self.command == "current" and (self.model is None or self.model.current_step_a is None):
             why = "the robot's file does not say its model" if self.model is None else "its model has none"
             raise CallerError(f"{self.name}: a joint cannot be commanded by current: {why}")
@@ -134,10 +132,13 @@ class Dynamixel(ServoDevice):
         super().renumbered()
         self._span_ping()
 
+    def wanted_mode(self) -> str:
+        """By what the joint is commanded by."""
+        return mode_of(self.joints[0] if self.joints else None, self.settings)
+
     def range_counts(self) -> tuple[int, int]:
         """One turn, or 256 either way."""
-        joint = self.joints[0] if self.joints else None
-        return (0, TURN - 1) if mode_of(joint, self.settings) == "position" else (-FAR, FAR)
+        return (0, TURN - 1) if self.mode == "position" else (-FAR, FAR)
 
     def speed_limit_counts(self) -> int:
         """The model's; the servo's own, once that is read, may be less."""
@@ -218,10 +219,7 @@ class Dynamixel(ServoDevice):
     # ------------------------------------------------------------------ up
 
     def learned(self, table: Mapping[str, int]) -> None:
-        """The servo's own limits limit the joint; another mode is reported."""
-        mode = self.codec("operating_mode").value(table["operating_mode"])
-        if mode != self.mode:
-            self.tell_event("alarm", self._other_mode(mode))
+        """The servo's own limits limit the joint."""
         if self.codec("drive_mode").value(table["drive_mode"]).time_based_profile:
             self.tell_event(
                 "alarm", "its profiles are times (drive_mode): speed and acceleration limits mean nothing"
@@ -235,12 +233,6 @@ class Dynamixel(ServoDevice):
             _narrow(signal, most)
         if self.command == "current" and self.model is not None and self.model.current_step_a is not None:
             _narrow(self.current, table["current_limit"] * self.model.current_step_a)
-
-    def _other_mode(self, mode: Any) -> str:
-        return (
-            f"it is in the mode {mode}, and its joint needs {self.mode}:"
-            f" aces device {self.name} set_mode confirm=true"
-        )
 
     def errors_of(self, record: Any) -> frozenset[str] | None:
         """A status only says that there are errors; which, the register `hardware_error` does."""
@@ -280,10 +272,7 @@ class Dynamixel(ServoDevice):
 
     def before_torque(self) -> Steps:
         """The mode must be right; the watchdog is cleared, then set."""
-        if self.answers:
-            mode = yield self.read("operating_mode")
-            if mode != self.mode:
-                raise DeviceError(f"{self.name}: {self._other_mode(mode)}")
+        yield from super().before_torque()
         yield self.write("bus_watchdog", 0, raw=True)
         self.is_cut_off = False
         if self.settings.watchdog_s:
@@ -303,10 +292,6 @@ class Dynamixel(ServoDevice):
                     raise
 
         return self.job("stop", steps)
-
-    def set_mode(self, *, confirm: bool) -> Job:
-        """Have the servo in the mode that its joint is commanded by; its torque must be off."""
-        return self.write("operating_mode", self.mode, confirm=confirm)
 
     def reboot(self) -> Job:
         """Restart it: its torque is off then, its errors are cleared, and it knows no goals."""

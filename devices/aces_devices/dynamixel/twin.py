@@ -15,7 +15,7 @@ from aces_protocols.dynamixel.models import MODEL_NAMES, MODELS
 from aces_protocols.dynamixel.spec import BROADCAST, CRC, control_table
 
 from ..servos.motion import SteadyShaft
-from ..servos.twin import PING, WRITE, RegisterTable, ServoTwin, alarm_registers
+from ..servos.twin import WRITE, RegisterTable, ServoTwin, alarm_registers
 from .driver import FAR, PWM, TURN, Dynamixel, DynamixelSettings, mode_of
 
 RAM = 64
@@ -28,8 +28,8 @@ OVERLOAD_NS = 500_000_000
 #: A count of the watchdog (ns).
 WATCHDOG_NS = 20_000_000
 GOALS = frozenset(("goal_position", "goal_velocity", "goal_current", "goal_pwm"))
-#: The bytes of a status without parameters; of the head of a joint answer, up to its first error.
-STATUS, HEAD = 11, 8
+#: The bytes of a status without parameters.
+STATUS = 11
 INSTRUCTION, STATUS_CODE = 7, 0x55
 
 
@@ -42,6 +42,7 @@ class DynamixelTwin(ServoTwin):
     places = RegisterTable(control_table)
     ram_start = RAM
     no_stretch = "data_length"
+    status_bytes = STATUS
     faults: ClassVar[Mapping[str, str]] = {
         "hot": "is 5 °C above its highest temperature (or as hot as said, °C)",
         "low_voltage": "has 0.5 V less than its lowest voltage (or as much as said, V)",
@@ -230,37 +231,19 @@ class DynamixelTwin(ServoTwin):
             low = -high
         return "" if low <= value <= high else "data_limit"
 
-    @on("Ping")
-    def answer_ping(self, request: Any) -> None:
-        """Model and firmware; to a broadcast after those with lower numbers."""
-        before = 0
-        if request.id == BROADCAST:
-            mine = self.credentials["id"]
-            before = sum(1 for other in self.twins.members.values() if other.credentials["id"] < mine)
-        data = bytes(self.table[0:2]) + bytes(self.table[6:7])
-        self.answer(request, PING, "", data, delay_ns=self.turn_ns(before, STATUS + len(data)))
+    def identification(self) -> bytes:
+        """Model and firmware."""
+        return bytes(self.table[0:2]) + bytes(self.table[6:7])
 
     @on("SyncRead")
     def answer_together(self, request: Any) -> None:
         """After those who are asked before."""
-        self._in_turn([(number, request.start, request.count) for number in request.ids])
+        self.answer_in_turn([(number, request.start, request.count) for number in request.ids])
 
     @on("BulkRead")
     def answer_bulk(self, request: Any) -> None:
         """An area of one's own, after those who are asked before."""
-        self._in_turn(_areas(request))
-
-    def _in_turn(self, areas: Sequence[tuple[int, int, int]]) -> None:
-        mine, before = self.credentials["id"], 0
-        for number, start, count in areas:
-            if number == mine:
-                turn = (before and self.twins.port.wire_ns(bytes(before))) + self._pauses(areas, mine)
-                self.answer_stretch(None, start, count, turn)
-                return
-            before += STATUS + count
-
-    def _pauses(self, areas: Sequence[tuple[int, int, int]], mine: int) -> int:
-        return self.delay_ns * (1 + [number for number, _, _ in areas].index(mine))
+        self.answer_in_turn(_areas(request))
 
     @on("FastSyncRead")
     def answer_fast(self, request: Any) -> None:

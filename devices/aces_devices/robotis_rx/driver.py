@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 from aces_bus.errors import CallerError
 from aces_protocols.robotis.control_table import ANGLE, ERRORS, SPEED
+from aces_protocols.robotis.fields import from_directed
 from aces_protocols.robotis.spec import control_table
 
 from ..servos.driver import ServoDevice
@@ -29,7 +30,7 @@ UNLOCKED = range(0x18, 0x24)
 
 def signed(raw: int) -> int:
     """Bits 0–9, negative when bit 10 says clockwise."""
-    return -(raw & TOP) if raw & CLOCKWISE else raw & TOP
+    return from_directed(raw, 10)
 
 
 class RobotisRX(ServoDevice):
@@ -53,7 +54,7 @@ class RobotisRX(ServoDevice):
         )
     )
     start_span = ("model_number", "alarm_shutdown")
-    goals_by_command: ClassVar[Mapping[str, str]] = {"position": "goal_position", "duty": "moving_speed"}
+    goals_by_command: Mapping[str, str] = {"position": "goal_position", "duty": "moving_speed"}
     error_bits = ERRORS
     of_request = frozenset(("angle_limit", "range", "checksum", "instruction"))
     count_rad = STEP

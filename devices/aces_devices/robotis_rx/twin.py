@@ -11,6 +11,7 @@ from typing import Any, ClassVar
 from aces_bus.device import on
 from aces_bus.device.register_device import RegisterCodec
 from aces_protocols.robotis.control_table import ERRORS
+from aces_protocols.robotis.fields import to_directed
 from aces_protocols.robotis.spec import control_table
 
 from ..servos.twin import READ, WRITE, RegisterTable, ServoTwin, alarm_registers
@@ -122,8 +123,8 @@ class RobotisRXTwin(ServoTwin):
             self.apply()
         self["present_position"] = max(0, min(TOP, round(motion.position(now))))
         speed, drive = motion.speed_at(now), motion.drive_at(now)
-        self["present_speed"] = _directed(min(FREE, round(abs(speed) / PER_SPEED)), speed)
-        self["present_load"] = _directed(round(abs(drive) * TOP), drive)
+        self["present_speed"] = to_directed(round(max(-FREE, min(FREE, speed / PER_SPEED))), 10)
+        self["present_load"] = to_directed(round(drive * TOP), 10)
         moves = motion.is_moving(now)
         self["moving"] = moves
         self["registered_instruction"] = self.is_holding
@@ -195,7 +196,3 @@ class RobotisRXTwin(ServoTwin):
                 self.answer(None, READ if data[4] == READ_CODE else WRITE, "checksum")
         elif reason == "unknown" and size == len(data):
             self.answer(None, WRITE, "instruction")
-
-
-def _directed(size: int, sign: float) -> int:
-    return size | CLOCKWISE if sign < 0 and size else size

@@ -95,11 +95,11 @@ class ServoDevice(RegisterDevice):
     #: Registers, first and last: read in each tick, that with the setting `motion`, and every `health_s`.
     position_span: ClassVar[tuple[str, str]] = ("present_position", "present_position")
     motion_span: ClassVar[tuple[str, str]] = ("present_position", "present_load")
-    health_span: ClassVar[tuple[str, str]] = ("torque_enable", "moving")
+    health_span: tuple[str, str] = ("torque_enable", "moving")
     #: What survives power-off and is read at the start.
-    start_span: ClassVar[tuple[str, str]]
+    start_span: tuple[str, str]
     #: The register of set-points by what a joint is commanded by; a family has those that it lists.
-    goals_by_command: ClassVar[Mapping[str, str]] = {"position": "goal_position"}
+    goals_by_command: Mapping[str, str] = {"position": "goal_position"}
     speed_register: ClassVar[str] = "present_speed"
     #: Which errors switch the torque off: the register with their mask, and the bit of each.
     shutdown_register: ClassVar[str] = "alarm_shutdown"
@@ -109,8 +109,12 @@ class ServoDevice(RegisterDevice):
     #: The message of a factory reset, and its fields.
     reset: ClassVar[tuple[str, Mapping[str, Any]]] = ("Reset", {})
     #: rad a count, and rad/s a count of speed, of the servo's own shaft.
-    count_rad: ClassVar[float]
-    speed_count_rad_s: ClassVar[float]
+    count_rad: float
+    speed_count_rad_s: float
+    #: The register of the mode that decides what goals it follows, where there is one.
+    mode_register: str = ""
+    #: What the register `status_return_level` is less than the level: the lowest one may be that reads are answered.
+    level_offset: ClassVar[int] = 0
     actions: ClassVar[Mapping[str, str]] = ACTIONS
     asking: ClassVar = ("ping", "read", "read_all")
 
@@ -144,12 +148,27 @@ class ServoDevice(RegisterDevice):
     def declare_more(self, owner: str, motion: Mapping[str, Any], health: Mapping[str, Any]) -> None:
         """Declare signals beyond those that all servos have; the options are those of what is read with each."""
 
+    def wanted_mode(self) -> str:
+        """The mode that the joint needs its servo in, where it has modes."""
+        return ""
+
+    def unlock(self) -> Steps:
+        """Steps before something is written that survives power-off."""
+        yield from ()
+
+    def lock(self) -> Steps:
+        """Steps after that."""
+        yield from ()
+
     def learned(self, table: Mapping[str, int]) -> None:
         """What survives power-off was read: raw numbers by name."""
 
     def before_torque(self) -> Steps:
-        """Steps that must succeed before a servo is given a goal and torque."""
-        yield from ()
+        """Steps that must succeed before a servo is given a goal and torque: it must be in the mode of its joint."""
+        if self.mode_register and self.answers:
+            mode = yield self.read(self.mode_register)
+            if mode != self.mode:
+                raise DeviceError(f"{self.name}: {self._other_mode(mode)}")
 
     def errors_of(self, record: Any) -> frozenset[str] | None:
         """The names of the errors in a status; None: it does not say."""
@@ -178,7 +197,9 @@ class ServoDevice(RegisterDevice):
             raise CallerError(f"{self.name}: it takes {known}, not {COMMANDS[self.command]}")
         #: The register of the joint's set-points.
         self.goal = self.goals_by_command[self.command]
-        self._set_level(settings.status_return_level)
+        #: The mode that the joint needs.
+        self.mode = self.wanted_mode()
+        self._set_level(max(settings.status_return_level, self.level_offset))
         self._declare_signals(joint.name if joint is not None else self.name)
         if self.level == 0:
             self.polls = [Poll("Ping", "Status", every_s=self.health_s, timeout_s=self.timeout_s)]
@@ -352,13 +373,27 @@ class ServoDevice(RegisterDevice):
             model = self.codec("model_number").value(table["model_number"])
             if self.config.model is not None and model != self.config.model:
                 self.tell_event("alarm", f"it is a {model}; the robot's file says {self.config.model}")
-            level = table["status_return_level"]
+            level = table["status_return_level"] + self.level_offset
             if level != self.level and 1 <= level < len(LEVELS):
                 self._set_level(level)
+            if self.mode_register:
+                mode = self.codec(self.mode_register).value(table[self.mode_register])
+                if mode != self.mode:
+                    self.tell_event("alarm", self._other_mode(mode))
             self.learned(table)
             return table
 
         return self.job("start", steps)
+
+    def _other_mode(self, mode: Any) -> str:
+        return (
+            f"it is in the mode {mode}, and its joint needs {self.mode}:"
+            f" aces device {self.name} set_mode confirm=true"
+        )
+
+    def set_mode(self, *, confirm: bool) -> Job:
+        """Have the servo in the mode that its joint is commanded by; its torque must be off."""
+        return self.write(self.mode_register, self.mode, confirm=confirm)
 
     def limit_to(self, low: int, high: int) -> None:
         """Limit the joint to what the servo's own limits allow, in counts."""
@@ -462,10 +497,12 @@ class ServoDevice(RegisterDevice):
             if number == self.credentials["id"]:
                 return
             yield from self._is_free(number)
+            yield from self.unlock()
             # Which of its two ids acknowledges is not stated: the new one is asked.
             yield from self._try("Write", start=codec.address, data=data)
             self.host.renumber(self, id=number)
             yield self._ask("Ping", None)
+            yield from self.lock()
             self.known["id"] = (number, self.clock.now())
 
         return self.job(f"set id {number}", steps)
@@ -484,7 +521,12 @@ class ServoDevice(RegisterDevice):
         codec = self.codec("baud_rate")
         data = codec.pack(codec.raw(baud))
         self.check_write("baud_rate", confirm)
-        return self._told_and_forgotten("set baud", "Write", start=codec.address, data=data)
+
+        def steps(job: Job) -> Steps:
+            yield from self.unlock()
+            yield self._told_and_forgotten("set baud", "Write", start=codec.address, data=data)
+
+        return self.job("set baud", steps)
 
     def factory_reset(self, *, confirm: bool) -> Job:
         """Everything as from the factory, id and line speed too. It is another servo from then on: scan for it."""

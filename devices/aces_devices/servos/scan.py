@@ -20,9 +20,12 @@ LONGEST_DELAY_S = 254 * 2e-6
 ADAPTER_S = 0.016
 
 
-def servo_scan(driver: str, registers: RegisterMap, ids: range) -> Callable[..., Steps]:
+def servo_scan(
+    driver: str, registers: RegisterMap, ids: range, *, model: Callable[[bytes], object] | None = None
+) -> Callable[..., Steps]:
     """The scan of a driver of servos; its steps end with a `DeviceConfig` for each that was found.
 
+    `model` makes a name, or a number, of the register `model_number`, where the map's own field does not do.
     `job.progress` grows with the ids. A servo that answers no reads (status return level 0) has no model. An id that is
     answered by damaged packets only is listed too, and its `doc` says so: two servos have it, or the line is bad.
     """
@@ -77,7 +80,7 @@ def servo_scan(driver: str, registers: RegisterMap, ids: range) -> Callable[...,
             return msgspec.structs.replace(config, settings={"status_return_level": 0})
         if len(answer.parameters) != register.size:
             return config
-        value = register.decode(answer.parameters)
+        value = (model or register.decode)(answer.parameters)
         return msgspec.structs.replace(config, model=value if isinstance(value, str) else f"model {value}")
 
     return scan

@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from struct import error as StructError
 from typing import Any, ClassVar
 
@@ -59,7 +59,7 @@ def _limits(codec: RegisterCodec) -> tuple[int, int]:
 class ServoTwin(Twin):
     """One servo. `table` is its memory; `self["goal_position"]` a register's raw number."""
 
-    places: ClassVar[RegisterTable]
+    places: RegisterTable
     #: The address from which registers are lost without power.
     ram_start: ClassVar[int]
     settings_type: ClassVar[type[ServoSettings]] = ServoSettings
@@ -181,7 +181,7 @@ class ServoTwin(Twin):
         """Answer, if it answers such requests: broadcasts never, save Ping; others as the status return level says."""
         if request is not None and getattr(request, "id", None) == BROADCAST and kind != PING:
             return
-        level = self["status_return_level"]
+        level = self["status_return_level"] + self.level_offset
         if kind == PING or level == 2 or (level == 1 and kind == READ):
             delay = self.delay_ns if delay_ns is None else delay_ns
             error = self.with_errors(self.refused(why), self.measure() if errors is None else errors)
@@ -196,8 +196,15 @@ class ServoTwin(Twin):
 
     @on("Ping")
     def answer_ping(self, request: Any) -> None:
-        """A Ping."""
-        self.answer(request, PING)
+        """A Ping; to a broadcast after those with lower numbers."""
+        data, mine = self.identification(), self.credentials["id"]
+        others = self.twins.members.values() if request.id == BROADCAST else ()
+        before = [len(data) for other in others if other.credentials["id"] < mine]
+        self.answer(request, PING, "", data, delay_ns=self.turn_ns(before))
+
+    def identification(self) -> bytes:
+        """The parameters of a Ping's status."""
+        return b""
 
     @on("Read")
     def answer_read(self, request: Any) -> None:
@@ -213,12 +220,26 @@ class ServoTwin(Twin):
         else:
             self.answer(request, READ, "", data, errors=errors, delay_ns=delay_ns)
 
+    #: As the driver's.
+    level_offset: ClassVar[int] = 0
+    #: The bytes of a status without parameters.
+    status_bytes: ClassVar[int] = 6
     #: What is wrong with a stretch that is not in the table.
     no_stretch: ClassVar[str] = "range"
 
-    def turn_ns(self, before: int, size: int) -> int:
-        """How long it waits where `before` servos answer before it, with statuses of so many bytes."""
-        return (before + 1) * self.delay_ns + before * self.twins.port.wire_ns(bytes(size))
+    def turn_ns(self, before: Sequence[int]) -> int:
+        """How long it waits where others answer before it, with so many bytes of parameters each."""
+        size = sum(before) + self.status_bytes * len(before)
+        return (len(before) + 1) * self.delay_ns + (self.twins.port.wire_ns(bytes(size)) if size else 0)
+
+    def answer_in_turn(self, areas: Sequence[tuple[int, int, int]]) -> None:
+        """A status where several servos were asked: (id, start, count) of each, in the order of their answers."""
+        mine, before = self.credentials["id"], list[int]()
+        for number, start, count in areas:
+            if number == mine:
+                self.answer_stretch(None, start, count, self.turn_ns(before))
+                return
+            before.append(count)
 
     @on("Write")
     def obey_write(self, request: Any) -> None:

@@ -235,7 +235,7 @@ Status = packet(
     direction="from device",
     match={"id": SERVOS},
     payload=Struct(Const(0x55, Byte), error(), "parameters" / GreedyBytes),
-    doc="A servo's answer: the bytes asked for; to a Ping its model (2 bytes) and firmware. `alert`: see register 70.",
+    doc="A servo's answer: the bytes asked for; to a Ping model and firmware. `alert`: see register 70.",
     source="ROBOTIS e-manual, protocol 2.0, status packet",
     examples=[
         (

@@ -15,6 +15,25 @@ from aces_bus.protocol.declare.fields import Field
 TOLERANCE = 0.03
 
 
+def from_directed(raw: int, bit: int) -> int:
+    """The number whose magnitude is below `bit`, and whose sign is `bit`; bits above have no meaning.
+
+    >>> from_directed(0x464, 10)
+    -100
+    """
+    magnitude = raw & (1 << bit) - 1
+    return -magnitude if raw >> bit & 1 else magnitude
+
+
+def to_directed(value: int, bit: int) -> int:
+    """What `from_directed` undoes, for a magnitude that fits.
+
+    >>> hex(to_directed(-100, 15))
+    '0x8064'
+    """
+    return value if value >= 0 else 1 << bit | -value
+
+
 class Directed(Field):
     """The bits below `bit` are a magnitude, `bit` set means negative; bits above it have no meaning and are left out.
 
@@ -32,14 +51,13 @@ class Directed(Field):
         self.bit = bit
 
     def to_physical(self, raw: Any) -> Any:
-        magnitude = raw & (1 << self.bit) - 1
-        return -magnitude if raw >> self.bit & 1 else magnitude
+        return from_directed(raw, self.bit)
 
     def to_raw(self, value: Any, path: str = "") -> Any:
         most = (1 << self.bit) - 1
         if not isinstance(value, int) or abs(value) > most:
             raise FieldError(f"{path}: {value!r} is outside ±{most} counts")
-        return value if value >= 0 else 1 << self.bit | -value
+        return to_directed(value, self.bit)
 
 
 class RateTable(Field):

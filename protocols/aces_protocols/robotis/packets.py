@@ -47,12 +47,12 @@ def declare_packets(
     instruction = packet.family(Struct("instruction" / Byte), direction="to device")
 
     def declare(
-        name: str, code: int, official: str, *fields: Any, doc: str, everybody: bool = False
+        name: str, code: int, official: str, *fields: Any, doc: str, ids: int | range | None = None
     ) -> Message:
         made: Message = instruction(
             name,
             instruction=code,
-            match={"id": BROADCAST} if everybody else {},
+            match={} if ids is None else {"id": ids},
             payload=Struct(*fields) if fields else None,
             doc=doc,
             source=f"{source}, {official}",
@@ -89,7 +89,7 @@ def declare_packets(
                 "count" / Byte,
                 "ids" / GreedyRange(Byte),
                 doc="Ask several servos for the same area; they answer in turn.",
-                everybody=True,
+                ids=range(BROADCAST, BROADCAST + 1),  # a field all the same: servos' answers are to it
             )
         )
     declare(
@@ -100,7 +100,7 @@ def declare_packets(
         "size" / Byte,
         "servos" / GreedyRange(Struct("id" / Byte, "data" / Bytes(this._.size))),
         doc="Write the same `size` bytes of the control table in many servos, each its own values. Never answered.",
-        everybody=True,
+        ids=BROADCAST,
     )
     packet(
         "Status",

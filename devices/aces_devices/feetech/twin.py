@@ -1,0 +1,196 @@
+"""The simulated STS or SCS servo: what it has beyond what all servos have.
+
+Choices, where no sheet says anything, are in the README.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+from aces_bus.device import on
+from aces_protocols.feetech.control_table import ERRORS, SCS_ANGLE, STS_ANGLE
+from aces_protocols.feetech.models import MODEL_NAMES, MODELS
+from aces_protocols.feetech.spec import scs_table, sts_table
+from aces_protocols.robotis.fields import from_directed, to_directed
+
+from ..servos.motion import SteadyShaft
+from ..servos.twin import RegisterTable, ServoTwin, alarm_registers
+from .driver import FULL, series_of
+
+RAM = 40
+#: Choices: firmware 3.10, 7.4 V, 30 °C.
+FIRMWARE, SUPPLY, WARMTH = (3, 10), 74, 30
+#: The greatest speed (counts a second) of a turn of 4096: 50 rpm. A choice.
+FREE = 3413
+#: Saturated for so long without moving, it is overloaded (ns). A choice.
+OVERLOAD_NS = 500_000_000
+TABLES = {"STS": RegisterTable(sts_table), "SCS": RegisterTable(scs_table)}
+#: ° a count.
+ANGLES = {"STS": STS_ANGLE, "SCS": SCS_ANGLE}
+VELOCITY = 1
+
+
+class FeetechTwin(ServoTwin):
+    """One servo. `table` is its memory; `self["goal_position"]` a register's raw number."""
+
+    protocol: ClassVar[Any] = "feetech"
+    ram_start = RAM
+    level_offset = 1
+    faults: ClassVar[Mapping[str, str]] = {
+        "hot": "is 5 °C above its highest temperature (or as hot as said, °C)",
+        "low_voltage": "has 0.5 V less than its lowest voltage (or as much as said, V)",
+        "jam": "cannot turn: where it should, it pushes until it is overloaded",
+        "overload": "reports an overload",
+    }
+
+    def setup(self) -> None:
+        """With the control table of its series."""
+        self.series = series_of(self.config)
+        self.places = TABLES[self.series]
+        self.turn = 4096 if self.series == "STS" else 1024
+        super().setup()
+
+    def make(self) -> None:
+        """As delivered, with the speed, delay, level and mode that the robot's file means."""
+        #: Counts are the sensor's: without the homing offset.
+        self.motion = SteadyShaft(at=self.turn / 2)
+        self._factory()
+        self.tune()
+        self["return_delay"] = round(self.settings.return_delay_us / 2)
+        self["status_return_level"] = max(0, self.settings.status_return_level - self.level_offset)
+        joint = self.joints[0] if self.joints else None
+        self._joint, self._step = (1, 0.0), math.radians(ANGLES[self.series])
+        if joint is not None:
+            self.world.joints[joint.name] = self
+            self._joint = (joint.direction, joint.zero or 0.0)
+            self._step /= joint.ratio or 1.0
+            if joint.command == "speed":
+                self["operating_mode"] = VELOCITY
+            start = joint.direction * self.world.start_of(joint.name) + (joint.zero or 0.0)
+            self.motion.at = max(0.0, min(self.turn - 1.0, start / self._step))
+        #: What is there after power-off: of the table below the RAM, what was written unlocked.
+        self["id"] = self.credentials["id"]
+        self._saved = bytes(self.table[:RAM])
+
+    def _factory(self) -> None:
+        self.load_defaults(0, RAM)
+        model = MODEL_NAMES.get(self.config.model or "", MODELS[0])
+        self["model_number"] = model.number
+        self["firmware_major"], self["firmware_minor"] = FIRMWARE
+
+    def begin(self) -> None:
+        """What was saved, the RAM's defaults; the goal is where it is."""
+        self._pushing_since: int | None = None
+        self.motion.settle(self.clock.now())
+        self.table[:RAM] = self._saved
+        self.load_defaults(RAM, len(self.table))
+        if self.series == "STS":
+            self["torque_limit"] = self["max_torque"]
+        self["goal_position"] = self._shown(round(self.motion.at))
+        self.apply()
+
+    # ------------------------------------------------------------------ motion
+
+    @property
+    def offset(self) -> int:
+        """The homing offset (counts): taken off the sensor's position."""
+        if self.series != "STS":
+            return 0
+        return from_directed(self["homing_offset"], 11)
+
+    def _shown(self, count: int) -> int:
+        return (count - self.offset) % self.turn
+
+    def position(self, now: int) -> float:
+        """The joint's angle (rad), as its position register has it."""
+        direction, zero = self._joint
+        return ((self.motion.position(now) - self.offset) * self._step - zero) * direction
+
+    def before_write(self) -> None:
+        """Motion up to now is as it was."""
+        self.motion.settle(self.clock.now())
+
+    def after_write(self, touched: range) -> None:
+        """Unlocked, what is below the RAM is kept."""
+        if touched.start < RAM and not self["lock"]:
+            self._saved = bytes(self.table[:RAM])
+
+    def apply(self) -> None:
+        """What the registers mean for the motion, from now on."""
+        motion = self.motion
+        motion.settle(self.clock.now())
+        motion.is_driven = bool(self["torque_enable"])
+        motion.is_jammed = "jam" in self.active_faults
+        free = FREE * self.turn / 4096
+        speed = from_directed(self["goal_speed"], 15)
+        motion.limit = min(free, abs(speed)) if speed else free
+        low, high = self["min_position_limit"], self["max_position_limit"]
+        goal = from_directed(self["goal_position"], 15)
+        motion.goal = float((max(low, min(high, goal)) if low < high else goal) + self.offset)
+        is_wheel = self.series == "STS" and self["operating_mode"] == VELOCITY
+        motion.speed = max(-free, min(free, float(speed))) if is_wheel else None
+
+    def measure(self) -> int:
+        """Bring what is measured up to date; the error bits that hold now."""
+        now = self.clock.now()
+        motion, faults = self.motion, self.active_faults
+        if motion.is_jammed is not ("jam" in faults):
+            self.apply()
+        wanted, speed = motion.wanted_at(now), motion.speed_at(now)
+        share = round(wanted / (FREE * self.turn / 4096) * FULL)
+        self["present_position"] = self._shown(round(motion.position(now)))
+        self["present_speed"] = to_directed(round(speed), 15)
+        self["present_load"] = to_directed(share, 10)
+        if self.series == "STS":
+            self["present_current"] = abs(share) // 10
+        self["moving"] = bool(speed)
+        alarm_registers(
+            self, faults, limit="max_temperature", lowest="min_voltage", supply=SUPPLY, warmth=WARMTH
+        )
+        errors = 0
+        if not self["min_voltage"] <= self["present_voltage"] <= self["max_voltage"]:
+            errors |= 1 << ERRORS["voltage"]
+        if self["present_temperature"] > self["max_temperature"]:
+            errors |= 1 << ERRORS["overheating"]
+        if motion.is_jammed and wanted:
+            if self._pushing_since is None:
+                self._pushing_since = now
+            if now - self._pushing_since >= OVERLOAD_NS:
+                errors |= 1 << ERRORS["overload"]
+        else:
+            self._pushing_since = None
+        if "overload" in faults:
+            errors |= 1 << ERRORS["overload"]
+        self["status"] = errors
+        if errors & self["unload_condition"] and self["torque_enable"]:
+            self["torque_enable"] = 0
+            self.apply()
+        return errors
+
+    # ------------------------------------------------------------------ instructions
+
+    def refused(self, why: str) -> int:
+        """No bit of a status is about the request: what is refused is not done, and that is all."""
+        return 0
+
+    def with_errors(self, refusal: int, errors: int) -> int:
+        """The servo's errors."""
+        return refusal | errors
+
+    @on("SyncRead")
+    def answer_together(self, request: Any) -> None:
+        """After those who are asked before; SCS servos do not know it."""
+        if self.series == "STS":
+            self.answer_in_turn([(number, request.start, request.count) for number in request.ids])
+
+    @on("Reset")
+    def reset(self, request: Any) -> None:
+        """As from the factory, save the id."""
+        self.answer(request)
+        number = self["id"]
+        self._factory()
+        self["id"] = number
+        self._saved = bytes(self.table[:RAM])
+        self.begin()

@@ -1,0 +1,1 @@
+"""Feetech's STS, SMS and SCS servos."""

@@ -1,0 +1,28 @@
+"""Feetech's servos that are known by name.
+
+Source: LeRobot motors/feetech/tables.py (numbers, series).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Model:
+    """One model: its number, and whose control table it has (SMS servos have that of STS)."""
+
+    name: str
+    number: int
+    series: Literal["STS", "SCS"]
+
+
+MODELS = (
+    Model("STS3215", 777, "STS"),
+    Model("STS3250", 2825, "STS"),
+    Model("SM8512BL", 11_272, "STS"),
+    Model("SCS0009", 1284, "SCS"),
+)
+#: By name.
+MODEL_NAMES = {model.name: model for model in MODELS}
