@@ -43,8 +43,8 @@ if TYPE_CHECKING:
 class Poll:
     """What is asked again and again: `message` with `fields`, answered by one of `reply`.
 
-    `every_s` None: in each tick of the host. `timeout_s` counts from the end of the request on the wire. `asked_by`: messages
-    of set-points that are answered in the same way: in a tick that sends one, this is not sent besides.
+    `every_s` None: in each tick of the host. `timeout_s` counts from the end of the request on the wire. `asked_by`:
+    set-points that are answered, too, and by which message: in a tick that sends one, this is not sent besides.
     """
 
     message: str
@@ -52,7 +52,7 @@ class Poll:
     fields: Mapping[str, Any] = field(default_factory=dict[str, Any])
     every_s: float | None = None
     timeout_s: float = 0.05
-    asked_by: Collection[str] = ()
+    asked_by: Mapping[str, str] = field(default_factory=dict[str, str])
 
     @property
     def replies(self) -> frozenset[str]:

@@ -89,8 +89,8 @@ class Host(BusEndpoint[Device]):
         self.unknown_handlers: list[Callable[[UnknownWord, int], None]] = []
         self.unknown_devices: Counter[str] = Counter()
         self.slots: deque[PollSlot] = deque()
-        #: By device and message of set-points: the poll that it stands for.
-        self._asked_by: dict[tuple[str, str], PollSlot] = {}
+        #: By device and message of set-points: the poll that it stands for, and what answers it.
+        self._asked_by: dict[tuple[str, str], tuple[PollSlot, frozenset[str]]] = {}
         #: Whether some devices are asked before others in each tick.
         self._has_priorities = False
         #: Called in each tick, and when set-points were given without one, before these are gathered.
@@ -151,7 +151,8 @@ class Host(BusEndpoint[Device]):
             if self._half and not self._period:
                 slot.due = NEVER_NS  # asked on request: `poll` or `tick`
             self.slots.append(slot)
-            self._asked_by.update(dict.fromkeys(((member.name, one) for one in poll.asked_by), slot))
+            for name, reply in poll.asked_by.items():
+                self._asked_by[member.name, name] = slot, frozenset((reply,))
         self._has_priorities = len({slot.priority for slot in self.slots}) > 1
         return member
 
@@ -225,7 +226,7 @@ class Host(BusEndpoint[Device]):
         device = self.members.get(name)
         super().remove(name)
         self.slots = deque(slot for slot in self.slots if slot.device is not device)
-        self._asked_by = {key: slot for key, slot in self._asked_by.items() if slot.device is not device}
+        self._asked_by = {key: one for key, one in self._asked_by.items() if one[0].device is not device}
 
     def renumber(self, member: Device, **credentials: int) -> None:
         """A device has other credentials from now on: its polls ask for them."""
@@ -341,11 +342,13 @@ class Host(BusEndpoint[Device]):
 
     def _ask_again(self, ticket: Ticket, now: int) -> None:
         """A poll was not answered within its tick: it is sent once more, and one answer of both may come late."""
-        self._again(ticket, now)
+        slot: PollSlot | None = ticket.poll
+        self._again(ticket, now, ticket.reply if slot is None else slot.replies)
         self._transmit(ticket.word, ticket.device, ticket.message, ticket.timeout_ns)
 
-    def _again(self, ticket: Ticket, now: int) -> None:
+    def _again(self, ticket: Ticket, now: int, reply: frozenset[str]) -> None:
         ticket.tries += 1
+        ticket.reply |= reply
         self.counts.repeated += 1
         ticket.device.missed_at = now
         for name in ticket.reply:
@@ -363,8 +366,8 @@ class Host(BusEndpoint[Device]):
                     self._take_slot(slot, now)
         self._pump()
 
-    def _take_slot(self, slot: PollSlot, now: int, *, is_asked: bool = False) -> None:
-        """It is a poll's turn; where it `is_asked` already, its answer is on its way."""
+    def _take_slot(self, slot: PollSlot, now: int, reply: frozenset[str] | None = None) -> None:
+        """It is a poll's turn; with `reply` something was sent that is answered so, and stands for it."""
         if self._half and not self._period:
             slot.due = NEVER_NS
         elif slot.every_ns:
@@ -375,12 +378,13 @@ class Host(BusEndpoint[Device]):
             slot.due = now
         slot.asked_at = now
         self._has_polled = True
+        awaited = slot.replies if reply is None else reply
         ticket = Ticket(
-            self.clock, slot.device, slot.poll.message, slot.word, slot.replies, slot.timeout_ns, 0, slot
+            self.clock, slot.device, slot.poll.message, slot.word, awaited, slot.timeout_ns, 0, slot
         )
         slot.waiting = ticket
         self.counts.polls += 1
-        if is_asked:
+        if reply is not None:
             ticket.tries += 1
             self._await(ticket, now)
         elif self._half:
@@ -419,13 +423,14 @@ class Host(BusEndpoint[Device]):
                 else:
                     used += self.port.wire_ns(word)
                     is_sent = self._transmit(word, out.device, out.message)
-                    slot = self._asked_by.get((out.device.name, out.message)) if is_sent else None
-                    if slot is not None and not out.device.is_silent:  # one that is silent is asked besides
+                    asked = self._asked_by.get((out.device.name, out.message)) if is_sent else None
+                    if asked is not None and not out.device.is_silent:  # one that is silent is asked besides
+                        slot, reply = asked
                         used += slot.wire_ns
                         if slot.waiting is None:
-                            self._take_slot(slot, now, is_asked=True)
+                            self._take_slot(slot, now, reply)
                         else:
-                            self._again(slot.waiting, now)
+                            self._again(slot.waiting, now, reply)
                 out.device.is_driven = not self.passive
         if self._half and wanted:
             self._pump()

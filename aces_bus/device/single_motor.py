@@ -4,8 +4,8 @@
 2. Whether it is on is what the motor says, not what it was told. One that switches itself off loses its set-points.
 3. It is enabled where it is; a stop ends its set-points and switches it off.
 
-A driver declares its `modes` and signals, and says how to switch on (`bring_up`), what keeps it where it is (`stay`), how to switch off
-(`switch_off`) and how to ask whether it is (`ask_state`); what its messages say goes to `shows`.
+A driver declares its `modes` and signals, and says how to switch on (`bring_up`), what keeps it where it is (`stay`), how to
+switch off (`switch_off`) and how to ask whether it is (`ask_state`); what its messages say goes to `shows`.
 """
 
 from __future__ import annotations
@@ -157,7 +157,11 @@ class SingleMotor(MotorDevice[SingleAxis]):
             self.tell_event("not sent", f"{self.owner} {known}: the set-point is dropped")
             return
         message, _, field = self.modes[self.mode][name].partition(".")
-        self.want(message, field, self._given_as[name](value))
+        self.want(message, field, self.raw_of(name, value))
+
+    def raw_of(self, name: str, value: Any) -> Any:
+        """A set-point of a motor signal in the motor's own numbers."""
+        return self._given_as[name](value)
 
     def takes(self, signal: Signal) -> bool | None:
         """Set-points are taken while it is on; until it says so they wait."""
@@ -235,7 +239,10 @@ class SingleMotor(MotorDevice[SingleAxis]):
         return self.confirm_off(self.ask_state, lambda: [] if self.is_on is False else [self.owner])
 
     def set_mode(self, mode: str) -> None:
-        """Another mode from the next `enable` on. Raises `CallerError` for one that is none, and while it is on."""
+        """Another mode from the next `enable` on.
+
+        Raises `CallerError` for one that is none, `DeviceError` while it is on.
+        """
         self._check_mode(mode)
         self.check_off("its mode can be changed")
         self.mode = mode
@@ -245,9 +252,9 @@ class SingleMotor(MotorDevice[SingleAxis]):
                 whole.setter = partial(self._give, name) if name in self.modes[mode] else None
 
     def check_off(self, what: str) -> None:
-        """Raise `CallerError` unless it says that it is off."""
+        """Raise `DeviceError` unless it says that it is off."""
         if self.is_on is not False:
-            raise CallerError(f"{self.name}: {what} while it is off; disable it first")
+            raise DeviceError(f"{self.name}: {what} while it is off; disable it first")
 
     def forget(self) -> None:
         """Nothing is known any more."""

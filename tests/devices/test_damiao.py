@@ -204,7 +204,7 @@ def test_other_modes(arm: VirtualRobot) -> None:
     last = [one for one in records() if type(one).__name__ == "PositionVelocity"][-1]
     assert last.position == pytest.approx(-0.5 + 0.2, abs=1e-6)
     assert last.velocity_limit == 6.0
-    with pytest.raises(CallerError, match="while it is off"):
+    with pytest.raises(DeviceError, match="while it is off"):
         elbow.set_mode("mit")
 
 

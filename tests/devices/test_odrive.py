@@ -149,7 +149,7 @@ def test_only_what_the_mode_takes_can_be_set(robot: VirtualRobot) -> None:
     with pytest.raises(CallerError, match="no mode 'duty'"):
         hip.set_mode("duty")
     hip.enable().wait()
-    with pytest.raises(CallerError, match="disable it first"):
+    with pytest.raises(DeviceError, match="disable it first"):
         hip.set_mode("torque")
     hip.disable().wait()
     robot.advance(0.3)
@@ -174,7 +174,7 @@ def test_zero_is_set_where_it_is(robot: VirtualRobot) -> None:
     robot.advance(0.2)
     assert robot["HIP.position"].value == pytest.approx(0.0, abs=1e-4)
     hip.enable().wait()
-    with pytest.raises(CallerError, match="disable it first"):
+    with pytest.raises(DeviceError, match="disable it first"):
         hip.set_zero().wait()
 
 

@@ -50,7 +50,7 @@ def test_it_drives_our_twin(arm: ServedTwins) -> None:
         def is_there() -> bool:
             motor.send_cmd_mit(target_position=0.5, stiffness=60.0, damping=2.0)
             state = motor.get_states()
-            return abs(state["pos"] - 0.5) < 0.02 and abs(state["vel"]) < 0.02
+            return bool(abs(state["pos"] - 0.5) < 0.02 and abs(state["vel"]) < 0.02)
 
         wait_until(is_there)
         assert arm.call(lambda: twin.angle) == pytest.approx(0.5, abs=0.05)
@@ -90,8 +90,10 @@ def test_its_commands_and_ours_are_a_count_apart_at_most(
     motor: Any = theirs.DaMiaoMotor(1, 0x11, None, motor_type=model)
     p, v, t = (share * limit for share, limit in zip(shares, MODELS[model], strict=True))
     data = int.from_bytes(motor.encode_cmd_msg(p, v, t, kp, kd), "big")
-    fields = dict(zip(("position", "velocity", "torque"), shares, strict=True))
-    ours = int.from_bytes(damiao.encode("Command", motor=1, kp=kp, kd=kd, **fields).data, "big")
+    frame = damiao.encode(
+        "Command", motor=1, position=shares[0], velocity=shares[1], torque=shares[2], kp=kp, kd=kd
+    )
+    ours = int.from_bytes(frame.data, "big")
     for shift, width in ((48, 16), (36, 12), (24, 12), (12, 12), (0, 12)):
         mask = (1 << width) - 1
         assert abs((data >> shift & mask) - (ours >> shift & mask)) <= 1

@@ -10,19 +10,19 @@ Sources: see the spec.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Driver, Host, Job, Poll, Signal, SingleMotor, Steps, Ticket
+from aces_bus.device import Driver, Host, Job, Poll, Steps, Ticket
 from aces_bus.device.config import DeviceConfig
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import AcesError, CallerError, DeviceError, UnknownNameError
 from aces_protocols.damiao.spec import INTEGERS, KD_MAX, KP_MAX, MODELS, READ_ONLY, REGISTERS, SHARE
 
+from ..mit_motor import MitMotor, Ranges
 from .twin import DamiaoTwin
 
 #: Units of register 9 (s).
@@ -39,6 +39,11 @@ RETRY_NS = 1_000_000_000
 _WELL = ("disabled", "enabled")
 
 
+def whole(ranges: tuple[float, float, float]) -> Ranges:
+    """All ranges: stiffness and damping have the same in every model."""
+    return (*ranges, KP_MAX, KD_MAX)
+
+
 class DamiaoSettings(msgspec.Struct, frozen=True, kw_only=True):
     """The driver's own keys in a robot file."""
 
@@ -52,13 +57,16 @@ class DamiaoSettings(msgspec.Struct, frozen=True, kw_only=True):
             description="PMAX, VMAX, TMAX for who only listens; when absent those of the model (they are read where asked)"
         ),
     ] = None
-    timeout_s: Annotated[
-        float | None,
-        Meta(
-            ge=0,
-            description="the motor's time-out (s), 0: none; when absent ten ticks, at least 0.1 s; none without a rate",
-        ),
-    ] = None
+    timeout_s: (
+        Annotated[
+            float,
+            Meta(
+                ge=0,
+                description="the motor's time-out (s), 0: none; when absent ten ticks, at least 0.1 s; none without a rate",
+            ),
+        ]
+        | None
+    ) = None
     current_limit: Annotated[
         float, Meta(ge=0, le=1, description="share of the current in force_position, 0.1 when absent")
     ] = 0.1
@@ -68,12 +76,16 @@ class DamiaoSettings(msgspec.Struct, frozen=True, kw_only=True):
     ] = 0
 
 
-class Damiao(SingleMotor):
+class Damiao(MitMotor):
     """One motor. Signals of the joint: position, velocity, torque, kp, kd; of the motor: status and temperatures."""
 
     protocol = "damiao"
     streams = ("Command", "PositionVelocity", "Velocity", "ForcePosition")
-    polls = (Poll("AskFeedback", "Feedback", {"how": 0}, timeout_s=0.02, asked_by=streams),)
+    polls = (
+        Poll(
+            "AskFeedback", "Feedback", {"how": 0}, timeout_s=0.02, asked_by=dict.fromkeys(streams, "Feedback")
+        ),
+    )
     modes: ClassVar = {
         "mit": {name: f"Command.{name}" for name in ("position", "velocity", "torque", "kp", "kd")},
         "position_velocity": {"position": "PositionVelocity.position"},
@@ -82,7 +94,7 @@ class Damiao(SingleMotor):
     }
     usual_modes: ClassVar = {"position": "mit", "speed": "velocity", "current": "mit"}
     actions: ClassVar = {
-        **SingleMotor.motor_actions,
+        **MitMotor.motor_actions,
         "clear_error": "clear the fault; the motor stays off",
         "set_zero": "the present position is 0 of the motor from now on; confirm=true",
         "read": "read a register by its name or number",
@@ -97,95 +109,24 @@ class Damiao(SingleMotor):
         settings = self.settings = settings_of(self.name, DamiaoSettings, self.config.settings)
         self.declare(mode=settings.mode)
         dialect = str(self.variant.dialect)
-        #: What the spec's numbers are of the motor's: 1 where the spec has shares, else the model's ranges.
-        self._spec = (1.0, 1.0, 1.0) if dialect == SHARE else MODELS[dialect]
         model = self.config.model or (dialect if dialect != SHARE else None)
-        if self.config.model is not None and self.config.model not in MODELS:
-            raise UnknownNameError(f"model of {self.name}", self.config.model, MODELS)
-        self._filed = settings.ranges or (MODELS[model] if model is not None else None)
-        #: PMAX (rad), VMAX (rad/s), TMAX (N·m) of this motor; None: not known yet.
-        self.ranges: tuple[float, float, float] | None = self._filed if self.host.passive else None
-        gains = self.joint.gains if self.joint is not None else None
-        #: Stiffness and damping where none were set: N·m/rad, N·m·s/rad at the joint.
-        self.usual = {"kp": (gains and gains.kp) or 0.0, "kd": (gains and gains.kd) or 0.0}
+        if model is not None and model not in MODELS:
+            raise UnknownNameError(f"model of {self.name}", model, MODELS)
+        filed = settings.ranges or (MODELS[model] if model is not None else None)
+        #: As the robot's file says.
+        self._filed = None if filed is None else whole(filed)
+        spec = whole((1.0, 1.0, 1.0) if dialect == SHARE else MODELS[dialect])
         self._tried_at = -RETRY_NS
-        scale = self.scale
-        for index, (name, unit, to_si, from_si, doc) in enumerate(
-            (
-                ("position", "rad", scale.angle, scale.raw_angle, "where the joint is"),
-                (
-                    "velocity",
-                    "rad/s",
-                    scale.speed,
-                    scale.raw_speed,
-                    "how fast it turns; set in mit: what damping aims at",
-                ),
-                (
-                    "torque",
-                    "N·m",
-                    scale.torque,
-                    scale.raw_torque,
-                    "torque; set: what is added to stiffness and damping",
-                ),
-            )
-        ):
-            self.add_motor_signal(
-                name, unit=unit, of=f"Feedback.{name}", to_si=partial(self._measured, index, to_si),
-                from_si=partial(self._wanted, index, from_si), doc=doc, source="MIT frame",
-            )  # fmt: skip
-        for name, unit, most in (("kp", "N·m/rad", KP_MAX), ("kd", "N·m·s/rad", KD_MAX)):
-            self.add_motor_signal(
-                name, unit=unit, from_si=scale.raw_gain, lower=0.0, upper=scale.gain(most),
-                doc="stiffness" if name == "kp" else "damping", source="MIT frame",
-            )  # fmt: skip
+        self.declare_mit(spec, self._filed if self.host.passive else None)
         self.add_signal(
             "status", of="Feedback.status", to_si=str, doc="on, off, or its fault", source="MIT frame, byte 0"
         )
-        for name, part in (("temperature", "mos"), ("motor_temperature", "rotor")):
-            self.add_signal(
-                name,
-                unit="°C",
-                of=f"Feedback.{part}_temperature",
-                doc=f"{part}",
-                source="MIT frame, bytes 6, 7",
-            )
-        if self.ranges is not None:
-            self._limit(self.ranges)
-
-    # ------------------------------------------------------------------ what numbers mean
-
-    def _measured(self, index: int, to_si: Callable[[float], float], value: float) -> float | None:
-        if self.ranges is None:
-            return None  # as a share it says nothing
-        return to_si(value * self.ranges[index] / self._spec[index])
-
-    def _wanted(self, index: int, from_si: Callable[[float], float], value: float) -> float:
-        raw = from_si(float(value))
-        if self.mode != "mit" or self.ranges is None:
-            return raw
-        limit = self._spec[index]
-        return max(-limit, min(limit, raw / self.ranges[index] * limit))
-
-    def _limit(self, ranges: tuple[float, float, float]) -> None:
-        """What the numbers can say, within what the joint may do."""
-        self.ranges = ranges
-        joint, scale = self.joint, self.scale
-        ends = sorted((scale.angle(-ranges[0]), scale.angle(ranges[0])))
-        fast, strong = abs(scale.speed(ranges[1])), abs(scale.torque(ranges[2]))
-        if joint is not None:
-            ends = [
-                ends[0] if joint.lower is None else max(ends[0], joint.lower),
-                ends[1] if joint.upper is None else min(ends[1], joint.upper),
-            ]
-            fast = min(fast, joint.max_speed or fast)
-        for name, lower, upper in (
-            ("position", *ends),
-            ("velocity", -fast, fast),
-            ("torque", -strong, strong),
+        for name, part, doc in (
+            ("temperature", "mos", "of the transistors"),
+            ("motor_temperature", "rotor", "of the windings"),
         ):
-            signal: Signal = self.signals[f"{self.owner}.{name}"]
-            signal.lower, signal.upper = lower, upper
-        self.epoch += 1
+            of = f"Feedback.{part}_temperature"
+            self.add_signal(name, unit="°C", of=of, doc=doc, source="MIT frame, bytes 6, 7")
 
     def read_ranges(self) -> Steps:
         """Steps that read PMAX, VMAX and TMAX. Raises `DeviceError` for ranges that are none."""
@@ -194,17 +135,17 @@ class Damiao(SingleMotor):
             found.append((yield self.read(name)))
         if not all(0 < value < 1e6 for value in found):
             raise DeviceError(f"{self.name}: its ranges PMAX, VMAX, TMAX are {found}: these are none")
-        ranges = (found[0], found[1], found[2])
+        ranges = whole((found[0], found[1], found[2]))
         if self._filed is not None and any(
             abs(one - other) > 1e-3 * other for one, other in zip(ranges, self._filed, strict=True)
         ):
             self.tell_event(
                 "alarm",
-                f"its ranges are {', '.join(f'{one:g}' for one in ranges)}; the robot's file means"
-                f" {', '.join(f'{one:g}' for one in self._filed)}. The motor's count",
+                f"its ranges are {', '.join(f'{one:g}' for one in ranges[:3])}; the robot's file means"
+                f" {', '.join(f'{one:g}' for one in self._filed[:3])}. The motor's count",
             )
         if ranges != self.ranges:
-            self._limit(ranges)
+            self.know(ranges)
 
     def start(self) -> Job:
         """Read what its numbers mean; again when it comes later."""
@@ -246,14 +187,6 @@ class Damiao(SingleMotor):
         job.progress, job.text = 0.8, "on"
         yield self.ask("Enable", reply="Feedback")
 
-    def stay(self) -> None:
-        """Where it is, with the stiffness and damping of the file; no velocity, no torque."""
-        here = self.signals[f"{self.owner}.position"].last
-        for name, path in self.modes[self.mode].items():
-            message, _, field = path.partition(".")
-            value = self.usual.get(name, here if name == "position" else 0.0)
-            self.want(message, field, self._given_as[name](value))
-
     def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
         """The speed on the way, and the share of the current, in modes that have them."""
         if message not in ("PositionVelocity", "ForcePosition"):
@@ -267,11 +200,6 @@ class Damiao(SingleMotor):
                 "current_limit": self.settings.current_limit,
             }
         return {**fields, **more}
-
-    def is_followed(self, signal: Signal) -> bool:
-        """Not while it has no stiffness: then it gives way on purpose."""
-        is_soft = self.mode == "mit" and not self._given.get("Command", {}).get("kp")
-        return not is_soft and super().is_followed(signal)
 
     def switch_off(self) -> Ticket:
         """Off; its answer says so."""

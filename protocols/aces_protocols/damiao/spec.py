@@ -16,6 +16,7 @@ from typing import Any
 from construct import Byte, Const, Default, Float32l, GreedyBytes, Int8ul, Int16ul, Int32ul, Struct
 
 from aces_bus.protocol import BitLayout, Enumeration, IdField, Protocol, Quantity, Reserved, bits
+from aces_protocols.mit_frame import span
 
 #: Model → PMAX (rad), VMAX (rad/s), TMAX (N·m), as python-damiao-driver has them; see the README for who says otherwise.
 MODELS: dict[str, tuple[float, float, float]] = {
@@ -52,11 +53,6 @@ STATUS = {
     "disabled": 0x0, "enabled": 0x1, "over_voltage": 0x8, "under_voltage": 0x9, "over_current": 0xA,
     "mos_over_temperature": 0xB, "rotor_over_temperature": 0xC, "lost_communication": 0xD, "overload": 0xE,
 }  # fmt: skip
-
-
-def span(width: int, limit: float, unit: str, *, low: float | None = None) -> Quantity:
-    """A number that spans ±`limit` (or from `low`) in 2**width − 1 steps."""
-    return Quantity.span(bits(width), -limit if low is None else low, limit, bits=width, unit=unit)
 
 
 # ---------------------------------------------------------------------- MIT frames

@@ -1,0 +1,211 @@
+"""The twin of a CyberGear or RobStride motor: the MIT law, three other run modes, parameters, faults.
+
+1. Every command, Enable, Stop, SetZero and write is answered by a feedback to the host that sent it; a Command names no
+   host, and is answered to the last one that did.
+2. The run mode changes while it is stopped only (instructionmanual.md); zero is lost at power-off.
+3. Models without ranges of their own have those of `ranges` in the robot's file, else an RS02's.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from aces_bus.device import JointScale, Twin, on
+from aces_protocols.robstride.spec import BYTES, DIALECTS, FAMILY, KINDS, MODELS, READ_ONLY
+
+from ..joint_model import MotorModel, joint_of
+
+#: What position mode holds with (N·m/rad), speed mode (N·m·s/rad), and N·m an A: choices.
+STIFFNESS, DAMPING, TORQUE_CONSTANT = 120.0, 4.0, 1.2
+VOLTAGE = 24.0
+_KIND = {name: kind for kind, (names, _) in KINDS.items() for name in names}
+_FAULTS = ("under_voltage", "over_current", "over_temperature", "magnetic_encoder", "uncalibrated")
+
+
+class RobstrideTwin(Twin):
+    """One motor. `parameters` by name; `state` is reset or run."""
+
+    protocol = "robstride"
+    faults: ClassVar = {name: f"reports {name}, and is off until it is cleared" for name in _FAULTS}
+    reply_delay_ns = 30_000
+
+    def setup(self) -> None:
+        """Stopped, in run mode motion, its zero where the motor's is."""
+        dialect = str(self.variant.dialect)
+        self.spec = DIALECTS[dialect]
+        model = "CyberGear" if dialect == FAMILY else dialect
+        self.ranges = self.config.settings.get("ranges") or MODELS.get(
+            self.config.model or model, MODELS["RS02"]
+        )
+        self.scale = JointScale.of(self.joints[0] if self.joints else None)
+        speed, torque = self.ranges[1] / self.scale.ratio, self.ranges[2] * self.scale.ratio
+        self.motor = joint_of(
+            self,
+            MotorModel(speed=speed, stall_current=torque / TORQUE_CONSTANT, torque_constant=TORQUE_CONSTANT),
+        )
+        self.state, self.host, self.offset = "reset", 0xFD, 0.0
+        self.failed: frozenset[str] = frozenset()
+        self.parameters: dict[str, float] = dict.fromkeys(_KIND, 0.0)
+
+    # ------------------------------------------------------------------ what it says
+
+    @property
+    def angle(self) -> float:
+        """Where the motor is (rad)."""
+        return self.scale.raw_angle(self.motor.position(self.clock.now())) + self.offset
+
+    def look(self) -> None:
+        """A fault switches it off."""
+        new = {fault for fault in _FAULTS if fault in self.active_faults} - self.failed
+        if new:
+            self.failed |= new
+            self.go_off()
+            bits = [fault for fault in new if fault in ("under_voltage", "uncalibrated")]
+            self.reply("FaultReport", host=self.host, faults=bits, warnings=[])
+
+    def feedback(self, request: Any = None) -> None:
+        """Position, velocity, torque, temperature; state and faults."""
+        self.host = getattr(request, "host", self.host)
+        self.look()
+        angle, scale, motor = self.angle, self.scale, self.motor
+        measured = (angle, scale.raw_speed(motor.v), scale.raw_torque(motor.torque))
+        shares = [
+            max(-unit, min(unit, value / whole * unit))
+            for value, whole, unit in zip(measured, self.ranges[:3], self.spec[:3], strict=True)
+        ]
+        fields = self.variant["Feedback"].fields
+        faults = {
+            name: int(name in self.failed) for name in (*_FAULTS, "hall_encoder", "stalled") if name in fields
+        }
+        self.reply(
+            "Feedback", host=self.host, state=self.state, position=shares[0], velocity=shares[1], torque=shares[2],
+            temperature=motor.temperature, **faults,
+        )  # fmt: skip
+
+    @on("GetId")
+    def identify(self, request: Any) -> None:
+        """Its unique id."""
+        self.reply("Id", unique_id=0x1122334455667700 | self.credentials["motor"])
+
+    @on("SetId")
+    def renumber(self, request: Any) -> None:
+        """Another number."""
+        self.twins.renumber(self, motor=request.new_motor)
+        self.identify(request)
+
+    # ------------------------------------------------------------------ switching
+
+    def go_off(self) -> None:
+        """Give way."""
+        self.state = "reset"
+        self.motor.free(self.clock.now())
+
+    def power(self, on: bool) -> None:
+        """See `Twin.power`."""
+        if not on:
+            self.go_off()
+        super().power(on)
+
+    @on("Enable")
+    def enable(self, request: Any) -> None:
+        """On, without torque, where nothing is wrong."""
+        self.look()
+        if not self.failed and self.state != "run":
+            self.state = "run"
+            for name in ("loc_ref", "spd_ref", "iq_ref"):
+                self.parameters[name] = self.angle if name == "loc_ref" else 0.0
+            self.motor.impede(self.clock.now(), 0.0, 0.0, 0.0, 0.0, 0.0)
+            self.drive()
+        self.feedback(request)
+
+    @on("Stop")
+    def halt(self, request: Any) -> None:
+        """Off; clear 1: without faults."""
+        self.go_off()
+        if request.clear == 1:
+            self.failed = frozenset()
+        self.feedback(request)
+
+    @on("SetZero")
+    def zero(self, request: Any) -> None:
+        """Here is 0."""
+        self.offset -= self.angle
+        self.feedback(request)
+
+    @on("Command")
+    def command(self, request: Any) -> None:
+        """The MIT law, in run mode motion."""
+        if self.state == "run" and self.parameters["run_mode"] == 0:
+            position, velocity, torque, kp, kd = (
+                getattr(request, name) * whole / unit
+                for name, whole, unit in zip(
+                    ("position", "velocity", "torque", "kp", "kd"), self.ranges, self.spec, strict=True
+                )
+            )
+            scale = self.scale
+            goal, speed = scale.angle(position - self.offset), scale.speed(velocity)
+            self.motor.impede(
+                self.clock.now(), goal, speed, scale.gain(kp), scale.gain(kd), scale.torque(torque)
+            )
+        self.feedback()
+
+    def drive(self) -> None:
+        """Do what the parameters of the run mode say."""
+        now, scale, given = self.clock.now(), self.scale, self.parameters
+        match given["run_mode"]:
+            case 1:
+                goal = scale.angle(given["loc_ref"] - self.offset)
+                self.motor.impede(now, goal, 0.0, scale.gain(STIFFNESS), scale.gain(DAMPING), 0.0)
+            case 2:
+                self.motor.impede(now, 0.0, scale.speed(given["spd_ref"]), 0.0, scale.gain(DAMPING), 0.0)
+            case 3:
+                self.motor.impede(
+                    now, 0.0, 0.0, 0.0, 0.0, scale.direction * given["iq_ref"] * TORQUE_CONSTANT
+                )
+            case _:
+                pass
+
+    # ------------------------------------------------------------------ parameters
+
+    def value(self, name: str) -> float:
+        """A parameter, measured where it is."""
+        motor, scale = self.motor, self.scale
+        motor.sync(self.clock.now())
+        match name:
+            case "mech_pos":
+                return self.angle
+            case "mech_vel":
+                return scale.raw_speed(motor.v)
+            case "iqf":
+                return scale.direction * motor.current
+            case "vbus":
+                return VOLTAGE
+            case _:
+                return self.parameters[name]
+
+    @on("ReadParameter")
+    def read(self, request: Any) -> None:
+        """What it is; one that there is not is an error."""
+        name = request.index
+        kind = _KIND.get(name)
+        if kind is None:
+            return
+        value = self.value(name)
+        self.reply(
+            f"{kind}Parameter",
+            host=request.host,
+            status="ok",
+            index=name,
+            value=value if kind == "Float" else int(value),
+        )
+
+    @on("WriteFloat", "WriteByte", "WriteShort", "WriteLong")
+    def write(self, request: Any) -> None:
+        """Take it; the run mode while it is stopped only."""
+        name = request.index
+        is_late = name in BYTES and self.state == "run"
+        if name in self.parameters and name not in READ_ONLY and not is_late:
+            self.parameters[name] = request.value
+            if self.state == "run":
+                self.drive()
+        self.feedback(request)

@@ -1,0 +1,1 @@
+"""CyberGear and RobStride motors on CAN: their private protocol."""
