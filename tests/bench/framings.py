@@ -1,6 +1,6 @@
 """Other framings beside their usual libraries: `make bench-framings`, or `python -m tests.bench.framings`.
 
-The specs are those of `tests/specs`; streams are repeated worked examples, fed in chunks of 4096 bytes; fields are parsed
+Streams are repeated worked examples, fed in chunks of 4096 bytes; fields are parsed
 on both sides. pymavlink computes its CRC in C when `fastcrc` is installed, which it asks for.
 """
 
@@ -11,16 +11,31 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from aces_bus.protocol import Protocol
+from aces_protocols.nmea0183.spec import nmea0183
+from aces_protocols.ubx.spec import ubx
 from aces_tools.benchmarks import fastest, optional
-from tests.specs.cases import MAVLINK1, NMEA0183, UBX
-from tests.specs.catalogue import SPECS
+from tests.specs.cases import MAVLINK1
+from tests.specs.mavlink1 import mavlink1
 
 CHUNK = 4096
+
+
+def worked(protocol: Protocol, *names: str) -> bytes:
+    """The first worked example of each of these messages."""
+    return b"".join(protocol[name].examples[0].word.data for name in names)
+
+
+SPECS = {protocol.name: protocol for protocol in (mavlink1, nmea0183, ubx)}
 #: spec, target as a ratio, stream
 STREAMS: dict[str, tuple[str, float, bytes]] = {
-    "UBX: NAV-PVT, NAV-STATUS, ACK": ("ubx", 20, (UBX[0].data * 4 + UBX[1].data + UBX[4].data) * 200),
+    "UBX: NAV-PVT, NAV-STATUS, ACK": ("ubx", 20, worked(ubx, *["NavPvt"] * 4, "NavStatus", "Ack") * 200),
     "MAVLink 1: ATTITUDE": ("mavlink1", 6, MAVLINK1[1].data * 2500),
-    "NMEA 0183: seven sentences": ("nmea0183", 8, b"".join(case.data for case in NMEA0183) * 150),
+    "NMEA 0183: seven sentences": (
+        "nmea0183",
+        8,
+        worked(nmea0183, "GGA", "RMC", "GSA", "GSV", "VTG", "GLL", "HDT") * 150,
+    ),
 }
 
 

@@ -45,7 +45,7 @@ def _hear(scanner: Scanner, packet: DrawnPacket) -> list[Any]:
     return scanner.feed(packet.word) + scanner.idle()
 
 
-@pytest.mark.parametrize("name", [*REGISTERED, "ubx", "nmea0183", "opaque_corners", "can_corners"])
+@pytest.mark.parametrize("name", [*REGISTERED, "opaque_corners", "can_corners"])
 @settings(max_examples=30 if IS_LONG else 12)
 @given(st.data())
 def test_strategies_draw_valid_packets(name: str, data: st.DataObject) -> None:

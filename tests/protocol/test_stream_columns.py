@@ -41,7 +41,9 @@ from aces_bus.protocol.columns.stream import StreamColumns
 from aces_bus.protocol.columns.survey import Survey
 from aces_bus.protocol.columns.table import MessageTable, cells_of, packet_rows
 from aces_protocols.minihubo_adc.spec import minihubo_adc
+from aces_protocols.nmea0183.spec import nmea0183
 from aces_protocols.robotis.spec import robotis
+from aces_protocols.ubx.spec import ubx
 from tests.specs.cases import STREAMS
 from tests.specs.catalogue import SPECS
 
@@ -142,6 +144,8 @@ CHECKS: tuple[Check | None, ...] = (
 PROTOCOLS: dict[str, Protocol] = {
     "robotis": robotis,
     "minihubo_adc": minihubo_adc,
+    "nmea0183": nmea0183,
+    "ubx": ubx,
     **{name: spec for name, spec in SPECS.items() if spec.link != "can"},
     **{f"check {n}": framed(b"\xa5\x5a", check, f"check{n}") for n, check in enumerate(CHECKS)},
     "one sync byte": framed(b"\x02", Sum(), "one_sync_byte", max_size=40),
@@ -158,6 +162,7 @@ def packets(name: str) -> tuple[bytes, ...]:
     protocol = PROTOCOLS[name]
     found = [case.data for case in STREAMS if case.spec == name]
     found += [piece.data for case in STREAMS if case.spec == name for piece in case.before]
+    found += [example.word.data for message in protocol.declared for example in message.examples]
     rng = random.Random(1)
     for _ in range(0 if found else 40):
         framing = protocol.framings[0]

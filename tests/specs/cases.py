@@ -47,10 +47,6 @@ def stream(
     return Case(spec, message, bytes.fromhex(hex_), fields, before=before, source=source)
 
 
-def sentence(message: str, text: str, **fields: Any) -> Case:
-    return Case("nmea0183", message, text.encode("ascii") + b"\r\n", fields, source="pynmeagps")
-
-
 def frame(
     spec: str,
     message: str,
@@ -173,81 +169,6 @@ DYNAMIXEL2 = [
     ),
 ]
 
-# ---------------------------------------------------------------------- UBX
-
-UBX = [
-    stream(
-        "ubx",
-        "NavPvt",
-        "B5 62 01 07 5C 00 00 CA 5B 07 E8 07 03 0F 0A 11 24 37 19 00 00 00 2E FB FF FF 03 01 E0 0E 80 77 "
-        "8E 06 00 38 9C 1C 40 EF 07 00 78 3F 07 00 DC 05 00 00 98 08 00 00 64 00 00 00 CE FF FF FF 0A 00 "
-        "00 00 70 00 00 00 F4 88 28 00 2C 01 00 00 60 E3 16 00 78 00 00 00 00 00 00 00 00 00 00 00 FA 00 "
-        "32 00 A0 D5",
-        source="pyubx2",
-        year=2024,
-        month=3,
-        day=15,
-        hour=10,
-        minute=17,
-        second=36,
-        nano=-1234,
-        fix="fix_3d",
-        lat=48.0,
-        lon=11.0,
-        satellites=14,
-        height=520_000,
-        height_msl=475_000,
-        velocity_north=100,
-        velocity_east=-50,
-        velocity_down=10,
-        heading_of_motion=26.565,
-        pdop=1.2,
-        magnetic_declination=2.5,
-        magnetic_accuracy=0.5,
-    ),
-    stream(
-        "ubx",
-        "NavStatus",
-        "B5 62 01 03 10 00 00 CA 5B 07 03 DD 00 08 90 65 00 00 40 42 0F 00 AE AA",
-        source="pyubx2",
-        fix="fix_3d",
-        time_to_first_fix=26_000,
-        uptime=1_000_000,
-        flags2={"power_save": 0, "spoofing": "none", "carrier": "none", "reserved": 0},
-    ),
-    stream(
-        "ubx",
-        "EsfMeas",
-        "B5 62 10 02 10 00 E8 03 00 00 00 10 00 00 00 10 00 05 00 FC FF 10 3D 6E",
-        source="pyubx2",
-        time_tag=1000,
-        data=[
-            {"value": 4096, "kind": "gyro_z", "reserved": 0},
-            {"value": -1024, "kind": "accel_x", "reserved": 0},
-        ],
-        calibration_tag=None,
-    ),
-    stream(
-        "ubx",
-        "EsfMeas",
-        "B5 62 10 02 10 00 E8 03 00 00 08 08 00 00 C4 09 00 0B 09 03 00 00 01 AE",
-        source="pyubx2",
-        data=[{"value": 2500, "kind": "speed", "reserved": 0}],
-        calibration_tag=777,
-    ),
-    stream("ubx", "Ack", "B5 62 05 01 02 00 06 01 0F 38", source="pyubx2", acked_group=6, acked_number=1),
-    stream(
-        "ubx",
-        "CfgMsg",
-        "B5 62 06 01 03 00 01 07 01 13 51",
-        source="pyubx2",
-        message_group=1,
-        message_number=7,
-        rate=1,
-    ),
-    stream("ubx", "NavPvtPoll", "B5 62 01 07 00 00 08 19", source="pyubx2"),
-]
-
 # ---------------------------------------------------------------------- MAVLink 1
 
 MAVLINK1 = [
@@ -275,68 +196,6 @@ MAVLINK1 = [
         yaw=1.5,
         yaw_rate=0.0,
     ),
-]
-
-# ---------------------------------------------------------------------- NMEA 0183
-
-NMEA0183 = [
-    sentence(
-        "GGA",
-        "$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47",
-        talker="GP",
-        time="123519",
-        lat=48.1173,
-        lat_sign="north",
-        lon=11.516667,
-        quality="gps",
-        satellites=8,
-        altitude=545.4,
-        age=None,
-    ),
-    sentence(
-        "RMC",
-        "$GNRMC,103607.00,A,5327.03942,N,00214.42462,W,0.046,,060321,,,A,V*0F",
-        talker="GN",
-        status="valid",
-        lat=53.450657,
-        lon=2.24041,
-        lon_sign="west",
-        speed=0.046,
-        course=None,
-        mode="autonomous",
-        navigation="void",
-    ),
-    sentence(
-        "GSA",
-        "$GNGSA,A,3,23,31,10,,,,,,,,,,1.87,1.12,1.49,1*03",
-        fix="fix_3d",
-        satellite1=23,
-        satellite4=None,
-        pdop=1.87,
-        system="1",
-    ),
-    sentence(
-        "GSV",
-        "$GPGSV,1,1,02,10,63,137,17,07,61,098,15,1*64",
-        in_view=2,
-        more=["10", "63", "137", "17", "07", "61", "098", "15", "1"],
-    ),
-    sentence(
-        "VTG",
-        "$GNVTG,103.85,T,92.79,M,0.14,N,0.25,K,D*00",
-        course=103.85,
-        course_magnetic=92.79,
-        speed_kmh=0.25,
-        mode="differential",
-    ),
-    sentence(
-        "GLL",
-        "$GNGLL,5327.04319,S,00214.41396,E,223232.00,A,A*68",
-        lat=53.45072,
-        lat_sign="south",
-        time="223232.00",
-    ),
-    sentence("HDT", "$GPHDT,274.07,T*03", heading=274.07),
 ]
 
 # ---------------------------------------------------------------------- Modbus, HuboVia
@@ -650,5 +509,5 @@ J1939 = [
     ),
 ]
 
-STREAMS = [*DYNAMIXEL2, *UBX, *MAVLINK1, *NMEA0183, *MODBUS, *HUBOVIA]
+STREAMS = [*DYNAMIXEL2, *MAVLINK1, *MODBUS, *HUBOVIA]
 FRAMES = [*MIT, *ODRIVE, *J1939]

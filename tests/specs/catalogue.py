@@ -16,10 +16,8 @@ from tests.specs.j1939_like import j1939_like
 from tests.specs.mavlink1 import mavlink1
 from tests.specs.mit_motor import mit_motor
 from tests.specs.modbus_like import modbus_like
-from tests.specs.nmea0183 import nmea0183
 from tests.specs.odrive_like import odrive_like
 from tests.specs.slip import slip
-from tests.specs.ubx import ubx
 from tests.specs.xbus_like import xbus_like
 
 SPECS: dict[str, Protocol] = {
@@ -34,10 +32,8 @@ SPECS: dict[str, Protocol] = {
         mavlink1,
         mit_motor,
         modbus_like,
-        nmea0183,
         odrive_like,
         slip,
-        ubx,
         xbus_like,
     )
 }

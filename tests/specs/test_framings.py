@@ -9,10 +9,10 @@ import pytest
 from aces_bus.errors import FieldError
 from aces_bus.protocol import Cobs, Insert, Protocol, Reference, Slip, StreamScanner, Unknown, as_dict
 from aces_bus.protocol.declare.stuffing import Stuffing
+from aces_protocols.nmea0183.spec import nmea0183
 from tests.specs.cobs import cobs
 from tests.specs.dynamixel2 import dynamixel2
 from tests.specs.modbus_like import modbus_like
-from tests.specs.nmea0183 import nmea0183
 from tests.specs.slip import slip
 
 DYNAMIXEL = Insert(b"\xff\xff\xfd", b"\xfd")

@@ -11,11 +11,13 @@ import pytest
 from aces_bus.errors import SpecError
 
 FOLDER = Path(__file__).parent
+SHIPPED = FOLDER.parents[1] / "protocols" / "aces_protocols"
 
 
 def declare(spec: str, word: str, instead: str, where: Path) -> None:
     """Run a spec's source with one word changed."""
-    source = (FOLDER / f"{spec}.py").read_text(encoding="utf-8")
+    file = FOLDER / f"{spec}.py"
+    source = (file if file.exists() else SHIPPED / spec / "spec.py").read_text(encoding="utf-8")
     assert word in source
     path = where / f"{spec}_without.py"
     path.write_text(source.replace(word, instead, 1), encoding="utf-8")
@@ -80,7 +82,7 @@ def declare(spec: str, word: str, instead: str, where: Path) -> None:
             'Crc("CRC8-SAE-J1580"',
             r"no CRC named 'CRC8-SAE-J1580' .*near: .*CRC8-SAE-J1850",
         ),
-        ("nmea0183", "type=name.encode()", 'type=b"GGA"', r"'RMC' is ambiguous with 'GGA' .*both accept 24 "),
+        ("nmea0183", "type=name,", 'type=b"GGA",', r"'RMC' is ambiguous with 'GGA' .*both accept 24 "),
     ],
 )
 def test_a_missing_word_is_found(spec: str, word: str, instead: str, message: str, tmp_path: Path) -> None:

@@ -77,16 +77,10 @@ def test_the_same_bytes_come_back(case: Case) -> None:
 
 @each
 def test_the_same_values_come_back(case: Case) -> None:
-    """Encoding a record's fields, in units and by name, gives the packet, or in characters one of the same values."""
+    """Encoding a record's fields, in units and by name, gives the packet."""
     scanner = scanner_of(case)
     record = [*scanner.feed(case.data), *scanner.idle()][0]
-    packet = SPECS[case.spec].encode(case.message, **as_dict(record))
-    if case.spec != "nmea0183":  # where numbers may have any number of digits
-        assert packet == case.data
-        return
-    again = [*scanner.feed(packet), *scanner.idle()][0]
-    for name, value in as_dict(record).items():
-        assert as_dict(again)[name] == (pytest.approx(value, abs=1e-6) if isinstance(value, float) else value)
+    assert SPECS[case.spec].encode(case.message, **as_dict(record)) == case.data
 
 
 @each
