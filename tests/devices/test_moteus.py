@@ -67,6 +67,20 @@ def test_every_set_point_has_limits_and_watchdog() -> None:
         }
 
 
+def test_nothing_is_sent_before_enabling() -> None:
+    """A set-point for a joint that is not enabled is reported, and not kept."""
+    with arm() as robot:
+        robot.advance(0.1)
+        told = commands(robot)
+        robot["J"].set(0.5)
+        robot.advance(0.2)
+        assert told == []
+        assert "M is not enabled" in robot.events.of("not sent")[0].detail
+        robot.rig.each("enable").wait(5)
+        robot.advance(0.5)
+        assert robot["J.position"].value == 0.0
+
+
 def test_enabling_holds_where_it_is() -> None:
     """NaN is "where you are now": nothing moves, and the mode is position."""
     with VirtualRobot(arm().robot, rate_hz=50, pose={"J": 0.3}) as robot:
@@ -107,7 +121,7 @@ def test_a_fault_is_told_and_ends_set_points() -> None:
         robot.twins["M"].fault("trip")
         robot.advance(0.1)
         assert robot.events.of("alarm")[-1].detail == "over_temperature"
-        assert not robot.devices["M"].enabled  # type: ignore[attr-defined]
+        assert not robot.devices["M"].enabled
         with pytest.raises(DeviceError, match="mode fault, fault over_temperature"):
             robot.rig.each("enable").wait(5)
         robot.twins["M"].fault("trip", on=False)

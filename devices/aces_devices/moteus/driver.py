@@ -192,6 +192,12 @@ class Moteus(Device):
             owner=owner,
             doc="Torque of the joint.",
         )
+        self.is_enabled = self.add_signal(
+            "enabled",
+            owner=owner,
+            read_from=REPLIES,
+            doc="Whether it takes set-points; see the action enable.",
+        )
         self.mode = add("mode", "mode", doc="The controller's mode.")
         add("fault", "fault", doc='Why it is in mode fault, or what limits it; "none".')
         add("voltage", "voltage", unit="V", doc="Supply.")
@@ -225,6 +231,13 @@ class Moteus(Device):
             values["command_accel_limit"] = joint.max_acceleration * per_rad
         return [write("i8", mode="position"), *runs(values)]
 
+    def want(self, message: str, path: str, value: Any) -> None:
+        """A set-point: kept for the next tick while it is enabled, else reported as not sent."""
+        if self.enabled:
+            super().want(message, path, value)
+        else:
+            self.tell_event("not sent", f"{self.name} is not enabled: {message}.{path} = {value:g}")
+
     def takes(self, signal: Signal) -> bool | None:
         """Only while it is enabled."""
         return self.enabled and super().takes(signal)
@@ -247,6 +260,7 @@ class Moteus(Device):
         mode = values.get("mode")
         if mode is None:
             return
+        self.is_enabled.update(self.enabled and mode == "position", instant)
         fault = str(values.get("fault", "unknown"))
         before, self.alarms = self.alarms, frozenset((fault,)) if mode == "fault" else frozenset()
         self.tell_alarms(self.alarms, before)

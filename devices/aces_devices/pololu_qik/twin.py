@@ -7,10 +7,10 @@
 
 from __future__ import annotations
 
-from math import exp
 from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
+from aces_devices.wheel_model import TurningWheel
 
 #: A unit of the serial time-out (s), and how the parameter holds it (Pololu 0J25 5.c).
 UNIT_S = 0.262
@@ -26,45 +26,25 @@ SETTING_NS = 4_000_000
 OVERRUN, FRAME, FORMAT, TIMEOUT = 8, 16, 64, 128
 
 
-class Wheel:
-    """A motor with what it turns: `drive` or `free` it, `position` (rad) and `speed` (rad/s) at an instant (ns)."""
+class Wheel(TurningWheel):
+    """A motor with what it turns: `drive` or `free` it."""
 
-    __slots__ = ("_angle", "_at", "_goal", "_speed", "_tau", "duty")
+    __slots__ = ("duty",)
 
     def __init__(self, now: int) -> None:
-        self._at, self._angle, self._speed, self._goal, self._tau = now, 0.0, 0.0, 0.0, FREE
+        super().__init__(now)
         #: The duty that it is driven with, −1…1; None: it turns freely.
         self.duty: float | None = None
 
-    def _sync(self, now: int) -> None:
-        if now <= self._at:
-            return
-        time = (now - self._at) / 1e9
-        left = exp(-time / self._tau)
-        gone = self._speed - self._goal
-        self._angle += self._goal * time + gone * self._tau * (1 - left)
-        self._speed = self._goal + gone * left
-        self._at = now
-
     def drive(self, now: int, duty: float) -> None:
         """Drive it at this share of the supply; 0 brakes."""
-        self._sync(now)
-        self.duty, self._goal, self._tau = duty, SPEED * duty, DRIVEN
+        self.duty = duty
+        self.lead(now, SPEED * duty, DRIVEN)
 
     def free(self, now: int) -> None:
         """Let it run out."""
-        self._sync(now)
-        self.duty, self._goal, self._tau = None, 0.0, FREE
-
-    def position(self, now: int) -> float:
-        """Where it is (rad)."""
-        self._sync(now)
-        return self._angle
-
-    def speed(self, now: int) -> float:
-        """How fast it turns (rad/s)."""
-        self._sync(now)
-        return self._speed
+        self.duty = None
+        self.lead(now, 0.0, FREE)
 
 
 class _Joint:

@@ -1,0 +1,397 @@
+"""VESC: one controller, one motor, by duty, current, speed or position.
+
+1. A controller has no state "enabled": whoever sends, drives. Nothing is sent before `enable`, and nothing after the device
+   has reported a fault or fallen silent, until it is enabled anew.
+2. Set-points are repeated in each tick; the controller's own time-out (1 s from the factory) stops its motor without them.
+3. Each controller answers to a host number of its own: pieces of long answers have no sender, and would mix.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from math import degrees, tau
+from operator import mul
+from typing import Annotated, Any, ClassVar, Literal
+
+import msgspec
+from msgspec import Meta
+
+from aces_bus.device import Device, Driver, Host, Job, Poll, Signal, Steps, Ticket
+from aces_bus.device.config import DeviceConfig
+from aces_bus.device.settings import described, settings_of
+from aces_bus.errors import CallerError, DeviceError
+from aces_protocols.vesc.buffers import Buffers
+from aces_protocols.vesc_uart.packets import PacketReader, packet_of
+from aces_protocols.vesc_uart.spec import mask_of
+
+from .twin import VescTwin
+
+#: The message and field of each kind of set-point.
+SETS = {
+    "duty": "SetDuty.duty",
+    "current": "SetCurrent.current",
+    "speed": "SetSpeed.speed",
+    "position": "SetPosition.position",
+}
+#: The tachometer counts six a turn of the field (documentation/comm_can.md).
+TACHOMETER = 6
+#: Motor current that counts as none (A): measured currents are never quite 0.
+STILL_A = 1.0
+#: What is asked for in each tick; with status messages only what they lack, and how often (s).
+POLLED = (
+    "fet_temperature",
+    "motor_temperature",
+    "motor_current",
+    "input_current",
+    "duty",
+    "speed",
+    "voltage",
+)
+FAULT_S = 0.2
+ANSWERS = ("ShortAnswer", "LongAnswer")
+
+
+class VescSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """The driver's own keys in a robot file."""
+
+    pole_pairs: Annotated[
+        int, Meta(gt=0, le=100, description="pole pairs of the motor: turns of the field a turn (default 7)")
+    ] = 7
+    host: (
+        Annotated[
+            int,
+            Meta(
+                ge=0,
+                lt=255,
+                description="the number it answers to, when absent its own with bit 7 turned over",
+            ),
+        ]
+        | None
+    ) = None
+    values: Annotated[
+        Literal["poll", "status"],
+        Meta(
+            description='"poll": ask for values in each tick (default); "status": it is configured to send them'
+        ),
+    ] = "poll"
+    stop: Annotated[
+        Literal["release", "brake"],
+        Meta(description='what a stop does: "release" the motor (default), or "brake" it with brake_current'),
+    ] = "release"
+    brake_current: Annotated[float, Meta(gt=0, description="motor current of a brake, A (default 5)")] = 5.0
+
+
+class Vesc(Device):
+    """Signals: velocity, position, current and duty of the joint; supply, temperatures and fault of the controller."""
+
+    protocol = "vesc"
+    streams = tuple(path.partition(".")[0] for path in SETS.values())
+    actions: ClassVar = {
+        "enable": "take set-points from now on; by position: hold where it is",
+        "disable": "end set-points and stop",
+        "brake": "end set-points, and brake with the setting brake_current until the controller's time-out",
+        "firmware": "ask for version and hardware",
+    }
+    asking: ClassVar = ("firmware",)
+
+    # ------------------------------------------------------------------ declaration
+
+    def setup(self) -> None:
+        """Signals of the motor and of the controller, and what is polled."""
+        settings = self.settings = settings_of(self.name, VescSettings, self.config.settings)
+        if len(self.joints) > 1:
+            names = ", ".join(joint.name for joint in self.joints)
+            raise CallerError(f"{self.name}: a VESC has one motor, and moves one joint, not {names}")
+        joint = self.joint = self.joints[0] if self.joints else None
+        self.command = "duty" if joint is None else joint.command
+        number = self.credentials["id"]
+        usual = number ^ 0x80 if number not in (0x7F, 0xFF) else 0xFE
+        self.host_number = usual if settings.host is None else settings.host
+        if self.host_number == number:
+            raise CallerError(f"{self.name}: the setting host is its own number {number}; give a free one")
+        # Pieces of answers have no sender; that they go to this number makes them this device's.
+        self.credentials["receiver"] = self.host_number
+        self.direction = joint.direction if joint else 1
+        self.ratio = (joint.ratio if joint else None) or 1.0
+        if self.command == "position" and self.ratio != 1.0:
+            raise CallerError(
+                f"{self.name}: by position the encoder's angle is the joint's; a gear of {self.ratio:g} goes with"
+                ' "speed", "current" or "duty"'
+            )
+        self.zero = (joint.zero or 0.0) if joint else 0.0
+        self.enabled = False
+        self.alarms: frozenset[str] = frozenset()
+        self.buffers = Buffers(self.host_number)
+        self.reader = PacketReader("from device")
+        self.values: dict[str, float] = {}
+        angle = "position" if self.command == "position" else "tachometer"
+        self.asked = mask_of(*POLLED, angle, "fault")
+        if settings.values == "poll":
+            self.polls = (self._poll(self.asked, None),)
+        else:
+            self.polls = (self._poll(mask_of("fault"), FAULT_S),)
+        self._signals(joint.name if joint else self.name, angle)
+
+    def _request(self, packet: bytes) -> dict[str, Any]:
+        return {"host": self.host_number, "mode": 0, "packet": packet}
+
+    def _poll(self, mask: int, every_s: float | None) -> Poll:
+        return Poll(
+            "ShortRequest", ANSWERS, self._request(packet_of("GetSelected", mask=mask)), every_s=every_s
+        )
+
+    def _signals(self, owner: str, angle: str) -> None:
+        joint, direction = self.joint, self.direction
+        self.known: dict[str, tuple[Signal, Any]] = {}
+        # The field's turns a minute at 1 rad/s of the joint; tachometer counts a rad.
+        rpm = direction * 60 / tau * self.ratio * self.settings.pole_pairs
+        counts = direction * TACHOMETER * self.settings.pole_pairs * self.ratio / tau
+        heard = (*ANSWERS, "Status", "Status4", "Status5")
+        most = {
+            "duty": joint.max_duty if joint else None,
+            "current": joint.max_current if joint else None,
+            "speed": joint.max_speed if joint else None,
+        }.get(self.command)
+
+        def add(
+            name: str, field: str, to_si: Any = None, kind: str = "", from_si: Any = None, **more: Any
+        ) -> None:
+            if kind == self.command:
+                more |= {"set": SETS[kind], "from_si": from_si}
+                if kind != "position":
+                    limit = 1.0 if kind == "duty" and most is None else most
+                    more |= {"lower": None if limit is None else -limit, "upper": limit}
+            made = self.add_signal(name, read_from=heard, source="comm/commands.c", **more)
+            self.known[field] = (made, to_si)
+
+        signed = partial(mul, direction)
+        own = {"owner": owner}
+        is_angle = angle == "position"
+        add(
+            "position",
+            angle,
+            self._angle if is_angle else lambda count: count / counts,
+            "position",
+            self._degrees,
+            unit="rad",
+            lower=joint.lower if joint and is_angle else None,
+            upper=joint.upper if joint and is_angle else None,
+            doc="The encoder's angle." if is_angle else "How far it has turned since it was switched on.",
+            **own,
+        )
+        add(
+            "velocity",
+            "speed",
+            lambda v: v / rpm,
+            "speed",
+            lambda v: v * rpm,
+            unit="rad/s",
+            doc="Of the joint.",
+            **own,
+        )
+        add("current", "motor_current", signed, "current", signed, unit="A", doc="Of the motor.", **own)
+        add("duty", "duty", signed, "duty", signed, doc="Share of the supply, −1…1.", **own)
+        self.is_enabled = self.add_signal(
+            "enabled",
+            owner=owner,
+            read_from=heard,
+            doc="Whether set-points are taken; see the action enable.",
+        )
+        for name, field, unit, doc in (
+            ("voltage", "voltage", "V", "Supply."),
+            ("input_current", "input_current", "A", "From the supply."),
+            ("temperature", "fet_temperature", "°C", "Of its transistors."),
+            ("motor_temperature", "motor_temperature", "°C", "Of the motor, where it has a sensor."),
+        ):
+            add(name, field, unit=unit, doc=doc)
+        slow = 5 * FAULT_S if self.settings.values == "status" else None
+        made = self.add_signal("fault", read_from=ANSWERS, doc='What has stopped it; "none".', stale_s=slow)
+        self.known["fault"] = (made, None)
+
+    def _angle(self, angle: float) -> float:
+        """The joint's angle (rad) of the encoder's (°), nearest to the middle of its limits."""
+        joint = self.joint
+        middle = (
+            (joint.lower + joint.upper) / 2
+            if joint and joint.lower is not None and joint.upper is not None
+            else 0.0
+        )
+        found = self.direction * (angle / 360 * tau - self.zero)
+        return (found - middle + tau / 2) % tau - tau / 2 + middle
+
+    def _degrees(self, position: float) -> float:
+        return degrees(self.direction * position + self.zero) % 360
+
+    # ------------------------------------------------------------------ up
+
+    def heard(self, record: Any, instant: int) -> None:
+        """Status messages, and answers that are whole."""
+        match type(record).__name__:
+            case "Status":
+                self._know(
+                    {"speed": record.speed, "motor_current": record.current, "duty": record.duty}, instant
+                )
+            case "Status4":
+                names = ("fet_temperature", "motor_temperature", "input_current", "position")
+                self._know({name: getattr(record, name) for name in names}, instant)
+            case "Status5":
+                self._know({"tachometer": record.tachometer, "voltage": record.voltage}, instant)
+            case _:
+                packet = self.buffers.take(record)
+                if packet is not None:
+                    self._answer(packet, instant)
+                elif type(record).__name__ in ANSWERS:
+                    self.tell_event("malformed", "an answer in pieces is not whole, or its check is wrong")
+
+    def _answer(self, packet: bytes, instant: int) -> None:
+        answer = self.last_answer = self.reader.read(packet)
+        if type(answer).__name__ != "Selected":
+            return
+        self._know({name: getattr(answer, name) for name in self.known}, instant)
+        fault = str(answer.fault)
+        before, self.alarms = self.alarms, frozenset() if fault == "none" else frozenset((fault,))
+        self.tell_alarms(self.alarms, before)
+        if self.alarms and self.enabled:
+            self._off()
+        self.is_enabled.update(self.enabled, instant)
+
+    def _know(self, values: dict[str, Any], instant: int) -> None:
+        self.values.update((name, value) for name, value in values.items() if value is not None)
+        for name, (target, to_si) in self.known.items():
+            value = values.get(name)
+            if value is not None:
+                target.update(value if to_si is None else to_si(value), instant)
+        self.is_enabled.update(self.enabled, instant)
+
+    def no_reply(self, ticket: Ticket) -> None:
+        """A device that is silent may have rebooted: it must be enabled anew."""
+        if self.enabled and self.misses >= self.silent_after:
+            self._off()
+
+    def want(self, message: str, path: str, value: Any) -> None:
+        """A set-point: kept for the next tick while it is enabled, else reported as not sent."""
+        if self.enabled:
+            super().want(message, path, value)
+        else:
+            self.tell_event("not sent", f"{self.name} is not enabled: {message}.{path} = {value:g}")
+
+    def takes(self, signal: Signal) -> bool | None:
+        """Only while it is enabled."""
+        return self.enabled and super().takes(signal)
+
+    # ------------------------------------------------------------------ actions
+
+    def _off(self) -> None:
+        self.enabled = False
+        for message in self.streams:
+            self.drop(message)
+
+    def _ask(self, packet: bytes) -> Ticket:
+        return self.ask("ShortRequest", reply=ANSWERS, **self._request(packet))
+
+    def enable(self) -> Job:
+        """Take set-points. Fails with `DeviceError` when the controller reports a fault."""
+
+        def steps(job: Job) -> Steps:
+            self._off()
+            yield self._ask(packet_of("GetSelected", mask=self.asked))
+            if self.alarms:
+                raise DeviceError(f"{self.name} reports {', '.join(self.alarms)}")
+            self.enabled = self.is_driven = True
+            if self.command == "position" and self.joint is not None:
+                self.want("SetPosition", "position", self.values["position"] % 360)
+
+        return self.job("enable", steps)
+
+    def disable(self) -> Job:
+        """Stop, and see that it has."""
+
+        def steps(job: Job) -> Steps:
+            yield self.stop_motion()
+            yield self.confirm_stopped()
+
+        return self.job("disable", steps)
+
+    def brake(self) -> Ticket:
+        """End set-points and brake; when the controller's time-out is over, what that is configured for goes on."""
+        self._off()
+        return self.tell_now("SetBrakeCurrent", current=self.settings.brake_current)
+
+    def stop_motion(self) -> Ticket:
+        """End set-points; the motor is free, or brakes (setting `stop`)."""
+        if self.settings.stop == "brake":
+            return self.brake()
+        self._off()
+        return self.tell_now("SetCurrent", current=0.0)
+
+    def confirm_stopped(self) -> Job:
+        """Whether no current drives it on: there is none, or it goes against the motion."""
+
+        def steps(job: Job) -> Steps:
+            yield self._ask(packet_of("GetSelected", mask=self.asked))
+            current, speed = self.values.get("motor_current", 0.0), self.values.get("speed", 0.0)
+            if abs(current) > STILL_A and current * speed >= 0:
+                raise DeviceError(f"its motor current is {current:g} A")
+
+        return self.job("look whether it has stopped", steps)
+
+    def firmware(self) -> Job:
+        """Ask who it is: "6.5 on 60"."""
+
+        def steps(job: Job) -> Steps:
+            yield self._ask(packet_of("GetFirmware"))
+            answer = self.last_answer
+            if type(answer).__name__ != "Firmware":
+                raise DeviceError(f"{self.name} answered with {type(answer).__name__}")
+            return f"{answer.major}.{answer.minor} on {answer.hardware}"
+
+        return self.job("firmware", steps)
+
+
+#: How long each number is given to answer (s): a controller answers within 10 ms (comm/comm_can.c).
+PATIENCE_S = 0.02
+#: Who asks while controllers are looked for, where no controller is yet known to have that number.
+SCANNER = 254
+
+
+def _scan(host: Host, job: Job) -> Steps:
+    """Ping every number; a ping changes nothing, and does not feed a time-out."""
+    found: list[DeviceConfig] = []
+    for number in range(254):
+        job.progress, job.text = number / 254, f"number {number}, {len(found)} found"
+        answer = yield from host.answers(
+            "vesc", {"id": number}, "Ping", reply="Pong", timeout_s=PATIENCE_S, retries=0, host=SCANNER
+        )
+        if answer is not None and str(answer.hardware) == "vesc":
+            found.append(
+                DeviceConfig(name=f"VESC{number}", driver="vesc", bus=host.name, credentials={"id": number})
+            )
+    return found
+
+
+EXAMPLE = """
+name = "vesc"
+rate_hz = 20
+
+[buses]
+can = { link = "can", protocol = "vesc", bitrate = 500_000 }
+
+[devices]
+LEFT = { driver = "vesc", bus = "can", credentials = { id = 5 } }
+MAST = { driver = "vesc", bus = "can", credentials = { id = 7 }, settings = { values = "status", stop = "brake" } }
+
+[joints]
+WHEEL_LEFT = { device = "LEFT", type = "continuous", command = "speed", gear = [1, 4], max_speed = 30 }
+CAMERA = { device = "MAST", lower = -1.5, upper = 1.5, zero = 0.3, direction = -1, max_speed = 3 }
+"""
+
+driver = Driver(
+    "vesc",
+    device=Vesc,
+    twin=VescTwin,
+    example=EXAMPLE,
+    doc="VESC motor controller on CAN: a motor by duty, current, speed or position.",
+    source="vedderb/bldc comm/comm_can.c, comm/commands.c, timeout.c",
+    scan=_scan,
+    settings=described(VescSettings),
+)
