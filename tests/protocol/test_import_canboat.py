@@ -65,7 +65,7 @@ def test_values_that_are_not_there_are_unknown() -> None:
     sent = boat().protocol.encode("waterTemperature", **as_dict(record))
     assert bytes(sent.data).hex(" ") == "ff 3f ff ff ff 7f ff ff"
     with pytest.raises(FieldError, match="means unknown"):
-        boat().protocol.encode("waterTemperature", **{**as_dict(record), "sid": 254})
+        boat().protocol.encode("waterTemperature", **dict(as_dict(record), sid=254))
 
 
 def test_forms_of_a_proprietary_group_are_told_by_their_fixed_values() -> None:

@@ -243,6 +243,7 @@ class _Builder:
         return self.protocol.message(
             name,
             id=_identifier(form.pgn),
+            transport=FastPacket() if form.is_fast else None,
             prefix=prefix,
             match=match,
             payload=payload,
@@ -250,7 +251,6 @@ class _Builder:
             overrides=overrides,
             doc="\n".join(filter(None, facts)),
             source=f"PGN {form.pgn}",
-            **({"transport": FastPacket()} if form.is_fast else {}),
         )
 
     def number(self, field: _Field, place: c.Construct) -> c.Construct:
@@ -469,7 +469,6 @@ def _cells(fields: Sequence[_Field]) -> Iterator[list[_Field]]:
 def _groups(form: _Form) -> list[tuple[int, int, int | None]]:
     """The lists of a form: the place of the first field, how many fields a group has, the place of what counts them."""
     found: list[tuple[int, int, int | None]] = []
-    end: int | None = None
     for number in ("1", "2"):
         start, size, count = (
             _whole(form.given.get(f"RepeatingFieldSet{number}{word}"))
@@ -477,18 +476,14 @@ def _groups(form: _Form) -> list[tuple[int, int, int | None]]:
         )
         if start is None and size is None:
             continue
-        if (
-            not start
-            or not size
-            or (end is not None and start - 1 != end)
-            or start - 1 + size > len(form.fields)
-        ):
+        if start is None or size is None or min(start, size) < 1 or start - 1 + size > len(form.fields):
+            raise _LeftOut("a list of fields that are not there")
+        if found and sum(found[-1][:2]) != start - 1:
             raise _LeftOut("lists that are not one behind the other")
         if found and found[-1][2] is None:
             raise _LeftOut("a list behind one without a count")
-        end = start - 1 + size
         found.append((start - 1, size, None if count is None else count - 1))
-    if end is not None and end != len(form.fields):
+    if found and sum(found[-1][:2]) != len(form.fields):
         raise _LeftOut("fields behind a list")
     return found
 
