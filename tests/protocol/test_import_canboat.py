@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -64,7 +65,7 @@ def test_values_that_are_not_there_are_unknown() -> None:
     sent = boat().protocol.encode("waterTemperature", **as_dict(record))
     assert bytes(sent.data).hex(" ") == "ff 3f ff ff ff 7f ff ff"
     with pytest.raises(FieldError, match="means unknown"):
-        boat().protocol.encode("waterTemperature", **{**as_dict(record), "sid": 254})
+        boat().protocol.encode("waterTemperature", **dict(as_dict(record), sid=254))
 
 
 def test_forms_of_a_proprietary_group_are_told_by_their_fixed_values() -> None:
@@ -145,3 +146,109 @@ def test_a_group_that_cannot_be_costs_itself(tmp_path: Path, pgn: Any, said: str
     (problem,) = imported.losses
     assert said in problem.reason
     assert set(imported.protocol.messages) == {"good"}
+
+
+# ---------------------------------------------------------------------- fast packets
+
+
+def packet(message: str, **fields: Any) -> list[Frame]:
+    """The frames of a packet of ours, as a scanner gets them."""
+    made = boat().protocol.encode(message, priority=3, source=9, **fields)
+    return [Frame(one.arbitration_id, bytes(one.data), is_extended_id=True) for one in made]
+
+
+def test_a_fast_packet_is_one_message() -> None:
+    """Interleaved with those of another sender; what is behind the known fields is kept."""
+    frames = packet("wide", latitude=48.5, satellites=7, date=20_000)
+    assert [bytes(one.data).hex(" ") for one in frames] == [
+        "00 0b 00 80 10 2c ee 10",
+        "01 bb 06 07 20 4e ff ff",
+    ]
+    others = [Frame(one.arbitration_id + 1, bytes(one.data), is_extended_id=True) for one in frames]
+    scanner = boat().protocol.scanner()
+    mixed = [one for pair in zip(frames, others, strict=True) for one in pair]
+    records = scanner.feed(mixed)
+    assert [record.source for record in records] == [9, 10]
+    assert records[0].latitude == pytest.approx(48.5)
+    assert (records[0].satellites, records[0].date, records[0].trailing) == (7, 20_000, b"")
+    longer = packet("wide", latitude=None, satellites=None, date=None, trailing=b"newer")
+    (record,) = scanner.feed(longer)
+    assert (record.latitude, record.satellites, record.date, record.trailing) == (None, None, None, b"newer")
+
+
+def test_repeated_groups_are_lists() -> None:
+    """As many as are counted, bytes behind them kept; or up to the end."""
+    groups = [{"prn": n, "used": "Yes", "snr": None if n == 2 else 30.5} for n in range(5)]
+    (record,) = boat().protocol.scanner().feed(
+        packet("satellites", sid=1, bits={"mode": "Perhaps"}, count=5, list=groups, trailing=b"\xff")
+    )  # fmt: skip
+    assert record.bits.mode == "Perhaps"
+    assert [(one.prn, one.used, one.snr) for one in record.list[1:3]] == [(1, "Yes", 30.5), (2, "Yes", None)]
+    assert (len(record.list), record.trailing) == (5, b"\xff")
+    (record,) = boat().protocol.scanner().feed(
+        packet("levels", instance=2, list=[{"level": 50.0}, {"level": None}, {"level": -1.0}])
+    )  # fmt: skip
+    assert [one.level for one in record.list] == [50.0, None, -1.0]
+    assert boat().protocol["levels"].plan.is_flat
+
+
+def test_texts_say_their_length() -> None:
+    """Those of a fixed length, and those that begin with it; what follows them is found."""
+    name = {"encoding": 1, "text": "Nautilus"}
+    (record,) = boat().protocol.scanner().feed(packet("product", code=7, model="N1", name=name, depth=2.5))
+    assert (record.model, record.name.text, record.depth) == ("N1", "Nautilus", 2.5)
+
+
+# ---------------------------------------------------------------------- canboat's own table and goldens
+
+_GOLDEN = re.compile(r'([^=;:"]+?) = (?:[^=;]*?) ?\(bytes = "([0-9A-F ]*)"(?:, bits = "([01]+)")?\)')
+
+
+@pytest.mark.shared
+def test_canboats_goldens_are_decoded_value_for_value(shared_captures: Path) -> None:
+    """Each field's bytes, as canboat's analyzer prints them, are the raw value that we have."""
+    folder = shared_captures / "nmea2000"
+    path = folder / "canboat.json"
+    protocol = load_database(path).protocol
+    tables = {one["Id"]: one["Fields"] for one in json.loads(path.read_text("utf-8"))["PGNs"]}
+    records: list[Any] = []
+    for block in (folder / "recombine-frames.in").read_text().split("\n\n"):
+        scanner = protocol.scanner(raw=True)
+        for line in block.splitlines():
+            if line and line[0] != "#":
+                _, priority, pgn, source, _, _, *data = line.split(",")
+                key = int(priority) << 26 | int(pgn) << 8 | int(source)
+                records += scanner.feed([Frame(key, bytes.fromhex("".join(data)), is_extended_id=True)])
+    goldens = [
+        (int(line.split()[4]), _GOLDEN.findall(line.partition(":  ")[2]))
+        for line in (folder / "recombine-frames.out").read_text().splitlines()
+    ]
+    assert len(records) >= 5
+    for record in records:
+        of_group = [fields for pgn, fields in goldens if pgn == record.meta.identifier >> 8 & 0x3FFFF]
+        assert max(_agreeing(record, fields, tables[type(record).__name__]) for fields in of_group) >= 6
+
+
+def _agreeing(record: Any, golden: list[tuple[str, str, str]], table: list[dict[str, Any]]) -> int:
+    """How many fields of a record are those of a golden line; 0 where one is not."""
+    fields = {**as_dict(record), **as_dict(record).get("bits", {})}
+    count = 0
+    for name, raw, bits in golden:
+        one = next((field for field in table if field["Name"] == name.strip()), {})
+        if one.get("Id") not in fields:
+            continue  # a fixed value, or one in a list
+        data, value = bytes.fromhex(raw), fields[one["Id"]]
+        number = int.from_bytes(data, "little", signed=bool(one.get("Signed")))
+        if value != (data if isinstance(value, bytes) else int(bits, 2) if bits else number):
+            return 0
+        count += 1
+    return count
+
+
+@pytest.mark.shared
+def test_canboats_table_is_imported_but_for_what_is_named(shared_captures: Path) -> None:
+    """Nearly all of it; and every message that is flat reads what it wrote."""
+    imported = load_database(shared_captures / "nmea2000" / "canboat.json")
+    assert len(imported.protocol.declared) > 570
+    assert len(imported.losses) < 40
+    assert imported.statements == len(imported.protocol.declared) + len(imported.losses)

@@ -61,13 +61,19 @@ def decoded(data: bytes, **how: Any) -> list[Any]:
     return [*found, *scanner.close()]
 
 
+def changed(fields: dict[str, Any], **others: Any) -> dict[str, Any]:
+    return {**fields, **others}
+
+
 def test_worked_packets_of_both_versions() -> None:
     """Zeros that were cut are there again; and the same values give the same bytes."""
     for data, version in ((V1, "v1"), (V2, "v2")):
         (record,) = decoded(data, dialect=version)
         assert (record.system, record.component, record.packet_sequence) == (1, 1, 5)
         assert (record.time_boot_ms, record.yaw, record.rollspeed, record.yawspeed) == (1000, 1.5, 0.0, 0.0)
-        fields = {name: getattr(record, name) for name in rover().variant(version)["ATTITUDE"].fields}
+        fields: dict[str, Any] = {
+            name: getattr(record, name) for name in rover().variant(version)["ATTITUDE"].fields
+        }
         assert rover().encode("ATTITUDE", dialect=version, **fields) == data
     (record,) = decoded(EMPTY)
     assert record.yaw == 0.0
@@ -87,12 +93,12 @@ def test_a_signature_is_kept_and_a_damaged_packet_refused() -> None:
     (record,) = decoded(SIGNED)
     assert record.incompat_flags == 1
     assert record.trailing == SIGNED[-13:]
-    fields = {name: getattr(record, name) for name in rover().variant()["HEARTBEAT"].fields}
+    fields: dict[str, Any] = {name: getattr(record, name) for name in rover().variant()["HEARTBEAT"].fields}
     assert rover().encode("HEARTBEAT", **fields) == SIGNED
     with pytest.raises(FieldError, match="13 bytes are behind its check"):
-        rover().encode("HEARTBEAT", **{**fields, "trailing": b"short"})
+        rover().encode("HEARTBEAT", **changed(fields, trailing=b"short"))
     with pytest.raises(FieldError, match="zeros at its end are not sent"):
-        rover().encode("HEARTBEAT", **{**fields, "incompat_flags": 0, "trailing": b"\1\0"})
+        rover().encode("HEARTBEAT", **changed(fields, incompat_flags=0, trailing=b"\1\0"))
     spoiled = SIGNED[:12] + b"\xff" + SIGNED[13:]
     assert all(type(one).__name__ == "Unknown" for one in decoded(spoiled))
 
@@ -128,9 +134,7 @@ def test_fields_that_a_sender_does_not_know_yet_and_those_that_we_do_not() -> No
     assert record.speed == (1, None, -3, 4)
     assert list(record.faults) == ["ROVER_FAULT_LOW_BATTERY"]
     assert record.mode == "ROVER_MODE_DRIVE"
-    (record,) = decoded(
-        rover().encode("WHEELS", **{**fields, "heading": 90.0, "slip": 0.4, "trailing": b"new"})
-    )
+    (record,) = decoded(rover().encode("WHEELS", **changed(fields, heading=90.0, slip=0.4, trailing=b"new")))
     assert record.heading == pytest.approx(90.0)
     assert record.slip == pytest.approx(0.4)
     assert record.trailing == b"new"

@@ -1,7 +1,7 @@
 """Protocols in and out of other tools' files.
 
-In: DBC, KCD, SYM, ARXML (through cantools), CANopen's EDS and DCF (through canopen). Out: DBC, a Wireshark dissector, pages
-in Markdown, and a protocol as spec source.
+In: DBC, KCD, SYM, ARXML (through cantools), CANopen's EDS and DCF (through canopen), MAVLink's dialects, canboat's table of
+NMEA 2000. Out: DBC, a Wireshark dissector, pages in Markdown, and a protocol as spec source.
 
 1. What a file of the other kind cannot say is reported: an `ImportProblem` or a `Loss` each, never silence.
 2. Exporters do no I/O; text of others (names, comments, units) reaches printed source as literals only.

@@ -1,13 +1,14 @@
 """canboat's table of NMEA 2000 (`canboat.json`) as a protocol: a message each PGN, or each of a PGN's proprietary forms.
 
 1. A PGN whose shape cannot be said is left out, with the reason; it costs itself, not the file.
-2. What has the same numbers in front (manufacturer, industry, …) is matched by them: they are the message's template, and
-   reserved bits among them are captured, so that no bit is lost.
+2. What has the same numbers in front (manufacturer, industry, …) is matched by them: they are the message's template,
+   and reserved bits among them are captured, so that no bit is lost.
 3. Work is bounded, by bytes and by numbers of PGNs, fields and names, before it is done.
 
-The identifier has `priority`, `source` and, where a PGN is addressed (PDU format below 240, SAE J1939-21), `destination`. Bits
-without a meaning are in `reserved`, bytes behind the known fields in `trailing`. A value is raw × resolution + offset in the
-table's SI unit; the highest raw values that the table names (unknown, out of range, reserved) are unknown, as are the others.
+The identifier has `priority`, `source` and, where a PGN is addressed (PDU format below 240, SAE J1939-21), `destination`.
+Bits without a meaning are in `reserved`, bytes behind the known fields in `trailing`. A value is raw × resolution + offset,
+in the table's unit (SI). The raw values that it calls unknown, out of range or reserved are unknown, but where one has a
+name. Fields that are not whole bytes are together in `bits`, where texts or lists are in the same message.
 
 Sources: canboat/canboat `docs/canboat.json`, schema 2, and `docs/canboat.html` of the field types.
 """
@@ -19,14 +20,14 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from itertools import groupby
 from typing import Any
 
 import construct as c
 
 from ...errors import AcesError, CallerError
 from ..declare.bits import BitLayout, bits, float_bits
-
-FastPacket: Any = None
+from ..declare.fast_packet import FastPacket
 from ..declare.fields import Enumeration, Flags, Quantity, Text
 from ..declare.message import Message
 from ..declare.pattern import IdField, IdPattern
@@ -215,8 +216,6 @@ class _Builder:
             raise _LeftOut(
                 f"of the type {one_line(str(kind))[:20]}, sent in a way that is neither one frame nor a fast packet"
             )
-        if kind == "Fast" and FastPacket is None:
-            raise _LeftOut("a fast packet")
         return _Form(
             given, line, str(given.get("Id") or f"pgn{number}"), number, [_field(one) for one in fields]
         )
@@ -244,6 +243,7 @@ class _Builder:
         return self.protocol.message(
             name,
             id=_identifier(form.pgn),
+            transport=FastPacket() if form.is_fast else None,
             prefix=prefix,
             match=match,
             payload=payload,
@@ -251,7 +251,6 @@ class _Builder:
             overrides=overrides,
             doc="\n".join(filter(None, facts)),
             source=f"PGN {form.pgn}",
-            **({"transport": FastPacket()} if form.is_fast else {}),
         )
 
     def number(self, field: _Field, place: c.Construct) -> c.Construct:
@@ -386,16 +385,21 @@ class _Shape:
 
     def _struct(self, cells: Sequence[Sequence[_Field]]) -> list[c.Construct]:
         made: list[c.Construct] = []
-        for cell in cells:
-            if len(cell) > 1:
+        for is_bits, some in groupby(cells, lambda cell: len(cell) > 1):
+            fields = [field for cell in some for field in cell]
+            if is_bits:
                 name = unused("bits", self.taken)
-                made.append(c.Renamed(self._layout(cell, path=c.this[name]), newname=name))
-                continue
-            (field,) = cell
-            index = self.form.fields.index(field)
-            made.append(self._named(field, self._alone(field, is_count=index in self.counts)))
-            if index in self.counts:
-                self.counts[index] = c.this[made[-1].name]
+                made.append(c.Renamed(self._layout(fields, path=c.this[name]), newname=name))
+            else:
+                made += map(self._whole, fields)
+        return made
+
+    def _whole(self, field: _Field) -> c.Construct:
+        """A field of whole bytes under its name."""
+        index = self.form.fields.index(field)
+        made = self._named(field, self._alone(field, is_count=index in self.counts))
+        if index in self.counts:
+            self.counts[index] = c.this[made.name]
         return made
 
     def _alone(self, field: _Field, *, is_count: bool = False) -> c.Construct:
@@ -465,7 +469,6 @@ def _cells(fields: Sequence[_Field]) -> Iterator[list[_Field]]:
 def _groups(form: _Form) -> list[tuple[int, int, int | None]]:
     """The lists of a form: the place of the first field, how many fields a group has, the place of what counts them."""
     found: list[tuple[int, int, int | None]] = []
-    end: int | None = None
     for number in ("1", "2"):
         start, size, count = (
             _whole(form.given.get(f"RepeatingFieldSet{number}{word}"))
@@ -473,18 +476,14 @@ def _groups(form: _Form) -> list[tuple[int, int, int | None]]:
         )
         if start is None and size is None:
             continue
-        if (
-            not start
-            or not size
-            or (end is not None and start - 1 != end)
-            or start - 1 + size > len(form.fields)
-        ):
+        if start is None or size is None or min(start, size) < 1 or start - 1 + size > len(form.fields):
+            raise _LeftOut("a list of fields that are not there")
+        if found and sum(found[-1][:2]) != start - 1:
             raise _LeftOut("lists that are not one behind the other")
         if found and found[-1][2] is None:
             raise _LeftOut("a list behind one without a count")
-        end = start - 1 + size
         found.append((start - 1, size, None if count is None else count - 1))
-    if end is not None and end != len(form.fields):
+    if found and sum(found[-1][:2]) != len(form.fields):
         raise _LeftOut("fields behind a list")
     return found
 

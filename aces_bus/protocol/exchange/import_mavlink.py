@@ -16,7 +16,7 @@ Sources: ArduPilot/pymavlink `mavparse.py`, `mavgen_python.py`, `mavcrc.py`; mav
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
@@ -302,10 +302,10 @@ class _FileReader:
         elif path == ("mavlink", "version") and text.isdecimal() and int(text[:9]) < 256:
             self.version = int(text[:9])
 
-    def _collect(self, _: Mapping[str, str]) -> None:
+    def begin_collecting(self, _: Mapping[str, str]) -> None:
         self._text = []
 
-    def _message(self, attributes: Mapping[str, str]) -> None:
+    def begin_message(self, attributes: Mapping[str, str]) -> None:
         self.dialect.count += 1
         if self.dialect.count > MOST_MESSAGES:
             raise _Refused(f"more than {MOST_MESSAGES:,} messages and entries")
@@ -315,13 +315,13 @@ class _FileReader:
             made.reason = "a message has a name and a number"
         self.messages.append(made)
 
-    def _message_text(self, _: Mapping[str, str]) -> None:
+    def begin_text(self, _: Mapping[str, str]) -> None:
         self._text = self.messages[-1].text
 
-    def _extensions(self, _: Mapping[str, str]) -> None:
+    def begin_extensions(self, _: Mapping[str, str]) -> None:
         self.messages[-1].has_extensions = True
 
-    def _field(self, attributes: Mapping[str, str]) -> None:
+    def begin_field(self, attributes: Mapping[str, str]) -> None:
         message = self.messages[-1]
         name, found = attributes.get("name", ""), _TYPE.fullmatch(attributes.get("type", ""))
         kind = found[1] if found is not None else ""
@@ -338,12 +338,12 @@ class _FileReader:
         message.fields.append(made)
         self._text = made.text
 
-    def _begin_enum(self, attributes: Mapping[str, str]) -> None:
+    def begin_enum(self, attributes: Mapping[str, str]) -> None:
         enum = self.enums.setdefault(attributes.get("name", ""), _Enum())
         enum.is_bitmask = enum.is_bitmask or attributes.get("bitmask") == "true"
         self._enum = enum
 
-    def _entry(self, attributes: Mapping[str, str]) -> None:
+    def begin_entry(self, attributes: Mapping[str, str]) -> None:
         enum = self._enum
         assert enum is not None
         self.dialect.count += 1
@@ -360,15 +360,15 @@ class _FileReader:
 
 
 _MESSAGE = ("mavlink", "messages", "message")
-_BEGINS = {
-    ("mavlink", "include"): _FileReader._collect,
-    ("mavlink", "version"): _FileReader._collect,
-    _MESSAGE: _FileReader._message,
-    (*_MESSAGE, "description"): _FileReader._message_text,
-    (*_MESSAGE, "extensions"): _FileReader._extensions,
-    (*_MESSAGE, "field"): _FileReader._field,
-    ("mavlink", "enums", "enum"): _FileReader._begin_enum,
-    ("mavlink", "enums", "enum", "entry"): _FileReader._entry,
+_BEGINS: dict[tuple[str, ...], Callable[[_FileReader, dict[str, str]], None]] = {
+    ("mavlink", "include"): _FileReader.begin_collecting,
+    ("mavlink", "version"): _FileReader.begin_collecting,
+    _MESSAGE: _FileReader.begin_message,
+    (*_MESSAGE, "description"): _FileReader.begin_text,
+    (*_MESSAGE, "extensions"): _FileReader.begin_extensions,
+    (*_MESSAGE, "field"): _FileReader.begin_field,
+    ("mavlink", "enums", "enum"): _FileReader.begin_enum,
+    ("mavlink", "enums", "enum", "entry"): _FileReader.begin_entry,
 }
 
 

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, Literal
 from weakref import WeakKeyDictionary
 
@@ -26,6 +27,25 @@ REMEMBERED = 65536
 
 #: (data, key, time, channel, raw, rx[, request]) to a record, or None.
 Decode = Callable[..., Any]
+
+
+#: Of so many messages the decode functions are made when a packet of theirs comes: most never do.
+MANY = 32
+
+
+class _Later:
+    """A decode function that is made when it is first called."""
+
+    __slots__ = ("_decode", "_make")
+
+    def __init__(self, make: Callable[[], Decode]) -> None:
+        self._make = make
+        self._decode: Decode | None = None
+
+    def __call__(self, *arguments: Any) -> Any:
+        if self._decode is None:
+            self._decode = self._make()
+        return self._decode(*arguments)
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -87,7 +107,9 @@ class Decider:
     def _made(self, messages: Sequence[Message]) -> Decode:
         plain = [m for m in messages if m.name not in self.contextual]
         bound = [m for m in messages if m.name in self.contextual]
-        functions = {m.name: self._noting(m) for m in plain}
+        functions = {
+            m.name: _Later(partial(self._noting, m)) if len(plain) > MANY else self._noting(m) for m in plain
+        }
         decode: Decode | None = None
         if len(plain) == 1:
             decode = functions[plain[0].name]
