@@ -32,6 +32,7 @@ from .declare.pattern import IdField
 from .declare.protocol import Protocol, Variant
 from .declare.registers import Register, RegisterMap
 from .declare.stuffing import Cobs, Insert, Slip
+from .declare.tail_byte import TailByte
 from .declare.transport import FrameKind, FrameNumber, FramePart, Transport
 from .live.can import CanScanner
 from .live.scanner import Scanner, list_protocols, load_protocol, make_scanner
@@ -90,6 +91,7 @@ __all__ = [
     "Split",
     "StreamScanner",
     "Sum",
+    "TailByte",
     "Text",
     "Transport",
     "Tuple",
