@@ -33,6 +33,7 @@ from .declare.pattern import IdField
 from .declare.protocol import Protocol, Variant
 from .declare.registers import Register, RegisterMap
 from .declare.stuffing import Cobs, CutZeros, Insert, Slip
+from .declare.tail_byte import TailByte
 from .declare.transport import FrameKind, FrameNumber, FramePart, Transport
 from .live.can import CanScanner
 from .live.scanner import Scanner, list_protocols, load_protocol, make_scanner
@@ -93,6 +94,7 @@ __all__ = [
     "Split",
     "StreamScanner",
     "Sum",
+    "TailByte",
     "Text",
     "Trailer",
     "Transport",

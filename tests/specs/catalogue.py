@@ -9,7 +9,9 @@ from __future__ import annotations
 from aces_bus.protocol import Protocol
 from tests.specs.automotive import automotive
 from tests.specs.cobs import cobs
+from tests.specs.cyphal_like import cyphal_like
 from tests.specs.database_like import database_like
+from tests.specs.dronecan_like import dronecan_like
 from tests.specs.dynamixel2 import dynamixel2
 from tests.specs.hubovia_like import hubovia_like
 from tests.specs.j1939_like import j1939_like
@@ -27,7 +29,9 @@ SPECS: dict[str, Protocol] = {
     for protocol in (
         automotive,
         cobs,
+        cyphal_like,
         database_like,
+        dronecan_like,
         dynamixel2,
         hubovia_like,
         j1939_like,

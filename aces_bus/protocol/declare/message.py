@@ -272,6 +272,18 @@ class Message:
                 f"{self.place}: {given}its fields take {low}{more} bytes, and packets of {transport.title} have"
                 f" {most} at most"
             )
+        fitting = [size for size in wanted if transport.carries(size)]
+        if not fitting:
+            near = next((n for n in range(min(wanted), most + 1) if transport.carries(n)), None)
+            more = (
+                "" if near is None else f"; {near} would: end its fields with Reserved({near - min(wanted)})"
+            )
+            raise SpecError(
+                f"{self.place}: {describe_values(wanted)} bytes, as {self.name} has them, fill no frames of"
+                f" {transport.title}{more}"
+            )
+        if len(fitting) < len(wanted):
+            return tuple(sorted(fitting))
         return wanted if isinstance(wanted, range) else tuple(sorted(wanted))
 
     def _check_fields(self) -> None:

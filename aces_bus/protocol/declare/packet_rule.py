@@ -78,7 +78,8 @@ def judge_frames(transport: Transport, given: Sequence[GivenFrame]) -> Judged:
                 return Judged("broken", f"malformed: {_named(place, count)} is short")
         if (
             first.size is None
-            and len(first.data) + sum(len(p.data) for p in pieces.values()) > transport.max_size
+            and len(first.data) + sum(len(p.data) for p in pieces.values())
+            > transport.max_size + transport.overhead
         ):
             return Judged("broken", "malformed: too long")
         is_whole = len(pieces) + 1 == count if count is not None else ends
@@ -164,6 +165,8 @@ class PacketRule:
         if part.role in ("bad", "control"):
             return [DecidedFrames((mine,), part.reason)]
         who = (frame.channel, part.session)
+        if part.role == "abort" and all(one[0] != who for one in self.open):
+            who = (frame.channel, part.other)
         decided: list[DecidedFrames] = []
         before = next((one for one in self.open if one[0] == who), None)
         if before is not None and self._is_late(before[1][-1].frame.timestamp, frame.timestamp):

@@ -105,6 +105,8 @@ class FramePart(NamedTuple):
     number: int = 0
     is_last: bool = False
     reason: str = ""
+    #: Of an abort: the session that it ends where the first one has no packet under way.
+    other: Hashable = None
 
 
 @dataclass(frozen=True)
@@ -164,6 +166,15 @@ class Transport:
         """How many bytes a packet has at least."""
         least = [kind.least for kind in self.kinds if kind.role in ("single", "first")]
         return self.address + min(least, default=0)
+
+    @property
+    def overhead(self) -> int:
+        """How many bytes it adds to a packet of several frames (a check)."""
+        return 0
+
+    def carries(self, size: int) -> bool:
+        """Whether a packet may have so many bytes; `max_size` is asked beside this."""
+        return True
 
     @property
     def patterns(self) -> tuple[tuple[IdPattern, bool], ...]:

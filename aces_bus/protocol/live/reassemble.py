@@ -89,6 +89,8 @@ class Reassembler:
         if role in ("bad", "control"):
             return [Packet([mine], part.reason)]
         who = (channel, part.session)
+        if role == "abort" and who not in self._open:
+            who = (channel, part.other)
         found = self._open.get(who)
         out: list[Packet] = []
         if found is not None:
@@ -153,7 +155,8 @@ class Reassembler:
             yield self._give_up(who, f"malformed: {found.named(place)} is short")
         elif (
             found.part.size is None
-            and len(found.part.data) + sum(map(len, pieces.values())) > transport.max_size
+            and len(found.part.data) + sum(map(len, pieces.values()))
+            > transport.max_size + transport.overhead
         ):
             yield self._give_up(who, "malformed: too long")
         elif is_last if not found.total else len(pieces) == found.total - 1:

@@ -1,0 +1,106 @@
+"""Transfers with a tail byte: DroneCAN (UAVCAN v0) and Cyphal/CAN (UAVCAN v1).
+
+Facts: the last byte of each frame has start of transfer (bit 7), end of transfer (bit 6), a toggle (bit 5) and the
+transfer's number (bits 4–0). In v0 the toggle begins at 0 and a CRC-16/CCITT-FALSE stands in front of a transfer of several
+frames, little-endian, seeded by the type's signature; in v1 the toggle begins at 1, and the CRC stands behind, big-endian,
+without a seed (dronecan 1.0.27 `transport.py`; pycyphal 1.27.1 `transport/can/_session/`; Cyphal specification §4.2).
+Choice: the zeros that fill up a frame of CAN FD are part of the transfer and of its message, for nothing in it says how many
+they are. A spec ends with `Reserved(n)` where its fields alone are no length that there is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+from ...errors import FieldError, SpecError
+from ...frames import FD_LENGTHS
+from .checks import Crc
+from .place import caller
+from .transport import FrameKind, FrameNumber, Transport
+
+_START, _END, _TOGGLE, _NUMBER = (FrameNumber(-1, mask) for mask in (0x80, 0x40, 0x20, 0x1F))
+_CRC = Crc("CRC16-IBM-3740")  # its other name is CCITT-FALSE
+_CRC_BYTES = 2
+
+
+def _kinds(toggle: int) -> tuple[FrameKind, ...]:
+    begins = ((_START, 1), (_TOGGLE, toggle))
+    return (
+        FrameKind("single", "single frame", (*begins, (_END, 1)), 0, 1, sequence=_NUMBER),
+        FrameKind("first", "first frame", (*begins, (_END, 0)), 0, 1, sequence=_NUMBER),
+        FrameKind("next", "next frame", ((_START, 0),), 0, 1, number=_TOGGLE, sequence=_NUMBER, last=_END),
+    )
+
+
+@dataclass(frozen=True)
+class TailByte(Transport):
+    """Transfers of DroneCAN (`version=0`) and Cyphal/CAN (`version=1`).
+
+    `timeout_s` is 2 s between two frames, as usual in both. Of DroneCAN a message's `check_extra` is the signature of its
+    type, 8 bytes with the lowest first; without it no transfer of several frames is right. With `fd` a message has a length
+    that fills frames: it ends with `Reserved(n)`, or takes the zeros as `GreedyBytes`.
+    """
+
+    title: ClassVar[str] = "tail-byte transfer"
+
+    timeout_s: float = 2.0
+    version: Literal[0, 1] = 1
+    address: int = field(default=0, init=False, repr=False)
+    pad: int | None = field(default=None, init=False, repr=False)
+    any_order: bool = field(default=False, init=False, repr=False)
+    kinds: tuple[FrameKind, ...] = field(default=(), init=False, repr=False)
+    modulo: int = field(default=2, init=False, repr=False)
+    first_number: int = field(default=0, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.version not in (0, 1):
+            raise SpecError(f"{caller()}: version is 0 (DroneCAN) or 1 (Cyphal), not {self.version!r}")
+        object.__setattr__(self, "kinds", _kinds(self.version))
+        object.__setattr__(self, "first_number", 1 - self.version)
+        super().__post_init__()
+
+    @property
+    def overhead(self) -> int:
+        return _CRC_BYTES
+
+    def unwrapped(self, data: bytes, extra: bytes) -> bytes | None:
+        """A transfer without its check; None where that is wrong."""
+        if len(data) < _CRC_BYTES:
+            return None
+        if self.version:
+            data, check = data[:-_CRC_BYTES], int.from_bytes(data[-_CRC_BYTES:], "big")
+            return data if _CRC.compute(data) == check else None
+        check, data = int.from_bytes(data[:_CRC_BYTES], "little"), data[_CRC_BYTES:]
+        return data if _CRC.compute(extra + data) == check else None
+
+    def carries(self, size: int) -> bool:
+        """In CAN FD only transfers whose last frame has a length that there is."""
+        return not self.fd or self._last(size) + 1 in FD_LENGTHS
+
+    def _last(self, size: int) -> int:
+        """How many bytes of a transfer, with its check, are in its last frame."""
+        room = self.frame_size - 1
+        return size if size <= room else (size + _CRC_BYTES - 1) % room + 1
+
+    def split(self, key: int, data: bytes, sequence: int = 0, extra: bytes = b"") -> list[tuple[int, bytes]]:
+        """The frames of a transfer; `sequence` is its number."""
+        if len(data) > self.max_size or not self.carries(len(data)):
+            raise FieldError(f"a packet of {len(data)} bytes, which {self.title} does not carry")
+        room = self.frame_size - 1
+        if len(data) > room:
+            check = _CRC.compute(data if self.version else extra + data)
+            data = data + check.to_bytes(2, "big") if self.version else check.to_bytes(2, "little") + data
+        pieces = [data[at : at + room] for at in range(0, max(1, len(data)), room)]
+        last = len(pieces) - 1
+        return [
+            (
+                key,
+                piece
+                + bytes([(not n) << 7 | (n == last) << 6 | (n + self.version & 1) << 5 | sequence & 0x1F]),
+            )
+            for n, piece in enumerate(pieces)
+        ]
+
+
+__all__ = ["TailByte"]
