@@ -362,6 +362,21 @@ class CanScanner:
 
     def sent(self, frame: Any) -> None:
         """Our own transmission: a request that replies may hang on. It is not counted and gives no record."""
+        known = self._request_of(frame)
+        if known is not None:
+            wire, name, values = known
+            wire.context.note(name, frame.channel, frame.timestamp, values)
+
+    def noting(self, frame: Any) -> Callable[[], None] | None:
+        """What is called whenever this frame was sent, instead of `sent`; None: no reply hangs on it."""
+        known = self._request_of(frame)
+        if known is None:
+            return None
+        wire, name, values = known
+        return wire.context.noting(name, frame.channel, frame.timestamp, values)
+
+    def _request_of(self, frame: Any) -> tuple[Any, str, Mapping[str, Any]] | None:
+        """The request that a frame is, with whose it is and its raw fields; None: no reply hangs on it."""
         key = frame.arbitration_id
         if frame.is_extended_id or frame.is_remote_frame or frame.is_fd:
             key = key_of(key, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd)
@@ -371,7 +386,7 @@ class CanScanner:
             if len(self._asked) < REMEMBERED:
                 self._asked[key] = asked
         if not asked:
-            return
+            return None
         data = bytes(frame.data)
         known = self._requests.get((key, data))
         if known is None:
@@ -384,11 +399,10 @@ class CanScanner:
                 None,
             )
             if known is None:
-                return
+                return None
             if len(self._requests) < REMEMBERED:
                 self._requests[key, data] = known
-        wire, name, values = known
-        wire.context.note(name, frame.channel, frame.timestamp, values)
+        return known
 
     def idle(self, time: float | None = None) -> list[Record]:
         """Frames are whole: silence decides nothing on CAN."""
