@@ -438,33 +438,44 @@ class Device(EndpointMember):
         now = self.clock.now()
         return any(until > now for until in self._held.values())
 
-    def wants(self, now: int) -> list[Setpoint]:
-        """What is to be sent in this tick."""
+    def due_messages(self, now: int) -> list[str]:
+        """The messages whose set-points are to be sent in this tick."""
         if not self._given or now < self._due:
             return []
         if self._every:
             self._due = now + self._every - round(0.5e9 / (self.host.rate_hz or 1e9))  # a tick may be early
-        out: list[Setpoint] = []
-        for message, given in self._given.items():
-            if message not in self._dirty and message not in self.streams:
+        out: list[str] = []
+        dirty, held = self._dirty, self._held
+        for message in self._given:
+            if message not in dirty and message not in self.streams:
                 continue
-            if self._held and self._held.get(message, 0) > now:
-                continue
-            self._held.pop(message, None)
-            self._dirty.discard(message)
-            out += [Setpoint(self, message, path, value) for path, value in given.items()]
+            if held:
+                if held.get(message, 0) > now:
+                    continue
+                held.pop(message, None)
+            dirty.discard(message)
+            out.append(message)
         return out
+
+    def wants(self, now: int) -> list[Setpoint]:
+        """The same, set-point by set-point, for rules; a driver that overrides it has more than it was given."""
+        return [one for message in self.due_messages(now) for one in self.setpoints_of(message)]
+
+    def setpoints_of(self, message: str) -> list[Setpoint]:
+        """All that was given of a message."""
+        return [Setpoint(self, message, path, value) for path, value in self._given[message].items()]
 
     def gathered(self, message: str, wants: Sequence[Setpoint]) -> dict[str, Any] | None:
         """The fields of a message from what is wanted, what was given before and defaults; None: something is missing."""
         given = self._given.get(message, {})
-        fields: dict[str, Any] = {}
-        mine = {want.path: want.value for want in wants}
+        if wants:
+            given = {**given, **{want.path: want.value for want in wants}}
         slots = self._slots.get(message)
         if slots is None:
-            slots = self._slots[message] = [slot_of(path) for path in self._paths.get(message) or mine]
+            slots = self._slots[message] = [slot_of(path) for path in self._paths.get(message) or given]
+        fields: dict[str, Any] = {}
         for path, name, index in slots:
-            value = mine[path] if path in mine else given.get(path)
+            value = given.get(path)
             if value is None:
                 value = self.default_of(message, path)
                 if value is None:
@@ -475,6 +486,9 @@ class Device(EndpointMember):
             items = fields.get(name)
             if items is None:
                 items = fields[name] = []
+            if len(items) == index:  # as they are declared, nearly always
+                items.append(value)
+                continue
             while len(items) <= index:
                 items.append(None)
             items[index] = value

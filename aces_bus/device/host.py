@@ -16,8 +16,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 from ..errors import AcesError, CallerError, DeviceError, FieldError, NoReplyError, UnknownNameError
+from ..protocol import CanScanner, Variant
 from ..protocol import Unknown as UnknownWord
-from ..protocol import Variant
 from ..runtime import Timer
 from .coalesce import CoalescingRule, Setpoint, per_device
 from .config import DeviceConfig, Robot
@@ -53,6 +53,10 @@ UNKNOWN_DEVICES = 10_000
 LISTENS = "this bus is only listened to"
 #: The share of a tick that polls may fill by default.
 BUDGET = 0.9
+
+
+def _nothing() -> None:
+    """There is nothing to note."""
 
 
 class Host(BusEndpoint[Device]):
@@ -116,7 +120,16 @@ class Host(BusEndpoint[Device]):
         #: Half duplex: what is to be sent, and the request that has the line (None: free).
         self._half = port.half_duplex
         port.on_event(self._bus_event)
-        self._note = self.scanner.sent
+        self._note = note = self.scanner.sent
+        if passive and self._is_can:
+            feed = self._feed
+
+            def overheard(words: Any) -> list[Any]:
+                """Where others ask, an answer may need what they asked to be understood."""
+                note(words[0])
+                return feed(words)
+
+            self._feed = overheard
         self._line: deque[Ticket] = deque()
         self._speaking: Ticket | None = None
         self._spoke_last: Device | None = None
@@ -146,6 +159,7 @@ class Host(BusEndpoint[Device]):
                     f" {shown(member.credentials) or 'none'}"
                 ) from error
             slot = PollSlot(member, poll, word, self.port.wire_ns(word))
+            slot.reword(word, self._noting(word))
             if slot.every_ns:  # slow polls begin spread over their period, or all would meet in one tick
                 slot.due = self.clock.now() + round(slot.every_ns * (0.618 * len(self.slots) % 1))
             if self._half and not self._period:
@@ -155,6 +169,12 @@ class Host(BusEndpoint[Device]):
                 self._asked_by[member.name, name] = slot, frozenset((reply,))
         self._has_priorities = len({slot.priority for slot in self.slots}) > 1
         return member
+
+    def _noting(self, word: Any) -> Callable[[], None] | None:
+        """What is called instead of giving a word that was sent to the scanner."""
+        if not isinstance(self.scanner, CanScanner):
+            return None
+        return self.scanner.noting(word) or _nothing
 
     def postpone(self, device: Device, message: str, duration_s: float) -> None:
         """Poll a device with this message not before so long from now: its answer could be taken for another's."""
@@ -233,7 +253,8 @@ class Host(BusEndpoint[Device]):
         super().renumber(member, **credentials)
         for slot in self.slots:
             if slot.device is member:
-                slot.word = self.word(member, slot.poll.message, slot.poll.fields)
+                word = self.word(member, slot.poll.message, slot.poll.fields)
+                slot.reword(word, self._noting(word))
         member.renumbered()
 
     @property
@@ -283,12 +304,6 @@ class Host(BusEndpoint[Device]):
     def _woke(self) -> None:
         self._woken = False
         self._send_set_points(self.clock.now())
-
-    def _received(self, word: Any, instant: int) -> None:
-        """One word of the port; where others ask, an answer may need what they asked to be understood."""
-        if self.passive and self._is_can:
-            self._note(word)
-        super()._received(word, instant)
 
     def tick(self) -> None:
         """One round: set-points, then polls within the budget."""
@@ -385,55 +400,82 @@ class Host(BusEndpoint[Device]):
         slot.waiting = ticket
         self.counts.polls += 1
         if reply is not None:
-            ticket.tries += 1
+            ticket.tries = 1
             self._await(ticket, now)
-        elif self._half:
+            return
+        if self._half:
             self._speak(ticket)
-        elif slot.common and self._asked_all.get(slot.word) == now:
-            self._await(ticket, now)
-        else:
+            return
+        if not slot.common or self._asked_all.get(slot.word) != now:
             if slot.common:
                 self._asked_all[slot.word] = now
-            self._send(ticket, now)
+            ticket.tries = 1
+            self._transmit(slot.word, slot.device, ticket.message, slot.timeout_ns, note=slot.note)
+        self._await(ticket, now)
 
     def _send_set_points(self, now: int) -> int:
         """What is wanted, as few words; how long they occupy the bus (ns)."""
         for step in self.before_set_points:
             step(now)
-        wanted: dict[str, list[Setpoint]] = {}
+        #: By message: its rule (None: a message a device), who has set-points of it, and those that go through a rule.
+        wanted: dict[str, tuple[CoalescingRule | None, list[Device], list[Setpoint]]] = {}
         for device in self.members.values():
-            for want in device.wants(now):
-                found = wanted.get(want.message)
-                if found is None:
-                    wanted[want.message] = [want]
+            if type(device).wants is not Device.wants:
+                for want in device.wants(now):
+                    self._group(wanted, want.message, device)[2].append(want)
+                continue
+            for message in device.due_messages(now):
+                rule, devices, wants = self._group(wanted, message, device)
+                if rule is None:
+                    devices.append(device)
                 else:
-                    found.append(want)
+                    wants += device.setpoints_of(message)
         used = 0
-        for message, wants in wanted.items():
-            rule = self.rules.get(message) or wants[0].device.rules.get(message, per_device)
-            for out in rule(wants):
-                try:
-                    word = self.word(out.device, out.message, out.fields)
-                except AcesError as error:  # a value that no field takes: the others go out
-                    self.tell("limited", out.device.name, str(error))
-                    continue
-                self.counts.set_points += 1
-                if self._half:
-                    self._line.append(Ticket(self.clock, out.device, out.message, word, NO_REPLY, 0))
-                else:
-                    used += self.port.wire_ns(word)
-                    is_sent = self._transmit(word, out.device, out.message)
-                    asked = self._asked_by.get((out.device.name, out.message)) if is_sent else None
-                    if asked is not None and not out.device.is_silent:  # one that is silent is asked besides
-                        slot, reply = asked
-                        used += slot.wire_ns
-                        if slot.waiting is None:
-                            self._take_slot(slot, now, reply)
-                        else:
-                            self._again(slot.waiting, now, reply)
-                out.device.is_driven = not self.passive
+        for message, (rule, devices, wants) in wanted.items():
+            for device in devices:
+                fields = device.gathered(message, ())
+                if fields is not None:
+                    used += self._send_fields(device, message, fields, now)
+            for out in (rule or per_device)(wants) if wants else ():
+                used += self._send_fields(out.device, out.message, out.fields, now)
         if self._half and wanted:
             self._pump()
+        return used
+
+    def _group(
+        self,
+        wanted: dict[str, tuple[CoalescingRule | None, list[Device], list[Setpoint]]],
+        message: str,
+        device: Device,
+    ) -> tuple[CoalescingRule | None, list[Device], list[Setpoint]]:
+        found = wanted.get(message)
+        if found is None:
+            rule = self.rules.get(message) or device.rules.get(message)
+            found = wanted[message] = (None if rule is per_device else rule, [], [])
+        return found
+
+    def _send_fields(self, device: Device, message: str, fields: Mapping[str, Any], now: int) -> int:
+        """Send set-points; how long they occupy the bus (ns)."""
+        try:
+            word = self.word(device, message, fields)
+        except AcesError as error:  # a value that no field takes: the others go out
+            self.tell("limited", device.name, str(error))
+            return 0
+        self.counts.set_points += 1
+        device.is_driven = not self.passive
+        if self._half:
+            self._line.append(Ticket(self.clock, device, message, word, NO_REPLY, 0))
+            return 0
+        used = self.port.wire_ns(word)
+        is_sent = self._transmit(word, device, message)
+        asked = self._asked_by.get((device.name, message)) if is_sent else None
+        if asked is not None and not device.is_silent:  # one that is silent is asked besides
+            slot, reply = asked
+            used += slot.wire_ns
+            if slot.waiting is None:
+                self._take_slot(slot, now, reply)
+            else:
+                self._again(slot.waiting, now, reply)
         return used
 
     # ------------------------------------------------------------------ asking
@@ -497,6 +539,7 @@ class Host(BusEndpoint[Device]):
         *,
         urgent: bool = False,
         report: Left | None = None,
+        note: Callable[[], None] | None = None,
     ) -> bool:
         """Put a frame or packet on the bus; one that it does not take is reported."""
         if self.passive:
@@ -508,7 +551,10 @@ class Host(BusEndpoint[Device]):
             self.tell("not sent", device.name, f"{message}: the bus does not take it")
             return False
         self.counts.sent += 1
-        self._note(word)
+        if note is None:
+            self._note(word)
+        else:
+            note()
         return True
 
     def _await(self, ticket: Ticket, now: int) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +12,7 @@ from .station import tags_of
 from .ticket import Ticket
 
 
-@dataclass
+@dataclass(slots=True)
 class HostCounts:
     """What went over a host's bus, in words; latencies in ns.
 
@@ -50,6 +51,7 @@ class PollSlot:
         "device",
         "due",
         "every_ns",
+        "note",
         "poll",
         "priority",
         "replies",
@@ -62,7 +64,8 @@ class PollSlot:
     def __init__(self, device: Device, poll: Poll, word: Any, wire_ns: int) -> None:
         #: How long its word occupies the bus.
         self.wire_ns = wire_ns
-        self.device, self.word = device, word
+        self.device = device
+        self.reword(word, None)
         self.priority = priority_of(device.config)
         #: It asks everybody: when several devices want it in one tick, it is sent once.
         self.common = not tags_of(device, device.variant[poll.message])
@@ -73,6 +76,10 @@ class PollSlot:
         self.waiting: Ticket | None = None
         #: What it costs on the wire, with its answer; learnt.
         self.cost_ns = 2 * wire_ns
+
+    def reword(self, word: Any, note: Callable[[], None] | None) -> None:
+        """Ask with this word; `note` is called when it has left (None: the scanner is given the word)."""
+        self.word, self.note = word, note
 
     def retime(self, poll: Poll) -> None:
         """Have this poll's period."""

@@ -236,6 +236,12 @@ class BusEndpoint(Generic[M]):
 
     def deliver(self, record: Any, instant: int) -> None:
         """Give a record to whom it is about."""
+        route = self._routes.get(record.__class__)
+        if route is not None and route[0] is not None:
+            found = route[1].get(getattr(record, route[0]))
+            if found is not None and len(found) == 1:  # nearly always
+                found[0].receive(record, instant)
+                return
         if record.__class__ is UnknownWord:
             self._not_understood(record, instant)
             return

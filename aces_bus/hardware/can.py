@@ -332,6 +332,18 @@ class CanGate(Gate[Frame]):
             made, 1, arbitration(made) if priority is None else priority, age_s, urgent, topic, report
         )
 
+    def give(self, word: Frame, age_ns: int = 0, topic: object = None) -> bool:
+        """As `Gate.give`; a frame that may not be sent is an event, and not taken."""
+        if self._is_sending_here and (self.allow is None or self.allow.matches(word)):
+            return super().give(word, age_ns, topic)
+        try:
+            return self.send(word, age_s=age_ns / 1e9 if age_ns else None, topic=topic)
+        except CallerError:
+            return False
+
+    def _priority_of(self, word: Frame) -> int:
+        return arbitration(word)
+
     def _leaves_at(self) -> int:
         return self._due
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 import threading
 import time
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable
 from typing import Any, ClassVar, Generic, Literal, Protocol, Self, TypeVar
 
@@ -109,6 +110,8 @@ class Gate(ABC, Generic[Item]):
         self._guard = threading.RLock()
         self._outgoing = threading.Condition(self._guard)
         self._outbox: Outbox[Any] = Outbox()
+        #: What this turn of the loop has given so far: word, age limit (ns), topic. Appended on the loop's thread alone.
+        self._given: deque[tuple[Any, int, object]] = deque()
         #: What the transmit thread has in hand.
         self._in_hand: OutboxItem[Any] | None = None
         self._transmitter: threading.Thread | None = None
@@ -140,6 +143,10 @@ class Gate(ABC, Generic[Item]):
     @abstractmethod
     def _put_out(self, word: Any) -> None:
         """Give a word to the bus, on the transmit thread; raises what the backend raises."""
+
+    def _priority_of(self, word: Any) -> int:
+        """What goes first of what is given together: the lowest."""
+        return 0
 
     @abstractmethod
     def _name_of(self, word: Any) -> str:
@@ -235,6 +242,14 @@ class Gate(ABC, Generic[Item]):
         until = time.monotonic() + seconds
         with self._guard:
             self._is_closing = True
+        if self._loop is not None:
+            try:
+                self._loop.call(
+                    self._gather
+                )  # there nothing can be given meanwhile, and from now on nothing is taken
+            except CallerError:  # it has ended
+                self._gather()
+        with self._guard:
             while self._outbox or self._in_hand is not None:
                 left = until - time.monotonic()
                 if left <= 0 or (self._transmitter is not None and not self._transmitter.is_alive()):
@@ -307,6 +322,7 @@ class Gate(ABC, Generic[Item]):
         self.state = "lost"
         why = "it does not answer any more" if error is None else f"{type(error).__name__}: {error}"
         self._tell("lost", why)
+        self._gather()
         with self._guard:
             gone = self._outbox.take(lambda item: not item.urgent)
             self._outgoing.notify_all()
@@ -355,7 +371,50 @@ class Gate(ABC, Generic[Item]):
     @property
     def waiting(self) -> int:
         """How much waits to be sent, in `unit`."""
-        return self._outbox.size
+        return self._outbox.size + len(self._given)
+
+    def give(self, word: Any, age_ns: int = 0, topic: object = None) -> bool:
+        """Send a word of size 1 with all that this turn of the loop gives, on its thread: cheap, for what a tick sends.
+
+        False: the bus is lost, or does not take it. See `send` for the rest.
+        """
+        if self.state != "open" or self._is_closing or self.waiting >= self.most:
+            return False
+        self._given.append((word, age_ns, topic))
+        if not self._is_flush_planned:  # after the append: who flushes looks again
+            with self._guard:
+                self._plan_flush()
+        return True
+
+    def _gather(self) -> None:
+        """What was given joins what waits."""
+        now = self.clock.now()
+        given = self._given
+        with self._guard:
+            while given:
+                word, age_ns, topic = given.popleft()
+                item = OutboxItem(word, 1, now + (age_ns or AGE_NS), False, topic, None)
+                self._outbox.push(item, self._priority_of(word))
+                self.counters.given += 1
+
+    def _give_out(self) -> bool:
+        """Put what was given on the bus, where nothing waits and the bus takes all of it; whether that was done."""
+        given = self._given
+        if self._outbox or not 0 < len(given) <= self.together:
+            return False
+        words = [word for word, _, _ in given]
+        words.sort(key=self._priority_of)
+        taken, error = self._put_together(words)
+        if taken < len(words):
+            # What it took has left; the rest waits, and is refused again if it is refused.
+            waiting = sorted(given, key=lambda one: self._priority_of(one[0]))
+            given.clear()
+            given.extend(waiting[taken:])
+        else:
+            given.clear()
+        self.counters.given += taken
+        self.counters.sent += taken
+        return error is None and not given
 
     def _queue(
         self,
@@ -368,6 +427,8 @@ class Gate(ABC, Generic[Item]):
         report: Report | None,
     ) -> bool:
         """Queue a word; False when the bus is lost and it is dropped. Raises `CallerError` as `send`."""
+        if self._given:
+            self._gather()
         until = self.clock.now() + (AGE_NS if age_s is None else round(age_s * 1e9))
         item = OutboxItem(word, size, until, urgent, topic, report)
         overtaken: list[OutboxItem[Any]] = []
@@ -575,8 +636,15 @@ class Gate(ABC, Generic[Item]):
                 return
             now = self.clock.now()
             if (wait := AGAIN_NS if not self._push() else self._leaves_at() - now) > 0:
+                self._gather()
                 self._flush_in(wait)
                 return
+            if self._give_out():
+                self._last_sent = now
+                if not self._push():
+                    self._flush_in(AGAIN_NS)
+                return
+            self._gather()
             old = self._outbox.take_old(now)
             items = self._outbox.first(self.together)
             taken, error = self._put_together([item.word for item in items])

@@ -55,7 +55,7 @@ class BasePort(Generic[Word]):
         clock = self.clock
         assert isinstance(clock, Loop)
         # The method's place is taken by the closure: one call less a word.
-        self.__dict__["send"] = _sender(gate, clock)
+        self.__dict__["send"] = _sender(gate, clock, gate.give if isinstance(gate, CanGate) else None)
         gate.start_on(clock, lambda items: self._hand_over(iter(items), handle))
 
     def _hand_over(self, items: Iterator[Received[Word]], handle: Handler) -> None:
@@ -155,7 +155,9 @@ class CanPort(BasePort[Frame]):
         self._send = give
 
     def _take(self, item: Received[Frame], handle: Handler) -> None:
-        handle(_nameless(item.content), item.host_ns)
+        # Without its channel's name: what is sent has none, and answers belong to requests of the same channel.
+        frame = item.content
+        handle(frame if frame.channel is None else replace(frame, channel=None), item.host_ns)
 
     def on_event(self, handler: BusHandler) -> None:
         """Call `handler(kind, detail)` on the clock's thread with what happens to the bus."""
@@ -285,8 +287,8 @@ class DatagramPort(BasePort[bytes]):
             self.node.wire.nodes.remove(self.node)
 
 
-def _sender(gate: Any, clock: EventClock) -> Callable[..., bool]:
-    """What sends through a gate; False: it does not take the word.
+def _sender(gate: Any, clock: Loop, quick: Callable[..., bool] | None = None) -> Callable[..., bool]:
+    """What sends through a gate, `quick` what is usual; False: it does not take the word.
 
     On a bus that is lost words do not wait, but for stops: sent when it is back, an old set-point would move a robot.
     """
@@ -304,6 +306,8 @@ def _sender(gate: Any, clock: EventClock) -> Callable[..., bool]:
         report: Told | None = None,
         **to: Any,
     ) -> bool:
+        if quick is not None and not urgent and report is None and clock.is_own_thread:
+            return quick(word, age_ns, topic)
         if gate.state != "open" and not urgent:
             return False
         try:
@@ -331,11 +335,6 @@ def port_of(bus: Any, loop: Loop | None = None, **options: Any) -> Any:
     if isinstance(bus, (SimulatedDatagrams, DatagramGate)):
         return DatagramPort(bus, loop, **options)
     raise CallerError(f"a {type(bus).__name__} is neither a wire nor a gate")
-
-
-def _nameless(frame: Frame) -> Frame:
-    """A frame without its channel's name: what is sent has none, and answers belong to requests of the same channel."""
-    return frame if frame.channel is None else replace(frame, channel=None)
 
 
 def _loop_of(loop: Loop | None) -> Loop:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import groupby, repeat
 from typing import Any, Generic, Literal, Protocol, TypeVar
 
@@ -502,23 +502,50 @@ class CanScanner:
 
     def sent(self, frame: Any) -> None:
         """Our own transmission: a request that replies may hang on. It is not counted and gives no record."""
-        key = frame.arbitration_id
+        key = self._key_of(frame)
+        carrier = self._carrier_at(key)
+        if carrier is None:
+            self._note(self._request_of(key, bytes(frame.data), None), frame)
+            return
+        for packet in carrier.sent.take(frame, 0, key & ~FD, bytes(frame.data), frame.channel, frame.timestamp):
+            if not packet.reason and (data := self._unwrapped(carrier.transport, packet)) is not None:
+                self._note(self._request_of(packet.key, data, carrier.transport), frame)
+
+    def noting(self, frame: Any) -> Callable[[], None] | None:
+        """What is called whenever this frame was sent, instead of `sent`; None: no reply hangs on it."""
+        key = self._key_of(frame)
+        if self._carrier_at(key) is not None:
+            return partial(self.sent, frame)
+        known = self._request_of(key, bytes(frame.data), None)
+        if known is None:
+            return None
+        wire, name, values = known
+        return wire.context.noting(name, frame.channel, frame.timestamp, values)
+
+    @staticmethod
+    def _key_of(frame: Any) -> int:
+        key: int = frame.arbitration_id
         if frame.is_extended_id or frame.is_remote_frame or frame.is_fd:
             key = key_of(key, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd)
-        if self._carriers:
-            bare = key & ~FD
-            carrier = self._carrier_of[bare] if bare in self._carrier_of else self._find_carrier(bare)
-            if carrier is not None:
-                for packet in carrier.sent.take(
-                    frame, 0, bare, bytes(frame.data), frame.channel, frame.timestamp
-                ):
-                    if not packet.reason and (data := self._unwrapped(carrier.transport, packet)) is not None:
-                        self._note_sent(packet.key, data, frame, carrier.transport)
-                return
-        self._note_sent(key, bytes(frame.data), frame, None)
+        return key
 
-    def _note_sent(self, key: int, data: bytes, frame: Any, transport: Transport | None) -> None:
-        """Note a frame or packet of ours where it is a request."""
+    def _carrier_at(self, key: int) -> _Carrier | None:
+        """The transport that frames with this key belong to."""
+        if not self._carriers:
+            return None
+        bare = key & ~FD
+        return self._carrier_of[bare] if bare in self._carrier_of else self._find_carrier(bare)
+
+    @staticmethod
+    def _note(known: tuple[Any, str, Mapping[str, Any]] | None, frame: Any) -> None:
+        if known is not None:
+            wire, name, values = known
+            wire.context.note(name, frame.channel, frame.timestamp, values)
+
+    def _request_of(
+        self, key: int, data: bytes, transport: Transport | None
+    ) -> tuple[Any, str, Mapping[str, Any]] | None:
+        """The request that a frame or packet is, with whose it is and its raw fields; None: no reply hangs on it."""
         asked = self._asked.get((key, transport)) if transport is not None else self._asked.get(key)
         if asked is None:
             asked = [
@@ -530,7 +557,7 @@ class CanScanner:
             if len(self._asked) < REMEMBERED:
                 self._asked[key if transport is None else (key, transport)] = asked
         if not asked:
-            return
+            return None
         known = self._requests.get((key, data))
         if known is None:
             known = next(
@@ -542,11 +569,10 @@ class CanScanner:
                 None,
             )
             if known is None:
-                return
+                return None
             if len(self._requests) < REMEMBERED:
                 self._requests[key, data] = known
-        wire, name, values = known
-        wire.context.note(name, frame.channel, frame.timestamp, values)
+        return known
 
     def idle(self, time: float | None = None) -> list[Record]:
         """Silence: packets of a transport that wait too long at `time`, or for ever, are malformed. Frames are whole."""

@@ -93,16 +93,30 @@ class Context:
 
     def note(self, name: str, channel: Any, time: float | None, values: Mapping[str, Any]) -> None:
         """A request has passed."""
-        self._count += 1
-        self.noted.add(name)
-        entry = Entry(self._count, time, values)
-        for shared, who in self._kinds[name].items():
-            key = (name, channel, shared, who(values))
-            entries = self._seen.setdefault(key, [])
-            if len(self._seen) > DEVICES:
-                del self._seen[next(iter(self._seen))]
-            entries.append(entry)
-            del entries[:-DEPTH]
+        self.noting(name, channel, time, values)()
+
+    def noting(
+        self, name: str, channel: Any, time: float | None, values: Mapping[str, Any]
+    ) -> Callable[[], None]:
+        """What is called whenever this request has passed: for one that is sent again and again."""
+        keys = [(name, channel, shared, who(values)) for shared, who in self._kinds[name].items()]
+
+        def note() -> None:
+            self._count += 1
+            self.noted.add(name)
+            entry = Entry(self._count, time, values)
+            seen = self._seen
+            for key in keys:
+                entries = seen.get(key)
+                if entries is None:
+                    entries = seen[key] = []
+                    if len(seen) > DEVICES:
+                        del seen[next(iter(seen))]
+                entries.append(entry)
+                if len(entries) > DEPTH:
+                    del entries[:-DEPTH]
+
+        return note
 
     def requests_of(self, name: str) -> frozenset[str]:
         """The names of the requests that this message may hang on."""

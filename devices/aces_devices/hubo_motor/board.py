@@ -17,7 +17,6 @@ from math import pi, tau
 from typing import Any, ClassVar
 
 from aces_bus.device import Joint, MotorDevice, Poll, Signal
-from aces_bus.device.coalesce import Setpoint
 from aces_bus.device.settings import settings_of
 from aces_bus.errors import CallerError, DeviceError
 from aces_protocols.hubo.spec import hubo
@@ -512,11 +511,11 @@ class MotorBoard(MotorDevice[MotorAxis]):
         axis.reference, axis.goal = value, None
         super().want(message, self.path_of(axis, message), value)
 
-    def wants(self, now: int) -> list[Setpoint]:
+    def due_messages(self, now: int) -> list[str]:
         """What is to be sent in this tick; filters move on."""
         if self._filtering:
             self._filter()
-        return super().wants(now)
+        return super().due_messages(now)
 
     def _filter(self) -> None:
         """(old × (n − 1) + new) ÷ n, as hubo-ach; whole counts, the last one exactly."""
