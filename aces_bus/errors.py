@@ -35,18 +35,18 @@ class CallerError(AcesError):
 
 
 #: Names that a message lists.
-LISTED = 5
+NAMED = 5
 
 
-def listed(names: Iterable[str]) -> str:
+def first_names(names: Iterable[str]) -> str:
     """The first names of many, and how many more there are.
 
-    >>> listed("abcdefgh"), listed("ab"), listed("")
+    >>> first_names("abcdefgh"), first_names("ab"), first_names("")
     ('a, b, c, d, e and 3 more', 'a, b', 'none')
     """
     known = list(names)
-    more = f" and {len(known) - LISTED} more" if len(known) > LISTED else ""
-    return ", ".join(known[:LISTED]) + more if known else "none"
+    more = f" and {len(known) - NAMED} more" if len(known) > NAMED else ""
+    return ", ".join(known[:NAMED]) + more if known else "none"
 
 
 class UnknownNameError(CallerError):
@@ -54,12 +54,12 @@ class UnknownNameError(CallerError):
 
     def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
         names = sorted(known)
-        near = difflib.get_close_matches(name, names, n=LISTED)
+        near = difflib.get_close_matches(name, names, n=NAMED)
         if not near:  # the same in another case, or a part of it
-            near = [one for one in names if name and name.lower() in one.lower()][:LISTED]
+            near = [one for one in names if name and name.lower() in one.lower()][:NAMED]
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        shown = [*near, *(one for one in names if one not in near)] if len(names) > LISTED else names
-        super().__init__(f"no {kind} named {name!r}{hint} (there are: {listed(shown)})")
+        shown = [*near, *(one for one in names if one not in near)] if len(names) > NAMED else names
+        super().__init__(f"no {kind} named {name!r}{hint} (there are: {first_names(shown)})")
         self.kind, self.name, self.known = kind, name, tuple(names)
 
 

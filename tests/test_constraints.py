@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def test_every_tool_is_pinned_inside_its_range() -> None:
-    """What the extras [dev], [oracles] and [docs] ask for has one release in constraints.txt, and that is one which pyproject.toml allows."""
+    """What [dev], [oracles] and [docs] ask for has one release in constraints.txt, which pyproject.toml allows."""
     pinned: dict[str, str] = {}
     for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines():
         if line and not line.startswith("#"):
@@ -25,7 +25,10 @@ def test_every_tool_is_pinned_inside_its_range() -> None:
     assert "aces-bus" not in pinned
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = project["optional-dependencies"]
-    waiting, wanted = [*project["dependencies"], *extras["dev"], *extras["oracles"], *extras["docs"]], list[Requirement]()
+    waiting, wanted = (
+        [*project["dependencies"], *extras["dev"], *extras["oracles"], *extras["docs"]],
+        list[Requirement](),
+    )
     while waiting:
         one = Requirement(waiting.pop())
         if one.name == "aces-bus":

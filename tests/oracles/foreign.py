@@ -1,6 +1,7 @@
 """Foreign programs as oracles: vendors' kits and peer libraries, unmodified, against our specs, scanners and twins.
 
-`make test-oracles` installs them (the extra [oracles]) and runs this folder. Without them a test is skipped, and says what to install.
+`make test-oracles` installs them (the extra [oracles]) and runs this folder. Without them a test is skipped, and says what
+to install.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ from aces_tools.plotting.series import (
     Series,
     TimeAxis,
     broken,
-    silence,
+    longest_period,
     thin,
 )
 from aces_tools.protocols_arg import parse_protocols
@@ -260,10 +260,10 @@ def test_too_many_devices_end_the_reading(messages: dict[tuple[str, str], Declar
 
 def test_a_gap_is_some_periods() -> None:
     """Of what comes periodically; what comes when it happens has none, and so have a few samples."""
-    assert silence(np.arange(100) * 0.01) == pytest.approx(0.05)
-    assert silence(np.append(np.arange(100) * 0.01, 9.0)) == pytest.approx(0.05)
-    assert silence(np.cumsum(np.tile([0.1, 0.2, 3.0], 10))) == math.inf
-    assert silence(np.arange(4) * 0.01) == math.inf
+    assert longest_period(np.arange(100) * 0.01) == pytest.approx(0.05)
+    assert longest_period(np.append(np.arange(100) * 0.01, 9.0)) == pytest.approx(0.05)
+    assert longest_period(np.cumsum(np.tile([0.1, 0.2, 3.0], 10))) == math.inf
+    assert longest_period(np.arange(4) * 0.01) == math.inf
 
 
 def test_no_signals_are_named(aces: Aces, tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal
 
-from aces_bus.errors import CallerError, listed
+from aces_bus.errors import CallerError, first_names
 from aces_bus.protocol import Variant
 
 from .options import Group, argument, at_least, flag
@@ -206,7 +206,7 @@ def _named(channel: str) -> Mapping[str, Any]:
     if os.path.exists(f"/sys/class/net/{os.path.basename(channel)}"):
         return {"interface": "socketcan", "channel": channel}
     raise CallerError(
-        f"{channel!r} is no network interface of this machine, and not served (served: {listed(served)});"
+        f"{channel!r} is no network interface of this machine, and not served (served: {first_names(served)});"
         f" {HELP}, or serve one: aces bus serve {channel}"
     )
 

@@ -31,7 +31,7 @@ from .options import COLOR, DIRECTION, FROM, OUTPUT, PROTOCOL, TIME, TO, Argumen
 from .plotting.picture import LARGEST, Limits, LineNames, Picture, PlotPanel, panels_of
 from .plotting.select import Wanted, declared, parse_groups, parse_pattern, select
 from .plotting.series import Collector, Series, TimeAxis
-from .plotting.telling import telling
+from .plotting.telling import telling_signals
 
 EPILOG = """\
 signals:
@@ -341,7 +341,7 @@ class Survey(Plotting):
 
     def _finish(self, *, is_whole: bool) -> None:
         self.progress.close()
-        self.chosen = telling(sorted(self.collector.series.values(), key=self._place))
+        self.chosen = telling_signals(sorted(self.collector.series.values(), key=self._place))
 
     def _complain(self, message: str) -> None:
         self.status = 2

@@ -507,7 +507,9 @@ class CanScanner:
         if carrier is None:
             self._note(self._request_of(key, bytes(frame.data), None), frame)
             return
-        for packet in carrier.sent.take(frame, 0, key & ~FD, bytes(frame.data), frame.channel, frame.timestamp):
+        for packet in carrier.sent.take(
+            frame, 0, key & ~FD, bytes(frame.data), frame.channel, frame.timestamp
+        ):
             if not packet.reason and (data := self._unwrapped(carrier.transport, packet)) is not None:
                 self._note(self._request_of(packet.key, data, carrier.transport), frame)
 

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .select import CHANNEL, ImageFormat, PlotSignal, SignalPattern
-from .series import MOST_LINES, Key, Series, TimeAxis, broken, matching, silence, too_many
+from .series import MOST_LINES, Key, Series, TimeAxis, broken, longest_period, matching, too_many
 
 Array = npt.NDArray[Any]
 Sort = Literal["numbers", "names", "flags"]
@@ -142,7 +142,7 @@ def panels_of(
                 if one.others:
                     continue
                 x, y = one.points()
-                x, y = broken(x, y, silence(x) if longest_gap is None else longest_gap)
+                x, y = broken(x, y, longest_period(x) if longest_gap is None else longest_gap)
                 kind = one.signal.kind
                 if (one.signal.bit is not None or kind.names is not None) and not pattern.format.marker:
                     x, y = value_changes(x, y)

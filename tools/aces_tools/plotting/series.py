@@ -122,7 +122,7 @@ def broken(x: Array, y: Array, longest: float) -> tuple[Array, Array]:
     return (np.insert(x, at, x[at - 1]), np.insert(y, at, np.nan)) if len(at) else (x, y)
 
 
-def silence(x: Array) -> float:
+def longest_period(x: Array) -> float:
     """From where on nothing between two points is a gap: some periods where they come periodically, else no time is."""
     steps = np.diff(x)
     if len(steps) < PERIODS:

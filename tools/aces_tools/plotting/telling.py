@@ -15,7 +15,7 @@ from .series import Series
 ALL, PANELS, LINES = 24, 4, 6
 
 
-def telling(series: Sequence[Series]) -> list[str]:
+def telling_signals(series: Sequence[Series]) -> list[str]:
     """SIGNALs as they are typed, with `-` between subplots; none where there are few enough to draw all of them."""
     drawn = [one for one in series if one.count and not one.others]
     if len(drawn) <= ALL:
