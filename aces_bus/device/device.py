@@ -43,7 +43,8 @@ if TYPE_CHECKING:
 class Poll:
     """What is asked again and again: `message` with `fields`, answered by one of `reply`.
 
-    `every_s` None: in each tick of the host. `timeout_s` counts from the end of the request on the wire.
+    `every_s` None: in each tick of the host. `timeout_s` counts from the end of the request on the wire. `together` is the
+    message that asks several devices for the same at once (`Device.word_together`); empty: there is none.
     """
 
     message: str
@@ -51,6 +52,7 @@ class Poll:
     fields: Mapping[str, Any] = field(default_factory=dict[str, Any])
     every_s: float | None = None
     timeout_s: float = 0.05
+    together: str = ""
 
     @property
     def replies(self) -> frozenset[str]:
@@ -177,6 +179,12 @@ class Device(EndpointMember):
     def default_of(self, message: str, path: str) -> Any:
         """The value for a set-point that was not given yet; None: wait for it."""
         return None
+
+    def word_together(self, devices: Sequence[Device], poll: Poll) -> Any:
+        """The word that asks these devices what `poll` asks one of them; for drivers whose polls say `together`."""
+        raise NotImplementedError(
+            f"{type(self).__name__} asks several devices by {poll.together}, and does not say how"
+        )
 
     def start(self) -> Any:
         """What to do when the bus has been opened: tickets, jobs; nothing by default. It must not move anything."""

@@ -80,6 +80,7 @@ class Dynamixel(ServoDevice):
     eeprom = range(64)
     together_bytes = 1024
     together_overhead = 14
+    together_read = "SyncRead"
     streamed = frozenset(("goal_position", "goal_velocity", "goal_current", "goal_pwm"))
     remembers = frozenset(
         ("torque_enable", "led", "bus_watchdog", "profile_velocity", "profile_acceleration")
