@@ -377,7 +377,7 @@ class Host(BusEndpoint[Device]):
         self.counts.polls += 1
         if self._gathering is not None:
             self._gathering.append(ticket)
-        elif self._half and slot.poll.together and not slot.device.is_silent:
+        elif self._half and slot.poll.together and not slot.device.misses:
             self._speak_together(slot, ticket, now)
         elif self._half:
             self._speak(ticket)
@@ -668,11 +668,14 @@ class Host(BusEndpoint[Device]):
             self.clock.call_in(self.port.wire_ns(ticket.word), lambda: self._free(ticket))
 
     def _speak_together(self, first: PollSlot, ticket: Ticket, now: int) -> None:
-        """Ask all that are due for the same in one word; each has a ticket of its own. Who is silent is asked alone."""
+        """Ask all that are due for the same in one word; each has a ticket of its own.
+
+        Who did not answer the last time is asked alone: those behind it in a common answer may have waited for it in vain.
+        """
         poll, variant = first.poll, first.device.variant
         tickets = self._gathering = [ticket]
         for slot in self.slots:
-            if slot.due <= now and slot.waiting is None and not slot.device.is_silent:
+            if slot.due <= now and slot.waiting is None and not slot.device.misses:
                 other = slot.poll
                 if (
                     other.together == poll.together

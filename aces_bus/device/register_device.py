@@ -131,6 +131,9 @@ class RegisterDevice(Device):
         self.known: dict[str, tuple[int, int]] = {}
         self._watches: dict[str, list[_Watch]] = {}
         self._spans: dict[Any, RegisterSpan] = {}
+        #: What was asked of several last, and the word for it.
+        self._asked: tuple[Any, ...] = ()
+        self._asking: Any = None
         #: The register that each signal is read from.
         self._registers: dict[str, RegisterCodec] = {}
         #: Set-points that were given: register → raw number.
@@ -161,7 +164,11 @@ class RegisterDevice(Device):
     def word_together(self, devices: Sequence[Device], poll: Poll) -> Any:
         """One packet that asks all of them for a stretch; each answers for itself."""
         ids = [device.credentials["id"] for device in devices]
-        return self.host.word(self, poll.together, {**self.together_fields, **poll.fields, "ids": ids})
+        asked = (poll.together, *poll.fields.values(), *ids)
+        if asked != self._asked:
+            fields = {**self.together_fields, **poll.fields, "ids": ids}
+            self._asked, self._asking = asked, self.host.word(self, poll.together, fields)
+        return self._asking
 
     def register_signal(
         self,

@@ -197,7 +197,7 @@ def test_what_it_cannot_follow_is_refused(joint: str, why: str) -> None:
 
 
 def test_all_positions_are_asked_for_at_once() -> None:
-    """One SyncRead a tick for both servos; one that is silent is asked alone, and holds nobody up."""
+    """One SyncRead a tick for both servos; one that did not answer is asked alone, and holds nobody up."""
     with made() as robot:
         robot.advance(0.5)
         heard: list[Any] = []
