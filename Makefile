@@ -24,7 +24,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-oracles test-lerobot test-long test-steady constraints test-socketcan docs soak stops compiled test-compiled check lint types pristine format bench bench-framings golden clean
+.PHONY: help venv demo test test-oracles test-lerobot test-long test-steady constraints test-socketcan docs soak stops teleoperation compiled test-compiled check lint types pristine format bench bench-framings golden clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -122,6 +122,9 @@ soak: $(VENV)/.dev ## a full 1 Mbit/s bus through a live scanner for a minute; A
 
 stops: $(VENV)/.dev ## ends of `aces device` against `aces sim`, in real time; ARGS="--runs 50" for a release
 	$(BIN)/python -m tests.bench.stops $(ARGS)
+
+teleoperation: $(VENV)/.dev ## SO-101, leader to follower over two pseudo-terminals in real time: latency and CPU; ARGS="--seconds 60"
+	$(BIN)/python -m tests.bench.teleoperation $(ARGS)
 
 compiled: $(VENV)/.dev ## the same sources, virtual time's modules compiled by mypyc, in build/compiled (minutes; needs gcc)
 	@$(BIN)/python -c 'import setuptools' 2>/dev/null || $(PIP) setuptools

@@ -44,7 +44,8 @@ class Poll:
     """What is asked again and again: `message` with `fields`, answered by one of `reply`.
 
     `every_s` None: in each tick of the host. `timeout_s` counts from the end of the request on the wire. `asked_by`:
-    set-points that are answered, too, and by which message: in a tick that sends one, this is not sent besides.
+    set-points that are answered, too, and by which message: in a tick that sends one, this is not sent besides. `together` is
+    the message that asks several devices for the same at once (`Device.word_together`); empty: there is none.
     """
 
     message: str
@@ -53,6 +54,7 @@ class Poll:
     every_s: float | None = None
     timeout_s: float = 0.05
     asked_by: Mapping[str, str] = field(default_factory=dict[str, str])
+    together: str = ""
 
     @property
     def replies(self) -> frozenset[str]:
@@ -181,6 +183,12 @@ class Device(EndpointMember):
     def default_of(self, message: str, path: str) -> Any:
         """The value for a set-point that was not given yet; None: wait for it."""
         return None
+
+    def word_together(self, devices: Sequence[Device], poll: Poll) -> Any:
+        """The word that asks these devices what `poll` asks one of them; for drivers whose polls say `together`."""
+        raise NotImplementedError(
+            f"{type(self).__name__} asks several devices by {poll.together}, and does not say how"
+        )
 
     def start(self) -> Any:
         """What to do when the bus has been opened: tickets, jobs; nothing by default. It must not move anything."""

@@ -132,6 +132,9 @@ class Host(BusEndpoint[Device]):
             self._feed = overheard
         self._line: deque[Ticket] = deque()
         self._speaking: Ticket | None = None
+        #: Those of a word that asks several who have not been answered yet, and those that such a word is made for now.
+        self._together: list[Ticket] = []
+        self._gathering: list[Ticket] | None = None
         self._spoke_last: Device | None = None
 
     # ------------------------------------------------------------------ devices
@@ -403,6 +406,12 @@ class Host(BusEndpoint[Device]):
             ticket.tries = 1
             self._await(ticket, now)
             return
+        if self._gathering is not None:
+            self._gathering.append(ticket)
+            return
+        if self._half and slot.poll.together and not slot.device.misses:
+            self._speak_together(slot, ticket, now)
+            return
         if self._half:
             self._speak(ticket)
             return
@@ -557,12 +566,12 @@ class Host(BusEndpoint[Device]):
             note()
         return True
 
-    def _await(self, ticket: Ticket, now: int) -> None:
-        """A ticket's word is on its way: wait for the answer until its time is up."""
+    def _await(self, ticket: Ticket, now: int, more_ns: int = 0) -> None:
+        """A ticket's word is on its way: wait for the answer until its time is up, and for those before it."""
         ticket.sent_at = now
         slot: PollSlot | None = ticket.poll
         wire_ns = self.port.wire_ns(ticket.word) if slot is None else slot.wire_ns
-        ticket.deadline = now + ticket.timeout_ns + wire_ns
+        ticket.deadline = now + ticket.timeout_ns + wire_ns + more_ns
         ticket.device.awaiting.append(ticket)
         self._serial_number += 1
         heapq.heappush(self._deadlines, (ticket.deadline, self._serial_number, ticket))
@@ -675,7 +684,7 @@ class Host(BusEndpoint[Device]):
         if slot is not None:
             slot.waiting = None
             self._learn(slot, record, instant)
-        if ticket is self._speaking:
+        if self._half:
             self._free(ticket)
         ticket.finish(record)
 
@@ -733,11 +742,48 @@ class Host(BusEndpoint[Device]):
         if not ticket.reply:
             self.clock.call_in(self.port.wire_ns(ticket.word), lambda: self._free(ticket))
 
+    def _speak_together(self, first: PollSlot, ticket: Ticket, now: int) -> None:
+        """Ask all that are due for the same in one word; each has a ticket of its own.
+
+        Who did not answer the last time is asked alone: those behind it in a common answer may have waited for it in vain.
+        """
+        poll, variant = first.poll, first.device.variant
+        tickets = self._gathering = [ticket]
+        for slot in self.slots:
+            if slot.due <= now and slot.waiting is None and not slot.device.misses:
+                other = slot.poll
+                if (
+                    other.together == poll.together
+                    and other.fields == poll.fields
+                    and slot.device.variant is variant
+                ):
+                    self._take_slot(slot, now)
+        self._gathering = None
+        if len(tickets) == 1:
+            self._speak(ticket)
+            return
+        order = {name: number for number, name in enumerate(self.members)}
+        tickets.sort(key=lambda one: order[one.device.name])  # the same word each time
+        word = first.device.word_together([one.device for one in tickets], poll)
+        self._speaking, self._together = ticket, tickets[:]
+        self._spoke_last = first.device
+        self._transmit(word, first.device, poll.together, ticket.timeout_ns)
+        answers_ns = 2 * first.wire_ns * len(tickets)
+        for one in tickets:
+            one.tries += 1
+            self._await(one, now, answers_ns)
+
     def _free(self, ticket: Ticket) -> None:
         """Who spoke has been answered, or will not be."""
-        if self._speaking is ticket:
-            self._speaking = None
-            self.clock.call_soon(self._pump)
+        together = self._together
+        if ticket in together:
+            together.remove(ticket)
+            if together:
+                return
+        elif self._speaking is not ticket:
+            return
+        self._speaking = None
+        self.clock.call_soon(self._pump)
 
     # ------------------------------------------------------------------ what is wrong
 
@@ -777,7 +823,8 @@ class Host(BusEndpoint[Device]):
         """The device that may have sent it: by its identifier, or the one that has the line."""
         identifier = word.meta.identifier
         if identifier is None:
-            return self._speaking.device if self._speaking is not None else None
+            speaks = self._together[0] if self._together else self._speaking
+            return speaks.device if speaks is not None else None
         for variant in self.variants.values():
             for message in variant.messages_for("from device"):
                 captures = message.identifier.match(identifier) or {}

@@ -101,6 +101,9 @@ class RegisterDevice(Device):
     streamed: ClassVar[Collection[str]] = ()
     together_bytes: ClassVar[int] = 255
     together_overhead: ClassVar[int] = 0
+    #: The message that asks several devices for one stretch (`start`, `count`, `ids`), and its other fields.
+    together_read: str = ""
+    together_fields: ClassVar[Mapping[str, Any]] = {}
     timeout_s: float = 0.02
     retries: int = 2
     acknowledges: bool = True
@@ -128,6 +131,9 @@ class RegisterDevice(Device):
         self.known: dict[str, tuple[int, int]] = {}
         self._watches: dict[str, list[_Watch]] = {}
         self._spans: dict[Any, RegisterSpan] = {}
+        #: What was asked of several last, and the word for it.
+        self._asked: tuple[Any, ...] = ()
+        self._asking: Any = None
         #: The register that each signal is read from.
         self._registers: dict[str, RegisterCodec] = {}
         #: Set-points that were given: register → raw number.
@@ -152,7 +158,17 @@ class RegisterDevice(Device):
         span, fields = self._span(first, last or first)
         message = self._read_message
         self._spans[self.host.word(self, message, fields)] = span
-        return Poll(message, self.reply, fields, **{"timeout_s": self.timeout_s, **options})
+        own: dict[str, Any] = {"timeout_s": self.timeout_s, "together": self.together_read}
+        return Poll(message, self.reply, fields, **{**own, **options})
+
+    def word_together(self, devices: Sequence[Device], poll: Poll) -> Any:
+        """One packet that asks all of them for a stretch; each answers for itself."""
+        ids = [device.credentials["id"] for device in devices]
+        asked = (poll.together, *poll.fields.values(), *ids)
+        if asked != self._asked:
+            fields = {**self.together_fields, **poll.fields, "ids": ids}
+            self._asked, self._asking = asked, self.host.word(self, poll.together, fields)
+        return self._asking
 
     def register_signal(
         self,

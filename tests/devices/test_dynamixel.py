@@ -152,12 +152,34 @@ def test_the_watchdog_stops_a_servo_whose_host_is_gone() -> None:
         robot.advance(0.5)
         assert any("watchdog" in event.detail for event in robot.events.last)
         assert device.takes(robot["J1.velocity"]) is False
+        robot["J1.velocity"].set(1.0)
+        assert robot.events.count("not sent", "D1") == 1
         device.stop_motion().wait()
         device.enable().wait()
         assert twin["bus_watchdog"] == 10
         robot["J1.velocity"].set(1.0)
         robot.advance(0.3)
         assert robot["J1.velocity"].value == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_goal_does_not_switch_the_torque_on() -> None:
+    """A servo whose drive mode would do that gets no goal before it is enabled, and that is said."""
+    robot = made()
+    twin = robot.twins["D1"]
+    assert isinstance(twin, DynamixelTwin)
+    twin["drive_mode"] = 1 << 3
+    with robot:
+        robot.advance(0.2)
+        device, _ = first(robot)
+        assert any("torque on (drive_mode)" in event.detail for event in robot.events.last)
+        robot["J1.position"].set(1.0)
+        robot.advance(0.5)
+        assert twin["goal_position"] == 2048
+        device.enable().wait()
+        robot.advance(0.2)
+        robot["J1.position"].set(1.0)
+        robot.advance(0.5)
+        assert twin["goal_position"] > 2600
 
 
 def test_a_hardware_error_is_named_and_lets_go() -> None:

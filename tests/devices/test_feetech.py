@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from aces_bus.device import UNKNOWN
 from aces_bus.errors import CallerError, DeviceError
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.testing.conformance import driver_tests
@@ -193,3 +194,28 @@ def test_what_it_cannot_follow_is_refused(joint: str, why: str) -> None:
     """When the robot is put together, with what would work."""
     with pytest.raises(CallerError, match=why):
         made(joint=joint)
+
+
+def test_all_positions_are_asked_for_at_once() -> None:
+    """One SyncRead a tick for both servos; one that did not answer is asked alone, and holds nobody up."""
+    with made() as robot:
+        robot.advance(0.5)
+        heard: list[Any] = []
+        scanner = feetech.scanner(direction="to device")
+        robot.ports("ear")["line"].open(lambda data, _: heard.extend(scanner.feed(data)))
+        robot.advance(0.1)
+        positions = [one for one in heard if one.start == 56]
+        assert [(type(one).__name__, one.ids) for one in positions] == [("SyncRead", (1, 2))] * 5
+        robot.twins["F2"].fault("silent")
+        robot.advance(2.0)
+        assert robot.devices["F2"].is_silent
+        heard.clear()
+        ticks = robot.rig.hosts["line"].counts.ticks
+        robot.advance(1.0)
+        ticks = robot.rig.hosts["line"].counts.ticks - ticks
+        read = [one for one in heard if type(one).__name__ == "Read" and one.id == 1 and one.start == 56]
+        assert len(read) > 0.6 * ticks  # the others' time is the silent one's
+        assert robot["J1.position"].age_ns < 40_000_000
+        robot.twins["F2"].fault("silent", on=False)
+        robot.advance(1.0)
+        assert robot["J2.position"].value is not UNKNOWN

@@ -148,6 +148,18 @@ def test_omnibot(run: Run) -> None:
     assert lines[-1].endswith("nothing went wrong")
 
 
+def test_a_follower_goes_where_the_leader_is_moved(
+    names_of: Names, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two SO-101 arms at 100 Hz: each of six joints within two ticks of the leader's, whose torque stays off."""
+    names = names_of("teleoperation.py")
+    assert names["main"](["1.5"]) < 0.06
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("1.5 s, 906 set-points")
+    assert said[-1] == "nothing went wrong"
+    assert all(line.endswith(" 0 unanswered") for line in said[1:-1])
+
+
 def test_one_controller_on_three_robots(names_of: Names) -> None:
     """The controller's file knows no robot; on CAN and serial it steps, on the recording it gives what it gave."""
     names = names_of("same_controller.py")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -39,7 +39,7 @@ class OpenLine:
 
 
 @contextmanager
-def served_line(robot_file: str, driver: Driver) -> Iterator[OpenLine]:
+def served_line(robot_file: str, driver: Driver) -> Generator[OpenLine]:
     """The twins of a robot with one serial line, in real time, at a pseudo-terminal."""
     robot, problems = parse_robot(robot_file)
     assert robot is not None, problems

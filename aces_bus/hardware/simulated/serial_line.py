@@ -273,7 +273,7 @@ class SimulatedSerialLine:
         return tuple(out)
 
 
-#: Seconds after which time is moved on though nothing came.
+#: Seconds after which time is moved on though nothing came and nothing was to happen.
 STEP_S = 0.002
 
 
@@ -314,7 +314,7 @@ class PtyPort:
 
     def _run(self) -> None:
         while not self._stopping.is_set():
-            ready, _, _ = select.select([self._master], [], [], STEP_S)
+            ready, _, _ = select.select([self._master], [], [], self._pause_s())
             data = b""
             if ready:
                 try:
@@ -328,6 +328,14 @@ class PtyPort:
                 clock.sleep_until(time.monotonic_ns() - self._began)
                 if data:
                     self.node.send(data)
+
+    def _pause_s(self) -> float:
+        """How long to wait for bytes: until something happens on the wire."""
+        with self.lock:
+            event = self.wire.clock.next_event
+        if event is None:
+            return STEP_S
+        return min(STEP_S, max(0.0, (event - time.monotonic_ns() + self._began) / 1e9))
 
     def close(self) -> None:
         """Take the port away."""

@@ -18,9 +18,9 @@ rate_hz = 25
 line = { link = "serial", protocol = "dynamixel", baud = 1_000_000 }
 
 [devices]
-D1 = { driver = "dynamixel", bus = "line", model = "XM430-W350", credentials = { id = 1 }, settings = { health_s = 0.1 } }
+D1 = { driver = "dynamixel", bus = "line", model = "XM430-W350", credentials = { id = 1 }, settings = { health_s = 0.2 } }
 D2 = { driver = "dynamixel", bus = "line", model = "XL430-W250", credentials = { id = 2 }, settings = { motion = true } }
-D3 = { driver = "dynamixel", bus = "line", model = "XL330-M288", credentials = { id = 3 }, settings = { health_s = 0.1 } }
+D3 = { driver = "dynamixel", bus = "line", model = "XL330-M288", credentials = { id = 3 }, settings = { health_s = 0.2 } }
 
 [joints]
 KNEE  = { device = "D1", direction = -1, zero = 3.142, lower = -1.5, upper = 1.5 }

@@ -80,6 +80,7 @@ class Dynamixel(ServoDevice):
     eeprom = range(64)
     together_bytes = 1024
     together_overhead = 14
+    together_read = "SyncRead"
     streamed = frozenset(("goal_position", "goal_velocity", "goal_current", "goal_pwm"))
     remembers = frozenset(
         ("torque_enable", "led", "bus_watchdog", "profile_velocity", "profile_acceleration")
@@ -113,6 +114,8 @@ class Dynamixel(ServoDevice):
         """As every servo, with a model."""
         self.model = MODEL_NAMES.get(self.config.model or "")
         self._asks_why = False
+        #: Whether a goal would switch its torque on (`drive_mode`).
+        self.is_woken_by_goals = False
         #: Whether its watchdog has stopped it: it takes no goals until it is enabled anew.
         self.is_cut_off = False
         super().setup()
@@ -220,7 +223,13 @@ class Dynamixel(ServoDevice):
 
     def learned(self, table: Mapping[str, int]) -> None:
         """The servo's own limits limit the joint."""
-        if self.codec("drive_mode").value(table["drive_mode"]).time_based_profile:
+        drive_mode = self.codec("drive_mode").value(table["drive_mode"])
+        self.is_woken_by_goals = bool(drive_mode.torque_on_by_goal)
+        if self.is_woken_by_goals:
+            self.tell_event(
+                "alarm", "a goal would switch its torque on (drive_mode): none is taken before it is enabled"
+            )
+        if drive_mode.time_based_profile:
             self.tell_event(
                 "alarm", "its profiles are times (drive_mode): speed and acceleration limits mean nothing"
             )
@@ -265,8 +274,21 @@ class Dynamixel(ServoDevice):
             super().changed(which)
 
     def takes(self, signal: Signal) -> bool | None:
-        """No goals after its watchdog has stopped it."""
-        return False if self.is_cut_off else super().takes(signal)
+        """Not what `want` drops."""
+        return False if self._takes_no_goals else super().takes(signal)
+
+    @property
+    def _takes_no_goals(self) -> bool:
+        """After its watchdog has stopped it, and where a goal would switch the torque on."""
+        is_off = self.cached("torque_enable", raw=True) != 1
+        return self.is_cut_off or (self.is_woken_by_goals and is_off)
+
+    def want(self, message: str, path: str, value: Any) -> None:
+        """As `RegisterDevice.want`; a goal that it does not take now is reported, and not kept for later."""
+        if path == self.goal and self._takes_no_goals:
+            self.tell_event("not sent", f"{path} = {value}: it is not enabled")
+        else:
+            super().want(message, path, value)
 
     # ------------------------------------------------------------------ actions
 

@@ -19,7 +19,7 @@ from aces_protocols.feetech.models import MODEL_NAMES
 from aces_protocols.feetech.spec import scs_table, sts_table
 from aces_protocols.robotis.fields import from_directed, to_directed
 
-from ..servos.driver import ACTIONS, ServoDevice
+from ..servos.driver import ACTIONS, BROADCAST, ServoDevice
 
 #: Counts a second that a set-point of speed may have (the register's sign bit is 15).
 FASTEST = 0x7FFF
@@ -42,6 +42,8 @@ class Feetech(ServoDevice):
     registers = sts_table
     eeprom = range(40)
     together_overhead = 8
+    together_read = "SyncRead"
+    together_fields: ClassVar[Mapping[str, Any]] = {"id": BROADCAST}
     streamed = frozenset(("goal_position",))
     remembers = frozenset(("torque_enable", "acceleration", "torque_limit"))
     shutdown_register = "unload_condition"
@@ -61,7 +63,7 @@ class Feetech(ServoDevice):
         #: Whose control table it has: "STS" or "SCS".
         self.series = series_of(config)
         if self.series == "SCS":
-            self.registers = scs_table
+            self.registers, self.together_read = scs_table, ""
             self.mode_register, self.start_span = "", ("model_number", "unload_condition")
             self.goals_by_command = {"position": "goal_position"}
             self.health_span = ("torque_enable", "moving")

@@ -108,6 +108,13 @@ class FeetechTwin(ServoTwin):
         direction, zero = self._joint
         return ((self.motion.position(now) - self.offset) * self._step - zero) * direction
 
+    def turn_by_hand(self, position: float) -> None:
+        """Somebody turns the joint to an angle (rad): it goes there at once, unless its torque is on."""
+        if not self["torque_enable"]:
+            direction, zero = self._joint
+            self.motion.settle(self.clock.now())
+            self.motion.at = (direction * position + zero) / self._step + self.offset
+
     def before_write(self) -> None:
         """Motion up to now is as it was."""
         self.motion.settle(self.clock.now())

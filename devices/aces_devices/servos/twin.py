@@ -146,8 +146,8 @@ class ServoTwin(Twin):
     @property
     def is_tuned(self) -> bool:
         """Whether the line runs at its speed."""
-        baud = getattr(self.twins.port, "baud", None)
-        return baud is None or abs(self.baud / baud - 1) < TUNED
+        wanted = getattr(self.twins.port, "baud", None)
+        return wanted is None or abs(self.baud - wanted) < TUNED * wanted
 
     def tune(self) -> None:
         """Be set to the line's speed, or the nearest there is."""

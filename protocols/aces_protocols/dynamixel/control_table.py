@@ -1,7 +1,7 @@
 """The control table of the X series, a line a register; its addresses agree in all models that `models.py` lists.
 
 1. Units are the sheet's: °, rpm, V, °C, µs, ms, and % where the sheet counts 1/885. Ranges and defaults are raw.
-2. Currents and the gains are raw: the unit of a current is the model's (`Model.current_step_a`).
+2. Currents and the gains are raw: the unit of a current is the model's (`XModel.current_step_a`).
 3. What only some models have (or what has another default in each) is here without a default.
 
 Source: ROBOTIS e-manual, control tables of XM430-W350, XM540-W270, XL430-W250 and XL330-M288.
@@ -40,7 +40,7 @@ VOLT = 0.1  # V a count
 WATCHDOG_ERROR = 0xFF
 
 
-def add_registers(table: RegisterMap) -> None:
+def add_x_registers(table: RegisterMap) -> None:
     """Declare all registers in `table`."""
     add = partial(table.add, source="ROBOTIS e-manual, control table of the X series")
     read = partial(add, access="read")

@@ -16,7 +16,7 @@ from construct import Byte, Bytes, Const, GreedyBytes, GreedyRange, Int16ul, Str
 from aces_bus.protocol import BitLayout, Crc, Enumeration, Insert, Protocol, bits
 from aces_bus.protocol.declare.message import Message
 
-from .control_table import add_registers
+from .control_table import add_x_registers
 
 BROADCAST = 0xFE
 #: Identifiers of single servos; 0xFD and 0xFF cannot occur.
@@ -298,4 +298,4 @@ control_table = dynamixel.registers(
     sync=SyncWrite,
     doc="Control table of the X series: EEPROM 0–63, RAM 64–147; words are little-endian. Models differ: `models.py`.",
 )
-add_registers(control_table)
+add_x_registers(control_table)

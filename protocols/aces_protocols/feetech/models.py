@@ -10,7 +10,7 @@ from typing import Literal
 
 
 @dataclass(frozen=True)
-class Model:
+class FeetechModel:
     """One model: its number, and whose control table it has (SMS servos have that of STS)."""
 
     name: str
@@ -19,10 +19,10 @@ class Model:
 
 
 MODELS = (
-    Model("STS3215", 777, "STS"),
-    Model("STS3250", 2825, "STS"),
-    Model("SM8512BL", 11_272, "STS"),
-    Model("SCS0009", 1284, "SCS"),
+    FeetechModel("STS3215", 777, "STS"),
+    FeetechModel("STS3250", 2825, "STS"),
+    FeetechModel("SM8512BL", 11_272, "STS"),
+    FeetechModel("SCS0009", 1284, "SCS"),
 )
 #: By name.
 MODEL_NAMES = {model.name: model for model in MODELS}
