@@ -117,6 +117,16 @@ class FramePart(NamedTuple):
     reason: str = ""
 
 
+class Steering(NamedTuple):
+    """What a receiver tells who sends it a packet of `key`: to go on with `count` frames (0: all), `gap_ns` from one to the
+    next; to wait; to stop."""
+
+    go: Literal["on", "wait", "stop"]
+    key: int
+    count: int = 0
+    gap_ns: int = 0
+
+
 @dataclass(frozen=True)
 class Transport:
     """How packets are cut into CAN frames, and the rule by which frames are packets again.
@@ -261,6 +271,16 @@ class Transport:
         """
         return data
 
+    # ------------------------------------------------------------------ handshakes
+
+    def go_ahead(self, key: int, data: bytes) -> tuple[int, bytes] | None:
+        """The frame (key and data) with which a receiver of this frame lets its sender go on; None where none is needed."""
+        return None
+
+    def steering(self, key: int, data: bytes) -> Steering | None:
+        """What a frame tells who sends; None of frames that steer nothing."""
+        return None
+
     # ------------------------------------------------------------------ writing
 
     def split(self, key: int, data: bytes, sequence: int = 0, extra: bytes = b"") -> list[tuple[int, bytes]]:
@@ -323,4 +343,4 @@ class Transport:
         )
 
 
-__all__ = ["FrameKind", "FrameNumber", "FramePart", "Role", "Transport"]
+__all__ = ["FrameKind", "FrameNumber", "FramePart", "Role", "Steering", "Transport"]
