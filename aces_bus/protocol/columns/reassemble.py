@@ -403,7 +403,7 @@ class _Runs:
                 last = parts.last[frames]
                 is_right &= last[-1] & ~last[:-1].any(axis=0) & (piece[-1] <= room)
                 total = parts.piece[frames].sum(axis=0, dtype=np.int64) + transport.address
-                is_right &= total <= transport.max_size
+                is_right &= total <= transport.longest
         return frames, is_right
 
 

@@ -143,7 +143,7 @@ class Transport:
     * A first or single frame of the same session while a packet is open: that packet is malformed, it was restarted.
     * More than `timeout_s` seconds between two frames of a session: the packet before is malformed, it timed out.
     * `senders` packets may be open at once; when one more begins, the oldest is malformed. With `max_size`, the number of
-      bytes of the longest packet, this bounds what is kept.
+      bytes of the longest packet (its address aside), this bounds what is kept.
 
     `fd`: its frames are CAN FD. `address` bytes at the beginning of each frame belong to the address: they keep packets
     apart, too, and a packet's data begin with them. `pad` fills frames up (None: they are as short as they can be).
@@ -180,8 +180,13 @@ class Transport:
         return 64 if self.fd else 8
 
     @property
+    def longest(self) -> int:
+        """How many bytes a packet has at most, its address among them."""
+        return self.max_size + self.address
+
+    @property
     def min_size(self) -> int:
-        """How many bytes a packet has at least."""
+        """How many bytes a packet has at least, its address among them."""
         least = [kind.least for kind in self.kinds if kind.role in ("single", "first")]
         return self.address + min(least, default=0)
 
@@ -239,7 +244,7 @@ class Transport:
                 return FramePart("bad", reason="malformed: length")
             return FramePart("single", session, address + piece[:size], key)
         if kind.role == "first":
-            if size is not None and size + self.address > self.max_size:
+            if size is not None and size > self.max_size:
                 return FramePart("bad", reason="malformed: too long")
             total = None if size is None else size + self.address
             return FramePart("first", session, address + piece, key, total, number, is_last)
@@ -288,8 +293,8 @@ class Transport:
 
         Raises `FieldError` for a packet that is too long.
         """
-        if len(data) > self.max_size:
-            raise FieldError(f"a packet of {len(data)} bytes; {self.title} has {self.max_size} at most")
+        if len(data) > self.longest:
+            raise FieldError(f"a packet of {len(data)} bytes; {self.title} has {self.longest} at most")
         address, body = data[: self.address], data[self.address :]
         room = self.frame_size - self.address
         for kind in self.kinds:
