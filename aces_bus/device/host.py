@@ -19,6 +19,7 @@ from ..errors import AcesError, CallerError, DeviceError, FieldError, NoReplyErr
 from ..protocol import CanScanner, Variant
 from ..protocol import Unknown as UnknownWord
 from ..runtime import Timer
+from .carried_port import CarriedPort
 from .coalesce import CoalescingRule, Setpoint, per_device
 from .config import DeviceConfig, Robot
 from .device import DUPLICATES, Device, Poll
@@ -120,9 +121,11 @@ class Host(BusEndpoint[Device]):
         #: Half duplex: what is to be sent, and the request that has the line (None: free).
         self._half = port.half_duplex
         port.on_event(self._bus_event)
-        self._note = note = self.scanner.sent
+        self._note: Callable[[Any], None] = self.scanner.sent
+        if isinstance(self.port, CarriedPort):
+            self._note = self._note_frames
         if passive and self._is_can:
-            feed = self._feed
+            feed, note = self._feed, self._note
 
             def overheard(words: Any) -> list[Any]:
                 """Where others ask, an answer may need what they asked to be understood."""
@@ -307,6 +310,14 @@ class Host(BusEndpoint[Device]):
     def _woke(self) -> None:
         self._woken = False
         self._send_set_points(self.clock.now())
+
+    def _note_frames(self, word: Any) -> None:
+        """A word of ours that may be several frames."""
+        for frame in word if isinstance(word, tuple) else (word,):
+            self.scanner.sent(frame)
+
+    def _is_carried_to_us(self, key: int) -> bool:
+        return not self.passive and super()._is_carried_to_us(key)
 
     def tick(self) -> None:
         """One round: set-points, then polls within the budget."""
