@@ -27,6 +27,7 @@ from .declare.fields import (
 from .declare.framing import Escaped, Framing
 from .declare.isotp import IsoTp
 from .declare.items import Items
+from .declare.j1939 import J1939Transport
 from .declare.message import Message, Request
 from .declare.pattern import IdField
 from .declare.protocol import Protocol, Variant
@@ -72,6 +73,7 @@ __all__ = [
     "InvertedSum",
     "IsoTp",
     "Items",
+    "J1939Transport",
     "Message",
     "Meta",
     "Multiplexed",
