@@ -119,7 +119,7 @@ class Reassembler:
         if part.is_last or (part.size is not None and made.total == 1):
             yield Packet(made.frames, "", part.key, made.joined())
             return
-        if len(mine.data) not in self.transport.lengths():
+        if len(mine.data) not in self.transport.full_lengths:
             yield Packet([mine], "malformed: first frame is short")
             return
         if len(self._open) >= self.transport.senders:
