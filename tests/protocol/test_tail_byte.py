@@ -45,7 +45,9 @@ def test_transfers_of_one_sender_are_told_apart_by_their_numbers() -> None:
     """Also when the end of one was lost, and frames of the next come."""
     encoder = dronecan_like.variant().encoder
     fields = {"voltage": 1.0, "current": 1.0, "temperature": 1.0, "rest": b"12345"}
-    one, other = (encoder.next("EscStatus", priority=1, node=1, errors=n, **fields) for n in (1, 2))
+    # Also of another priority, but not of another node.
+    encoder.next("EscStatus", priority=1, node=2, errors=0, **fields)
+    one, other = (encoder.next("EscStatus", priority=n, node=1, errors=n, **fields) for n in (1, 2))
     assert [bytes(frame.data)[-1] & 0x1F for frame in (*one, *other)] == [0, 0, 0, 1, 1, 1]
     assert fed(dronecan_like, [*one[:2], *other]) == ["EscStatus", "pending", "pending"]
     assert fed(dronecan_like, [one[0], other[0], one[1], other[1], other[2], one[2]]) == ["EscStatus"] * 2

@@ -90,6 +90,10 @@ class TailByte(Transport):
         room = self.frame_size - 1
         return size if size <= room else (size + _CRC_BYTES - 1) % room + 1
 
+    def numbered_by(self, key: int) -> int:
+        """Transfers are counted whatever their priority."""
+        return key & ~(0x7 << 26 if self.version else 0x1F << 24)
+
     def split(self, key: int, data: bytes, sequence: int = 0, extra: bytes = b"") -> list[tuple[int, bytes]]:
         """The frames of a transfer; `sequence` is its number."""
         if len(data) > self.max_size or not self.carries(len(data)):

@@ -284,6 +284,10 @@ class Transport:
 
     # ------------------------------------------------------------------ writing
 
+    def numbered_by(self, key: int) -> int:
+        """What of a packet's key its sequence numbers are counted for: all of it."""
+        return key
+
     def split(self, key: int, data: bytes, sequence: int = 0, extra: bytes = b"") -> list[tuple[int, bytes]]:
         """The frames of a packet, as key and data; `sequence` counts the packets of a sender.
 
