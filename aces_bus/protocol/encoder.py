@@ -72,8 +72,8 @@ class Encoder:
     def build(
         self, message: Message, fields: dict[str, Any], *, raw: bool = False, number: int | None = 0
     ) -> Any:
-        """The frame (a python-can message) or packet of `message`; a list of frames where a transport carries it. `number` is
-        the packet's sequence number, for transports that number them; None: the next one."""
+        """The frame (a python-can message) or packet of `message`; a list of frames where a transport carries it, whose
+        sequence number is `number` (None: the next one)."""
         built = self._built(message, fields, raw=raw)
         if isinstance(built, bytes):
             return built
