@@ -608,6 +608,10 @@ class _Batch:
             decoder.kinds,
             make,
             message.doc,
+            frames=None if self.carried is None else self.carried.counts[self.some(start, end, which)],
+            first_time=None
+            if self.carried is None
+            else self.carried.first_time[self.some(start, end, which)],
         )
 
 

@@ -171,7 +171,7 @@ class FrameParts:
         if kind.role == "single":
             fits &= size <= self.piece[places]
         else:
-            is_long = fits & (size + self.transport.address > self.transport.max_size)
+            is_long = fits & (size > self.transport.max_size)
             if is_long.any():
                 self.reasons.append((places[is_long], "malformed: too long"))
                 fits &= ~is_long

@@ -423,7 +423,7 @@ class _Runs:
                 last = parts.last[frames]
                 is_right &= last[-1] & ~last[:-1].any(axis=0) & (piece[-1] <= room)
                 total = parts.piece[frames].sum(axis=0, dtype=np.int64) + transport.address
-                is_right &= total <= transport.max_size + transport.overhead
+                is_right &= total <= transport.longest + transport.overhead
         return frames, is_right
 
 

@@ -79,7 +79,7 @@ def judge_frames(transport: Transport, given: Sequence[GivenFrame]) -> Judged:
         if (
             first.size is None
             and len(first.data) + sum(len(p.data) for p in pieces.values())
-            > transport.max_size + transport.overhead
+            > transport.longest + transport.overhead
         ):
             return Judged("broken", "malformed: too long")
         is_whole = len(pieces) + 1 == count if count is not None else ends

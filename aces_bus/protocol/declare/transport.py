@@ -119,6 +119,16 @@ class FramePart(NamedTuple):
     other: Hashable = None
 
 
+class Steering(NamedTuple):
+    """What a receiver tells who sends it a packet of `key`: to go on with `count` frames (0: all), `gap_ns` from one to the
+    next; to wait; to stop."""
+
+    go: Literal["on", "wait", "stop"]
+    key: int
+    count: int = 0
+    gap_ns: int = 0
+
+
 @dataclass(frozen=True)
 class Transport:
     """How packets are cut into CAN frames, and the rule by which frames are packets again.
@@ -135,7 +145,7 @@ class Transport:
     * A first or single frame of the same session while a packet is open: that packet is malformed, it was restarted.
     * More than `timeout_s` seconds between two frames of a session: the packet before is malformed, it timed out.
     * `senders` packets may be open at once; when one more begins, the oldest is malformed. With `max_size`, the number of
-      bytes of the longest packet, this bounds what is kept.
+      bytes of the longest packet (its address aside), this bounds what is kept.
 
     `fd`: its frames are CAN FD. `address` bytes at the beginning of each frame belong to the address: they keep packets
     apart, too, and a packet's data begin with them. `pad` fills frames up (None: they are as short as they can be).
@@ -172,8 +182,13 @@ class Transport:
         return 64 if self.fd else 8
 
     @property
+    def longest(self) -> int:
+        """How many bytes a packet has at most, its address among them."""
+        return self.max_size + self.address
+
+    @property
     def min_size(self) -> int:
-        """How many bytes a packet has at least."""
+        """How many bytes a packet has at least, its address among them."""
         least = [kind.least for kind in self.kinds if kind.role in ("single", "first")]
         return self.address + min(least, default=0)
 
@@ -250,7 +265,7 @@ class Transport:
                 return FramePart("bad", reason="malformed: length")
             return FramePart("single", session, address + piece[:size], key)
         if kind.role == "first":
-            if size is not None and size + self.address > self.max_size:
+            if size is not None and size > self.max_size:
                 return FramePart("bad", reason="malformed: too long")
             total = None if size is None else size + self.address
             return FramePart("first", session, address + piece, key, total, number, is_last)
@@ -282,6 +297,16 @@ class Transport:
         """
         return data
 
+    # ------------------------------------------------------------------ handshakes
+
+    def go_ahead(self, key: int, data: bytes) -> tuple[int, bytes] | None:
+        """The frame (key and data) with which a receiver of this frame lets its sender go on; None where none is needed."""
+        return None
+
+    def steering(self, key: int, data: bytes) -> Steering | None:
+        """What a frame tells who sends; None of frames that steer nothing."""
+        return None
+
     # ------------------------------------------------------------------ writing
 
     def numbered_by(self, key: int) -> int:
@@ -293,8 +318,8 @@ class Transport:
 
         Raises `FieldError` for a packet that is too long.
         """
-        if len(data) > self.max_size:
-            raise FieldError(f"a packet of {len(data)} bytes; {self.title} has {self.max_size} at most")
+        if len(data) > self.longest:
+            raise FieldError(f"a packet of {len(data)} bytes; {self.title} has {self.longest} at most")
         address, body = data[: self.address], data[self.address :]
         room = self.frame_size - self.address
         for kind in self.kinds:
@@ -348,4 +373,4 @@ class Transport:
         )
 
 
-__all__ = ["FrameKind", "FrameNumber", "FramePart", "Role", "Transport"]
+__all__ = ["FrameKind", "FrameNumber", "FramePart", "Role", "Steering", "Transport"]

@@ -668,6 +668,11 @@ class ChannelScanner(ChannelScanners[CanScanner]):
             out += self.of(channel).feed(list(some))
         return out
 
+    @property
+    def has_transports(self) -> bool:
+        """Whether some messages are carried in several frames."""
+        return any(m.transport is not None for variant in self.variants for m in variant.messages.values())
+
     def reset(self) -> None:
         """Forget everything seen, counts included: as if just made."""
         self._scanners.clear()

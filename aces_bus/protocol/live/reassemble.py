@@ -155,8 +155,7 @@ class Reassembler:
             yield self._give_up(who, f"malformed: {found.named(place)} is short")
         elif (
             found.part.size is None
-            and len(found.part.data) + sum(map(len, pieces.values()))
-            > transport.max_size + transport.overhead
+            and len(found.part.data) + sum(map(len, pieces.values())) > transport.longest + transport.overhead
         ):
             yield self._give_up(who, "malformed: too long")
         elif is_last if not found.total else len(pieces) == found.total - 1:
