@@ -60,6 +60,7 @@ class J1939Sender:
         self.gate = gate
         self._one = threading.Lock()
         self._left: list[Frame] = []
+        self._opening = Frame(0)
         self._failure: AcesError | None = None
         self._sources: set[int] = set()
         self._unit: Any = j1939.ElectronicControlUnit(max_cmdt_packets=255, send_message=self._leave)
@@ -98,7 +99,7 @@ class J1939Sender:
         data = b"".join(frame.data[1:] for frame in frames[1:])[: int.from_bytes(head[1:3], "little")]
         group = int.from_bytes(head[5:8], "little")
         pdu = group >> 8 & 0xFF
-        self._left, self._failure = [], None
+        self._left, self._failure, self._opening = [], None, opening
         if source not in self._sources:
             self._sources.add(source)
             self._unit.subscribe(_ignore, source)
@@ -139,6 +140,8 @@ class J1939Sender:
     def _leave(self, can_id: int, extended_id: bool, data: Any, fd_format: bool = False) -> None:
         """A frame of can-j1939, on its thread or ours; what the gate raises is kept for `send`."""
         frame = Frame(can_id, bytes(data), is_extended_id=extended_id)
+        if frame.data[0] == _BAM and not _is_data(frame):
+            frame = self._opening  # can-j1939 leaves the destination, everybody, in the number of the group
         try:
             self.gate.send(frame)
         except AcesError as error:

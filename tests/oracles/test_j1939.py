@@ -18,6 +18,7 @@ from aces_bus.errors import CallerError, DeviceError, NoReplyError
 from aces_bus.frames import Frame, message_to_frame
 from aces_bus.hardware import CanGate, Received
 from aces_bus.hardware.queues import Inbox
+from aces_tools.main import main
 from tests.oracles.foreign import oracle
 from tests.specs.j1939_long import j1939_long
 
@@ -152,6 +153,21 @@ def test_a_broadcast_and_a_frame_of_ours_are_received(units: tuple[Unit, Unit]) 
     for unit in units:
         got = [unit.received.get(timeout=PATIENCE_S) for _ in range(2)]
         assert got == [(0xFEEC, OURS, text(8)), (0xFEEC, OURS, text(17))]
+
+
+@pytest.mark.parametrize("destination", [OTHER, 0xFF])
+def test_aces_send_keeps_the_handshake(units: tuple[Unit, Unit], destination: int) -> None:
+    """`aces send` sends a packet as its transport wants it: with the handshake, or with pauses."""
+    what = [
+        "Proprietary",
+        "priority=6",
+        f"source={OURS}",
+        f"destination={destination}",
+        f"data=hex:{text(20).hex()}",
+    ]
+    where = ["-i", "aces", "-c", "truck", "--bus-kwargs", "physics=False"]
+    assert main(["send", *what, "-p", "tests/specs/j1939_long.py", *where, "--tx"]) == 0
+    assert units[1].received.get(timeout=PATIENCE_S) == (0xEF00, OURS, text(20))
 
 
 def test_what_fails_is_said() -> None:
