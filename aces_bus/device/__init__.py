@@ -12,6 +12,7 @@ from .device import Device, Poll, signal
 from .drivers import Driver, list_drivers, load_driver, use_driver_file
 from .events import DeviceEvent, EventLog
 from .host import Host
+from .j1939 import J1939Sender
 from .motor import MotorDevice
 from .port import Port
 from .signals import UNKNOWN, Reading, Signal
@@ -34,6 +35,7 @@ __all__ = [
     "Gains",
     "Home",
     "Host",
+    "J1939Sender",
     "Job",
     "Joint",
     "JointModel",

@@ -28,6 +28,7 @@ from .declare.framing import Escaped, Framing, Trailer
 from .declare.isotp import IsoTp
 from .declare.item_list import ItemList
 from .declare.items import Items
+from .declare.j1939 import J1939Transport
 from .declare.message import Message, Request
 from .declare.pattern import IdField
 from .declare.protocol import Protocol, Variant
@@ -75,6 +76,7 @@ __all__ = [
     "IsoTp",
     "ItemList",
     "Items",
+    "J1939Transport",
     "Message",
     "Meta",
     "Multiplexed",

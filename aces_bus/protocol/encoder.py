@@ -63,19 +63,23 @@ class Encoder:
                 key = (message, name, who)
                 self._counters[key] = (self._counters.get(key, -1) + 1) % modulo
                 fields[name] = self._counters[key]
-        return self.build(found, fields, counts=True)
+        return self.build(found, fields, number=None)
+
+    def numbered(self, number: int, message: str, /, **fields: Any) -> Any:
+        """Like `encode`, of a packet of a transport with this sequence number: an answer that has that of its request."""
+        return self.build(self.variant[message], fields, number=number)
 
     def build(
-        self, message: Message, fields: dict[str, Any], *, raw: bool = False, counts: bool = False
+        self, message: Message, fields: dict[str, Any], *, raw: bool = False, number: int | None = 0
     ) -> Any:
-        """The frame (a python-can message) or packet of `message`; a list of frames where a transport carries it. With
-        `counts` its packets are numbered as they go out."""
+        """The frame (a python-can message) or packet of `message`; a list of frames where a transport carries it, whose
+        sequence number is `number` (None: the next one)."""
         built = self._built(message, fields, raw=raw)
         if isinstance(built, bytes):
             return built
         if message.transport is None:
             return new_can(*built)
-        return [new_can(*parts) for parts in self._carried(message, built, counts=counts)]
+        return [new_can(*parts) for parts in self._carried(message, built, number)]
 
     def word(self, message: Message, fields: dict[str, Any]) -> Frame | bytes:
         """What goes out: an immutable frame (CAN) or the packet's bytes. Raises as `encode`; of a message that takes several
@@ -94,16 +98,16 @@ class Encoder:
             return [built]
         if message.transport is None:
             return [_frame(built)]
-        return [_frame(parts) for parts in self._carried(message, built, counts=True)]
+        return [_frame(parts) for parts in self._carried(message, built, None)]
 
-    def _carried(self, message: Message, parts: CanParts, *, counts: bool) -> list[CanParts]:
+    def _carried(self, message: Message, parts: CanParts, number: int | None) -> list[CanParts]:
         """The frames of a packet, as its transport cuts it."""
         transport = message.transport
         assert transport is not None
         identifier, data, extended, _, _ = parts
-        key, number = key_of(identifier, extended=extended), 0
-        if counts:
-            who = (id(transport), key)
+        key = key_of(identifier, extended=extended)
+        if number is None:
+            who = (id(transport), transport.numbered_by(key))
             number = self._sequences.get(who, 0)
             self._sequences[who] = number + 1
         try:

@@ -164,16 +164,21 @@ def test_services_both_ways(buses: tuple[can.BusABC, can.BusABC]) -> None:
         await ask.send(transfer(b"", 5), deadline)
         (record,) = scanner.feed(received(bus))
         assert (type(record).__name__, record.node, record.target) == ("GetInfo", THEIRS, OURS)
+        number = record.meta.frames[0][-1] & 0x1F
         fields: dict[str, Any] = {
             "protocol": info[:2],
             "hardware": info[2:4],
             "software": info[4:6],
             "rest": info[6:],
         }
-        for message in cyphal_like.encode("Info", priority="nominal", node=OURS, target=THEIRS, **fields):
+        encoder = cyphal_like.variant().encoder
+        for message in encoder.numbered(
+            number, "Info", priority="nominal", node=OURS, target=THEIRS, **fields
+        ):
             bus.send(message)
         node._maybe_media.receive()
         reply = await answered.receive(deadline)
+        assert reply.transfer_id == 5
         assert b"".join(bytes(piece) for piece in reply.fragmented_payload) == info
         node.close()
 

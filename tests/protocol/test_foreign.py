@@ -330,14 +330,10 @@ def test_j1939_messages_are_told_by_their_group(tmp_path: Path, attributes: str)
  SG_ rpm : 24|16@1+ (0.125,0) [0|8031.875] "rpm" Gate
 BO_ 2565537790 Request: 3 ECU
  SG_ group : 0|24@1+ (1,0) [0|0] "" Gate
-BO_ 2566845438 Long: 20 ECU
- SG_ vin : 0|8@1+ (1,0) [0|0] "" Gate
 """
         + attributes,
     )
-    assert reasons(found) == [
-        (5, "message Long: 20 bytes are more than a frame has, sent in several frames: left out")
-    ]
+    assert reasons(found) == []
     eec, other, request = decoded(
         found,
         Frame(0x0CF00400, bytes.fromhex("0000002003000000"), is_extended_id=True),
@@ -349,6 +345,46 @@ BO_ 2566845438 Long: 20 ECU
     assert (request.source, request.destination, request.group) == (5, 0xFF, 0xFECA)
     sent = found.protocol.encode("Request", priority=6, source=5, destination=255, group=0xFECA)
     assert sent.arbitration_id == 0x18EAFF05
+
+
+J1939 = 'BA_DEF_ "ProtocolType" STRING ;\nBA_ "ProtocolType" "J1939";\n'
+
+
+def test_j1939_messages_of_more_than_8_bytes_are_packets(tmp_path: Path) -> None:
+    """Said to all or to one address, beside those of one frame; the frames that carry them are no messages."""
+    found = imported(
+        tmp_path,
+        """BO_ 2566843646 Number: 18 ECU
+ SG_ first : 0|8@1+ (1,0) [0|0] "" Gate
+ SG_ years : 64|16@1+ (1,0) [0|0] "" Gate
+ SG_ last : 136|8@1+ (0.5,-10) [0|0] "" Gate
+BO_ 2565865470 Own: 12 ECU
+ SG_ a : 64|32@1+ (1,0) [0|0] "" Gate
+BO_ 2364540158 EEC1: 8 ECU
+ SG_ rpm : 24|16@1+ (0.125,0) [0|8031.875] "rpm" Gate
+BO_ 2565668862 Connection: 8 ECU
+ SG_ control : 0|8@1+ (1,0) [0|0] "" Gate
+"""
+        + J1939,
+    )
+    carriers = "message Connection: its frames carry the messages of more than 8 bytes: left out"
+    assert reasons(found) == [(9, carriers)]
+
+    def frames(*texts: str) -> list[Frame]:
+        parts = (text.split("#") for text in texts)
+        return [Frame(int(i, 16), bytes.fromhex(data), is_extended_id=True) for i, data in parts]
+
+    eec, number, own = decoded(
+        found,
+        *frames("1CECFF00#20120003FFECFE00", "1CEBFF00#0131584B44443439", "0CF00400#0000002003000000"),
+        *frames("1CEBFF00#025830414A313233", "1CEBFF00#033435362AFFFFFF"),
+        *frames("1CECF900#100D0002FF00EF00", "1CEBF900#0100000000000000", "1CEBF900#0200010000000AFF"),
+    )
+    assert eec.rpm == 100.0
+    assert (number.first, number.years, number.last, number.source) == (0x31, 0x4130, 11.0, 0)
+    # A byte more than declared is kept, as of frames.
+    assert (own.a, own.destination, own.trailing) == (1, 0xF9, b"\x0a")
+    laws_hold(found)
 
 
 # ---------------------------------------------------------------------- damaged files

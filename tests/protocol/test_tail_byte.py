@@ -45,10 +45,29 @@ def test_transfers_of_one_sender_are_told_apart_by_their_numbers() -> None:
     """Also when the end of one was lost, and frames of the next come."""
     encoder = dronecan_like.variant().encoder
     fields = {"voltage": 1.0, "current": 1.0, "temperature": 1.0, "rest": b"12345"}
-    one, other = (encoder.next("EscStatus", priority=1, node=1, errors=n, **fields) for n in (1, 2))
+    # Also of another priority, but not of another node.
+    encoder.next("EscStatus", priority=1, node=2, errors=0, **fields)
+    one, other = (encoder.next("EscStatus", priority=n, node=1, errors=n, **fields) for n in (1, 2))
     assert [bytes(frame.data)[-1] & 0x1F for frame in (*one, *other)] == [0, 0, 0, 1, 1, 1]
     assert fed(dronecan_like, [*one[:2], *other]) == ["EscStatus", "pending", "pending"]
     assert fed(dronecan_like, [one[0], other[0], one[1], other[1], other[2], one[2]]) == ["EscStatus"] * 2
+
+
+def test_checks_hold_in_columns_too() -> None:
+    """Whole tables at once: transfers whose check is wrong are lost with all their frames, and no other."""
+    encoder = dronecan_like.variant().encoder
+    fields = {"voltage": 1.0, "current": 1.0, "temperature": 1.0, "rest": b"12345"}
+    given: list[Frame] = []
+    for number in range(40):
+        for place, word in enumerate(
+            encoder.next("EscStatus", priority=number % 8, node=9, errors=number, **fields)
+        ):
+            data = bytearray(word.data)
+            data[0] ^= place == 1 and number % 10 == 3
+            given.append(Frame(word.arbitration_id, bytes(data), is_extended_id=True))
+    decoded = dronecan_like.decode(given)
+    assert decoded["EscStatus"]["errors"].values.tolist() == [n for n in range(40) if n % 10 != 3]
+    assert decoded.counts.reasons == {"malformed: checksum": 12}
 
 
 def test_the_check_of_dronecan_knows_the_type() -> None:

@@ -15,6 +15,7 @@ from tests.specs.dronecan_like import dronecan_like
 from tests.specs.dynamixel2 import dynamixel2
 from tests.specs.hubovia_like import hubovia_like
 from tests.specs.j1939_like import j1939_like
+from tests.specs.j1939_long import j1939_long
 from tests.specs.mavlink1 import mavlink1
 from tests.specs.mit_motor import mit_motor
 from tests.specs.modbus_like import modbus_like
@@ -35,6 +36,7 @@ SPECS: dict[str, Protocol] = {
         dynamixel2,
         hubovia_like,
         j1939_like,
+        j1939_long,
         mavlink1,
         mit_motor,
         modbus_like,

@@ -23,9 +23,9 @@ from typing import Any
 
 import msgspec
 
-from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.errors import CallerError, DeviceError, UnknownNameError
 from aces_bus.frames import Frame, message_to_frame
-from aces_bus.protocol import CanScanner, Meta, Unknown, Variant, make_scanner
+from aces_bus.protocol import CanScanner, J1939Transport, Meta, Unknown, Variant, make_scanner
 from aces_bus.protocol.declare.message import Message
 from aces_bus.protocol.draw import picture
 from aces_bus.recordings import Chunk
@@ -125,6 +125,8 @@ class Sending:
         self.plans = plans_of(self.variants)
         self.output = Output(None)
         self.late = 0
+        #: What sends packets with a handshake, where the message's transport wants one.
+        self._session: Any = None
 
     # ------------------------------------------------------------------ what is sent
 
@@ -237,6 +239,7 @@ class Sending:
         events = BusEventLines(gate)
         replies = self._replies(gate)
         outgoing = SendQueue(gate)
+        self._session = self._handshakes(gate)
         status = 0
         with LivePatience() as patience:
             self.bus.start(gate)
@@ -251,10 +254,12 @@ class Sending:
                 abandon_stdout()
             except KeyboardInterrupt:
                 status = 130
-            except CallerError as error:  # the gate takes no more
+            except (CallerError, DeviceError) as error:  # the gate takes no more, or a receiver no packet
                 say(str(error))
                 status = 1
             finally:
+                if self._session is not None:
+                    self._session.close()
                 gate.stop()
                 events.report(last=True)
             counters = gate.counters
@@ -271,6 +276,18 @@ class Sending:
             if counters.not_sent:
                 status = status or 1
         return status
+
+    def _handshakes(self, gate: Any) -> Any:
+        """What sends packets that take a handshake, or pauses; None where they take neither."""
+        if (
+            self.message is None
+            or not isinstance(self.message.transport, J1939Transport)
+            or len(self.first) == 1
+        ):
+            return None
+        from aces_bus.device import J1939Sender
+
+        return J1939Sender(gate)
 
     def _replies(self, gate: Any) -> Replies | None:
         if self.reply_ns is None:
@@ -293,7 +310,10 @@ class Sending:
                 for word in words:
                     if replies is not None:
                         replies.sent(word)
-                    outgoing.send(word)
+                    if self._session is None:
+                        outgoing.send(word)
+                if self._session is not None:
+                    self._session.send(words)
                 number += 1
                 if self.every is None or number == self.count:
                     return

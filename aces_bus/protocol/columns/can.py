@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 from itertools import pairwise
 from typing import Any, Literal, NamedTuple
 
@@ -132,9 +132,11 @@ class _KeySlots:
 class _Carrier:
     """A transport in columns: its packets under way, and the slots of the keys of packets."""
 
-    def __init__(self, transport: Transport, slot_of: Callable[[int], int]) -> None:
+    def __init__(
+        self, transport: Transport, slot_of: Callable[[int], int], extra_of: Callable[[int], bytes]
+    ) -> None:
         self.transport = transport
-        self.reassembler = ColumnReassembler(transport)
+        self.reassembler = ColumnReassembler(transport, extra_of)
         self.slots = _KeySlots(slot_of)
 
 
@@ -231,8 +233,17 @@ class CanColumns:
                 return _LIVE
         slot = len(self._candidates)
         self._candidates.append(())
-        self._carriers[slot] = _Carrier(transport, lambda key: self._slot(key, transport))
+        self._carriers[slot] = _Carrier(
+            transport,
+            lambda key: self._slot(key, transport),
+            lru_cache(REMEMBERED)(partial(self._extra_of, transport)),
+        )
         return slot
+
+    def _extra_of(self, transport: Transport, key: int) -> bytes:
+        """The `check_extra` of the first message that a packet's key may be of."""
+        candidates = (m for wire in self._wires for m in wire.candidates(key, transport))
+        return next((m.check_extra for m in candidates), b"")
 
     def _candidate(self, number: int, message: Message) -> _Candidate:
         name = (number, message.name)

@@ -11,7 +11,7 @@ at once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,10 +69,10 @@ class DecidedTable:
 
 
 class ColumnReassembler:
-    """Makes packets of the frames of one transport, piece by piece."""
+    """Makes packets of the frames of one transport, piece by piece; `extra_of` gives the `check_extra` of a packet's key."""
 
-    def __init__(self, transport: Transport) -> None:
-        self.transport = transport
+    def __init__(self, transport: Transport, extra_of: Callable[[int], bytes]) -> None:
+        self.transport, self._extra_of = transport, extra_of
         self._has_columns = can_table(transport)
         #: Frames of packets under way, in the order of the capture, and their numbers.
         self._left = FrameTable.empty()
@@ -89,10 +89,10 @@ class ColumnReassembler:
         if self.pending:
             table = FrameTable.concat([self._left, table])
             rows = np.concatenate([self._left_rows, rows])
-        piece = _Piece(self.transport, table, rows)
+        piece = _Piece(self.transport, table, rows, self._extra_of)
         left = piece.in_columns(self._keys) if self._has_columns else None
         if left is None:
-            piece = _Piece(self.transport, table, rows)
+            piece = _Piece(self.transport, table, rows, self._extra_of)
             left = piece.one_by_one()
         self._left, self._left_rows = table.take(left), rows[left]
         return piece.decided()
@@ -107,8 +107,11 @@ class ColumnReassembler:
 class _Piece:
     """The frames that are decided at once."""
 
-    def __init__(self, transport: Transport, table: FrameTable, rows: Array) -> None:
-        self.transport, self.table, self.rows = transport, table, rows
+    def __init__(
+        self, transport: Transport, table: FrameTable, rows: Array, extra_of: Callable[[int], bytes]
+    ) -> None:
+        self.transport, self.table, self.rows, self._extra_of = transport, table, rows, extra_of
+        self._unwraps = type(transport).unwrapped is not Transport.unwrapped
         #: By width: of packets that are alike, their frames' places (count, m), keys, sizes, bytes.
         self._packets: dict[int, list[tuple[Array, Array, Array, Array]]] = {}
         self._lost: list[Array] = []
@@ -152,7 +155,24 @@ class _Piece:
 
     def _add(self, frames: Array, keys: Array, length: Array, data: Array) -> None:
         """Packets of as many frames each."""
+        if self._unwraps and len(frames) > 1:
+            frames, keys, length, data = self._unwrapped(frames, keys, length, data)
         self._packets.setdefault(data.shape[1], []).append((frames, keys, length, data))
+
+    def _unwrapped(
+        self, frames: Array, keys: Array, length: Array, data: Array
+    ) -> tuple[Array, Array, Array, Array]:
+        """Packets of several frames without the check that their transport has added; those where it is wrong are lost."""
+        width, raw, unwrapped = data.shape[1], data.tobytes(), self.transport.unwrapped
+        found = [
+            unwrapped(raw[at : at + size], self._extra_of(key))
+            for key, at, size in zip(keys.tolist(), range(0, len(raw), width), length.tolist(), strict=True)
+        ]
+        good = np.array([one is not None for one in found], bool)
+        self._lose(frames[:, ~good].ravel(), "malformed: checksum")
+        kept = [one for one in found if one is not None]
+        rows = np.frombuffer(b"".join(one.ljust(width, b"\0") for one in kept), np.uint8).reshape(-1, width)
+        return frames[:, good], keys[good], np.array([len(one) for one in kept], np.int64), rows
 
     # ------------------------------------------------------------------ by the live reassembler
 
@@ -403,7 +423,7 @@ class _Runs:
                 last = parts.last[frames]
                 is_right &= last[-1] & ~last[:-1].any(axis=0) & (piece[-1] <= room)
                 total = parts.piece[frames].sum(axis=0, dtype=np.int64) + transport.address
-                is_right &= total <= transport.longest
+                is_right &= total <= transport.longest + transport.overhead
         return frames, is_right
 
 

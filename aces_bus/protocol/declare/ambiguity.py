@@ -24,6 +24,7 @@ from .framing import Framing
 from .message import Message, Request
 from .packet import WrongCheckError, can_image
 from .pattern import IdPattern, meet
+from .place import SourceLine
 
 
 @dataclass(frozen=True)
@@ -130,6 +131,22 @@ def check_against(made: Message, declared: Iterable[Message]) -> None:
                 f"{made.place}: message {made.name!r} is ambiguous with {other.name!r} ({other.place}): {found.how};"
                 " say what tells them apart (direction, dialect, when, reply_to, after)"
                 f" or order them with overrides={other.name!r}"
+            )
+
+
+def check_carrier(carried: Message, other: Message, place: SourceLine) -> None:
+    """Raise `SpecError` where the frames by which a transport carries a message are another message."""
+    from .protocol import share_dialect
+
+    transport = carried.transport
+    if transport is None or transport == other.transport or not share_dialect(carried, other):
+        return
+    for pattern, extended in transport.patterns:
+        number = meet(pattern, other.identifier, 29 if extended else 11)
+        if number is not None and extended == other.extended:
+            raise SpecError(
+                f"{place}: identifier {number:#x} of {other.name!r} ({other.place}) is of the frames by which"
+                f" {transport.title} carries {carried.name!r} ({carried.place})"
             )
 
 

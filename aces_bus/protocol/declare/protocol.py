@@ -87,6 +87,8 @@ class Protocol:
         self.register_map: RegisterMap | None = None
         self._variants: dict[Any, Variant] = {}
         self._neighbours, self._on_stream = ambiguity.Neighbours(), ambiguity.StreamNeighbours()
+        #: Of each transport that has identifiers of its own, the first message.
+        self._carried: dict[Transport, Message] = {}
 
     # ------------------------------------------------------------------ declaring
 
@@ -214,6 +216,7 @@ class Protocol:
         if made.framing is None:
             ambiguity.check_against(made, self._neighbours.of(made.identifier))
             self._neighbours.add(made)
+            self._check_carriers(made)
         else:
             ambiguity.check_against(made, self._on_stream.of(made))
             self._on_stream.add(made)
@@ -222,6 +225,16 @@ class Protocol:
         # Scanners that exist keep what they know; the next one knows this message too.
         self._variants.clear()
         return made
+
+    def _check_carriers(self, made: Message) -> None:
+        """Raise `SpecError` where a message is of a transport's own frames, or has a transport that takes another's."""
+        for carried in self._carried.values():
+            ambiguity.check_carrier(carried, made, made.place)
+        transport = made.transport
+        if transport is not None and transport.patterns and transport not in self._carried:
+            for other in self.declared:
+                ambiguity.check_carrier(made, other, made.place)
+            self._carried[transport] = made
 
     def _check_order(self, made: Message) -> None:
         """Raise `SpecError` when `overrides=` goes in a circle: no order of trial would be right."""

@@ -10,7 +10,9 @@ they are. A spec ends with `Reserved(n)` where its fields alone are no length th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from typing import ClassVar, Literal
 
 from ...errors import FieldError, SpecError
@@ -20,8 +22,13 @@ from .place import caller
 from .transport import FrameKind, FrameNumber, Transport
 
 _START, _END, _TOGGLE, _NUMBER = (FrameNumber(-1, mask) for mask in (0x80, 0x40, 0x20, 0x1F))
-_CRC = Crc("CRC16-IBM-3740")  # its other name is CCITT-FALSE
 _CRC_BYTES = 2
+
+
+@cache
+def _crc() -> Callable[[bytes], int]:
+    """CRC-16/CCITT-FALSE, by its other name; made when the first transfer needs it."""
+    return Crc("CRC16-IBM-3740").engine
 
 
 def _kinds(toggle: int) -> tuple[FrameKind, ...]:
@@ -70,9 +77,9 @@ class TailByte(Transport):
             return None
         if self.version:
             data, check = data[:-_CRC_BYTES], int.from_bytes(data[-_CRC_BYTES:], "big")
-            return data if _CRC.compute(data) == check else None
+            return data if _crc()(data) == check else None
         check, data = int.from_bytes(data[:_CRC_BYTES], "little"), data[_CRC_BYTES:]
-        return data if _CRC.compute(extra + data) == check else None
+        return data if _crc()(extra + data) == check else None
 
     def carries(self, size: int) -> bool:
         """In CAN FD only transfers whose last frame has a length that there is."""
@@ -83,13 +90,17 @@ class TailByte(Transport):
         room = self.frame_size - 1
         return size if size <= room else (size + _CRC_BYTES - 1) % room + 1
 
+    def numbered_by(self, key: int) -> int:
+        """Transfers are counted whatever their priority."""
+        return key & ~(0x7 << 26 if self.version else 0x1F << 24)
+
     def split(self, key: int, data: bytes, sequence: int = 0, extra: bytes = b"") -> list[tuple[int, bytes]]:
         """The frames of a transfer; `sequence` is its number."""
         if len(data) > self.max_size or not self.carries(len(data)):
             raise FieldError(f"a packet of {len(data)} bytes, which {self.title} does not carry")
         room = self.frame_size - 1
         if len(data) > room:
-            check = _CRC.compute(data if self.version else extra + data)
+            check = _crc()(data if self.version else extra + data)
             data = data + check.to_bytes(2, "big") if self.version else check.to_bytes(2, "little") + data
         pieces = [data[at : at + room] for at in range(0, max(1, len(data)), room)]
         last = len(pieces) - 1

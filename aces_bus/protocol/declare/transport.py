@@ -216,24 +216,34 @@ class Transport:
         """What a frame is; `key` is without the flag of CAN FD."""
         address = data[: self.address]
         body = data[self.address :] if self.address else data
-        for kind, is_sure in self._by_first[body[0]] if body else ():
+        for kind, is_sure in self._by_telling[body[self._telling]] if body else ():
             if (is_sure and len(body) > kind.over) or kind.fits(body):
                 return self._part(kind, key, address, body)
         return FramePart("bad", reason=f"malformed: no frame of {self.title}")
 
     @cached_property
-    def _by_first(self) -> list[list[tuple[FrameKind, bool]]]:
-        """By the first byte of a frame behind its address, the kinds that it may be, and whether that byte says all."""
+    def _telling(self) -> int:
+        """The byte that tells kinds of frames apart: the first one behind the address, or the last one."""
+        bytes_asked = {bits.byte for kind in self.kinds for bits, _ in kind.match}
+        return -1 if bytes_asked == {-1} else 0
+
+    @cached_property
+    def _by_telling(self) -> list[list[tuple[FrameKind, bool]]]:
+        """By that byte of a frame, the kinds that it may be, and whether that byte says all."""
         found: list[list[tuple[FrameKind, bool]]] = []
-        for first in range(256):
-            one = bytes([first])
+        for byte in range(256):
+            one = bytes([byte])
             kinds = [
-                (kind, [bits for bits, _ in kind.match if bits.byte or bits.size > 1])
+                (kind, [bits for bits, _ in kind.match if self._asks_more(bits)])
                 for kind in self.kinds
-                if all(bits.byte or bits.size > 1 or bits.of(one) == value for bits, value in kind.match)
+                if all(self._asks_more(bits) or bits.of(one) == value for bits, value in kind.match)
             ]
             found.append([(kind, not others) for kind, others in kinds])
         return found
+
+    def _asks_more(self, bits: FrameNumber) -> bool:
+        """Whether a number is in other bytes than the one that tells kinds apart."""
+        return bits.byte != self._telling or bits.size > 1
 
     def _part(self, kind: FrameKind, key: int, address: bytes, body: bytes) -> FramePart:
         if kind.role == "control":
@@ -298,6 +308,10 @@ class Transport:
         return None
 
     # ------------------------------------------------------------------ writing
+
+    def numbered_by(self, key: int) -> int:
+        """What of a packet's key its sequence numbers are counted for: all of it."""
+        return key
 
     def split(self, key: int, data: bytes, sequence: int = 0, extra: bytes = b"") -> list[tuple[int, bytes]]:
         """The frames of a packet, as key and data; `sequence` counts the packets of a sender.

@@ -8,6 +8,7 @@
 How a message is recognised: by its identifier and its length, exact or longer. Bytes behind the declared ones are kept in
 `trailing`. A message of up to 8 bytes is it in both formats, classic and CAN FD: most databases do not say which it is.
 
+J1939 messages of more than 8 bytes are carried by its transport (BAM, RTS/CTS); as others they may be longer than declared.
 J1939 messages are recognised by their parameter group (SAE J1939-21): `priority` and `source` are captured, and
 `destination` where the group is addressed (PDU format below 240). Where a group has several messages, each has its
 declared identifier's source address (and destination, and priority, where that does not tell them apart). Frames of other
@@ -35,9 +36,11 @@ from ...frames import FD_LENGTHS
 from ...plain_text import without_controls
 from ..declare.bits import BitLayout, bits, float_bits
 from ..declare.fields import Enumeration, Multiplexed, Quantity
+from ..declare.j1939 import J1939Transport
 from ..declare.pattern import IdField, IdPattern
 from ..declare.place import SourceLine
 from ..declare.protocol import Protocol
+from ..keys import EXTENDED
 from .names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
 from .problems import ImportProblem, clean_text, without_place
 
@@ -57,6 +60,10 @@ def build(database: Any, name: str, path: str, lines: Lines) -> tuple[Protocol, 
     return _Builder(database, name, path, lines).build()
 
 
+#: What carries J1939 messages of more than 8 bytes.
+CARRIER = J1939Transport()
+
+
 class _LeftOut(Exception):
     """This signal or message cannot be taken over; the argument says why."""
 
@@ -71,6 +78,8 @@ class _Taken:
     identifier: IdPattern
     is_j1939: bool
     fd: bool
+    #: What carries it in several frames.
+    transport: J1939Transport | None = None
     any_format: bool = False
     overrides: tuple[str, ...] = ()
 
@@ -114,6 +123,8 @@ class _Builder:
                 found.append(self._taken(message, line))
             except _LeftOut as left:
                 self._leave_out(message, line, str(left))
+        if any(one.transport is not None for one in found):
+            found = self._without_carriers(found)
         self._tell_apart(found)
         for one in found:
             message, line = one.message, one.line
@@ -126,6 +137,14 @@ class _Builder:
                 said = f"message {clean_text(str(message.name))}: it cannot be used ({clean_text(str(error))}): left out"
                 self.problems.append(ImportProblem(line, said))
         return self.protocol, self.problems
+
+    def _without_carriers(self, found: Sequence[_Taken]) -> list[_Taken]:
+        """The messages but for the frames that carry the longer ones, which some databases have as messages."""
+        own = {id(one) for one in found if one.is_j1939 and CARRIER.is_own(one.message.frame_id | EXTENDED)}
+        for one in found:
+            if id(one) in own:
+                self._leave_out(one.message, one.line, "its frames carry the messages of more than 8 bytes")
+        return [one for one in found if id(one) not in own]
 
     def _leave_out(self, message: Any, line: int, reason: str) -> None:
         self.problems.append(ImportProblem(line, f"message {clean_text(message.name)}: {reason}: left out"))
@@ -143,12 +162,16 @@ class _Builder:
         is_j1939 = message.is_extended_frame and (
             message.protocol == "j1939" or (self.is_j1939 and not message.is_fd)
         )
-        if size > (8 if is_j1939 else 64):
-            more = ", sent in several frames" if is_j1939 else ""
-            raise _LeftOut(f"{size} bytes are more than a frame has{more}")
+        longest = CARRIER.max_size if is_j1939 else 64
+        if size > longest:
+            what = "a packet of J1939" if is_j1939 else "a frame"
+            raise _LeftOut(f"{size} bytes are more than {what} has")
         name = unused(message.name, self.taken)
-        fd = bool(message.is_fd) or size > 8
-        return _Taken(message, line, name, IdPattern(message.frame_id), is_j1939=is_j1939, fd=fd)
+        fd = not is_j1939 and (bool(message.is_fd) or size > 8)
+        transport = CARRIER if is_j1939 and size > 8 else None
+        return _Taken(
+            message, line, name, IdPattern(message.frame_id), is_j1939=is_j1939, fd=fd, transport=transport
+        )
 
     def _tell_apart(self, found: Sequence[_Taken]) -> None:
         """Decide identifiers, formats and order of trial, each message seen beside the others."""
@@ -192,7 +215,8 @@ class _Builder:
         lengths: list[int] | None = [size] if size < message.length else None
         if lengths is None and fd:
             lengths = [n for n in FD_LENGTHS if n >= size]
-        most = (64 if fd else 8) if lengths is None or len(lengths) > 1 else size
+        longest = 64 if fd else taken.transport.max_size if taken.transport is not None else 8
+        most = longest if lengths is None or len(lengths) > 1 else size
         captured = (capture.name for capture in taken.identifier.captures)
         names = {"reserved", TRAILING, *TAKEN_BY_RECORDS, *captured}
         layout = self._layout(message, signals, size, most, names)
@@ -205,6 +229,7 @@ class _Builder:
                 fd=fd,
                 any_format=taken.any_format,
                 length=lengths,
+                transport=taken.transport,
                 overrides=taken.overrides,
                 doc=_doc_of(message),
             )

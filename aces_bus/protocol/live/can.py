@@ -422,7 +422,7 @@ class CanScanner:
         """A packet's record; where it has none, the reason."""
         key, frames = packet.key, packet.frames
         transport, last = carrier.transport, frames[-1]
-        data = self._unwrapped(transport, packet)
+        data = self._unwrapped(carrier, packet)
         if data is None:
             return None, "malformed: checksum"
         decode = carrier.table.get(key)
@@ -457,12 +457,18 @@ class CanScanner:
             self._forget_needs()
         return record
 
-    def _unwrapped(self, transport: Transport, packet: Packet) -> bytes | None:
+    def _unwrapped(self, carrier: _Carrier, packet: Packet) -> bytes | None:
         """A packet's bytes without the check that its transport has added; None where it does not hold."""
+        transport, key = carrier.transport, packet.key
         if len(packet.frames) == 1 or type(transport).unwrapped is Transport.unwrapped:
             return packet.data
-        candidates = (m for wire in self.wires for m in wire.candidates(packet.key, transport))
-        return transport.unwrapped(packet.data, next((m.check_extra for m in candidates), b""))
+        extra = carrier.extras.get(key)
+        if extra is None:
+            candidates = (m for wire in self.wires for m in wire.candidates(key, transport))
+            extra = next((m.check_extra for m in candidates), b"")
+            if len(carrier.extras) < REMEMBERED:
+                carrier.extras[key] = extra
+        return transport.unwrapped(packet.data, extra)
 
     def _lost(self, frame: Any, reason: str, out: list[Any]) -> None:
         self._counts.lose(1, reason)
@@ -506,7 +512,7 @@ class CanScanner:
         for packet in carrier.sent.take(
             frame, 0, key & ~FD, bytes(frame.data), frame.channel, frame.timestamp
         ):
-            if not packet.reason and (data := self._unwrapped(carrier.transport, packet)) is not None:
+            if not packet.reason and (data := self._unwrapped(carrier, packet)) is not None:
                 self._note(self._request_of(packet.key, data, carrier.transport), frame)
 
     def noting(self, frame: Any) -> Callable[[], None] | None:
@@ -608,6 +614,8 @@ class _Carrier:
         self.reassembler, self.sent = Reassembler(transport), Reassembler(transport)
         #: By key of a packet, what decodes it; made when the first packet with that key comes.
         self.table: dict[int, Decode] = {}
+        #: By key of a packet, the `check_extra` of its message.
+        self.extras: dict[int, bytes] = {}
 
     def reset(self) -> None:
         """Forget packets under way."""
