@@ -150,6 +150,7 @@ def test_its_reader_and_a_serial_port() -> None:
 
             first, second = read("NAV-PVT"), read("NAV-PVT")
             assert (second.iTOW - first.iTOW) % 100 == 0
+            assert (second.year, second.month, second.day, second.hour) == (2024, 3, 15, 10)
             assert (second.lat, second.lon, second.fixType) == (
                 pytest.approx(48, abs=1e-5),
                 pytest.approx(11, abs=1e-5),
