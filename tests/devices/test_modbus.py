@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from aces_bus.device import UNKNOWN, Robot
-from aces_bus.errors import CallerError, DeviceError, NoReplyError, UnknownNameError
+from aces_bus.device import UNKNOWN, Robot, stop_devices
+from aces_bus.errors import CallerError, DeviceError, NoReplyError, NotStoppedError, UnknownNameError
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.testing.conformance import driver_tests
 from aces_devices.modbus.driver import driver
@@ -160,6 +160,23 @@ def test_a_stop_is_what_the_file_says() -> None:
         twin.fault("silent")
         with pytest.raises(NoReplyError):
             oven.stop_motion().wait(5)
+
+
+def test_what_nothing_stops_is_named() -> None:
+    """A device that was set, and whose file says no `stop`, has not stopped; `stop = {}` says that nothing has to."""
+    speed = 'speed = { address = 0, type = "u16", access = "read-write" }'
+    for settings, is_loud in (("", True), ("stop = {}", False)):
+        with VirtualRobot(robot_of(device_of(speed, settings)), rate_hz=20) as robot:
+            robot.advance(0.5)
+            stop_devices(robot.clock, "all", robot.devices.values()).wait(5)  # nothing was set yet
+            robot["D.speed"].set(100)
+            robot.advance(0.5)
+            stopping = stop_devices(robot.clock, "all", robot.devices.values())
+            if is_loud:
+                with pytest.raises(NotStoppedError, match="D was set, and its file says no `stop`"):
+                    stopping.wait(5)
+            else:
+                stopping.wait(5)
 
 
 def test_an_answer_never_gets_anothers_names() -> None:

@@ -17,12 +17,11 @@ import pytest
 from aces_bus.device import Robot
 from aces_bus.errors import DeviceError
 from aces_bus.hardware import SerialPort
-from aces_bus.hardware.simulated.serial_line import PtyPort
 from aces_bus.protocol import as_dict
-from aces_bus.robot import connect, parse_robot, simulate, wire_of
-from aces_bus.runtime import VirtualClock
+from aces_bus.robot import connect, parse_robot
 from aces_protocols.modbus.spec import modbus
 from tests.oracles.foreign import oracle
+from tests.oracles.terminals import a_terminal, twins_at_a_terminal
 
 pymodbus: Any = oracle("pymodbus", "pymodbus")
 client: Any = oracle("pymodbus.client", "pymodbus")
@@ -68,34 +67,11 @@ def bench() -> Robot:
     return robot
 
 
-@contextmanager
-def a_line(robot: Robot) -> Generator[tuple[Any, PtyPort, list[bytes]]]:
-    """A simulated line whose other end is a pseudo-terminal, and all that passes on it."""
-    line: Any = wire_of(robot.buses["line"], modbus, VirtualClock(time.monotonic_ns()))
-    passed: list[bytes] = []
-    line.attach("listener", lambda data, instant: passed.append(data), whole=True)
-    with PtyPort(line) as port:
-        yield line, port, passed
-
-
-@contextmanager
-def a_twin() -> Generator[tuple[Any, PtyPort, list[bytes]]]:
-    """Our twin at the end of a pseudo-terminal."""
-    robot = bench()
-    with a_line(robot) as (line, port, passed):
-        with port.lock:
-            simulation = simulate(robot, {"line": SerialPort(line, name="line")})
-            simulation.open()
-        try:
-            yield simulation.twins["PLC"], port, passed
-        finally:
-            with port.lock:
-                simulation.close()
-
-
 def test_pymodbus_reads_and_writes_our_twin() -> None:
     """Each function that it has: the twin answers what it holds, refuses what it has not, and we read all that was said."""
-    with a_twin() as (twin, port, passed):
+    with twins_at_a_terminal(bench(), "line") as made:
+        twin: Any = made.twins["PLC"]
+        port, passed = made.port, made.passed
         master = client.ModbusSerialClient(port.path, baudrate=BAUD, timeout=WAIT_S, retries=0)
         convert, kind = master.convert_from_registers, master.DATATYPE
         with port.lock:
@@ -184,7 +160,9 @@ def test_pymodbus_reads_our_packets_and_we_its() -> None:
 def test_minimalmodbus_reads_and_writes_our_twin() -> None:
     """A master of another hand: registers, floats, longs, texts, bits."""
     minimalmodbus: Any = oracle("minimalmodbus", "minimalmodbus")
-    with a_twin() as (twin, port, _):
+    with twins_at_a_terminal(bench(), "line") as made:
+        twin: Any = made.twins["PLC"]
+        port = made.port
         instrument = minimalmodbus.Instrument(port.path, 5)
         instrument.serial.baudrate = BAUD
         instrument.serial.timeout = WAIT_S
@@ -253,8 +231,9 @@ def test_our_driver_reads_and_writes_pymodbus_server() -> None:
     context = datastore.ModbusDeviceContext(di=doors, co=coils, hr=holding, ir=inputs)
     robot = bench()
     holds = datastore.ModbusServerContext({5: context}, single=False)
-    with a_line(robot) as (line, port, _), a_server(port.path, holds):
-        rig = connect(robot, {"line": SerialPort(line, name="line")}, rate_hz=20)
+    with a_terminal(robot, "line") as made, a_server(made.port.path, holds):
+        port = made.port
+        rig = connect(robot, {"line": SerialPort(made.line, name="line")}, rate_hz=20)
         device: Any = rig.devices["PLC"]
 
         def done(ticket: Any) -> Any:

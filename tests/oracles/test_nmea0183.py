@@ -15,8 +15,12 @@ from aces_devices.gnss.nmea0183 import driver
 from aces_devices.gnss.sentences import SENTENCES, sentences
 from aces_protocols.nmea0183.spec import nmea0183
 from tests.oracles.foreign import oracle
+from tests.oracles.terminals import twins_at_a_terminal
 
 pynmeagps: Any = oracle("pynmeagps", "pynmeagps")
+
+#: How long a busy machine may take to say something (s).
+WAIT_S = 20.0
 
 #: Our numbers and its attributes.
 NUMBERS: dict[str, dict[str, str]] = {
@@ -104,6 +108,28 @@ def test_it_reads_what_the_twin_sends() -> None:
         assert_same(record, parsed)
     gsv = [parsed for _, parsed in theirs if parsed.msgID == "GSV"][-3:]
     assert [(one.msgNum, one.svid_01, one.cno_01) for one in gsv] == [(1, 2, 44), (2, 13, 33), (3, 24, 22)]
+
+
+def test_its_reader_and_a_serial_port() -> None:
+    """Through a pseudo-terminal, as from a receiver: sentence after sentence, whole and in their order."""
+    serial = oracle("serial", "pyserial")
+    robot, _ = parse_robot(driver.example.replace("rate_hz = 2", "rate_hz = 10"))
+    assert robot is not None
+    with twins_at_a_terminal(robot, "gnss") as made:
+        port: Any = serial.Serial(made.port.path, 38_400, timeout=WAIT_S)
+        try:
+            reader = pynmeagps.NMEAReader(port)
+            found = [reader.read()[1] for _ in range(16)]
+        finally:
+            port.close()
+    names = [one.msgID for one in found if one is not None]
+    start = names.index("GGA")
+    assert names[start : start + 8] == ["GGA", "RMC", "GSA", "GSV", "GSV", "GSV", "GST", "VTG"]
+    assert all(
+        one.lat == pytest.approx(48, abs=1e-5)
+        for one in found
+        if one is not None and one.msgID in ("GGA", "RMC")
+    )
 
 
 def test_we_read_what_it_writes() -> None:

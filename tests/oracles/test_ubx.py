@@ -15,8 +15,12 @@ from aces_devices.gnss.antenna import in_circle
 from aces_devices.gnss.ubx import MESSAGES, driver
 from aces_protocols.ubx.spec import ubx
 from tests.oracles.foreign import oracle
+from tests.oracles.terminals import twins_at_a_terminal
 
 pyubx2: Any = oracle("pyubx2", "pyubx2")
+
+#: How long a busy machine may take to say something (s).
+WAIT_S = 20.0
 
 #: Our fields and its attributes, where both have the same number in the same unit.
 SAME: dict[str, dict[str, str]] = {
@@ -123,6 +127,45 @@ def test_it_reads_what_the_twin_sends_and_the_twin_what_it_asks() -> None:
     assert (north * north + east * east) ** 0.5 == pytest.approx(20, abs=0.15)
     assert degrees(twin.origin.latitude) == pytest.approx(pvt.lat, abs=0.001)
     assert any(sentence.startswith(b"$GNGGA,") for sentence in sent)
+
+
+def test_its_reader_and_a_serial_port() -> None:
+    """Through a pseudo-terminal, as from a receiver: it reads solutions, has sentences sent, asks for versions."""
+    serial = oracle("serial", "pyserial")
+    message = pyubx2.UBXMessage
+    robot, _ = parse_robot(driver.example.replace("rate_hz = 5", "rate_hz = 10"))
+    assert robot is not None
+    with twins_at_a_terminal(robot, "gnss") as made:
+        port: Any = serial.Serial(made.port.path, 38_400, timeout=WAIT_S)
+        try:
+            reader = pyubx2.UBXReader(port, protfilter=pyubx2.UBX_PROTOCOL | pyubx2.NMEA_PROTOCOL)
+
+            def read(identity: str) -> Any:
+                """The next message of this name; others pass."""
+                for _ in range(200):
+                    _, found = reader.read()
+                    if found is not None and found.identity == identity:
+                        return found
+                raise AssertionError(f"no {identity} came")
+
+            first, second = read("NAV-PVT"), read("NAV-PVT")
+            assert (second.iTOW - first.iTOW) % 100 == 0
+            assert (second.year, second.month, second.day, second.hour) == (2024, 3, 15, 10)
+            assert (second.lat, second.lon, second.fixType) == (
+                pytest.approx(48, abs=1e-5),
+                pytest.approx(11, abs=1e-5),
+                3,
+            )
+            port.write(message("CFG", "CFG-MSG", pyubx2.SET, msgClass=0xF0, msgID=0, rateUART1=1).serialize())
+            assert read("ACK-ACK").clsID == 6
+            sentence = read("GNGGA")
+            assert (sentence.lat, sentence.lon) == (pytest.approx(48, abs=1e-5), pytest.approx(11, abs=1e-5))
+            port.write(message("MON", "MON-VER", pyubx2.POLL).serialize())
+            assert read("MON-VER").hwVersion.startswith(b"00190000")
+            port.write(message("CFG", "CFG-MSG", pyubx2.SET, msgClass=0x66, msgID=0, rateUART1=1).serialize())
+            assert read("ACK-NAK").msgID == 1
+        finally:
+            port.close()
 
 
 @pytest.mark.parametrize("name", SAME)

@@ -14,6 +14,7 @@ import numpy as np
 
 from ...frame_table import Channels, FrameTable, to_ns
 from ..counts import ScanCounts
+from ..declare.fields import FlagSet
 from ..declare.message import Direction
 from ..declare.protocol import Variant
 from ..generate.load import OnDemand
@@ -215,6 +216,13 @@ class Gatherer:
         )
 
 
+def _numbers_of_flags(value: Any) -> Any:
+    """The flags of groups as plain numbers, as those of a column of one value are."""
+    if not isinstance(value, list):
+        return value
+    return [int(one) if isinstance(one, FlagSet) else one for one in value]
+
+
 def _filler(way: tuple[WayStep, ...], dtype: Any) -> Callable[[ColumnKind, Sequence[Any]], Column]:
     get = getter(way)
 
@@ -224,7 +232,8 @@ def _filler(way: tuple[WayStep, ...], dtype: Any) -> Callable[[ColumnKind, Seque
         if any(value is None for value in values):
             absent = np.array([value is None for value in values], bool)
         if dtype is None:
-            return Column(kind, object_array([plain_value(value) for value in values]), absent)
+            found = [plain_value(value) for value in values]
+            return Column(kind, object_array([_numbers_of_flags(value) for value in found]), absent)
         if kind.names is not None:
             numbers = {name: number for number, name in kind.names.items()}
             values = [numbers[value] if isinstance(value, str) else value for value in values]

@@ -10,7 +10,7 @@ import copy
 import keyword
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import construct as c
@@ -520,6 +520,9 @@ class Message:
         for name, value in values.items():
             if name not in self.fields and not any(h.name == name for h in self.heads_written):
                 raise UnknownNameError(f"field of {self.name}", name, self.fields)
+            if isinstance(value, range):
+                found.append((name, _numbers(value)))
+                continue
             wanted = value if isinstance(value, Iterable) and not isinstance(value, str) else (value,)
             found.append((name, frozenset(self._raw_of(name, v) for v in wanted)))
         return Request(self, tuple(found))
@@ -582,6 +585,12 @@ class Message:
 
     def __repr__(self) -> str:
         return f"<message {self.protocol.name}.{self.name}>"
+
+
+@cache
+def _numbers(values: range) -> frozenset[int]:
+    """A range as a set: where it is long, requests share it."""
+    return frozenset(values)
 
 
 def _with_pattern(head: Head, pattern: IdPattern) -> Head:

@@ -130,6 +130,8 @@ class ReceiverTwin(Twin):
         self.settings = settings_of(self.name, self.settings_type, self.config.settings)
         latitude, longitude, height = USUAL_PLACE
         self.powered_at = self.clock.now()
+        #: When it is `BEGIN`: all receivers of a world have the same time.
+        self.began: int = self.world.shared.setdefault("gnss began", self.powered_at)
         self.origin = origin_of(self.settings) or Origin(radians(latitude), radians(longitude), height)
 
     def motion(self, now: int) -> AntennaMotion:
@@ -147,10 +149,11 @@ class ReceiverTwin(Twin):
         )
         height = self.origin.height + motion.up + noise(0, NOISE_M)
         since = (BEGIN - GPS_BEGAN).total_seconds() + LEAP_S
+        passed = (now - self.began) / 1e6
         has_fix = "no_fix" not in self.active_faults
         return Epoch(
-            time=datetime.fromtimestamp(round(BEGIN.timestamp() * 1000 + now / 1e6) / 1000, UTC),
-            itow_ms=round(since * 1000 + now / 1e6) % 604_800_000,
+            time=datetime.fromtimestamp(round(BEGIN.timestamp() * 1000 + passed) / 1000, UTC),
+            itow_ms=round(since * 1000 + passed) % 604_800_000,
             uptime_ms=(now - self.powered_at) // 1_000_000,
             has_fix=has_fix,
             latitude=latitude,

@@ -3,7 +3,8 @@
 1. One asks at a time, and a value has a name only through the request that it answers. When an answer did not come, the
    device is not asked anew before it cannot come any more: it would be taken for the answer to the next request.
 2. Nothing is written but what is set; a write counts when the device has confirmed it. Where nothing confirms, it says so.
-3. What stops such a device, only its table knows: `stop` names the registers that are written then, before all that waits.
+3. What stops such a device, only its file knows: `stop` names the registers that are written then, before all that waits.
+   One that was set and has no `stop` counts as not stopped.
 """
 
 from __future__ import annotations
@@ -54,9 +55,15 @@ class ModbusSettings(msgspec.Struct, frozen=True, kw_only=True):
         bool,
         Meta(description="true: single registers are written by function 16, too, for devices without 6"),
     ] = False
-    stop: Annotated[
-        dict[str, float], Meta(description="registers and the values that stop the device: { speed = 0 }")
-    ] = {}
+    stop: (
+        Annotated[
+            dict[str, float],
+            Meta(
+                description="registers and the values that stop the device: { speed = 0 }; {}: nothing needs to be stopped"
+            ),
+        ]
+        | None
+    ) = None
 
 
 class ModbusDevice(Device):
@@ -67,6 +74,8 @@ class ModbusDevice(Device):
     shipped_table: ClassVar[str | None] = None
     actions: ClassVar = {"read": "ask for one register: its name"}
     asking: ClassVar = ("read",)
+    #: Whether what is set may have to be stopped.
+    moves: ClassVar[bool] = True
     settings: ModbusSettings
 
     def setup(self) -> None:
@@ -97,12 +106,13 @@ class ModbusDevice(Device):
         self.polls = tuple(self._span_polls.values())
         for one in self.table.values():
             self._add(one)
-        for name in given.stop:
+        for name in given.stop or {}:
             if name not in self.table or self.table[name].entry.access == "read":
                 raise CallerError(
                     f"{self.name}: stop = {{ {name} = … }}: there is no register {name} that can be written"
                 )
-            self.table[name].raw(given.stop[name])  # raises for what does not fit
+        for name, value in (given.stop or {}).items():
+            self.table[name].raw(value)  # raises for what does not fit
 
     def _add(self, one: ModbusRegister) -> None:
         entry = one.entry
@@ -302,6 +312,19 @@ class ModbusDevice(Device):
                 self._raise_refusal(answer, f"stopping by {name}")
 
         return self.job("stop", steps)
+
+    def confirm_stopped(self) -> Job | None:
+        """Fails when it was set and nothing says what stops it."""
+        if self.settings.stop is not None or not (self.moves and self.is_driven):
+            return None
+
+        def steps(job: Job) -> Steps:
+            yield 0
+            raise DeviceError(
+                f"{self.name} was set, and its file says no `stop`: what it does, it goes on doing"
+            )
+
+        return self.job("say that nothing stops it", steps)
 
 
 def _is_in(one: ModbusRegister, span: tuple[str, int, int]) -> bool:

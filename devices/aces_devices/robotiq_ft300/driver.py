@@ -43,6 +43,7 @@ class Ft300(ModbusDevice):
 
     settings_type: ClassVar = Ft300Settings
     shipped_table: ClassVar = "robotiq_ft300"
+    moves: ClassVar = False
     actions: ClassVar = {
         **ModbusDevice.actions,
         "start_stream": "have it send by itself",

@@ -376,11 +376,17 @@ class _EsfStatus_sensors_calibration(Part, frozen=True):
     time: int
     reserved: int
 
+class _EsfStatus_sensors_faults(FlagSet):
+    measurement: bool
+    time_tag: bool
+    missing: bool
+    noisy: bool
+
 class _EsfStatus_sensors(Part, frozen=True):
     state: _EsfStatus_sensors_state
     calibration: _EsfStatus_sensors_calibration
     rate: int
-    faults: FlagSet
+    faults: _EsfStatus_sensors_faults
 
 class EsfStatus(Record, frozen=True):
     """State of the sensor fusion.

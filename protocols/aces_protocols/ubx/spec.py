@@ -528,7 +528,7 @@ packet(
                 "state" / BitLayout(1, "kind" / bits(6), "used" / bits(1), "ready" / bits(1)),
                 "calibration" / BitLayout(1, "calibrated" / bits(2), "time" / bits(2)),
                 "rate" / Quantity(Byte, unit="Hz"),
-                "faults" / Flags(Byte),
+                "faults" / Flags(Byte, measurement=0, time_tag=1, missing=2, noisy=3),
             ),
         ),
     ),
