@@ -13,7 +13,17 @@ from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import load_protocol
 from aces_bus.robot import list_robots, load_robot, parse_robot, print_robot, robot_text
 
-NAMES = ["drc_hubo", "hubo2", "hubo2plus", "hubovia", "minihubo_1", "minihubo_2", "minihubo_3", "omnibot"]
+NAMES = [
+    "drc_hubo",
+    "hubo2",
+    "hubo2plus",
+    "hubovia",
+    "minihubo_1",
+    "minihubo_2",
+    "minihubo_3",
+    "omnibot",
+    "rover",
+]
 HUBOS = {"drc_hubo": "D12", "hubo2": "D08", "hubo2plus": "D12"}
 
 

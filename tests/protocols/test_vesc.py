@@ -9,7 +9,7 @@ import pytest
 
 from aces_bus.frames import Frame
 from aces_bus.protocol import Unknown
-from aces_protocols.vesc.buffers import Buffers, check_of, pieces_of
+from aces_protocols.vesc.buffers import Buffers, can_pieces, check_of
 from aces_protocols.vesc.spec import vesc
 from aces_protocols.vesc_uart.packets import PacketReader, framed, packet_of
 from aces_protocols.vesc_uart.spec import VALUES, mask_of, vesc_uart
@@ -43,7 +43,7 @@ def sent(packet: bytes, **who: int) -> list[Frame]:
     """The frames of a packet to or from controller 5."""
     return [
         vesc.encode(name, **{**({} if name.startswith("Fill") else {"id": 5}), **fields})
-        for name, fields in pieces_of(packet, **who)
+        for name, fields in can_pieces(packet, **who)
     ]
 
 
