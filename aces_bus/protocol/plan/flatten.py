@@ -109,7 +109,7 @@ def flatten(message: Message) -> p.MessagePlan:
 
 def _opaque(payload: c.Construct, name: str, reason: str) -> p.Opaque:
     """A field that construct decodes, with what is known of its inside."""
-    items = next((one for one in getattr(payload, "subcons", ()) if one.name == name), None)
+    items: Any = next((one for one in getattr(payload, "subcons", ()) if one.name == name), None)
     while isinstance(items, c.Renamed):
         items = items.subcon
     if not isinstance(items, ItemList):

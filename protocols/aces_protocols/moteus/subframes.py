@@ -271,7 +271,7 @@ def _register(name: Any, path: str) -> Quantum:
 
 
 def _built_registers(operation: str, kind: str, long: bool, data: Any, path: str, raw: bool) -> bytes:
-    if operation == "read" and not isinstance(data, Sequence):
+    if operation == "read" and (isinstance(data, str) or not isinstance(data, Sequence)):
         raise FieldError(f"{path}: a read has the names of registers, not {data!r}")
     if operation != "read" and not isinstance(data, Mapping):
         raise FieldError(f"{path}: a {operation} has values by the names of registers, not {data!r}")
@@ -288,7 +288,7 @@ def _built_registers(operation: str, kind: str, long: bool, data: Any, path: str
     out = bytearray((code,)) + varuint(count) if long or count > 3 else bytearray((code | count,))
     if count:
         out += varuint(registers[0].number)
-    if operation != "read":
+    if isinstance(data, Mapping):
         for one, value in zip(registers, data.values(), strict=True):
             out += _number(one, kind, value, f"{path}.{one.name}", raw)
     return bytes(out)
