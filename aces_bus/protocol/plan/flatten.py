@@ -117,7 +117,7 @@ def _opaque(payload: c.Construct, name: str, reason: str) -> p.Opaque:
     values: list[tuple[str, int, p.NamedValue]] = []
     for value, (number, unit, names) in items.values.items():
         steps = (p.ValueNames(tuple(names.items())),) if names else ()
-        values.append((value, number, p.NamedValue(unit, steps)))
+        values.append((value, number, p.NamedValue(unit, steps, is_float=names is None)))
     return p.OpaqueItems(reason, tuple(values))
 
 

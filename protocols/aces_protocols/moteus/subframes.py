@@ -108,7 +108,9 @@ def register_values(subframes: Iterable[Any]) -> dict[str, Any]:
 class Subframes(ItemList):
     """The sub-frames of a frame, see above. Built, they are filled up with `nop` to a length that CAN FD has."""
 
-    values: ClassVar = {one.name: (one.number, one.unit, one.names) for one in BY_NUMBER.values()}
+    values: ClassVar = {
+        one.name: (one.number, one.unit, None if one.measure else one.names) for one in BY_NUMBER.values()
+    }
 
     # ------------------------------------------------------------------ reading
 
