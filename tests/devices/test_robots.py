@@ -22,6 +22,7 @@ NAMES = [
     "minihubo_2",
     "minihubo_3",
     "omnibot",
+    "rover",
     "so101",
 ]
 HUBOS = {"drc_hubo": "D12", "hubo2": "D08", "hubo2plus": "D12"}

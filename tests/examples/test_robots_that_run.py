@@ -141,6 +141,29 @@ def test_minihubo_walks(names_of: Names, capsys: pytest.CaptureFixture[str]) -> 
     assert " 0 missing" in said
 
 
+def test_the_rover(names_of: Names, capsys: pytest.CaptureFixture[str]) -> None:
+    """It finds its heading, comes to each place, and stands while its receiver has no fix."""
+    near, blind = names_of("rover.py")["main"]([(2.0, 0.0), (2.0, 2.0)], lost_s=1.0)
+    assert len(near) == 2
+    assert max(near) < 0.4
+    assert blind < 0.05
+    tour: Any = names_of("rover.py")["Tour"]([(2.0, 0.0)])
+    still = {
+        "GNSS.north": 0.0,
+        "GNSS.east": 0.0,
+        "GNSS.horizontal_accuracy": 0.5,
+        "GNSS.speed": 0.0,
+        "GNSS.course": 0.0,
+    }
+    tour.bind(
+        {name: {0: value} for name, value in still.items()}
+        | {f"{w}.position": {0: 0.0} for w in ("FL", "FR", "RL", "RR")}
+    )
+    speeds = [tour.step(n * 50_000_000)["FL.velocity"] for n in range(120)]
+    assert (speeds[0], speeds[-1]) == (10.0, 0.0)
+    assert "nothing went wrong" in capsys.readouterr().out
+
+
 def test_omnibot(run: Run) -> None:
     """The wheels' mix makes of each move a way forward, sideways, or a turn."""
     lines = run("omnibot.py")

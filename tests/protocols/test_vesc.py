@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import random
+from typing import Any
 
 import anycrc
 import pytest
 
 from aces_bus.frames import Frame
 from aces_bus.protocol import Unknown
-from aces_protocols.vesc.buffers import Buffers, check_of, pieces_of
+from aces_protocols.vesc.buffers import Buffers, can_pieces, check_of
 from aces_protocols.vesc.spec import vesc
 from aces_protocols.vesc_uart.packets import PacketReader, framed, packet_of
 from aces_protocols.vesc_uart.spec import VALUES, mask_of, vesc_uart
@@ -24,8 +25,8 @@ def test_its_check_is_that_of_the_catalogue() -> None:
         data = draw.randbytes(size)
         word = framed(b"\x14" + data)
         assert word[-3:] == model.calc(b"\x14" + data).to_bytes(2, "big") + b"\x03"
-        (record,) = vesc_uart.scanner(direction="to device").feed(word)
-        assert type(record).__name__ == ("Terminal" if size < 255 else "LongRequest")
+        (record,) = vesc_uart.scanner(direction="to device" if size < 255 else "from device").feed(word)
+        assert type(record).__name__ == ("Terminal" if size < 255 else "LongAnswer")
         assert record.meta.size == len(word)
 
 
@@ -41,10 +42,11 @@ def test_a_wrong_byte_costs_a_packet() -> None:
 
 def sent(packet: bytes, **who: int) -> list[Frame]:
     """The frames of a packet to or from controller 5."""
-    return [
-        vesc.encode(name, **{**({} if name.startswith("Fill") else {"id": 5}), **fields})
-        for name, fields in pieces_of(packet, **who)
-    ]
+    found: list[Frame] = []
+    for name, fields in can_pieces(packet, **who):
+        more: dict[str, Any] = {**({} if name.startswith("Fill") else {"id": 5}), **fields}
+        found.append(vesc.encode(name, **more))
+    return found
 
 
 def test_the_documents_answer_in_pieces() -> None:

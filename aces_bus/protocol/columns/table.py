@@ -376,8 +376,8 @@ def _kind(leaf: p.NodePath, raw: bool) -> ColumnKind:
     if raw:
         return ColumnKind(leaf.path, "", leaf.field.doc, None, None, is_object, optional)
     names: Mapping[float, str] | None = {number: name for name, number in node.numbers.items()} or None
-    if isinstance(node, p.Each):
-        names = None  # lists hold the names themselves
+    if isinstance(node, (p.Each, p.NamedValue)):
+        names = None  # lists, and columns of objects, hold the names themselves
     optional = optional or (scale is not None and bool(scale.unknown))
     return ColumnKind(leaf.path, node.unit, leaf.field.doc, names, node.flags or None, is_object, optional)
 
@@ -388,7 +388,9 @@ def dtype_of(node: p.Node, raw: bool = False) -> Any:
         return np.dtype(f"u{_bytes(8 * node.size)}") if node.size <= 8 else None
     if isinstance(node, p.DelimitedField):
         return np.dtype(np.float64) if not raw and node.conversion in ("number", "degrees") else None
-    if isinstance(node, p.NamedValue) or (isinstance(node, p.Scalar) and node.kind == "float"):
+    if isinstance(node, p.NamedValue):
+        return np.dtype(np.float64) if node.is_float and not raw else None
+    if isinstance(node, p.Scalar) and node.kind == "float":
         return np.dtype(np.float64)
     if node.raw_range is None or (isinstance(node, p.Scalar) and len(node.bits) > 64):
         return None

@@ -17,14 +17,14 @@ class ItemList(c.Construct):
 
     `_parse` gives a list of containers with `kind`, `data` and `reason`, as `Items` does: None for a good item, else why it
     was not read. The data of good items may be containers of values by name. `values` are these names, each with its number,
-    its unit ("" for none) and the names of its values, {} for none; a table has a column of each, `FIELD.NAME`: the first
-    one in each packet.
+    its unit ("" for none) and the names of its values, {} for none; None says that it is measured, and always a float. A
+    table has a column of each, `FIELD.NAME`: the first one in each packet.
 
         class Runs(ItemList):
-            values = {"position": (1, "turn", {}), "mode": (0, "", {0: "stopped", 10: "position"})}
+            values = {"position": (1, "turn", None), "mode": (0, "", {0: "stopped", 10: "position"})}
     """
 
-    values: ClassVar[Mapping[str, tuple[int, str, Mapping[int, str]]]] = {}
+    values: ClassVar[Mapping[str, tuple[int, str, Mapping[int, str] | None]]] = {}
 
     def _sizeof(self, context: object, path: str) -> int:
         raise c.SizeofError("depends on the items", path=path)

@@ -109,7 +109,7 @@ def flatten(message: Message) -> p.MessagePlan:
 
 def _opaque(payload: c.Construct, name: str, reason: str) -> p.Opaque:
     """A field that construct decodes, with what is known of its inside."""
-    items = next((one for one in getattr(payload, "subcons", ()) if one.name == name), None)
+    items: Any = next((one for one in getattr(payload, "subcons", ()) if one.name == name), None)
     while isinstance(items, c.Renamed):
         items = items.subcon
     if not isinstance(items, ItemList):
@@ -117,7 +117,7 @@ def _opaque(payload: c.Construct, name: str, reason: str) -> p.Opaque:
     values: list[tuple[str, int, p.NamedValue]] = []
     for value, (number, unit, names) in items.values.items():
         steps = (p.ValueNames(tuple(names.items())),) if names else ()
-        values.append((value, number, p.NamedValue(unit, steps)))
+        values.append((value, number, p.NamedValue(unit, steps, is_float=names is None)))
     return p.OpaqueItems(reason, tuple(values))
 
 

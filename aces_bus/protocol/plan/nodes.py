@@ -490,6 +490,7 @@ class NamedValue(Node):
 
     unit: str = ""
     steps: tuple[Step, ...] = ()
+    is_float: bool = False
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
 from aces_devices.wheel_model import TurningWheel
-from aces_protocols.vesc.buffers import Buffers, pieces_of
+from aces_protocols.vesc.buffers import Buffers, can_pieces
 from aces_protocols.vesc_uart.packets import PacketReader, packet_of
 from aces_protocols.vesc_uart.spec import FAULTS, VALUES
 
@@ -214,7 +214,7 @@ class VescTwin(Twin):
         answer = None if record is None else self._answer(record)
         if answer is None or request.mode == 2:
             return
-        for message, fields in pieces_of(answer, host=request.host, receiver=request.host, mode=1):
+        for message, fields in can_pieces(answer, host=request.host, receiver=request.host, mode=1):
             self.reply(message, **fields)
 
     def _answer(self, request: Any) -> bytes | None:

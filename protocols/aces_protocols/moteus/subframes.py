@@ -108,7 +108,9 @@ def register_values(subframes: Iterable[Any]) -> dict[str, Any]:
 class Subframes(ItemList):
     """The sub-frames of a frame, see above. Built, they are filled up with `nop` to a length that CAN FD has."""
 
-    values: ClassVar = {one.name: (one.number, one.unit, one.names) for one in BY_NUMBER.values()}
+    values: ClassVar = {
+        one.name: (one.number, one.unit, None if one.measure else one.names) for one in BY_NUMBER.values()
+    }
 
     # ------------------------------------------------------------------ reading
 
@@ -271,7 +273,7 @@ def _register(name: Any, path: str) -> Quantum:
 
 
 def _built_registers(operation: str, kind: str, long: bool, data: Any, path: str, raw: bool) -> bytes:
-    if operation == "read" and not isinstance(data, Sequence):
+    if operation == "read" and (isinstance(data, str) or not isinstance(data, Sequence)):
         raise FieldError(f"{path}: a read has the names of registers, not {data!r}")
     if operation != "read" and not isinstance(data, Mapping):
         raise FieldError(f"{path}: a {operation} has values by the names of registers, not {data!r}")
@@ -288,7 +290,7 @@ def _built_registers(operation: str, kind: str, long: bool, data: Any, path: str
     out = bytearray((code,)) + varuint(count) if long or count > 3 else bytearray((code | count,))
     if count:
         out += varuint(registers[0].number)
-    if operation != "read":
+    if isinstance(data, Mapping):
         for one, value in zip(registers, data.values(), strict=True):
             out += _number(one, kind, value, f"{path}.{one.name}", raw)
     return bytes(out)

@@ -28,12 +28,12 @@ def check_of(packet: bytes | bytearray) -> bytes:
     return crc_hqx(packet, 0).to_bytes(2, "big")
 
 
-def pieces_of(
+def can_pieces(
     packet: bytes, *, host: int, receiver: int, mode: int = 0
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """The messages that carry a packet to a controller, with their fields; `receiver` is the controller.
 
-    >>> [name for name, fields in pieces_of(bytes(14), host=0xC8, receiver=5)]
+    >>> [name for name, fields in can_pieces(bytes(14), host=0xC8, receiver=5)]
     ['FillBuffer', 'FillBuffer', 'LongRequest']
     """
     ends = ("ShortRequest", "LongRequest") if mode != 1 else ("ShortAnswer", "LongAnswer")

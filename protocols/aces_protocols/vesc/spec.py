@@ -11,9 +11,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from construct import Byte, Bytes, Construct, GreedyBytes, Int16sb, Int16ub, Int32sb, Struct
+from construct import Byte, Bytes, GreedyBytes, Int16sb, Int16ub, Int32sb, Struct
 
-from aces_bus.protocol import Enumeration, IdField, Protocol, Quantity
+from aces_bus.protocol import Enumeration, IdField, Protocol
+from aces_protocols.vesc_uart.numbers import in_steps
 
 #: Everybody, as a controller.
 BROADCAST = 255
@@ -29,11 +30,6 @@ vesc = Protocol(
 )
 
 Controller = IdField("id", range(256), doc="the controller, 255: all")
-
-
-def _scaled(construct: Construct, unit: str, per_unit: float, **more: Any) -> Quantity:
-    """A number that counts `per_unit` steps a unit."""
-    return Quantity(construct, unit=unit, scale=1 / per_unit, **more)
 
 
 def _to_device(packet: int, name: str, payload: Struct, doc: str, *examples: Any) -> None:
@@ -70,70 +66,70 @@ _WHOLE = (-1.0, 1.0)
 _to_device(
     0,
     "SetDuty",
-    Struct("duty" / _scaled(Int32sb, "", SHARE, range=_WHOLE)),
+    Struct("duty" / in_steps(Int32sb, "", SHARE, range=_WHOLE)),
     "Drive at a share of the supply.",
     ("00000005#FF FF 9E 58", {"id": 5, "duty": -0.25}),
 )
 _to_device(
     1,
     "SetCurrent",
-    Struct("current" / _scaled(Int32sb, "A", AMPERE)),
+    Struct("current" / in_steps(Int32sb, "A", AMPERE)),
     "Drive with a motor current; 0 releases the motor.",
     ("00000117#00 00 C7 38", {"id": 0x17, "current": 51.0}),
 )
 _to_device(
     2,
     "SetBrakeCurrent",
-    Struct("current" / _scaled(Int32sb, "A", AMPERE)),
+    Struct("current" / in_steps(Int32sb, "A", AMPERE)),
     "Brake with a motor current.",
     ("00000205#00 00 13 88", {"id": 5, "current": 5.0}),
 )
 _to_device(
     3,
     "SetSpeed",
-    Struct("speed" / _scaled(Int32sb, "rpm", 1)),
+    Struct("speed" / in_steps(Int32sb, "rpm", 1)),
     "Hold an electrical speed: turns of the field, pole pairs × those of the motor.",
     ("00000305#00 00 0B B8", {"id": 5, "speed": 3000}),
 )
 _to_device(
     4,
     "SetPosition",
-    Struct("position" / _scaled(Int32sb, "°", DEGREE)),
+    Struct("position" / in_steps(Int32sb, "°", DEGREE)),
     "Hold an angle of the encoder; it is taken within a turn.",
     ("00000405#05 5D 4A 80", {"id": 5, "position": 90.0}),
 )
 _to_device(
     10,
     "SetCurrentRelative",
-    Struct("current" / _scaled(Int32sb, "", SHARE, range=_WHOLE)),
+    Struct("current" / in_steps(Int32sb, "", SHARE, range=_WHOLE)),
     "Drive with a share of the maximum current; of the minimum where it opposes the motion.",
     ("00000A05#FF FF 9E 58", {"id": 5, "current": -0.25}),
 )
 _to_device(
     11,
     "SetBrakeRelative",
-    Struct("current" / _scaled(Int32sb, "", SHARE, range=_WHOLE)),
+    Struct("current" / in_steps(Int32sb, "", SHARE, range=_WHOLE)),
     "Brake with a share of the minimum current.",
     ("00000B05#00 00 61 A8", {"id": 5, "current": 0.25}),
 )
 _to_device(
     12,
     "SetHandbrake",
-    Struct("current" / _scaled(Int32sb, "A", AMPERE)),
+    Struct("current" / in_steps(Int32sb, "A", AMPERE)),
     "Hold where it is, with a current.",
     ("00000C05#00 00 13 88", {"id": 5, "current": 5.0}),
 )
 _to_device(
     13,
     "SetHandbrakeRelative",
-    Struct("current" / _scaled(Int32sb, "", SHARE, range=_WHOLE)),
+    Struct("current" / in_steps(Int32sb, "", SHARE, range=_WHOLE)),
     "Hold where it is, with a share of the minimum current.",
     ("00000D05#00 00 61 A8", {"id": 5, "current": 0.25}),
 )
 
 # ---------------------------------------------------------------------- settings
 
-_LIMITS = Struct("minimum" / _scaled(Int32sb, "A", AMPERE), "maximum" / _scaled(Int32sb, "A", AMPERE))
+_LIMITS = Struct("minimum" / in_steps(Int32sb, "A", AMPERE), "maximum" / in_steps(Int32sb, "A", AMPERE))
 for number, name, what in (
     (21, "LimitCurrent", "Limits of the motor current; the minimum is below 0"),
     (23, "LimitInputCurrent", "Limits of the supply's current; the minimum is below 0"),
@@ -142,7 +138,7 @@ for number, name, what in (
     for store, more in ((0, ", until it is switched off."), (1, ", stored.")):
         example = (f"0000{number + store:02X}05#FF FF 8A D0 00 00 EA 60", values)
         _to_device(number + store, name + "Stored" * store, _LIMITS, what + more, example)
-_BATTERY = Struct("start" / _scaled(Int32sb, "V", 1e3), "end" / _scaled(Int32sb, "V", 1e3))
+_BATTERY = Struct("start" / in_steps(Int32sb, "V", 1e3), "end" / in_steps(Int32sb, "V", 1e3))
 for store, more in ((0, ", until it is switched off."), (1, ", stored.")):
     _to_device(
         29 + store,
@@ -155,7 +151,7 @@ _to_device(31, "Shutdown", Struct(), "Switch it off.", ("00001F05#", {"id": 5}))
 _to_device(
     55,
     "SetPositionOffset",
-    Struct("offset" / _scaled(Int32sb, "°", 1e4), "store" / Byte),
+    Struct("offset" / in_steps(Int32sb, "°", 1e4), "store" / Byte),
     "Move the encoder's zero.",
     ("00003705#00 0D BB A0 00", {"id": 5, "offset": 90.0, "store": 0}),
 )
@@ -183,7 +179,7 @@ _to_device(56, "PollPosition", Struct(), "Ask for the rotor's angle.", ("0000380
 _status(
     56,
     "RotorPosition",
-    Struct("position" / _scaled(Int32sb, "°", SHARE)),
+    Struct("position" / in_steps(Int32sb, "°", SHARE)),
     "The rotor's angle, when it was asked for.",
     ("00003805#00 89 54 40", {"id": 5, "position": 90.0}),
 )
@@ -194,9 +190,9 @@ _status(
     9,
     "Status",
     Struct(
-        "speed" / _scaled(Int32sb, "rpm", 1) * "electrical",
-        "current" / _scaled(Int16sb, "A", 10) * "of the motor",
-        "duty" / _scaled(Int16sb, "", 1000),
+        "speed" / in_steps(Int32sb, "rpm", 1) * "electrical",
+        "current" / in_steps(Int16sb, "A", 10) * "of the motor",
+        "duty" / in_steps(Int16sb, "", 1000),
     ),
     "Speed, current, duty.",
     ("00000905#FF FF FA 24 00 7B FF 83", {"id": 5, "speed": -1500, "current": 12.3, "duty": -0.125}),
@@ -204,14 +200,14 @@ _status(
 _status(
     14,
     "Status2",
-    Struct("used" / _scaled(Int32sb, "A·h", 1e4), "charged" / _scaled(Int32sb, "A·h", 1e4)),
+    Struct("used" / in_steps(Int32sb, "A·h", 1e4), "charged" / in_steps(Int32sb, "A·h", 1e4)),
     "Charge since it was switched on.",
     ("00000E05#00 00 30 39 00 00 00 64", {"id": 5, "used": 1.2345, "charged": 0.01}),
 )
 _status(
     15,
     "Status3",
-    Struct("used" / _scaled(Int32sb, "W·h", 1e4), "charged" / _scaled(Int32sb, "W·h", 1e4)),
+    Struct("used" / in_steps(Int32sb, "W·h", 1e4), "charged" / in_steps(Int32sb, "W·h", 1e4)),
     "Energy since it was switched on.",
     ("00000F05#00 00 30 39 00 00 00 64", {"id": 5, "used": 1.2345, "charged": 0.01}),
 )
@@ -219,10 +215,10 @@ _status(
     16,
     "Status4",
     Struct(
-        "fet_temperature" / _scaled(Int16sb, "°C", 10),
-        "motor_temperature" / _scaled(Int16sb, "°C", 10),
-        "input_current" / _scaled(Int16sb, "A", 10),
-        "position" / _scaled(Int16sb, "°", 50),
+        "fet_temperature" / in_steps(Int16sb, "°C", 10),
+        "motor_temperature" / in_steps(Int16sb, "°C", 10),
+        "input_current" / in_steps(Int16sb, "A", 10),
+        "position" / in_steps(Int16sb, "°", 50),
     ),
     "Temperatures, supply current, the encoder's angle.",
     (
@@ -241,7 +237,7 @@ _status(
     "Status5",
     Struct(
         "tachometer" / Int32sb * "six a turn of the field",
-        "voltage" / _scaled(Int16sb, "V", 10),
+        "voltage" / in_steps(Int16sb, "V", 10),
         "reserved" / Int16sb,
     ),
     "How far it has turned; the supply.",
@@ -251,10 +247,10 @@ _status(
     58,
     "Status6",
     Struct(
-        "adc1" / _scaled(Int16sb, "V", 1e3),
-        "adc2" / _scaled(Int16sb, "V", 1e3),
-        "adc3" / _scaled(Int16sb, "V", 1e3),
-        "ppm" / _scaled(Int16sb, "", 1e3),
+        "adc1" / in_steps(Int16sb, "V", 1e3),
+        "adc2" / in_steps(Int16sb, "V", 1e3),
+        "adc3" / in_steps(Int16sb, "V", 1e3),
+        "ppm" / in_steps(Int16sb, "", 1e3),
     ),
     "Inputs (firmware 6.00 and later).",
     ("00003A05#03 E8 07 D0 0B B8 FE 0C", {"id": 5, "adc1": 1.0, "adc2": 2.0, "adc3": 3.0, "ppm": -0.5}),

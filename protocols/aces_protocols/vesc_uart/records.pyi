@@ -326,24 +326,8 @@ class SendCanFrame(Record, frozen=True):
     extended: int
     data: bytes
 
-class CanFrame(Record, frozen=True):
-    """A frame of its CAN bus, in CAN mode 2.
-
-    from device; source: vedderb/bldc comm/commands.c
-    """
-    identifier: int
-    extended: int
-    data: bytes
-
-class LongRequest(Record, frozen=True):
-    """A packet of 256 bytes and more: configurations, custom data; `data` begins with its number.
-
-    to device; source: vedderb/bldc comm/packet.c
-    """
-    data: bytes
-
 class LongAnswer(Record, frozen=True):
-    """A packet of 256 bytes and more: configurations, custom data; `data` begins with its number.
+    """An answer of 256 bytes and more: configurations, custom data; `data` begins with its number.
 
     from device; source: vedderb/bldc comm/packet.c
     """

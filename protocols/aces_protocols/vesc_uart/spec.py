@@ -30,7 +30,9 @@ from construct import (
     this,
 )
 
-from aces_bus.protocol import Crc, Enumeration, Flags, Protocol, Quantity
+from aces_bus.protocol import Crc, Enumeration, Flags, Message, Protocol
+
+from .numbers import in_steps
 
 _SOURCE = "vedderb/bldc comm/commands.c"
 #: The longest packet of standard firmware.
@@ -73,20 +75,23 @@ long = vesc_uart.framing(
 packet = short.family(prefix=Struct("comm" / Byte))
 
 
-def _scaled(construct: Construct, unit: str, per_unit: float, **more: Any) -> Quantity:
-    """A number that counts `per_unit` steps a unit."""
-    return Quantity(construct, unit=unit, scale=1 / per_unit, **more)
-
-
-def _ask(comm: int, name: str, doc: str, *examples: Any, payload: Struct | None = None) -> None:
-    packet(
+def _ask(comm: int, name: str, doc: str, *examples: Any, payload: Struct | None = None) -> Message:
+    made: Message = packet(
         name, comm=comm, direction="to device", payload=payload, doc=doc, source=_SOURCE, examples=examples
     )
+    return made
 
 
-def _tell(comm: int, name: str, payload: Struct, doc: str, *examples: Any) -> None:
+def _tell(comm: int, name: str, payload: Struct, doc: str, *examples: Any, **more: Any) -> None:
     packet(
-        name, comm=comm, direction="from device", payload=payload, doc=doc, source=_SOURCE, examples=examples
+        name,
+        comm=comm,
+        direction="from device",
+        payload=payload,
+        doc=doc,
+        source=_SOURCE,
+        examples=examples,
+        **more,
     )
 
 
@@ -129,7 +134,7 @@ FAULTS = {
     "abs_over_speed": 33,
 }
 
-_TEMPERATURE, _CURRENT = _scaled(Int16sb, "°C", 10), _scaled(Int32sb, "A", 100)
+_TEMPERATURE, _CURRENT = in_steps(Int16sb, "°C", 10), in_steps(Int32sb, "A", 100)
 #: What a controller tells of itself, in the order of the bits of the mask.
 VALUES: Mapping[str, Construct] = {
     "fet_temperature": _TEMPERATURE,
@@ -138,21 +143,21 @@ VALUES: Mapping[str, Construct] = {
     "input_current": _CURRENT,
     "d_current": _CURRENT,
     "q_current": _CURRENT,
-    "duty": _scaled(Int16sb, "", 1000),
-    "speed": _scaled(Int32sb, "rpm", 1),
-    "voltage": _scaled(Int16sb, "V", 10),
-    "charge_used": _scaled(Int32sb, "A·h", 1e4),
-    "charge_charged": _scaled(Int32sb, "A·h", 1e4),
-    "energy_used": _scaled(Int32sb, "W·h", 1e4),
-    "energy_charged": _scaled(Int32sb, "W·h", 1e4),
+    "duty": in_steps(Int16sb, "", 1000),
+    "speed": in_steps(Int32sb, "rpm", 1),
+    "voltage": in_steps(Int16sb, "V", 10),
+    "charge_used": in_steps(Int32sb, "A·h", 1e4),
+    "charge_charged": in_steps(Int32sb, "A·h", 1e4),
+    "energy_used": in_steps(Int32sb, "W·h", 1e4),
+    "energy_charged": in_steps(Int32sb, "W·h", 1e4),
     "tachometer": Int32sb,
     "tachometer_abs": Int32sb,
     "fault": Enumeration(Byte, FAULTS),
-    "position": _scaled(Int32sb, "°", 1e6),
+    "position": in_steps(Int32sb, "°", 1e6),
     "controller": Byte,
     "mosfet_temperatures": Array(3, _TEMPERATURE),
-    "d_voltage": _scaled(Int32sb, "V", 1e3),
-    "q_voltage": _scaled(Int32sb, "V", 1e3),
+    "d_voltage": in_steps(Int32sb, "V", 1e3),
+    "q_voltage": in_steps(Int32sb, "V", 1e3),
     "status": Flags(Byte, timed_out=0, kill_switch=1),
 }
 
@@ -198,13 +203,14 @@ _IN3 = {
     "controller": 5,
 }
 _IN5 = {**_IN3, "mosfet_temperatures": [40.0, 41.0, 42.0], "d_voltage": -1.5, "q_voltage": 2.5}
-_ask(4, "GetValues", "Ask for all values; it restarts their averages.", ("02 01 04 40 84 03", {}))
+GetValues = _ask(4, "GetValues", "Ask for all values; it restarts their averages.", ("02 01 04 40 84 03", {}))
 _tell(
     4,
     "Values",
     _up_to("status"),
     "All values, of firmware 6.00 and later.",
     (f"02 4A 04 {_OF3}{_MORE} 01 7F A4 03", {**_IN5, "status": ["timed_out"]}),
+    reply_to=GetValues,
 )
 _tell(
     4,
@@ -212,11 +218,17 @@ _tell(
     _up_to("q_voltage"),
     "All values, of firmware 4.02 to 5.00.",
     (f"02 49 04 {_OF3}{_MORE} 27 3B 03", _IN5),
+    reply_to=GetValues,
 )
 _tell(
-    4, "ValuesOf3", _up_to("controller"), "All values, of firmware 3.40.", (f"02 3B 04 {_OF3} CA 96 03", _IN3)
+    4,
+    "ValuesOf3",
+    _up_to("controller"),
+    "All values, of firmware 3.40.",
+    (f"02 3B 04 {_OF3} CA 96 03", _IN3),
+    reply_to=GetValues,
 )
-_ask(
+GetSelected = _ask(
     50,
     "GetSelected",
     "Ask for the values of the bits of `mask`, see VALUES.",
@@ -235,11 +247,12 @@ _tell(
         "02 0E 32 00 00 81 C0 FF 83 FF FF FA 24 01 E2 00 E7 97 03",
         {"mask": 0x81C0, "duty": -0.125, "speed": -1500, "voltage": 48.2, "fault": "none"},
     ),
+    reply_to=GetSelected,
 )
 
 # ---------------------------------------------------------------------- who it is
 
-_ask(0, "GetFirmware", "Ask for version, hardware, and chip.", ("02 01 00 00 00 03", {}))
+GetFirmware = _ask(0, "GetFirmware", "Ask for version, hardware, and chip.", ("02 01 00 00 00 03", {}))
 _tell(
     0,
     "Firmware",
@@ -254,14 +267,18 @@ _tell(
         "02 12 00 06 05 36 30 00 00 01 02 03 04 05 06 07 08 09 0A 0B E6 FD 03",
         {"major": 6, "minor": 5, "hardware": "60", "more": bytes(range(12))},
     ),
+    reply_to=GetFirmware,
 )
-_ask(62, "PingCan", "Ask for the controllers that it finds on its CAN bus.", ("02 01 3E D7 9D 03", {}))
+PingCan = _ask(
+    62, "PingCan", "Ask for the controllers that it finds on its CAN bus.", ("02 01 3E D7 9D 03", {})
+)
 _tell(
     62,
     "CanDevices",
     Struct("devices" / GreedyRange(Byte)),
     "The numbers of controllers on its CAN bus.",
     ("02 03 3E 05 17 43 87 03", {"devices": [5, 0x17]}),
+    reply_to=PingCan,
 )
 
 # ---------------------------------------------------------------------- set-points: each restarts the controller's time-out
@@ -271,7 +288,7 @@ _ask(
     "SetDuty",
     "Drive at a share of the supply.",
     ("02 05 05 FF FF 9E 58 47 8E 03", {"duty": -0.25}),
-    payload=Struct("duty" / _scaled(Int32sb, "", 1e5, range=(-1.0, 1.0))),
+    payload=Struct("duty" / in_steps(Int32sb, "", 1e5, range=(-1.0, 1.0))),
 )
 for _comm, _name, _doc, _example in (
     (6, "SetCurrent", "Drive with a motor current; 0 releases the motor.", "02 05 06 00 00 13 88 8B 25 03"),
@@ -283,35 +300,35 @@ for _comm, _name, _doc, _example in (
         _name,
         _doc,
         (_example, {"current": 5.0}),
-        payload=Struct("current" / _scaled(Int32sb, "A", 1000)),
+        payload=Struct("current" / in_steps(Int32sb, "A", 1000)),
     )
 _ask(
     8,
     "SetSpeed",
     "Hold an electrical speed: pole pairs × that of the motor.",
     ("02 05 08 00 00 0B B8 F8 04 03", {"speed": 3000}),
-    payload=Struct("speed" / _scaled(Int32sb, "rpm", 1)),
+    payload=Struct("speed" / in_steps(Int32sb, "rpm", 1)),
 )
 _ask(
     9,
     "SetPosition",
     "Hold an angle of the encoder; it is taken within a turn.",
     ("02 05 09 05 5D 4A 80 7B 29 03", {"position": 90.0}),
-    payload=Struct("position" / _scaled(Int32sb, "°", 1e6)),
+    payload=Struct("position" / in_steps(Int32sb, "°", 1e6)),
 )
 _ask(
     84,
     "SetCurrentRelative",
     "Drive with a share of the maximum current.",
     ("02 05 54 FF FF 9E 58 F8 ED 03", {"current": -0.25}),
-    payload=Struct("current" / _scaled(Int32sb, "", 1e5, range=(-1.0, 1.0))),
+    payload=Struct("current" / in_steps(Int32sb, "", 1e5, range=(-1.0, 1.0))),
 )
 _ask(
     12,
     "SetServo",
     "Where a model servo on its output is to be.",
     ("02 03 0C 01 F4 E9 CB 03", {"position": 0.5}),
-    payload=Struct("position" / _scaled(Int16sb, "", 1000, range=(0.0, 1.0))),
+    payload=Struct("position" / in_steps(Int16sb, "", 1000, range=(0.0, 1.0))),
 )
 _ask(30, "Alive", "Restart the time-out, and nothing else.", ("02 01 1E F3 FF 03", {}))
 _ask(29, "Reboot", "Switch it off and on.", ("02 01 1D C3 9C 03", {}))
@@ -342,7 +359,7 @@ _ask(
 _tell(
     22,
     "RotorPosition",
-    Struct("position" / _scaled(Int32sb, "°", 1e5)),
+    Struct("position" / in_steps(Int32sb, "°", 1e5)),
     "An angle, as SetDisplay has it.",
     ("02 05 16 00 89 54 40 E6 AB 03", {"position": 90.0}),
 )
@@ -363,22 +380,11 @@ _ask(
     ),
     payload=Struct("identifier" / Int32ub, "extended" / Byte, "data" / GreedyBytes),
 )
-_tell(
-    85,
-    "CanFrame",
-    Struct("identifier" / Int32ub, "extended" / Byte, "data" / GreedyBytes),
-    "A frame of its CAN bus, in CAN mode 2.",
-    (
-        "02 08 55 00 00 01 23 00 DE AD D7 76 03",
-        {"identifier": 0x123, "extended": 0, "data": bytes.fromhex("DE AD")},
-    ),
+long(
+    "LongAnswer",
+    direction="from device",
+    payload=Struct("data" / GreedyBytes),
+    doc="An answer of 256 bytes and more: configurations, custom data; `data` begins with its number.",
+    source="vedderb/bldc comm/packet.c",
+    examples=[("03 01 00 0E" + " 00" * 255 + " 32 7E 03", {"data": b"\x0e" + bytes(255)})],
 )
-for _way, _name in (("to device", "LongRequest"), ("from device", "LongAnswer")):
-    long(
-        _name,
-        direction=_way,
-        payload=Struct("data" / GreedyBytes),
-        doc="A packet of 256 bytes and more: configurations, custom data; `data` begins with its number.",
-        source="vedderb/bldc comm/packet.c",
-        examples=[("03 01 00 0E" + " 00" * 255 + " 32 7E 03", {"data": b"\x0e" + bytes(255)})],
-    )

@@ -355,10 +355,11 @@ def _show_items(shows: Mapping[str, tuple[Show, str]], otherwise: Show | None = 
 
     def one(item: Any) -> str:
         kind = "" if item.kind is None else f"{item.kind}="
-        if item.reason is not None or item.kind not in shows:
+        known = shows.get(str(item.kind))
+        if item.reason is not None or known is None:
             more = f" ({item.reason})" if item.reason is not None else ""
             return kind + (otherwise or anything)(item.data) + more
-        shown, unit = shows[item.kind]
+        shown, unit = known
         return kind + _or_unknown(shown, item.data) + unit
 
     return lambda items: f"[{', '.join(map(one, items))}]"
