@@ -203,6 +203,15 @@ class FrameTable:
         )
 
 
+def rows_at(data: Ints, places: Ints) -> Ints:
+    """Rows of data in another order; rows of eight bytes as words, which is much quicker."""
+    if data.shape[1] == 8 and data.flags.c_contiguous:
+        words: Ints = data.view(np.uint64).ravel()[places]
+        return words.view(np.uint8).reshape(-1, 8)
+    found: Ints = data[places]
+    return found
+
+
 def widened(data: Ints, width: int) -> Ints:
     """Data rows of at least `width` bytes."""
     if data.shape[1] >= width:

@@ -19,6 +19,7 @@ from ..errors import AcesError, CallerError, DeviceError, FieldError, NoReplyErr
 from ..protocol import Unknown as UnknownWord
 from ..protocol import Variant
 from ..runtime import Timer
+from .carried_port import CarriedPort
 from .coalesce import CoalescingRule, Setpoint, per_device
 from .config import DeviceConfig, Robot
 from .device import DUPLICATES, Device, Poll
@@ -114,7 +115,9 @@ class Host(BusEndpoint[Device]):
         #: Half duplex: what is to be sent, and the request that has the line (None: free).
         self._half = port.half_duplex
         port.on_event(self._bus_event)
-        self._note = self.scanner.sent
+        self._note: Callable[[Any], None] = self.scanner.sent
+        if isinstance(self.port, CarriedPort):
+            self._note = self._note_frames
         self._line: deque[Ticket] = deque()
         self._speaking: Ticket | None = None
         self._spoke_last: Device | None = None
@@ -278,6 +281,14 @@ class Host(BusEndpoint[Device]):
     def _woke(self) -> None:
         self._woken = False
         self._send_set_points(self.clock.now())
+
+    def _note_frames(self, word: Any) -> None:
+        """A word of ours that may be several frames."""
+        for frame in word if isinstance(word, tuple) else (word,):
+            self.scanner.sent(frame)
+
+    def _is_carried_to_us(self, key: int) -> bool:
+        return not self.passive and super()._is_carried_to_us(key)
 
     def _received(self, word: Any, instant: int) -> None:
         """One word of the port; where others ask, an answer may need what they asked to be understood."""

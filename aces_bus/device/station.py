@@ -19,8 +19,10 @@ from ..errors import CallerError
 from ..protocol import StreamScanner, Variant, make_scanner
 from ..protocol import Unknown as UnknownWord
 from ..protocol.declare.message import Message
+from ..protocol.keys import EXTENDED
 from ..protocol.record import protocol_name_of
 from ..runtime import EventClock
+from .carried_port import CarriedPort
 from .config import DeviceConfig, Joint, Robot, Sensor
 from .port import Port
 
@@ -49,6 +51,11 @@ class EndpointMember:
         self.credentials: dict[str, int] = dict(config.credentials)
         self.joints: tuple[Joint, ...] = tuple(j for j in robot.joints_of(config.name) if j.active)
         self.sensors: tuple[Sensor, ...] = tuple(s for s in robot.sensors_of(config.name) if s.active)
+
+    @property
+    def is_listening(self) -> bool:
+        """Whether it takes what is sent to it: a transport's packets are let in then."""
+        return True
 
     def receive(self, record: Any, instant: int) -> None:
         """A record that is about it."""
@@ -95,6 +102,8 @@ class BusEndpoint(Generic[M]):
     ) -> None:
         if not variants:
             raise CallerError(f"{port.name}: a bus endpoint needs at least one protocol")
+        if any(m.transport is not None for variant in variants for m in variant.messages.values()):
+            port = CarriedPort(port, variants, self._is_carried_to_us)
         self.port, self.clock, self.name = port, port.clock, name or port.name
         self.variants = {variant.name: variant for variant in variants}
         self.direction = direction
@@ -194,6 +203,18 @@ class BusEndpoint(Generic[M]):
         if self._is_open:
             self._is_open = False
             self.port.close()
+
+    def _is_carried_to_us(self, key: int) -> bool:
+        """Whether packets of a key are for a member here: their first frames are answered with a go-ahead."""
+        identifier, extended = key & 0x1FFF_FFFF, bool(key & EXTENDED)
+        for member in self.members.values():
+            for message in member.variant.messages_for(self.direction):
+                captures = message.identifier.match(identifier) if message.transport is not None else None
+                if captures is None or message.extended != extended or not member.is_listening:
+                    continue
+                if all(captures.get(name, number) == number for name, number in member.credentials.items()):
+                    return True
+        return False
 
     def _received(self, word: Any, instant: int) -> None:
         """One word of the port."""

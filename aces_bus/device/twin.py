@@ -148,6 +148,11 @@ class Twin(EndpointMember):
 
     # ------------------------------------------------------------------ hearing and answering
 
+    @property
+    def is_listening(self) -> bool:
+        """Whether it is powered."""
+        return self.is_powered
+
     def receive(self, record: Any, instant: int) -> None:
         """A request to this device."""
         if not self.is_powered:
@@ -214,6 +219,8 @@ class Twin(EndpointMember):
         if self.variant.link != "can":
             return word
         # A number that the spec does not know: its identifier is as near as any.
+        if isinstance(word, tuple):
+            return tuple(msgspec.structs.replace(f, arbitration_id=f.arbitration_id ^ 1) for f in word)
         return msgspec.structs.replace(word, arbitration_id=word.arbitration_id ^ 1)
 
     def every(self, period_s: float, action: Callable[[], None]) -> None:
@@ -324,7 +331,9 @@ class Twins(BusEndpoint[Twin]):
 
 
 def with_data(word: Any, change: Callable[[bytes], bytes]) -> Any:
-    """A frame or packet with other data bytes."""
+    """A frame or packet with other data bytes; of the frames of a transport, the last one."""
+    if isinstance(word, tuple):
+        return (*word[:-1], with_data(word[-1], change))
     if isinstance(word, (bytes, bytearray)):
         return change(bytes(word))
     return msgspec.structs.replace(word, data=change(word.data))

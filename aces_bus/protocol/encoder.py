@@ -116,14 +116,17 @@ class Encoder:
 
     def writer(
         self, message: Message, tags: Mapping[str, Any]
-    ) -> Callable[[Mapping[str, Any]], Frame | bytes]:
-        """`word` of one message for one device: its fields `tags` are prepared, and need not be given again."""
+    ) -> Callable[[Mapping[str, Any]], Frame | bytes | tuple[Frame | bytes, ...]]:
+        """`word` of one message for one device: its fields `tags` are prepared, and need not be given again. Of a message
+        that a transport carries, a tuple of its frames."""
         quick = self._quick.get(message.name)
 
         def usual(fields: Mapping[str, Any]) -> Frame | bytes:
             return self.word(message, {**tags, **fields})
 
-        if quick is None or message.framing is not None or message.transport is not None:
+        if message.transport is not None:
+            return lambda fields: tuple(self.words(message, {**tags, **fields}))
+        if quick is None or message.framing is not None:
             return usual
         known = {**self._unsaid.get(message.name, {}), **tags}
         extended, remote, fd = message.extended, message.remote, message.fd

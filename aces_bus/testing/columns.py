@@ -46,7 +46,7 @@ def columns_difference(
     tables: list[MessageTable] = []
     items: list[Any] = []
     rows: list[int] = []
-    numbered_live: Any = live if getattr(live, "has_transports", False) else None
+    numbered_live: Any = live if hasattr(live, "feed_numbered") and live.has_transports else None
     channels = Channels()
     whole = FrameTable.from_frames(scene.words, channels) if is_can and len(cuts) % 2 else None
     at = 0

@@ -259,23 +259,38 @@ class LiveDecoding(Decoding):
             for frames in patience.each(capture.batches(BATCH)):
                 self._frames(scanner, frames, totals)
                 self._after(capture)
+            self._carried(scanner.close(), totals)
         finally:
             totals.count(scanner.counts)
 
     def _frames(self, scanner: Any, frames: list[Frame], totals: Totals) -> None:
         """Frames that follow each other, one or more."""
         items = scanner.feed(frames)
-        self._begin(items[0])
+        if items:
+            self._begin(items[0])
         if scanner.contested and not self.is_warned:
             self._warn_of(scanner.contested, items)
         if self.absent:
             self._seen({str(frame.channel) for frame in frames})
+        if scanner.has_transports:
+            self._carried(items, totals)
+            return
         passed = self._in_window(items)
         if self.filter is not None:
             matches = self.filter.matches
             passed = [
                 ok and matches(frame) for ok, frame in zip(passed or repeat(True), frames, strict=False)
             ]
+        self._explain_first(items, is_can=True)
+        self._emit(self._kept(items, passed, totals, is_can=True), totals, is_can=True)
+
+    def _carried(self, items: list[Any], totals: Totals) -> None:
+        """Items of a scanner with transports: one may be of several frames, or of one that came earlier."""
+        passed = self._in_window(items)
+        if self.filter is not None:
+            matches = self.filter.matches
+            seen = (matches(_frame_of(item)) for item in items)
+            passed = [ok and found for ok, found in zip(passed or repeat(True), seen, strict=False)]
         self._explain_first(items, is_can=True)
         self._emit(self._kept(items, passed, totals, is_can=True), totals, is_can=True)
 
@@ -337,7 +352,7 @@ class LiveDecoding(Decoding):
         if passed is None or all(passed):
             return items
         for item in (item for item, is_kept in zip(items, passed, strict=True) if not is_kept):
-            self._reject(item, 1 if is_can else item.meta.size, totals)
+            self._reject(item, max(1, len(item.meta.frames)) if is_can else item.meta.size, totals)
         return [item for item, is_kept in zip(items, passed, strict=True) if is_kept]
 
     def _emit(self, items: list[Any], totals: Totals, *, is_can: bool) -> None:
@@ -381,3 +396,15 @@ class LiveDecoding(Decoding):
             if key in contested and type(item) is not Unknown:
                 self._warn(contested, key, meta.identifier)
                 return
+
+
+def _frame_of(item: Any) -> Frame:
+    """A frame with the identifier and channel of an item, for filters."""
+    meta = item.meta
+    return Frame(
+        meta.identifier,
+        channel=meta.channel,
+        is_extended_id=meta.extended,
+        is_remote_frame=meta.remote,
+        is_error_frame=type(item) is Unknown and item.reason == "error frame",
+    )

@@ -59,6 +59,7 @@ class TableDecoding(Decoding):
             self.variants["can"], direction=self.direction, include_unknown=self.include_unknown
         )
         first = 0
+        passed = _Passed()
         try:
             for frames in pieces_of(patience.each(capture.tables()), is_live=capture.live):
                 tables = scanner.feed(frames)
@@ -70,11 +71,12 @@ class TableDecoding(Decoding):
                     self._seen({str(frames.channels.names[number]) for number in numbers})
                 kept = self._kept(frames)
                 if kept is not None:
-                    tables = [self._part(table, kept[table.row - first], totals) for table in tables]
+                    passed.add(first, kept)
+                    tables = [self._part(table, passed.of(table.row), totals) for table in tables]
                 self._take(tables, totals)
                 first += len(frames)
                 self._after(capture, len(frames))
-            self._take(scanner.close(), totals)
+            self._take([self._part(table, passed.of(table.row), totals) for table in scanner.close()], totals)
         finally:
             totals.count(scanner.counts)
 
@@ -115,7 +117,9 @@ class TableDecoding(Decoding):
     @staticmethod
     def _reject(table: MessageTable, totals: Totals) -> None:
         """Move rows from their bins to `filtered`."""
-        sizes: Any = np.ones(len(table), np.int64) if table.size is None else table.size
+        sizes: Any = table.size if table.size is not None else table.frames
+        if sizes is None:
+            sizes = np.ones(len(table), np.int64)
         total = int(sizes.sum())
         totals.add("filtered", total)
         if table.message:
@@ -142,6 +146,32 @@ class TableDecoding(Decoding):
                 if len(places):
                     found.append((int(table.row[places[0]]), int(table.key[places[0]])))
         return min(found)[1] if found else None
+
+
+class _Passed:
+    """Which frames of a capture pass the filters, piece by piece: a packet may lose frames of pieces before."""
+
+    def __init__(self) -> None:
+        self._starts: list[int] = []
+        self._kept: list[Rows] = []
+
+    def add(self, first: int, kept: Rows) -> None:
+        """One more piece, whose first frame is number `first`."""
+        self._starts.append(first)
+        self._kept.append(kept)
+
+    def of(self, rows: Any) -> Rows:
+        """Whether frames pass, by their numbers."""
+        if not self._starts or not len(rows):
+            return np.ones(len(rows), bool)
+        if int(rows.min()) >= self._starts[-1]:
+            return self._kept[-1][rows - self._starts[-1]]
+        pieces = np.searchsorted(self._starts, rows, side="right") - 1
+        found = np.empty(len(rows), bool)
+        for number in np.unique(pieces).tolist():
+            mine = pieces == number
+            found[mine] = self._kept[number][rows[mine] - self._starts[number]]
+        return found
 
 
 class ColumnDecoding(TableDecoding):

@@ -63,7 +63,17 @@ class Totals:
 
     def count(self, counts: ScanCounts) -> None:
         """Add what a scanner counted."""
-        for name in ("total", "decoded", "unknown", "malformed", "skipped", "errors", "pending", "records"):
+        for name in (
+            "total",
+            "decoded",
+            "control",
+            "unknown",
+            "malformed",
+            "skipped",
+            "errors",
+            "pending",
+            "records",
+        ):
             self.add(name, getattr(counts, name))
         self.missed += counts.missed
 
@@ -71,9 +81,12 @@ class Totals:
         """The summary line."""
         if link == "can":
             names = ("decoded", "unknown", "malformed", "filtered", "errors")
+            # Only transports have frames that steer, and frames of packets that are not whole.
+            more = [f"{n}={self[n]}" for n in ("control", "pending") if self[n]]
             parts = [
                 f"frames={self['total']}",
                 *(f"{n}={self[n]}" for n in names),
+                *more,
                 f"lines_unreadable={self.lines_unreadable}",
             ]
             return " ".join(parts)

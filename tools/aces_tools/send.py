@@ -148,7 +148,7 @@ class Sending:
         self.variant, self.message = found[0], found[0].messages[name]
         self.fields = parse_fields(self.message, texts)
         encoder = self.variant.encoder
-        return lambda: [_word(encoder.next(name, **self.fields))]
+        return lambda: _words(encoder.next(name, **self.fields))
 
     def _often(self) -> tuple[int | None, int | None, int | None]:
         """The period, how many times, and for how long, in ns."""
@@ -175,12 +175,13 @@ class Sending:
         writer = self.writer()
         self.output.write(writer.begin(self._where, self.link))
         is_json = self.arguments.format == "jsonl"
+        scanner = self._receiver()
         for word in self.first:
             if not is_json:
                 shown = notation(word) if isinstance(word, Frame) else word.hex(" ").upper()
                 self.output.write(f"{self._where}  {shown}\n".encode())
             if is_json or self.plans:
-                self.output.write(writer.items(self._decoded(word)))
+                self.output.write(writer.items(self._decoded(scanner, word)))
         if self.arguments.bits and self.message is not None:
             self.output.write("".join(f"{line}\n" for line in ["", *picture(self.message)]).encode())
         self.output.close()
@@ -196,17 +197,17 @@ class Sending:
         """What writers call the kind of bus."""
         return "can" if self.is_can else "serial"
 
-    def _decoded(self, word: Word) -> list[Any]:
-        """What a receiver would make of it."""
+    def _receiver(self) -> Any:
+        """A scanner for what is sent."""
         if not self.variants:
-            if isinstance(word, bytes):
-                return [
-                    Unknown("unknown", Meta(None, None, None, None, None, word, offset=0, size=len(word)))
-                ]
-
-            return CanScanner((), include_unknown=True).feed([word])
+            return CanScanner((), include_unknown=True)
         direction = self.message.direction if self.message is not None else None
-        scanner: Any = make_scanner(self.variants, direction=direction or "both", include_unknown=True)
+        return make_scanner(self.variants, direction=direction or "both", include_unknown=True)
+
+    def _decoded(self, scanner: Any, word: Word) -> list[Any]:
+        """What a receiver would make of it; of a packet in several frames, with its last one."""
+        if not self.variants and isinstance(word, bytes):
+            return [Unknown("unknown", Meta(None, None, None, None, None, word, offset=0, size=len(word)))]
         return list(scanner.feed([word]) if isinstance(word, Frame) else scanner.datagram(word))
 
     def writer(self) -> Any:
@@ -338,9 +339,11 @@ def raw_word(text: str) -> Word:
     return message_to_frame(frame)
 
 
-def _word(made: Any) -> Word:
-    """What an encoder made: a python-can message as a frame, bytes as they are."""
-    return made if isinstance(made, bytes) else message_to_frame(made)
+def _words(made: Any) -> list[Word]:
+    """What an encoder made: python-can messages as frames, bytes as they are."""
+    if isinstance(made, bytes):
+        return [made]
+    return [message_to_frame(one) for one in (made if isinstance(made, list) else [made])]
 
 
 class _Untitled(LiveText):

@@ -5,25 +5,31 @@
 2. Frames are sorted by what they may be, not by identifier: one sort a table, then every message is a slice.
 
 The sort is stable, so a message's frames stay in the order of the capture. What an identifier may be is looked up once:
-in an array for 11-bit identifiers, in a sorted list for all other keys.
+in an array for 11-bit identifiers, in a sorted list for all other keys. Frames of a transport are a slice, too: its packets
+are a table like that of frames, which goes the same way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from ...frame_table import ERROR, RX, TX, UNUSUAL, FrameTable
+from ...frame_table import ERROR, RX, TX, UNUSUAL, FrameTable, rows_at
 from ...frame_table import REMOTE as REMOTE_FLAG
 from ..counts import ScanCounts, sum_counts
 from ..declare.ambiguity import ordered
 from ..declare.message import Direction, Message
 from ..declare.protocol import Variant
+from ..declare.transport import Transport
 from ..live.can import CanScanner, ChannelScanners
 from ..live.decide import REMEMBERED
+from .reassemble import CarriedTable, ColumnReassembler
 from .rows import PacketRows, RowDecoder
 from .scanner import RecordColumns
 from .table import Array, Column, ColumnKind, MessageTable, by_message, lost_table, object_array
@@ -67,96 +73,18 @@ class Handover:
     frames: int
 
 
-class CanColumns:
-    """The column scanner of CAN; made by `make_column_scanner`.
+class _KeySlots:
+    """The slots of keys; what each is, `slot_of` says once."""
 
-    Several processes can share a capture: each has a scanner with `defer`, which leaves frames that hang on others
-    alone, and one process, given every `hand_over` in the order of the capture, decodes these (`adopt`).
-    """
-
-    link = "can"
-
-    def __init__(
-        self,
-        variants: Sequence[Variant],
-        *,
-        direction: Direction | Literal["both"] | None = None,
-        include_unknown: bool = False,
-        raw: bool = False,
-        defer: bool = False,
-    ) -> None:
-        self.variants = tuple(variants)
-        self._defer = defer
-        self._deferred: list[tuple[FrameTable, Array]] = []
-        self.include_unknown = include_unknown
-        self.raw = raw
-        # What takes the slow way: it also gives the reasons of losses.
-        self._scanner = CanScanner(variants, direction=direction, include_unknown=True, raw=raw)
-        self._slow = RecordColumns(variants, include_unknown=True, raw=raw, scanner=self._scanner)
-        self._wires = self._scanner.wires
-        self._candidates: list[tuple[_Candidate, ...]] = [(), (), ()]
-        self._by_names: dict[tuple[tuple[int, str], ...], int] = {}
-        self._decoders: dict[tuple[int, str], _Candidate] = {}
+    def __init__(self, slot_of: Callable[[int], int]) -> None:
+        self._slot = slot_of
         #: Slots of 11-bit data frames; −1 not looked up yet.
         self._standard = np.full(STANDARD, -1, np.int32)
         #: All other keys that were looked up, sorted, and their slots.
         self._keys = np.empty(0, np.uint32)
         self._slots = np.empty(0, np.int32)
-        self._counts = ScanCounts()
-        self._fed = 0
-        self._reasons: dict[tuple[int, int], str] = {}
-        self._counters: dict[_Who, tuple[int, int, int]] = {}
 
-    @property
-    def contested(self) -> Mapping[int, tuple[str, str]]:
-        """Keys that two protocols claim, with their names, first the one that wins."""
-        return self._scanner.contested
-
-    @property
-    def counts(self) -> ScanCounts:
-        """Where every frame went so far."""
-        live = self._scanner.counts
-        own = self._counts
-        both = sum_counts((own, live))
-        both.records = own.decoded + live.records
-        both.total = both.decoded + both.pending + sum(both.reasons.values())
-        return both
-
-    # ------------------------------------------------------------------ which messages a key may be
-
-    def _slot(self, key: int) -> int:
-        """The slot of a key: the messages that it may be, in the order in which they are tried."""
-        if self._scanner.is_carried(key):
-            return _LIVE
-        names: list[tuple[int, str]] = []
-        for number, wire in enumerate(self._wires):
-            for message in ordered(wire.candidates(key)):
-                context = wire.context
-                if (
-                    message.name in wire.contextual
-                    or message.name in context.requests
-                    or message.name in context.answers
-                    or self._candidate(number, message).decoder.reason
-                ):
-                    return _LIVE
-                names.append((number, message.name))
-        if not names:
-            return _UNKNOWN
-        chosen = tuple(names)
-        if chosen not in self._by_names:
-            self._by_names[chosen] = len(self._candidates)
-            self._candidates.append(tuple(self._decoders[name] for name in chosen))
-        return self._by_names[chosen]
-
-    def _candidate(self, number: int, message: Message) -> _Candidate:
-        name = (number, message.name)
-        if name not in self._decoders:
-            variant = self.variants[number]
-            decoder = RowDecoder(message.plan, raw=self.raw, message=message)
-            self._decoders[name] = _Candidate(message, decoder, variant.name, number)
-        return self._decoders[name]
-
-    def _slots_of(self, table: FrameTable) -> Array:
+    def of(self, table: FrameTable) -> Array:
         """The slot of each frame, int32 (n,)."""
         flags = table.flags
         any_flags = int(np.bitwise_or.reduce(flags)) if len(flags) else 0
@@ -200,6 +128,120 @@ class CanColumns:
             self._slots = np.array([memory[key] for key in self._keys.tolist()], np.int32)
         return np.array([new[key] for key in unique.tolist()], np.int32)[inverse]
 
+
+class _Carrier:
+    """A transport in columns: its packets under way, and the slots of the keys of packets."""
+
+    def __init__(self, transport: Transport, slot_of: Callable[[int], int]) -> None:
+        self.transport = transport
+        self.reassembler = ColumnReassembler(transport)
+        self.slots = _KeySlots(slot_of)
+
+
+class CanColumns:
+    """The column scanner of CAN; made by `make_column_scanner`.
+
+    Several processes can share a capture: each has a scanner with `defer`, which leaves frames that hang on others
+    alone, and one process, given every `hand_over` in the order of the capture, decodes these (`adopt`).
+    """
+
+    link = "can"
+
+    def __init__(
+        self,
+        variants: Sequence[Variant],
+        *,
+        direction: Direction | Literal["both"] | None = None,
+        include_unknown: bool = False,
+        raw: bool = False,
+        defer: bool = False,
+    ) -> None:
+        self.variants = tuple(variants)
+        self._defer = defer
+        self._deferred: list[tuple[FrameTable, Array]] = []
+        self.include_unknown = include_unknown
+        self.raw = raw
+        # What takes the slow way: it also gives the reasons of losses.
+        self._scanner = CanScanner(variants, direction=direction, include_unknown=True, raw=raw)
+        self._slow = RecordColumns(variants, include_unknown=True, raw=raw, scanner=self._scanner)
+        self._wires = self._scanner.wires
+        self._candidates: list[tuple[_Candidate, ...]] = [(), (), ()]
+        self._by_names: dict[tuple[tuple[int, str], ...], int] = {}
+        self._decoders: dict[tuple[int, str], _Candidate] = {}
+        self._slots = _KeySlots(self._slot)
+        #: The transports whose packets are decoded in columns, by their slots.
+        self._carriers: dict[int, _Carrier] = {}
+        self._counts = ScanCounts()
+        self._fed = 0
+        self._reasons: dict[tuple[Transport | None, int, int], str] = {}
+        self._counters: dict[_Who, tuple[int, int, int]] = {}
+
+    @property
+    def contested(self) -> Mapping[int, tuple[str, str]]:
+        """Keys that two protocols claim, with their names, first the one that wins."""
+        return self._scanner.contested
+
+    @property
+    def counts(self) -> ScanCounts:
+        """Where every frame went so far."""
+        live = self._scanner.counts
+        own = self._counts
+        both = sum_counts((own, live))
+        both.pending += sum(carrier.reassembler.pending for carrier in self._carriers.values())
+        both.total = both.decoded + both.pending + sum(both.reasons.values())
+        return both
+
+    # ------------------------------------------------------------------ which messages a key may be
+
+    def _slot(self, key: int, transport: Transport | None = None) -> int:
+        """The slot of a key: the messages that it may be, in the order in which they are tried. Of a frame that a transport
+        carries, the transport; with `transport` the key is that of its packets."""
+        if transport is None and (carried := self._scanner.transport_of(key)) is not None:
+            return self._carrier_slot(carried)
+        names: list[tuple[int, str]] = []
+        for number, wire in enumerate(self._wires):
+            for message in ordered(wire.candidates(key, transport)):
+                if self._is_live(number, message):
+                    return _LIVE
+                names.append((number, message.name))
+        if not names:
+            return _UNKNOWN
+        chosen = tuple(names)
+        if chosen not in self._by_names:
+            self._by_names[chosen] = len(self._candidates)
+            self._candidates.append(tuple(self._decoders[name] for name in chosen))
+        return self._by_names[chosen]
+
+    def _is_live(self, number: int, message: Message) -> bool:
+        """Whether a message hangs on others, or has no columns."""
+        wire = self._wires[number]
+        names = (wire.contextual, wire.context.requests, wire.context.answers)
+        return any(message.name in some for some in names) or bool(
+            self._candidate(number, message).decoder.reason
+        )
+
+    def _carrier_slot(self, transport: Transport) -> int:
+        """The slot of a transport's frames. Where one of its messages is decided by the live scanner, so are all of them: in
+        which order packets are whole, frames say."""
+        known = next((slot for slot, one in self._carriers.items() if one.transport == transport), None)
+        if known is not None:
+            return known
+        for number, wire in enumerate(self._wires):
+            if any(m.transport == transport and self._is_live(number, m) for m in wire.messages):
+                return _LIVE
+        slot = len(self._candidates)
+        self._candidates.append(())
+        self._carriers[slot] = _Carrier(transport, lambda key: self._slot(key, transport))
+        return slot
+
+    def _candidate(self, number: int, message: Message) -> _Candidate:
+        name = (number, message.name)
+        if name not in self._decoders:
+            variant = self.variants[number]
+            decoder = RowDecoder(message.plan, raw=self.raw, message=message)
+            self._decoders[name] = _Candidate(message, decoder, variant.name, number)
+        return self._decoders[name]
+
     # ------------------------------------------------------------------ feeding
 
     def feed(self, table: FrameTable, rows: Array | None = None, /) -> list[MessageTable]:
@@ -209,39 +251,89 @@ class CanColumns:
         """
         if not len(table):
             return []
-        slots = self._slots_of(table)
-        top = len(self._candidates)
-        order = np.argsort(slots.astype(np.uint16) if top < 1 << 16 else slots, kind="stable")
-        ends = np.cumsum(np.bincount(slots, minlength=top)).tolist()
+        slots = self._slots.of(table)
         if rows is None:
             rows = np.arange(self._fed, self._fed + len(table))
         self._fed += len(table)
-        batch = _Batch(table, order, rows)
+        batch = _Batch(table, slots, rows, len(self._candidates))
         lost: list[_Lost] = []
         tables: list[MessageTable] = []
         older: list[MessageTable] = []
-        start = 0
-        for slot, end in enumerate(ends):
-            if end == start:
-                continue
-            if slot == _LIVE:
+        for slot, start, end in batch.slices:
+            if slot == _LIVE or (self._defer and slot in self._carriers):
                 self._live(batch, start, end, tables, lost, older)
+            elif slot in self._carriers:
+                some, numbers = table, rows
+                if end - start < len(table):
+                    places = batch.order[start:end]
+                    some, numbers = table.take(places), rows[places]
+                self._carried(self._carriers[slot], some, numbers, tables, older)
             elif slot in (_UNKNOWN, _ERROR):
-                reason = "unknown" if slot == _UNKNOWN else "error frame"
-                self._counts.lose(end - start, reason)
-                if self.include_unknown:
-                    lost.append(_Lost(order[start:end], [reason] * (end - start)))
+                self._lose(
+                    batch, batch.order[start:end], "unknown" if slot == _UNKNOWN else "error frame", lost
+                )
             else:
                 self._decode(batch, start, end, self._candidates[slot], tables, lost)
-            start = end
         out = merge_tables(tables)
         if self.include_unknown and (lost or older):
             out += merge_tables([*older, self._lost_table(batch, lost)] if lost else older)
         return out
 
+    def _lose(self, batch: _Batch, places: Array, reason: str, lost: list[_Lost]) -> None:
+        self._counts.lose(batch.frames_of(places), reason)
+        if self.include_unknown:
+            lost.append(_Lost(places, [reason] * len(places)))
+
+    def _carried(
+        self,
+        carrier: _Carrier,
+        table: FrameTable,
+        rows: Array,
+        tables: list[MessageTable],
+        older: list[MessageTable],
+    ) -> None:
+        """Frames of a transport, `rows` of the capture: packets go the way of frames; `older` are losses."""
+        decided = carrier.reassembler.feed(table, rows)
+        lost: list[tuple[Array, list[str]]] = [(decided.lost, decided.reasons)]
+        for reason, number in Counter(decided.reasons).items():
+            self._counts.lose(number, reason)
+        for carried in decided.packets:
+            lost += self._packets(carrier, carried, tables)
+        if self.include_unknown:
+            places = np.concatenate([places for places, _ in lost])
+            if len(places):
+                reasons = [reason for _, some in lost for reason in some]
+                older.append(_losses(decided.table, decided.rows, places, reasons))
+
+    def _packets(
+        self, carrier: _Carrier, carried: CarriedTable, tables: list[MessageTable]
+    ) -> list[tuple[Array, list[str]]]:
+        """Packets of a transport: their messages, and the frames of those that are none."""
+        slots = carrier.slots.of(carried.packets)
+        batch = _Batch(
+            carried.packets, slots, carried.rows, len(self._candidates), carrier.transport, carried
+        )
+        lost: list[_Lost] = []
+        for slot, start, end in batch.slices:
+            if slot == _UNKNOWN:
+                self._lose(batch, batch.order[start:end], "unknown", lost)
+            else:
+                self._decode(batch, start, end, self._candidates[slot], tables, lost)
+        return [
+            (carried.frames_of(place), [reason] * int(carried.counts[place]))
+            for one in lost
+            for place, reason in zip(one.places.tolist(), one.reasons, strict=True)
+        ]
+
     def close(self) -> list[MessageTable]:
         """The end of a capture: frames of packets that are not whole are pending. Other frames are whole."""
-        return merge_tables(self._slow.close()) if self.include_unknown else self._slow.close()[:0]
+        tables = self._slow.close()
+        for carrier in self._carriers.values():
+            left, rows = carrier.reassembler.close()
+            self._counts.pending += len(rows)
+            if len(rows):
+                tables.append(_losses(left, rows, np.arange(len(rows)), ["pending"] * len(rows)))
+        return merge_tables(tables) if self.include_unknown else []
 
     def _decode(
         self,
@@ -268,9 +360,9 @@ class CanColumns:
                 left = rest if left is None else left[rest]
                 rows = rows.take(rest)
         places = batch.order[start:end] if left is None else batch.order[start:end][left]
-        reasons = self._why(candidates, rows)
-        for reason in reasons:
-            self._counts.lose(1, reason)
+        reasons = self._why(candidates, rows, batch.transport)
+        for place, reason in zip(places.tolist(), reasons, strict=True):
+            self._counts.lose(batch.frames_of(place), reason)
         lost.append(_Lost(places, reasons))
 
     def _add(
@@ -284,7 +376,10 @@ class CanColumns:
         tables: list[MessageTable],
     ) -> None:
         table = batch.message_table(start, end, which, candidate, rows)
-        self._counts.decoded += len(rows)
+        self._counts.records += len(rows)
+        self._counts.decoded += (
+            len(rows) if batch.transport is None else batch.frames_of(batch.some(start, end, which))
+        )
         if candidate.message.counters:
             self._count_missed(candidate, table, rows)
         tables.append(table)
@@ -316,8 +411,10 @@ class CanColumns:
 
     # ------------------------------------------------------------------ losses
 
-    def _why(self, candidates: tuple[_Candidate, ...], rows: PacketRows) -> list[str]:
-        """Why frames are none of the messages that their identifier allows."""
+    def _why(
+        self, candidates: tuple[_Candidate, ...], rows: PacketRows, transport: Transport | None
+    ) -> list[str]:
+        """Why frames, or packets of a transport, are none of the messages that their identifier allows."""
         by_length = not any(c.decoder.plan.constants or c.decoder.plan.one_of for c in candidates)
         out = []
         width = rows.data.shape[1]
@@ -327,32 +424,19 @@ class CanColumns:
             known = by_length and not any(
                 c.decoder.plan.lengths is None or length in c.decoder.plan.lengths for c in candidates
             )
-            reason = self._reasons.get((key, length)) if known else None
+            reason = self._reasons.get((transport, key, length)) if known else None
             if reason is None:
                 data = raw[index * width : index * width + length]
-                reasons = [wire.reason(key, data) for wire in self._wires]
+                reasons = [wire.reason(key, data, transport) for wire in self._wires]
                 reason = next((r for r in reasons if r != "unknown"), "unknown")
                 if known and len(self._reasons) < REMEMBERED:
-                    self._reasons[key, length] = reason
+                    self._reasons[transport, key, length] = reason
             out.append(reason)
         return out
 
     def _lost_table(self, batch: _Batch, lost: Sequence[_Lost]) -> MessageTable:
         places = np.concatenate([one.places for one in lost])
-        by_place = np.argsort(places, kind="stable")
-        places = places[by_place]
-        some = batch.table.take(places)
-        return lost_table(
-            object_array([reason for one in lost for reason in one.reasons])[by_place],
-            lambda: object_array([frame.data for frame in some.frames()]),
-            is_stream=False,
-            time=some.time,
-            channel=some.channel,
-            channels=some.channels,
-            key=some.key,
-            row=batch.numbers[places],
-            rx=_way(some.flags),
-        )
+        return _losses(batch.table, batch.numbers, places, [reason for one in lost for reason in one.reasons])
 
     # ------------------------------------------------------------------ rolling counters
 
@@ -395,40 +479,91 @@ class CanColumns:
         if first is None:
             first = self._fed
         self._counts.decoded += given.counts.decoded
+        self._counts.records += given.counts.records
         self._counts.missed += given.counts.missed
         for reason, number in given.counts.reasons.items():
             self._counts.lose(number, reason)
         for place, (first, last, modulo) in given.counters.items():
             self._go_on(place, first, last, modulo)
         tables: list[MessageTable] = []
+        fed = self._fed
         for table, rows in given.deferred:
-            for one in self._slow.frames(table, rows + first):
-                if one.message or self.include_unknown:
-                    tables.append(one)
-        self._fed += given.frames
+            tables += self.feed(table, rows + first)
+        self._fed = fed + given.frames
         return merge_tables(tables)
 
 
 class _Batch:
     """A table of frames in the order of their slots; the sorted columns are made once."""
 
-    def __init__(self, table: FrameTable, order: Array, numbers: Array) -> None:
+    def __init__(
+        self,
+        table: FrameTable,
+        slots: Array,
+        numbers: Array,
+        top: int,
+        transport: Transport | None = None,
+        carried: CarriedTable | None = None,
+    ) -> None:
         self.table = table
-        self.order = order
+        self.order = np.argsort(slots.astype(np.uint16) if top < 1 << 16 else slots, kind="stable")
+        ends = np.cumsum(np.bincount(slots, minlength=top)).tolist()
+        #: Each slot that occurs, with its part of the sorted columns.
+        self.slices = [
+            (slot, start, end) for slot, (start, end) in enumerate(pairwise([0, *ends])) if end > start
+        ]
+        #: Where the frames are packets: of which transport, and what they are made of.
+        self.transport, self.carried = transport, carried
         #: The frames' numbers in the capture, in the table's order.
         self.numbers = numbers
-        self._row = numbers[order]
-        self._data = _gathered(table.data, order)
-        self._lengths = _sorted(table.length, order)
-        if int(np.bitwise_or.reduce(table.flags)) & REMOTE_FLAG:
+
+    # The sorted columns, made when some message of the table is decoded.
+
+    @cached_property
+    def _row(self) -> Array:
+        return self.numbers[self.order]
+
+    @cached_property
+    def _data(self) -> Array:
+        return rows_at(self.table.data, self.order)
+
+    @cached_property
+    def _lengths(self) -> Array:
+        flags = self.table.flags
+        if int(np.bitwise_or.reduce(flags)) & REMOTE_FLAG:
             # A remote frame's number is what it asks for; data it has none.
-            self._lengths = np.where(table.flags[order] & REMOTE_FLAG, 0, self._lengths)
-        self._keys = table.key[order]
-        self._time = table.time[order]
-        self._channel = _sorted(table.channel, order)
-        flags = table.flags
-        ways = int(np.bitwise_or.reduce(flags)) & (RX | TX)
-        self._rx = np.full(len(table), 2, np.uint8) if not ways else _way(flags)[order]
+            return np.where(flags[self.order] & REMOTE_FLAG, 0, _sorted(self.table.length, self.order))
+        return _sorted(self.table.length, self.order)
+
+    @cached_property
+    def _keys(self) -> Array:
+        return self.table.key[self.order]
+
+    @cached_property
+    def _time(self) -> Array:
+        return self.table.time[self.order]
+
+    @cached_property
+    def _channel(self) -> Array:
+        return _sorted(self.table.channel, self.order)
+
+    @cached_property
+    def _rx(self) -> Array:
+        flags = self.table.flags
+        is_said = int(np.bitwise_or.reduce(flags)) & (RX | TX)
+        return _way(flags)[self.order] if is_said else np.full(len(flags), 2, np.uint8)
+
+    def some(self, start: int, end: int, which: Array | None) -> Array:
+        """The places of those of [start, end) that are named (None: all)."""
+        places = self.order[start:end]
+        return places if which is None else places[which]
+
+    def frames_of(self, places: Any) -> int:
+        """How many frames there are at some places."""
+        counts = (
+            self.carried.counts[places] if self.carried is not None else np.ones(np.shape(places), np.int64)
+        )
+        return int(counts.sum())
 
     def rows(self, start: int, end: int) -> PacketRows:
         """The frames [start, end) as rows."""
@@ -462,7 +597,29 @@ class _Batch:
             decoder.kinds,
             make,
             message.doc,
+            frames=None if self.carried is None else self.carried.counts[self.some(start, end, which)],
+            first_time=None
+            if self.carried is None
+            else self.carried.first_time[self.some(start, end, which)],
         )
+
+
+def _losses(table: FrameTable, rows: Array, places: Array, reasons: Sequence[str]) -> MessageTable:
+    """The table of frames that are lost, by their places, in the order of the capture."""
+    by_place = np.argsort(places, kind="stable")
+    places = places[by_place]
+    some = table.take(places)
+    return lost_table(
+        object_array(reasons)[by_place],
+        lambda: object_array([frame.data for frame in some.frames()]),
+        is_stream=False,
+        time=some.time,
+        channel=some.channel,
+        channels=some.channels,
+        key=some.key,
+        row=rows[places],
+        rx=_way(some.flags),
+    )
 
 
 def _sorted(column: Array, order: Array) -> Array:
@@ -471,15 +628,6 @@ def _sorted(column: Array, order: Array) -> Array:
     if first == column[-1] and (column == first).all():
         return np.broadcast_to(first, column.shape)
     found: Array = column[order]
-    return found
-
-
-def _gathered(data: Array, order: Array) -> Array:
-    """Rows in another order; rows of eight bytes as words, which is much quicker."""
-    if data.shape[1] == 8 and data.flags.c_contiguous:
-        words: Array = data.view(np.uint64).ravel()[order]
-        return words.view(np.uint8).reshape(-1, 8)
-    found: Array = data[order]
     return found
 
 

@@ -191,7 +191,7 @@ class Gatherer:
         """The records, of which `rows` are the numbers in the capture; of a stream the packets' offsets."""
         n = len(records)
         message = message_of(self.record)
-        is_stream = message.framing is not None
+        is_stream, is_carried = message.framing is not None, message.transport is not None
         fillers = self._fillers
         return MessageTable(
             protocol=protocol_name_of(self.record),
@@ -208,6 +208,10 @@ class Gatherer:
             make=lambda kind: fillers[kind.name](kind, records),
             doc=self.plan.doc,
             size=np.fromiter((len(r._raw) for r in records), np.int64, n) if is_stream else None,
+            frames=np.fromiter((len(r._raw.frames) for r in records), np.int64, n) if is_carried else None,
+            first_time=np.fromiter((to_ns(r._raw.first_time) for r in records), np.int64, n)
+            if is_carried
+            else None,
         )
 
 

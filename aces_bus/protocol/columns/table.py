@@ -147,6 +147,9 @@ class MessageTable:
     doc: str = ""
     #: Packet sizes in bytes (streams).
     size: Array | None = None
+    #: Of packets that a transport carried: how many frames they came in, and the instant of the first one (ns).
+    frames: Array | None = None
+    first_time: Array | None = None
     _made: dict[str, Column] = field(default_factory=dict, repr=False, compare=False)
 
     def __len__(self) -> int:
@@ -195,6 +198,8 @@ class MessageTable:
             make,
             self.doc,
             None if self.size is None else self.size[which],
+            None if self.frames is None else self.frames[which],
+            None if self.first_time is None else self.first_time[which],
         )
 
     @cached_property
@@ -234,8 +239,14 @@ class MessageTable:
             first.kinds,
             take,
             first.doc,
-            None if first.size is None else np.concatenate([t.size for t in tables if t.size is not None]),
+            *(_together([getattr(t, name) for t in tables]) for name in ("size", "frames", "first_time")),
         )
+
+
+def _together(parts: Sequence[Array | None]) -> Array | None:
+    """Columns of several tables as one; None where they have none."""
+    some = [part for part in parts if part is not None]
+    return np.concatenate(some) if len(some) == len(parts) else None
 
 
 def by_message(tables: Iterable[MessageTable]) -> list[list[MessageTable]]:

@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 from ...errors import SpecError
+from ..keys import EXTENDED
 from .pattern import IdPattern, as_pattern
 from .place import caller
-from .transport import FrameKind, FrameNumber, Transport
+from .transport import FrameKind, FrameNumber, Steering, Transport
 
 _TYPE = FrameNumber(0, 0xF0)
 
@@ -95,6 +96,41 @@ class IsoTp(Transport):
     @property
     def patterns(self) -> tuple[tuple[IdPattern, bool], ...]:
         return tuple((one, self.extended) for one in (self.to_device, self.from_device) if one is not None)
+
+    def answered_by(self, key: int) -> int | None:
+        """The key of frames that go the other way; None where the transport does not name both identifiers."""
+        ways = (self.to_device, self.from_device)
+        for one, other in (ways, ways[::-1]):
+            captures = one.match(key & 0x1FFF_FFFF) if one is not None else None
+            if (
+                captures is not None
+                and other is not None
+                and {c.name for c in other.captures} <= set(captures)
+            ):
+                return (key & EXTENDED) | int(other.number(captures))
+        return None
+
+    def go_ahead(self, key: int, data: bytes) -> tuple[int, bytes] | None:
+        """Flow control: go on, with all of it, as fast as you like. None with extended addressing, where it has the address
+        of the sender, which its frames do not say."""
+        back = self.answered_by(key)
+        if back is None or self.addressing == "extended" or self.part(key, data).role != "first":
+            return None
+        return back, self.padded(data[: self.address] + b"\x30\x00\x00")
+
+    def steering(self, key: int, data: bytes) -> Steering | None:
+        """What flow control says: status, block size, the least time between frames (ISO 15765-2: up to 127 ms, or 100 µs to
+        900 µs; reserved values mean 127 ms)."""
+        body, back = data[self.address :], self.answered_by(key)
+        if back is None or len(body) < 3 or body[0] >> 4 != 3:
+            return None
+        status, block, least = body[0] & 0x0F, body[1], body[2]
+        if 0xF1 <= least <= 0xF9:
+            gap_ns = (least - 0xF0) * 100_000
+        else:
+            gap_ns = min(least, 0x7F) * 1_000_000
+        go: Literal["on", "wait", "stop"] = "on" if status == 0 else "wait" if status == 1 else "stop"
+        return Steering(go, back, block, gap_ns)
 
     def identifier(self, direction: str | None) -> IdPattern | None:
         """The identifier of packets in a direction, where the transport names it."""

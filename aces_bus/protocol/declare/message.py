@@ -258,7 +258,7 @@ class Message:
             raise SpecError(
                 f"{self.place}: fd, remote and any_format are of frames; those of {self.name} are made by its transport"
             )
-        most = transport.max_size
+        most = transport.longest
         low = max(low, transport.min_size)
         top = most if high is None else min(most, high + self.payload_start)
         wanted = range(low, top + 1) if length is None else (length,) if isinstance(length, int) else length

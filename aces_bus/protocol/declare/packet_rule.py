@@ -78,7 +78,7 @@ def judge_frames(transport: Transport, given: Sequence[GivenFrame]) -> Judged:
                 return Judged("broken", f"malformed: {_named(place, count)} is short")
         if (
             first.size is None
-            and len(first.data) + sum(len(p.data) for p in pieces.values()) > transport.max_size
+            and len(first.data) + sum(len(p.data) for p in pieces.values()) > transport.longest
         ):
             return Judged("broken", "malformed: too long")
         is_whole = len(pieces) + 1 == count if count is not None else ends

@@ -40,13 +40,23 @@ class FrameNumber:
         if not self.mask:
             object.__setattr__(self, "mask", (1 << 8 * self.size) - 1)
 
-    @property
+    @cached_property
     def shift(self) -> int:
         """How far the bits are above bit 0."""
         return (self.mask & -self.mask).bit_length() - 1
 
+    @property
+    def width(self) -> int:
+        """How many bits the number has."""
+        return (self.mask >> self.shift).bit_length()
+
     def of(self, data: bytes) -> int | None:
         """The number in a frame's data; None where the frame is too short."""
+        if self.size == 1:
+            try:
+                return (data[self.byte] & self.mask) >> self.shift
+            except IndexError:
+                return None
         start = self.byte if self.byte >= 0 else len(data) + self.byte
         piece = data[start : start + self.size] if start >= 0 else b""
         if len(piece) < self.size:
@@ -107,6 +117,16 @@ class FramePart(NamedTuple):
     reason: str = ""
 
 
+class Steering(NamedTuple):
+    """What a receiver tells who sends it a packet of `key`: to go on with `count` frames (0: all), `gap_ns` from one to the
+    next; to wait; to stop."""
+
+    go: Literal["on", "wait", "stop"]
+    key: int
+    count: int = 0
+    gap_ns: int = 0
+
+
 @dataclass(frozen=True)
 class Transport:
     """How packets are cut into CAN frames, and the rule by which frames are packets again.
@@ -123,7 +143,7 @@ class Transport:
     * A first or single frame of the same session while a packet is open: that packet is malformed, it was restarted.
     * More than `timeout_s` seconds between two frames of a session: the packet before is malformed, it timed out.
     * `senders` packets may be open at once; when one more begins, the oldest is malformed. With `max_size`, the number of
-      bytes of the longest packet, this bounds what is kept.
+      bytes of the longest packet (its address aside), this bounds what is kept.
 
     `fd`: its frames are CAN FD. `address` bytes at the beginning of each frame belong to the address: they keep packets
     apart, too, and a packet's data begin with them. `pad` fills frames up (None: they are as short as they can be).
@@ -160,8 +180,13 @@ class Transport:
         return 64 if self.fd else 8
 
     @property
+    def longest(self) -> int:
+        """How many bytes a packet has at most, its address among them."""
+        return self.max_size + self.address
+
+    @property
     def min_size(self) -> int:
-        """How many bytes a packet has at least."""
+        """How many bytes a packet has at least, its address among them."""
         least = [kind.least for kind in self.kinds if kind.role in ("single", "first")]
         return self.address + min(least, default=0)
 
@@ -180,10 +205,24 @@ class Transport:
         """What a frame is; `key` is without the flag of CAN FD."""
         address = data[: self.address]
         body = data[self.address :] if self.address else data
-        for kind in self.kinds:
-            if kind.fits(body):
+        for kind, is_sure in self._by_first[body[0]] if body else ():
+            if (is_sure and len(body) > kind.over) or kind.fits(body):
                 return self._part(kind, key, address, body)
         return FramePart("bad", reason=f"malformed: no frame of {self.title}")
+
+    @cached_property
+    def _by_first(self) -> list[list[tuple[FrameKind, bool]]]:
+        """By the first byte of a frame behind its address, the kinds that it may be, and whether that byte says all."""
+        found: list[list[tuple[FrameKind, bool]]] = []
+        for first in range(256):
+            one = bytes([first])
+            kinds = [
+                (kind, [bits for bits, _ in kind.match if bits.byte or bits.size > 1])
+                for kind in self.kinds
+                if all(bits.byte or bits.size > 1 or bits.of(one) == value for bits, value in kind.match)
+            ]
+            found.append([(kind, not others) for kind, others in kinds])
+        return found
 
     def _part(self, kind: FrameKind, key: int, address: bytes, body: bytes) -> FramePart:
         if kind.role == "control":
@@ -193,6 +232,8 @@ class Transport:
         piece = body[kind.head : len(body) - kind.tail]
         number = kind.number.of(body) if kind.number is not None else 0
         is_last = kind.last is not None and kind.last.of(body) == 1
+        if kind.role == "next" and number is not None and kind.head + kind.tail <= len(body):
+            return FramePart("next", session, piece, key, None, number, is_last)
         size = kind.size.of(body) if kind.size is not None else None
         if number is None or (kind.size is not None and size is None) or kind.head + kind.tail > len(body):
             return FramePart("bad", reason="malformed: length")
@@ -203,23 +244,29 @@ class Transport:
                 return FramePart("bad", reason="malformed: length")
             return FramePart("single", session, address + piece[:size], key)
         if kind.role == "first":
-            if size is not None and size + self.address > self.max_size:
+            if size is not None and size > self.max_size:
                 return FramePart("bad", reason="malformed: too long")
             total = None if size is None else size + self.address
             return FramePart("first", session, address + piece, key, total, number, is_last)
-        return FramePart("next", session, piece, key, None, number, is_last)
+        return FramePart("bad", reason=f"malformed: no frame of {self.title}")
 
     def room(self, length: int) -> int:
         """How many bytes of a packet a full next frame has, the first frame having had `length` bytes of data."""
-        following = self._following
+        following = self.following
         return length - self.address - following.head - following.tail
+
+    @cached_property
+    def full_lengths(self) -> frozenset[int]:
+        """`lengths()`, asked once."""
+        return frozenset(self.lengths())
 
     def lengths(self) -> tuple[int, ...]:
         """How many bytes of data a first frame may have that is not the only one: those of a full frame."""
         return tuple(n for n in FD_LENGTHS if n >= 8) if self.fd else (8,)
 
     @cached_property
-    def _following(self) -> FrameKind:
+    def following(self) -> FrameKind:
+        """The kind of the frames that follow the first one."""
         return next(kind for kind in self.kinds if kind.role == "next")
 
     def unwrapped(self, data: bytes, extra: bytes) -> bytes | None:
@@ -229,6 +276,16 @@ class Transport:
         """
         return data
 
+    # ------------------------------------------------------------------ handshakes
+
+    def go_ahead(self, key: int, data: bytes) -> tuple[int, bytes] | None:
+        """The frame (key and data) with which a receiver of this frame lets its sender go on; None where none is needed."""
+        return None
+
+    def steering(self, key: int, data: bytes) -> Steering | None:
+        """What a frame tells who sends; None of frames that steer nothing."""
+        return None
+
     # ------------------------------------------------------------------ writing
 
     def split(self, key: int, data: bytes, sequence: int = 0, extra: bytes = b"") -> list[tuple[int, bytes]]:
@@ -236,8 +293,8 @@ class Transport:
 
         Raises `FieldError` for a packet that is too long.
         """
-        if len(data) > self.max_size:
-            raise FieldError(f"a packet of {len(data)} bytes; {self.title} has {self.max_size} at most")
+        if len(data) > self.longest:
+            raise FieldError(f"a packet of {len(data)} bytes; {self.title} has {self.longest} at most")
         address, body = data[: self.address], data[self.address :]
         room = self.frame_size - self.address
         for kind in self.kinds:
@@ -251,7 +308,7 @@ class Transport:
             raise FieldError(f"a packet of {len(body)} bytes, which {self.title} cannot carry")
         at = room - kind.head - kind.tail
         frames = [(key, self._frame(kind, address, body[:at], sequence, size=len(body)))]
-        following, number = self._following, self.first_number
+        following, number = self.following, self.first_number
         step = room - following.head - following.tail
         while at < len(body):
             piece, at = body[at : at + step], at + step
@@ -291,4 +348,4 @@ class Transport:
         )
 
 
-__all__ = ["FrameKind", "FrameNumber", "FramePart", "Role", "Transport"]
+__all__ = ["FrameKind", "FrameNumber", "FramePart", "Role", "Steering", "Transport"]

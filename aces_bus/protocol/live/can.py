@@ -341,22 +341,18 @@ class CanScanner:
         """Whether some messages are carried in several frames: then not every frame gives something by itself."""
         return bool(self._carriers)
 
-    def is_carried(self, key: int) -> bool:
-        """Whether frames of a key are a transport's."""
+    def transport_of(self, key: int) -> Transport | None:
+        """The transport whose frames have a key."""
         bare = key & ~FD
         carrier = self._find_carrier(bare) if self._carriers else None
-        return carrier is not None and (key == bare or carrier.transport.fd)
+        return carrier.transport if carrier is not None and (key == bare or carrier.transport.fd) else None
 
     def carries(self, frame: Any) -> bool:
         """Whether a frame is a transport's."""
-        return self.is_carried(
-            key_of(
-                frame.arbitration_id,
-                extended=frame.is_extended_id,
-                remote=frame.is_remote_frame,
-                fd=frame.is_fd,
-            )
+        key = key_of(
+            frame.arbitration_id, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd
         )
+        return self.transport_of(key) is not None
 
     def feed_numbered(self, frames: Iterable[Any], numbers: Iterable[int]) -> tuple[list[Record], list[int]]:
         """`feed`, and for each that is given the number of its frame; of a packet, of its last one."""
@@ -463,7 +459,7 @@ class CanScanner:
 
     def _unwrapped(self, transport: Transport, packet: Packet) -> bytes | None:
         """A packet's bytes without the check that its transport has added; None where it does not hold."""
-        if len(packet.frames) == 1:
+        if len(packet.frames) == 1 or type(transport).unwrapped is Transport.unwrapped:
             return packet.data
         candidates = (m for wire in self.wires for m in wire.candidates(packet.key, transport))
         return transport.unwrapped(packet.data, next((m.check_extra for m in candidates), b""))
@@ -663,6 +659,11 @@ class ChannelScanner(ChannelScanners[CanScanner]):
         for channel, some in groupby(frames, key=lambda frame: frame.channel):
             out += self.of(channel).feed(list(some))
         return out
+
+    @property
+    def has_transports(self) -> bool:
+        """Whether some messages are carried in several frames."""
+        return any(m.transport is not None for variant in self.variants for m in variant.messages.values())
 
     def reset(self) -> None:
         """Forget everything seen, counts included: as if just made."""

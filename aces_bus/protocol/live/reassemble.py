@@ -117,7 +117,7 @@ class Reassembler:
         if part.is_last or (part.size is not None and made.total == 1):
             yield Packet(made.frames, "", part.key, made.joined())
             return
-        if len(mine.data) not in self.transport.lengths():
+        if len(mine.data) not in self.transport.full_lengths:
             yield Packet([mine], "malformed: first frame is short")
             return
         if len(self._open) >= self.transport.senders:
@@ -153,7 +153,7 @@ class Reassembler:
             yield self._give_up(who, f"malformed: {found.named(place)} is short")
         elif (
             found.part.size is None
-            and len(found.part.data) + sum(map(len, pieces.values())) > transport.max_size
+            and len(found.part.data) + sum(map(len, pieces.values())) > transport.longest
         ):
             yield self._give_up(who, "malformed: too long")
         elif is_last if not found.total else len(pieces) == found.total - 1:
