@@ -252,3 +252,26 @@ def test_canboats_table_is_imported_but_for_what_is_named(shared_captures: Path)
     assert len(imported.protocol.declared) > 570
     assert len(imported.losses) < 40
     assert imported.statements == len(imported.protocol.declared) + len(imported.losses)
+
+
+def test_a_table_that_would_cost_beyond_measure_is_cut(tmp_path: Path) -> None:
+    """Forms of one group, fields, names: what is too much is left out by name, and the rest stands."""
+    forms = [
+        {"PGN": 61440, "Id": f"form{n}", "Type": "Single", "Fields": [_number("a", 8, Match=n)]}
+        for n in range(130)
+    ]
+    wide = {"PGN": 61441, "Id": "wide", "Type": "Fast", "Fields": [_number(f"f{n}", 1) for n in range(1800)]}
+    beside = {
+        "PGN": 61442,
+        "Id": "b",
+        "Type": "Single",
+        "Fields": [_number("a", 3, Match=1), _number("b", 13)],
+    }
+    imported = table(tmp_path, *forms, wide, beside)
+    said = {one.reason.partition(": ")[2] for one in imported.losses}
+    assert said == {
+        "more than 128 forms of PGN 61440: left out",
+        "1,800 fields: left out",
+        "b has 13 bits beside a fixed value: left out",
+    }
+    assert len(imported.protocol.declared) == 129

@@ -38,8 +38,9 @@ from .import_dbc import protocol_name, read_text
 from .names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
 from .problems import ImportedProtocol, ImportProblem, clean_text, one_line, without_place
 
-#: Bytes of the largest table, and its PGNs, fields, and values with names.
-MOST_BYTES, MOST_PGNS, MOST_FIELDS, MOST_NAMES = 32 * 1024 * 1024, 16_384, 131_072, 262_144
+#: Bytes of the largest table, and its PGNs, forms of one PGN, fields, and values with names: canboat's has 3 MB, 611, 56,
+#: 5,000 and 6,000.
+MOST_BYTES, MOST_PGNS, MOST_FORMS, MOST_FIELDS, MOST_NAMES = 32 * 1024 * 1024, 4096, 128, 32_768, 262_144
 #: bit/s of every NMEA 2000 network.
 BITRATE = 250_000
 #: The longest fast packet, and the longest list item, in bits.
@@ -172,6 +173,8 @@ class _Builder:
         self.lines = lines if len(lines) == len(pgns) else [0] * len(pgns)
         self.problems: list[ImportProblem] = []
         self.taken = set(TAKEN_BY_CODE)
+        #: Names of values that fields have so far.
+        self.named = 0
         self.names = _tables(table, "LookupEnumerations", "EnumValues", "Value")
         self.flags = _tables(table, "LookupBitEnumerations", "EnumBitValues", "Bit")
         version = f", version {clean_text(str(table['Version']))[:40]}" if "Version" in table else ""
@@ -197,7 +200,9 @@ class _Builder:
             )
             try:
                 form = self._form(given, line)
-                forms.setdefault(form.pgn, []).append(form)
+                if len(some := forms.setdefault(form.pgn, [])) >= MOST_FORMS:
+                    raise _LeftOut(f"more than {MOST_FORMS} forms of PGN {form.pgn}")
+                some.append(form)
             except _LeftOut as reason:
                 self._problem(line, f"PGN {label}: {reason}: left out")
         for some in forms.values():
@@ -211,6 +216,8 @@ class _Builder:
             raise _LeftOut("a PGN has a number below 2¹⁸ and a list Fields")
         if given.get("Fallback"):
             raise _LeftOut("what stands for all PGNs that are not known")
+        if len(fields) > MOST_BITS:
+            raise _LeftOut(f"{len(fields):,} fields")
         kind = given.get("Type")
         if kind not in ("Single", "Fast"):
             raise _LeftOut(
@@ -269,6 +276,9 @@ class _Builder:
         if field.kind == "LOOKUP":
             known = self.names.get(str(get("LookupEnumeration")), {})
             names = {name: number for name, number in known.items() if low <= number <= high}
+            self.named += len(known)
+            if self.named > MOST_NAMES:
+                raise _LeftOut(f"more than {MOST_NAMES:,} names of values in all")
         sentinels = (_whole(get(key)) for key in ("UnknownValue", "OutOfRangeValue", "ReservedValue"))
         unknown = [one for one in sentinels if one is not None and low <= one <= high]
         unknown = [one for one in dict.fromkeys(unknown) if one not in names.values()]
@@ -293,6 +303,7 @@ class _Shape:
             if "Condition" in one.given:
                 raise _LeftOut("a field that is there on a condition")
         self.groups = _groups(form)
+        self.places = {field: place for place, field in enumerate(form.fields)}
         #: By the place of a field that counts a list, how it is asked for.
         self.counts: dict[int, Any] = {count: None for _, _, count in self.groups if count is not None}
 
@@ -327,6 +338,8 @@ class _Shape:
         size = sum(field.size for field in cell) // 8
         if len(cell) == 1 and cell[0].match is None and not cell[0].is_padding:
             return self._named(cell[0], self._alone(cell[0]))
+        if len(cell) == 1 and cell[0].match is None and size <= 8:
+            return self._named(cell[0], _integer(size, is_signed=False))
         if size > 4:
             raise _LeftOut(f"fixed values among {size} bytes that have no other borders")
         pattern, shift = IdPattern(0), 0
@@ -335,7 +348,7 @@ class _Shape:
                 if not 0 <= field.match < 1 << field.size:
                     raise _LeftOut(f"{one_line(field.name)[:60]} is never {field.match}")
                 pattern = pattern + (field.match << shift)
-            elif field.size > 16:
+            elif field.size > 8:
                 raise _LeftOut(f"{one_line(field.name)[:60]} has {field.size} bits beside a fixed value")
             else:
                 values = range(1 << field.size)
@@ -374,7 +387,7 @@ class _Shape:
                     if field.kind == "FLOAT"
                     else bits(field.size, at, signed=field.is_signed)
                 )
-                index = self.form.fields.index(field)
+                index = self.places[field]
                 if index not in self.counts:
                     place = self.builder.number(field, place)
                 made.append(self._named(field, place))
@@ -396,7 +409,7 @@ class _Shape:
 
     def _whole(self, field: _Field) -> c.Construct:
         """A field of whole bytes under its name."""
-        index = self.form.fields.index(field)
+        index = self.places[field]
         made = self._named(field, self._alone(field, is_count=index in self.counts))
         if index in self.counts:
             self.counts[index] = c.this[made.name]
@@ -527,10 +540,12 @@ def _tables(table: Mapping[str, Any], key: str, values: str, number: str) -> dic
     found: dict[str, dict[str, int]] = {}
     for one in table.get(key) or ():
         names: dict[str, int] = {}
+        seen: set[int] = set()
         for entry in (one.get(values) if isinstance(one, dict) else None) or ():
             value = _whole(entry.get(number)) if isinstance(entry, dict) else None
             name = clean_text(str(entry.get("Name") or "")) if value is not None else ""
-            if value is not None and name and value not in names.values():
+            if value is not None and name and value not in seen:
+                seen.add(value)
                 names[name if name not in names else f"{name} {value}"] = value
         if isinstance(one, dict):
             found[str(one.get("Name"))] = names

@@ -166,9 +166,11 @@ class _Enum:
     def add(self, other: _Enum) -> None:
         """Take over what another file has of the same enumeration."""
         self.is_bitmask = self.is_bitmask or other.is_bitmask
+        highest = max((one for one in self.entries.values() if one is not None), default=0)
         for name, value in other.entries.items():
-            known = [one for one in self.entries.values() if one is not None]
-            self.entries.setdefault(name, value if value is not None else max(known, default=0) + 1)
+            value = highest + 1 if value is None else value
+            highest = max(highest, value)
+            self.entries.setdefault(name, value)
 
     @property
     def values(self) -> Iterator[tuple[str, int]]:
@@ -508,6 +510,8 @@ class _Builder:
         words = tuple(get(word, "") for word in ("enum", "display", "units", "multiplier", "invalid"))
         if one.type == "uint8_t" and one.count and not any(words):
             return c.Bytes(one.count)
+        if words[0] in self.dialect.enums:
+            words = (*words[:2], "", "", "")  # names and flags have no units
         key = (one.type, *words)
         if key not in self._values:
             self._values[key] = self._meant(message, one, *words)
