@@ -68,7 +68,7 @@ class _Outgoing:
             else:
                 self.wait()
         elif self.allowed == 0:
-            self.allowed, self.gap_ns = steering.count or None, steering.gap_ns
+            self.allowed, self.gap_ns = steering.frames or None, steering.gap_ns
             self.go_on()
 
     def go_on(self) -> bool:

@@ -120,12 +120,12 @@ class FramePart(NamedTuple):
 
 
 class Steering(NamedTuple):
-    """What a receiver tells who sends it a packet of `key`: to go on with `count` frames (0: all), `gap_ns` from one to the
+    """What a receiver tells who sends it a packet of `key`: to go on with `frames` frames (0: all), `gap_ns` from one to the
     next; to wait; to stop."""
 
     go: Literal["on", "wait", "stop"]
     key: int
-    count: int = 0
+    frames: int = 0
     gap_ns: int = 0
 
 
