@@ -366,7 +366,7 @@ class CanGate(Gate[Frame]):
         return self._quick is None or self._quick.push()
 
     def _name_of(self, word: Frame) -> str:
-        return name_of(word)
+        return identifier_text(word)
 
     def _put_out(self, word: Frame) -> None:
         from .python_can import frame_to_message
@@ -394,14 +394,14 @@ class CanGate(Gate[Frame]):
                     raise
 
 
-def name_of(frame: Frame) -> str:
+def identifier_text(frame: Frame) -> str:
     """What a frame is called in events."""
     return f"{frame.arbitration_id:#x}"
 
 
 def not_allowed(frame: Frame) -> str:
     """Why a frame does not leave where others are allowed."""
-    return f"{name_of(frame)} is not among the identifiers that may be sent here (allow)"
+    return f"{identifier_text(frame)} is not among the identifiers that may be sent here (allow)"
 
 
 def _opener(options: dict[str, Any], *, listen_only: bool) -> Open:

@@ -18,12 +18,8 @@ from tests.tools.conftest import Aces
 from tests.tools.conftest import aces as aces
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
-<<<<<<< HEAD
-SPECS = ["mip.py", "tlv_sensor.py"]
-=======
-STREAMS = ["nmea0183.py", "mip.py", "tlv_sensor.py"]
+STREAMS = ["mip.py", "tlv_sensor.py"]
 SPECS = [*STREAMS, "fast_packet_device.py"]
->>>>>>> w1
 GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
 #: A ping, its answer, and a packet of sensor data (mip_sdk's parser accepts them).
 PING, PONG = bytes.fromhex("75650102 0201 E0C6"), bytes.fromhex("75650104 04F10100 D56A")

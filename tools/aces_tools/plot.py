@@ -113,7 +113,7 @@ DEFAULTS: dict[str, Any] = {"message": [], "filter": [], "strict": False}
 def run(arguments: argparse.Namespace) -> int:
     files, signals = split_arguments(arguments.items)
     if not signals and not arguments.list and all(os.path.isfile(file) for file in files):
-        survey = Survey(argparse.Namespace(**vars(arguments)))
+        survey = SignalSurvey(argparse.Namespace(**vars(arguments)))
         survey.run()
         if chosen := survey.chosen:
             arguments.items = [*files, *chosen]
@@ -330,7 +330,7 @@ class Plotting(TableDecoding):
         super()._summarise()
 
 
-class Survey(Plotting):
+class SignalSurvey(Plotting):
     """A look at what there is, before signals are chosen: nothing is drawn, and nothing said."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
