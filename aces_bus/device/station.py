@@ -110,7 +110,7 @@ class BusEndpoint(Generic[M]):
             port = CarriedPort(port, variants, self._is_carried_to_us)
         self.port, self.clock, self.name = port, port.clock, name or port.name
         self.variants = {variant.name: variant for variant in variants}
-        self.direction = direction
+        self.direction: Literal["to device", "from device"] = direction
         self.scanner = make_scanner(list(variants), direction=direction, include_unknown=True)
         self.members: dict[str, M] = {}
         self._routes: dict[type, _Route[M]] = {}

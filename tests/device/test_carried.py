@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 
 from aces_bus.frames import Frame
@@ -12,8 +10,8 @@ from aces_bus.robot import VirtualRobot, connect
 from tests.device.ecu import LOAD, robot_of_ecu
 
 
-def car(**options: Any) -> VirtualRobot:
-    return VirtualRobot(robot_of_ecu(), load=LOAD, **{"rate_hz": 20, **options})
+def car() -> VirtualRobot:
+    return VirtualRobot(robot_of_ecu(), load=LOAD, rate_hz=20)
 
 
 def say(robot: VirtualRobot, frame: Frame) -> None:

@@ -150,7 +150,8 @@ def test_udsoncan_reads_and_writes_our_twin(ecu: tuple[Any, Any]) -> None:
 
     config: Any = {**udsoncan.configs.default_client_config, "data_identifiers": {1: Text, 2: Text}}
     config |= {"request_timeout": PATIENCE_S, "p2_timeout": PATIENCE_S, "p2_star_timeout": PATIENCE_S}
-    with Client(_connection(bus), config=config) as client:
+    client: Any = Client(_connection(bus), config=config)
+    with client:
         answer = client.read_data_by_identifier(1)
         assert answer.service_data.values[1] == bytes.fromhex("0007") + bytes(30)
         data = bytes(range(256)) * 2

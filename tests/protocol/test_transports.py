@@ -21,6 +21,11 @@ from aces_bus.protocol import (
     Unknown,
     make_scanner,
 )
+from aces_bus.protocol.against import check_recordings, suggest_examples
+from aces_bus.protocol.exchange.export_dbc import identified
+from aces_bus.protocol.exchange.export_source import print_source
+from aces_bus.protocol.exchange.export_wireshark import print_dissector
+from aces_bus.protocol.lint.examples import failure
 
 #: Parts of `python-can-isotp` 2's own tests and docs, or sent by it (ids 7E0 and 7E8 unless said).
 SENT: list[tuple[str, dict[str, Any], int, bytes, list[str]]] = [
@@ -324,3 +329,40 @@ def test_a_transport_of_ones_own() -> None:
         if len(sent) > 2:
             given, _ = feed(protocol, [sent[0], *sent[2:]])
             assert given[0].reason == "malformed: frame 2 missing"
+
+
+def test_a_recording_does_not_contradict_and_suggests() -> None:
+    """Frames that steer or came twice say nothing against a spec; a packet becomes an example."""
+    protocol = Protocol("car", link="can")
+    uds = IsoTp(to_device=0x7E0, from_device=0x7E8)
+    payload = Struct("service" / Const(0x62, Byte), "did" / Int16ub, "data" / GreedyBytes)
+    protocol.message("Data", transport=uds, direction="from device", payload=payload)
+    packets = [protocol.encode("Data", did=k, data=bytes(range(k, k + 12))) for k in range(20)]
+    frames = [
+        frame
+        for packet in packets
+        for frame in (packet[0], *frames_of(0x7E0, "30 00 00"), *packet[1:], packet[-1])
+    ]
+    words = [Frame(f.arbitration_id, bytes(f.data), 0.01 * n) for n, f in enumerate(frames)]
+    assert [one for one in check_recordings(protocol.variant(), [words]) if one.level != "note"] == []
+    (suggested,) = suggest_examples(protocol, [words])
+    assert len(suggested.example.frames) == 3
+    assert failure(suggested.message, suggested.example) is None
+    assert "7E8#10 0F 62 00" in suggested.source
+
+
+def test_sources_have_transports_and_tables_of_frames_leave_them_out() -> None:
+    """What is printed as a spec says what carries a message; a DBC and a dissector say that they do not have it."""
+    protocol = Protocol("boat", link="can")
+    protocol.message(
+        "Packet",
+        transport=FastPacket(timeout_s=2.0),
+        id=0x0DF80505,
+        extended=True,
+        payload=Struct("a" / Byte),
+    )
+    assert "transport=FastPacket(timeout_s=2.0)" in print_source(protocol)
+    _, losses = print_dissector(protocol.variant())
+    assert [str(loss) for loss in losses if "fast packet" in str(loss)]
+    _, losses = identified(protocol.variant())
+    assert [str(loss) for loss in losses if "fast packet" in str(loss)]

@@ -83,9 +83,13 @@ def lost_frames(
     messages = [(variant, message) for variant in variants for message in variant.messages.values()]
     undeclared: list[LostGroup] = []
     for group in losses.groups.values():
-        if group.reason == "error frame" or group.reason.startswith("unknown: needs request"):
+        if group.reason in ("error frame", "pending") or group.reason.startswith(
+            ("unknown: needs request", "control")
+        ):
             continue
         named = [(v, m) for v, m in messages if _is_named(m, group.key)]
+        if any(m.transport is not None for _, m in named):
+            continue  # a frame of a packet: what is in it, one frame does not say
         if named:
             yield from _of_named(group, named, seen)
         else:

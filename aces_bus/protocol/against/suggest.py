@@ -44,6 +44,8 @@ class SuggestedExample:
         example = self.example
         words = [example.word] if example.request is None else [example.word, example.request]
         first, *request = (_literal(word.data if _is_text(word) else str(word)) for word in words)
+        if example.frames:
+            first = _literal([str(frame) for frame in example.frames])
         return f"({', '.join([first, _literal(example.fields), *request])}),"
 
 
@@ -57,9 +59,9 @@ class _Candidates:
     """The messages of one kind that may become an example: those of which most fields say something."""
 
     count: int = 0
-    best: list[tuple[int, ExampleFrame, Mapping[str, Any], tuple[ExampleFrame, ...]]] = field(
-        default_factory=list
-    )
+    best: list[
+        tuple[int, ExampleFrame, Mapping[str, Any], tuple[ExampleFrame, ...], tuple[ExampleFrame, ...]]
+    ] = field(default_factory=list)
 
 
 def suggest_examples(
@@ -133,7 +135,7 @@ def _take(
         )
     )
     shown = {one: value for one, value in fields.items() if _is_literal(value)}
-    candidates.best.append((worth, word, shown, requests))
+    candidates.best.append((worth, word, shown, requests, _frames(message, meta)))
     candidates.best.sort(key=lambda one: -one[0])
     del candidates.best[CANDIDATES:]
 
@@ -144,16 +146,24 @@ def _word(meta: Meta) -> ExampleFrame:
     return ExampleFrame(meta.raw, meta.identifier, meta.extended, meta.remote, meta.fd)
 
 
+def _frames(message: Message, meta: Meta) -> tuple[ExampleFrame, ...]:
+    """The frames that a transport carried a packet in, where they have its identifier."""
+    is_fd = message.transport is not None and message.transport.fd
+    return tuple(ExampleFrame(data, meta.identifier, meta.extended, fd=is_fd) for data in meta.frames)
+
+
 def _holding(variant: Variant, message: Message, candidates: _Candidates) -> Iterator[SuggestedExample]:
     seen: set[ExampleFrame] = set()
-    for _, word, fields, requests in candidates.best:
+    for _, word, fields, requests, frames in candidates.best:
         if word in seen:
             continue
         seen.add(word)
-        alone = Example(word, fields)
+        alone = Example(word, fields, frames=frames)
         # A request is only in the way where the reply is recognised without.
         is_clear = not requests or read_example(variant, message, alone).message == message.name
-        for example in [alone] if is_clear else [*(Example(word, fields, one) for one in requests), alone]:
+        for example in (
+            [alone] if is_clear else [*(Example(word, fields, one, frames) for one in requests), alone]
+        ):
             if failure(message, example) is None:
                 yield SuggestedExample(message, example, candidates.count)
                 break

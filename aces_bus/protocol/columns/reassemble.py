@@ -430,9 +430,9 @@ class _Runs:
 def _late(time: Array, timeout_s: float) -> Array:
     """In which columns (count, m) more than the time-out goes by between two frames, as the live reassembler computes it."""
     seconds = time / 1_000_000_000
-    late: Array = seconds[1:] - seconds[:-1] > timeout_s
-    late &= (time[1:] != NO_TIME) & (time[:-1] != NO_TIME)
-    found: Array = late.any(axis=0)
+    late = np.greater(np.diff(seconds, axis=0), timeout_s)
+    known = time != NO_TIME
+    found: Array = (late & known[1:] & known[:-1]).any(axis=0)
     return found
 
 
