@@ -13,7 +13,10 @@ from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import load_protocol
 from aces_bus.robot import list_robots, load_robot, parse_robot, print_robot, robot_text
 
-NAMES = ["drc_hubo", "hubo2", "hubo2plus", "hubovia", "minihubo_1", "minihubo_2", "minihubo_3", "omnibot"]
+NAMES = [
+    *("drc_hubo", "hubo2", "hubo2plus", "hubovia", "minihubo_1", "minihubo_2", "minihubo_3", "omnibot"),
+    "quadruped",
+]
 HUBOS = {"drc_hubo": "D12", "hubo2": "D08", "hubo2plus": "D12"}
 
 
@@ -288,3 +291,13 @@ def test_omnibot_wheels() -> None:
     wired = {j.name: (robot.devices[j.device].credentials["id"], j.channel) for j in robot.joints.values()}
     assert wired == {"M1": (1, 0), "M2": (2, 1), "M3": (2, 0), "M4": (1, 1)}
     assert {(j.type, j.command, j.max_duty) for j in robot.joints.values()} == {("continuous", "duty", 127)}
+
+
+def test_the_quadruped_has_a_bus_a_leg() -> None:
+    """Three motors a bus, numbered 1 to 3; mirrored legs turn the other way; stiffness and damping are stated."""
+    robot = load_robot("quadruped")
+    assert len(robot.joints) == 12
+    for leg in ("LF", "RF", "LH", "RH"):
+        assert [device.credentials["motor"] for device in robot.devices_on(leg)] == [1, 2, 3]
+    assert robot.joints["LF_KFE"].direction == -robot.joints["RF_KFE"].direction
+    assert all(joint.gains is not None and joint.gains.kp for joint in robot.joints.values())

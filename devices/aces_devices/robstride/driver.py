@@ -320,7 +320,7 @@ def _scan(host: Host, job: Job) -> Steps:
         job.progress, job.text = motor / 0x80, f"motor {motor}, {len(found)} found"
         if (
             yield from host.answers(
-                "robstride", {"motor": motor}, "GetId", reply="Id", timeout_s=ANSWER_S, retries=0, host=0xFD
+                "robstride", {"motor": motor}, "GetId", reply="Id", timeout_s=0.03, retries=1, host=0xFD
             )
         ):
             found.append(
