@@ -47,7 +47,7 @@ class MotorDevice(Device, Generic[A]):
 
     def __init__(self, *args: Any) -> None:
         self._led: list[Job] = []
-        self._awaited: list[tuple[Callable[[], bool], Awaited, Timer]] = []
+        self._until_so: list[tuple[Callable[[], bool], Awaited, Timer]] = []
         super().__init__(*args)
 
     def axes_of(self, joint: str | None) -> list[A]:
@@ -85,15 +85,15 @@ class MotorDevice(Device, Generic[A]):
             round(timeout_s * 1e9),
             lambda: awaited.fail(DeviceError(f"{self.name}: {what()} (after {timeout_s:g} s)")),
         )
-        self._awaited.append((holds, awaited, timer))
+        self._until_so.append((holds, awaited, timer))
         return awaited
 
     def receive(self, record: Any, instant: int) -> None:
         """A record of this device; then what waits for it."""
         super().receive(record, instant)
-        if not self._awaited:
+        if not self._until_so:
             return
-        waiting, self._awaited = self._awaited, []
+        waiting, self._until_so = self._until_so, []
         for one in waiting:
             holds, awaited, timer = one
             if awaited.is_over:
@@ -102,7 +102,7 @@ class MotorDevice(Device, Generic[A]):
                 timer.cancel()
                 awaited.finish()
             else:
-                self._awaited.append(one)
+                self._until_so.append(one)
 
     @staticmethod
     def in_turn(job: Job, axes: Sequence[A]) -> Iterator[A]:

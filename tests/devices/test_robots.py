@@ -22,6 +22,7 @@ NAMES = [
     "minihubo_2",
     "minihubo_3",
     "omnibot",
+    "quadruped",
     "rover",
     "so101",
 ]
@@ -299,3 +300,13 @@ def test_omnibot_wheels() -> None:
     wired = {j.name: (robot.devices[j.device].credentials["id"], j.channel) for j in robot.joints.values()}
     assert wired == {"M1": (1, 0), "M2": (2, 1), "M3": (2, 0), "M4": (1, 1)}
     assert {(j.type, j.command, j.max_duty) for j in robot.joints.values()} == {("continuous", "duty", 127)}
+
+
+def test_the_quadruped_has_a_bus_a_leg() -> None:
+    """Three motors a bus, numbered 1 to 3; mirrored legs turn the other way; stiffness and damping are stated."""
+    robot = load_robot("quadruped")
+    assert len(robot.joints) == 12
+    for leg in ("LF", "RF", "LH", "RH"):
+        assert [device.credentials["motor"] for device in robot.devices_on(leg)] == [1, 2, 3]
+    assert robot.joints["LF_KFE"].direction == -robot.joints["RF_KFE"].direction
+    assert all(joint.gains is not None and joint.gains.kp for joint in robot.joints.values())

@@ -183,6 +183,15 @@ def test_a_follower_goes_where_the_leader_is_moved(
     assert all(line.endswith(" 0 unanswered") for line in said[1:-1])
 
 
+def test_a_quadruped_trots(names_of: Names, capsys: pytest.CaptureFixture[str]) -> None:
+    """Twelve joints follow at 500 Hz, softly where feet swing; every command is answered."""
+    found = names_of("quadruped_trot.py")["main"](6.0 if PROFILE == "long" else 1.2)
+    assert found["worst"] < 0.2
+    assert found["unanswered"] == 0
+    assert found["load"] < 0.5
+    assert "nothing went wrong" in capsys.readouterr().out
+
+
 def test_one_controller_on_three_robots(names_of: Names) -> None:
     """The controller's file knows no robot; on CAN and serial it steps, on the recording it gives what it gave."""
     names = names_of("same_controller.py")

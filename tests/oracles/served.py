@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -35,7 +35,7 @@ class ServedTwins(NamedTuple):
 
 
 @contextmanager
-def served(text: str) -> Iterator[ServedTwins]:
+def served(text: str) -> Generator[ServedTwins]:
     """The twins of a robot (TOML) of one CAN bus."""
     robot, problems = parse_robot(text)
     assert isinstance(robot, Robot), problems

@@ -302,7 +302,7 @@ def _scan(host: Host, job: Job) -> Steps:
     for motor in range(1, 16):
         job.progress, job.text = motor / 15, f"motor {motor}, {len(found)} found"
         told = yield from host.answers(
-            "damiao", {"motor": motor}, "AskFeedback", reply="Feedback", timeout_s=0.02, retries=1, how=0
+            "damiao", {"motor": motor}, "AskFeedback", reply="Feedback", timeout_s=0.05, retries=2, how=0
         )
         if told is not None:
             settings = {"master": told.master} if told.master else {}

@@ -353,7 +353,7 @@ def _code(who: str, type: str) -> str:
 
 
 def _scan(host: Host, job: Job) -> Steps:
-    """Ask each node where it is: 63 remote frames, 20 ms each."""
+    """Ask each node where it is: 63 remote frames, twice 30 ms each."""
     found: list[DeviceConfig] = []
     for node in range(0x3F):
         job.progress, job.text = node / 0x3F, f"node {node}, {len(found)} found"
@@ -363,8 +363,8 @@ def _scan(host: Host, job: Job) -> Steps:
                 {"node": node},
                 "GetEncoderEstimates",
                 reply="EncoderEstimates",
-                timeout_s=0.02,
-                retries=0,
+                timeout_s=0.03,
+                retries=1,
             )
         ):
             found.append(

@@ -237,7 +237,7 @@ class Qik(Device):
         """Speed 0, which brakes."""
         return self.brake()
 
-    def _both(self, name: str, message: str, **fields: int) -> Job:
+    def _both(self, name: str, message: str, **fields: Any) -> Job:
         self.drop("SetSpeed")
         tickets = [self.tell_now(message, motor=motor, **fields) for motor in (0, 1)]
         return together(self.clock, f"{self.name} {name}", tickets)

@@ -47,8 +47,6 @@ FAULTS = (
 )
 #: Mode → the parameter that is set.
 TARGETS: Mapping[str, str] = {"position": "loc_ref", "speed": "spd_ref", "current": "iq_ref"}
-#: Parameter that is polled → the signal that it gives.
-_POLLED = {"mech_pos": "position", "mech_vel": "velocity", "iqf": "current", "vbus": "voltage"}
 #: How long an answer may take (s).
 ANSWER_S = 0.02
 #: A parameter's answer that is another's is asked for again, so often.
@@ -181,6 +179,8 @@ class Robstride(MitMotor):
                     self.current.update(scale.direction * value, instant)
                 case "vbus":
                     self.voltage.update(value, instant)
+                case _:
+                    pass
         elif name == "FaultReport":
             now = frozenset((*record.faults, *(f"{warning} (warning)" for warning in record.warnings)))
             before, self._alarms = self._alarms, now
@@ -320,7 +320,7 @@ def _scan(host: Host, job: Job) -> Steps:
         job.progress, job.text = motor / 0x80, f"motor {motor}, {len(found)} found"
         if (
             yield from host.answers(
-                "robstride", {"motor": motor}, "GetId", reply="Id", timeout_s=ANSWER_S, retries=0, host=0xFD
+                "robstride", {"motor": motor}, "GetId", reply="Id", timeout_s=0.03, retries=1, host=0xFD
             )
         ):
             found.append(

@@ -4,7 +4,7 @@
    bus, in real time. What is measured is the host's process alone.
 2. Contenders are processes that run one after another on the same twins: the one loop of a robot, and the same robot with
    its buses behind a python-can bus that has no file to wait for, which takes threads.
-3. The last row is the robot in virtual time, host and twins in one process (`virtual.py`).
+3. The last rows are virtual time, host and twins in one process (`virtual.py`): the robot, and a quadruped at 500 Hz.
 4. Times of a shared machine vary: ratios carry over, absolute figures are this machine's at this hour.
 """
 
