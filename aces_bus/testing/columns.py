@@ -17,6 +17,7 @@ from ..frame_table import Channels, FrameTable, to_ns
 from ..protocol.columns.scanner import make_column_scanner
 from ..protocol.columns.table import MessageTable, dtype_of, kinds_of
 from ..protocol.keys import key_of
+from ..protocol.live.can import CanScanner
 from ..protocol.live.scanner import Scanner
 from ..protocol.plan import nodes as p
 from ..protocol.record import Meta, Unknown, as_dict, getter, plain_value
@@ -46,7 +47,7 @@ def columns_difference(
     tables: list[MessageTable] = []
     items: list[Any] = []
     rows: list[int] = []
-    numbered_live: Any = live if hasattr(live, "feed_numbered") and live.has_transports else None
+    numbered_live: Any = live if isinstance(live, CanScanner) and live.has_transports else None
     channels = Channels()
     whole = FrameTable.from_frames(scene.words, channels) if is_can and len(cuts) % 2 else None
     at = 0

@@ -30,6 +30,16 @@ def test_a_spec_of_ones_own(run: Run) -> None:
     ]
 
 
+def test_a_fast_packet_device(run: Run) -> None:
+    """A message of two frames, one of one frame between them, and the first frame of a packet that goes on no more."""
+    assert run("fast_packet_device.py") == [
+        r"Wind(source=5, sid=1, speed=7.5, angle=1.2, reference=2, reserved=b'\x00\x00') 1",
+        "Position(source=5, sid=1, latitude=54.3, longitude=10.1, satellites=9) 2",
+        "Unknown(reason='pending', raw=200a02c0855d2040) 1",
+        "total=4 decoded=3 pending=1 records=2",
+    ]
+
+
 def test_encoding(run: Run) -> None:
     """The three ways of sending a goal give the bytes of the manual's layout."""
     assert run("encode_packet.py") == [

@@ -18,7 +18,8 @@ from tests.tools.conftest import Aces
 from tests.tools.conftest import aces as aces
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples"
-SPECS = ["nmea0183.py", "mip.py", "tlv_sensor.py"]
+STREAMS = ["nmea0183.py", "mip.py", "tlv_sensor.py"]
+SPECS = [*STREAMS, "fast_packet_device.py"]
 GGA = b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n"
 #: A ping, its answer, and a packet of sensor data (mip_sdk's parser accepts them).
 PING, PONG = bytes.fromhex("75650102 0201 E0C6"), bytes.fromhex("75650104 04F10100 D56A")
@@ -111,7 +112,7 @@ def test_a_recording_of_an_inertial_unit(shared_captures: Path) -> None:
     assert sum(value is not None for value in firsts) == 755
 
 
-@pytest.mark.parametrize("name", SPECS)
+@pytest.mark.parametrize("name", STREAMS)
 def test_the_tools_take_them(name: str, tmp_path: Path, aces: Aces) -> None:
     """Decoded, explained and exported from the file, as a user would."""
     capture = tmp_path / "session.bin"

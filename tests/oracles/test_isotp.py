@@ -115,7 +115,7 @@ def _is_control(frame: Frame, transport: IsoTp) -> bool:
 def ecu() -> Iterator[tuple[Any, Any]]:
     """Another node of the bus that our twin of an ECU is on, in real time; and the twin."""
     channel = f"isotp-{uuid.uuid4().hex[:8]}"
-    options = {"interface": "aces", "channel": channel, "physics": False}
+    options: dict[str, Any] = {"interface": "aces", "channel": channel, "physics": False}
     with (
         can.Bus(**options) as theirs,
         Loop("twins") as loop,
@@ -136,7 +136,7 @@ def test_udsoncan_reads_and_writes_our_twin(ecu: tuple[Any, Any]) -> None:
     """A UDS client reads a long value (with flow control after every three frames) and writes one."""
     bus, twin = ecu
 
-    class Text(udsoncan.DidCodec):  # type: ignore[misc,name-defined]
+    class Text(udsoncan.DidCodec):  # type: ignore[misc]
         def encode(self, value: bytes) -> bytes:
             return bytes(value)
 
@@ -148,7 +148,7 @@ def test_udsoncan_reads_and_writes_our_twin(ecu: tuple[Any, Any]) -> None:
 
     from udsoncan.client import Client
 
-    config = {**udsoncan.configs.default_client_config, "data_identifiers": {1: Text, 2: Text}}
+    config: Any = {**udsoncan.configs.default_client_config, "data_identifiers": {1: Text, 2: Text}}
     config |= {"request_timeout": PATIENCE_S, "p2_timeout": PATIENCE_S, "p2_star_timeout": PATIENCE_S}
     with Client(_connection(bus), config=config) as client:
         answer = client.read_data_by_identifier(1)

@@ -165,7 +165,8 @@ class _Passed:
         if not self._starts or not len(rows):
             return np.ones(len(rows), bool)
         if int(rows.min()) >= self._starts[-1]:
-            return self._kept[-1][rows - self._starts[-1]]
+            last: Rows = self._kept[-1][rows - self._starts[-1]]
+            return last
         pieces = np.searchsorted(self._starts, rows, side="right") - 1
         found = np.empty(len(rows), bool)
         for number in np.unique(pieces).tolist():

@@ -321,6 +321,7 @@ def _template(message: Message) -> list[tuple[str, str]]:
         ("identifier", ", ".join(parts)),
         ("recognised by", _told_by(message)),
         ("length", f"{_lengths(message)} bytes"),
+        ("carried by", message.transport.describe if message.transport is not None else ""),
         ("direction", message.direction or ""),
         ("dialect", ", ".join(sorted(message.dialects or ()))),
         *(

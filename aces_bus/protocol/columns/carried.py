@@ -214,8 +214,8 @@ class FrameParts:
             parts.append((np.where(table.length > 0, table.data[:, 0], np.uint8(0)), 256))
         for part, size in parts:
             count *= size
-            kind = np.uint16 if count <= 1 << 16 else np.int64
-            session = session.astype(kind, copy=False) * kind(size) + part.astype(kind, copy=False)
+            kind = np.dtype(np.uint16 if count <= 1 << 16 else np.int64)
+            session = session.astype(kind, copy=False) * kind.type(size) + part.astype(kind, copy=False)
         return session
 
     def by_kind(self, places: Array) -> Iterator[tuple[FrameKind, Array | None]]:

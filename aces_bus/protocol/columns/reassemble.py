@@ -400,8 +400,8 @@ class _Runs:
         parts, transport, table = self.parts, self.parts.transport, self.parts.table
         count = len(frames)
         is_right = np.ones(frames.shape[1], bool)
-        for place, places in enumerate(frames[1:]):
-            is_right &= parts.number[places] == (transport.first_number + place) % transport.modulo
+        for step, places in enumerate(frames[1:]):
+            is_right &= parts.number[places] == (transport.first_number + step) % transport.modulo
         begun, done = table.time[frames[0]], table.time[frames[-1]]
         slow = done - begun > transport.timeout_s * 1e9 - 1000
         if slow.any() or not parts.is_in_time_order or int(begun.min()) == NO_TIME:
@@ -430,7 +430,7 @@ class _Runs:
 def _late(time: Array, timeout_s: float) -> Array:
     """In which columns (count, m) more than the time-out goes by between two frames, as the live reassembler computes it."""
     seconds = time / 1_000_000_000
-    late = seconds[1:] - seconds[:-1] > timeout_s
+    late: Array = seconds[1:] - seconds[:-1] > timeout_s
     late &= (time[1:] != NO_TIME) & (time[:-1] != NO_TIME)
     found: Array = late.any(axis=0)
     return found

@@ -239,7 +239,9 @@ class MessageTable:
             first.kinds,
             take,
             first.doc,
-            *(_together([getattr(t, name) for t in tables]) for name in ("size", "frames", "first_time")),
+            _together([t.size for t in tables]),
+            _together([t.frames for t in tables]),
+            _together([t.first_time for t in tables]),
         )
 
 

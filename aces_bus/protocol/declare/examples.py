@@ -140,14 +140,15 @@ def as_examples(
                 f" behind, not {item!r}"
             )
         try:
+            written: Any = item[0]
             request = parse_word(item[2], is_can=is_can) if len(item) == 3 else None
             if transport is not None:
-                texts: Iterable[Any] = [item[0]] if isinstance(item[0], (str, bytes)) else item[0]
+                texts: Iterable[Any] = [written] if isinstance(written, (str, bytes)) else written
                 frames = tuple(parse_word(text, is_can=True) for text in texts)
                 word = _packet_of(frames, transport, extra)
                 found.append(Example(word, dict(item[1]), request, frames))
             else:
-                found.append(Example(parse_word(item[0], is_can=is_can), dict(item[1]), request))
+                found.append(Example(parse_word(written, is_can=is_can), dict(item[1]), request))
         except ValueError as error:
             raise SpecError(f"{place}: example {error}") from None
     return tuple(found)

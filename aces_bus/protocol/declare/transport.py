@@ -120,12 +120,12 @@ class FramePart(NamedTuple):
 
 
 class Steering(NamedTuple):
-    """What a receiver tells who sends it a packet of `key`: to go on with `count` frames (0: all), `gap_ns` from one to the
+    """What a receiver tells who sends it a packet of `key`: to go on with `frames` frames (0: all), `gap_ns` from one to the
     next; to wait; to stop."""
 
     go: Literal["on", "wait", "stop"]
     key: int
-    count: int = 0
+    frames: int = 0
     gap_ns: int = 0
 
 
@@ -153,6 +153,8 @@ class Transport:
 
     #: For people, in messages and docs.
     title: ClassVar[str] = "transport"
+    #: Whether packets of several frames go out with pauses or a handshake that devices and twins do not keep.
+    is_paced: ClassVar[bool] = False
 
     fd: bool = False
     address: int = 0

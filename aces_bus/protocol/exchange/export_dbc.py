@@ -95,6 +95,10 @@ class _Decider:
     def decide(self) -> tuple[list[Identified], list[Loss]]:
         groups: dict[tuple[int, bool, bool], list[Message]] = {}
         for message in self.messages:
+            if message.transport is not None:
+                title = message.transport.title
+                self._lose(message.name, "", f"carried by {title}, in several frames: left out")
+                continue
             if message.remote:
                 self._lose(message.name, "", "a remote frame: left out")
                 continue

@@ -162,6 +162,8 @@ class _Page:
                 if given
             ]
             facts.append(", ".join([f"identifier `{self._identifier(message)}`", *ranges, *kinds]))
+        if message.transport is not None:
+            facts.append(f"carried by {message.transport.describe}")
         if told := _told_by(message):
             facts.append(f"told by {_code(told)}")
         facts.append(f"{_lengths(message)} bytes")

@@ -14,7 +14,7 @@ import keyword
 import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import construct as c
@@ -25,6 +25,7 @@ from ..declare.fields import Enumeration, Multiplexed, Quantity
 from ..declare.message import Message
 from ..declare.pattern import IdField, IdPattern
 from ..declare.protocol import Protocol
+from ..declare.transport import Transport
 from .names import TAKEN_BY_CODE, unused
 from .problems import ImportProblem, one_line
 
@@ -101,6 +102,8 @@ class _Printer:
         for name in ("extended", "fd", "any_format", "remote"):
             if getattr(message, name):
                 keywords.append((name, Code("True")))
+        if message.transport is not None:
+            keywords.append(("transport", self._transport(message.transport)))
         if message.direction is not None:
             keywords.append(("direction", python_literal(message.direction)))
         if (length := self._length(message)) is not None:
@@ -112,11 +115,24 @@ class _Printer:
                 keywords.append((name, python_literal(getattr(message, name))))
         return Call(f"{own}.message", (python_literal(message.name),), tuple(keywords))
 
+    def _transport(self, transport: Transport) -> Expression:
+        """A transport by its settings; identifiers are those of the messages."""
+        settings = tuple(
+            (one.name, python_literal(getattr(transport, one.name)))
+            for one in fields(transport)
+            if one.init and one.name not in ("kinds", "to_device", "from_device")
+            if getattr(transport, one.name) != one.default
+        )
+        name = type(transport).__name__
+        self.words["aces_bus.protocol"].add(name)
+        return Call(name, (), settings)
+
     def _length(self, message: Message) -> Expression | None:
         """The data lengths, where they are not those that the payload gives by itself."""
         again = Protocol("again", link="can").message(
             "Again",
             id=message.identifier,
+            transport=message.transport,
             payload=message.payload,
             extended=message.extended,
             fd=message.fd,

@@ -58,9 +58,15 @@ class _Printer:
         #: By mode: the messages, names of those that need their request, of what is asked, of what answers.
         self.modes: dict[str, tuple[list[Message], frozenset[str], frozenset[str], frozenset[str]]] = {}
         for mode, messages_for in modes.items():
-            messages = ordered(variant.messages_for(messages_for))
+            messages = ordered(m for m in variant.messages_for(messages_for) if m.transport is None)
             contextual = needing_context(messages)
             self.modes[mode] = (messages, contextual, *request_names(messages, contextual))
+        for message in variant.messages.values():
+            if message.transport is not None:
+                title = message.transport.title
+                self._lose(
+                    message.name, "", f"carried by {title}, whose packets are not put together: left out"
+                )
         self.framings = list(dict.fromkeys(m.framing for m in self.modes["both"][0] if m.framing is not None))
 
     def print(self, direction: Way, port: int) -> tuple[str, list[Loss]]:

@@ -27,7 +27,7 @@ from aces_bus.protocol.exchange import load_database
 from aces_bus.recordings import open_recording
 from aces_bus.recordings.write import open_writer
 
-from . import BenchRow, fastest, optional
+from . import BenchRow, fastest, optional, transports
 from .car import car_dbc, write_car_log
 from .live import dynamixel_stream, sdk_packets
 from .peers import run_c
@@ -82,7 +82,7 @@ def run(*, quick: bool, frames: int | None = None) -> list[BenchRow]:
         rows += _blf(subject, rounds)
         rows += _mf4(subject, rounds)
 
-    return rows + stream_rows(quick=quick)
+    return rows + transports.rows(quick=quick) + stream_rows(quick=quick)
 
 
 @contextmanager

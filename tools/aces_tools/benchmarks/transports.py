@@ -1,0 +1,151 @@
+"""Packets of transports as columns, beside loops in Python that put frames together and unpack their values.
+
+1. The frames of eight senders are interleaved. Every contender ends with values in hand, from frames in memory.
+2. The loops are the shortest that are right on a recording without fault: no accounts, no time-outs, one channel.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+from construct import Array, Byte, Const, Int16ub, Int16ul, Int32sl, Struct
+
+from aces_bus.frame_table import FrameTable
+from aces_bus.frames import Frame, message_to_frame
+from aces_bus.protocol import FastPacket, IdField, IsoTp, Protocol, Quantity, Variant
+from aces_bus.protocol.columns.scanner import make_column_scanner
+
+from . import BenchRow, fastest
+
+#: Senders whose packets are under way at the same time, and packets of each before they repeat.
+SENDERS, PACKETS = 8, 20
+#: Frames a column scanner is given at once, as readers of recordings give them.
+BATCH = 1 << 14
+
+
+def isotp() -> tuple[Protocol, list[list[Frame]]]:
+    """Answers of eight ECUs: 16 numbers in 6 frames."""
+    protocol = Protocol("diagnostics", link="can")
+    uds = IsoTp(from_device=0x7E8 + IdField("ecu", range(8)))
+    payload = Struct(Const(0x62, Byte), "did" / Int16ub, "values" / Array(16, Quantity(Int16ub, scale=0.1)))
+    protocol.message("Data", transport=uds, direction="from device", payload=payload)
+    return protocol, _senders(
+        protocol,
+        "Data",
+        [{"ecu": k, "did": k, "values": [0.1 * j for j in range(16)]} for k in range(SENDERS)],
+    )
+
+
+def fast_packets() -> tuple[Protocol, list[list[Frame]]]:
+    """Positions of eight boats: 43 bytes in 7 frames."""
+    protocol = Protocol("boats", link="can")
+    payload = Struct(
+        "sid" / Byte, "date" / Int16ul, "where" / Array(10, Quantity(Int32sl, unit="°", scale=1e-7))
+    )
+    identifier = 3 << 26 | 129029 << 8 | IdField("source", range(8))
+    protocol.message("Position", transport=FastPacket(), id=identifier, extended=True, payload=payload)
+    return protocol, _senders(
+        protocol,
+        "Position",
+        [{"source": k, "sid": k, "date": k, "where": [1.5] * 10} for k in range(SENDERS)],
+    )
+
+
+def _senders(protocol: Protocol, message: str, fields: list[dict[str, Any]]) -> list[list[Frame]]:
+    encoder = protocol.variant().encoder
+    return [
+        [message_to_frame(frame) for _ in range(PACKETS) for frame in encoder.next(message, **one)]
+        for one in fields
+    ]
+
+
+def isotp_loop(frames: list[Frame]) -> list[Any]:
+    """ISO-TP by hand."""
+    unpack = struct.Struct(">xH16H").unpack
+    under_way: dict[int, list[Any]] = {}
+    out: list[Any] = []
+    for frame in frames:
+        data, sender = frame.data, frame.arbitration_id
+        kind = data[0] >> 4
+        if kind == 2:
+            mine = under_way.get(sender)
+            if mine is not None and data[0] & 15 == mine[1] & 15:
+                mine[1] += 1
+                mine[2] += data[1:]
+                if len(mine[2]) >= mine[0]:
+                    did, *values = unpack(mine[2][: mine[0]])
+                    out.append((sender, did, [value * 0.1 for value in values]))
+                    del under_way[sender]
+        elif kind == 1:
+            under_way[sender] = [(data[0] & 15) << 8 | data[1], 1, bytearray(data[2:])]
+    return out
+
+
+def fast_packet_loop(frames: list[Frame]) -> list[Any]:
+    """Fast packets by hand."""
+    unpack = struct.Struct("<BH10i").unpack
+    under_way: dict[tuple[int, int], list[Any]] = {}
+    out: list[Any] = []
+    for frame in frames:
+        data = frame.data
+        sender, number = (frame.arbitration_id, data[0] >> 5), data[0] & 31
+        if number == 0:
+            under_way[sender] = [data[1], 1, bytearray(data[2:])]
+        else:
+            mine = under_way.get(sender)
+            if mine is not None and number == mine[1]:
+                mine[1] += 1
+                mine[2] += data[1:]
+                if len(mine[2]) >= mine[0]:
+                    sid, date, *values = unpack(mine[2][: mine[0]])
+                    out.append((sender, sid, date, [value * 1e-7 for value in values]))
+                    del under_way[sender]
+    return out
+
+
+def columns(variant: Variant, tables: list[FrameTable]) -> int:
+    """Every column of every packet; how many packets."""
+    scanner = make_column_scanner([variant])
+    count = 0
+    for frames in tables:
+        for table in scanner.feed(frames):
+            count += len(table)
+            for column in table.columns():
+                assert len(column.values) == len(table)
+    return count
+
+
+def rows(*, quick: bool) -> list[BenchRow]:
+    """Both transports."""
+    found: list[BenchRow] = []
+    for subject, (protocol, senders), loop in (
+        ("ISO-TP → values", isotp(), isotp_loop),
+        ("fast packets → values", fast_packets(), fast_packet_loop),
+    ):
+        block = [frame for together in zip(*senders, strict=True) for frame in together]
+        count = max(1, (60_000 if quick else 240_000) // len(block))
+        frames = block * count
+        whole = FrameTable.concat([FrameTable.from_frames(block)] * count)
+        time = np.arange(len(whole)) * 200_000
+        whole = FrameTable(
+            time, whole.channel, whole.id, whole.flags, whole.length, whole.data, whole.channels
+        )
+        tables = [whole.take(slice(at, at + BATCH)) for at in range(0, len(whole), BATCH)]
+        variant = protocol.variant()
+        scanner: Any = protocol.scanner()
+        assert columns(variant, tables) == len(loop(frames)) == len(scanner.feed(frames))
+        contenders = {
+            "columns": lambda v=variant, t=tables: columns(v, t),
+            "a loop in Python": lambda run=loop, f=frames: run(f),
+            "live scanner": lambda s=scanner, f=frames: s.feed(f),
+        }
+        best = fastest(contenders, rounds=3 if quick else 5)
+        rates = {name: len(frames) / seconds for name, seconds in best.items()}
+        found.append(BenchRow(subject, "columns", rates["columns"], "frames/s"))
+        found += [
+            BenchRow(subject, name, rates[name], "frames/s", rates["columns"] / rates[name])
+            for name in ("a loop in Python", "live scanner")
+        ]
+    return found
