@@ -186,6 +186,11 @@ class CarriedPort:
             return self.port.send(frame, 0, urgent=urgent, topic=topic)
 
         transport = self._transport_of(key)
+        if transport is not None and transport.is_paced:
+            self.failed += 1
+            if report is not None:
+                report("dropped", f"{transport.title} takes pauses, or a handshake, that devices do not keep")
+            return False
         waits = transport is not None and transport.go_ahead(key, word[0].data) is not None
         made = _Outgoing(self, word, send, report)
         waiting = self._out.setdefault(key, deque())

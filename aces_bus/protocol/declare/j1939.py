@@ -50,6 +50,7 @@ class J1939Transport(Transport):
     """
 
     title: ClassVar[str] = "J1939 transport"
+    is_paced: ClassVar[bool] = True
 
     fd: bool = field(default=False, init=False, repr=False)
     address: int = field(default=0, init=False, repr=False)

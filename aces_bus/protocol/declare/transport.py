@@ -153,6 +153,8 @@ class Transport:
 
     #: For people, in messages and docs.
     title: ClassVar[str] = "transport"
+    #: Whether packets of several frames go out with pauses or a handshake that devices and twins do not keep.
+    is_paced: ClassVar[bool] = False
 
     fd: bool = False
     address: int = 0
