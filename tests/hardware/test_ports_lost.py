@@ -32,7 +32,7 @@ class Gate:
 def test_words_do_not_wait_for_a_lost_bus() -> None:
     """While a bus is lost, or too much waits, a word is refused: sent later, it would move a robot. Stops wait."""
     gate: Any = Gate()
-    clock = VirtualClock()
+    clock: Any = VirtualClock()
     give = _sender(gate, clock)
     fates: list[str] = []
 

@@ -201,10 +201,10 @@ def _scanned(variant: Any, message: Any, example: Example) -> bool:
     else:
         made = variant.encoder.encode(message.name, **given)
         same = made == example.word.data if variant.link != "can" else bytes(made.data) == example.word.data
-    if str(example.word).startswith("b"):
-        # Numbers as characters may have more or fewer decimals than we would write, if they read the same.
-        again = as_dict(scanner.feed(made)[0])
-        same = all(agree(again[field], value) for field, value in values.items())
+        if str(example.word).startswith("b"):
+            # Numbers as characters may have more or fewer decimals than we would write, if they read the same.
+            again = as_dict(scanner.feed(made)[0])
+            same = all(agree(again[field], value) for field, value in values.items())
     return same and all(agree(values[field], wanted) for field, wanted in example.fields.items())
 
 

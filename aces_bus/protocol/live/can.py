@@ -524,7 +524,8 @@ class CanScanner:
         if known is None:
             return None
         wire, name, values = known
-        return wire.context.noting(name, frame.channel, frame.timestamp, values)
+        note: Callable[[], None] = wire.context.noting(name, frame.channel, frame.timestamp, values)
+        return note
 
     @staticmethod
     def _key_of(frame: Any) -> int:
