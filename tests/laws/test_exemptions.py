@@ -79,6 +79,10 @@ LISTED: dict[str, dict[str, set[str]]] = {
         # The standard writes upper case; receivers write either.
         "case of a check": {f"{name}.check" for name in (*POSITIONS, "HDT", "HDM", "HDG", "ROT")}
     },
+    "dronecan_like": {
+        # DSDL has numbers of half precision.
+        "NaN of half precision": {"EscStatus.voltage", "EscStatus.current", "EscStatus.temperature"},
+    },
     "odrive": {
         # CAN Simple's numbers are single-precision floats.
         "signalling NaN": {

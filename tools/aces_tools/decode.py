@@ -293,7 +293,9 @@ class LiveDecoding(Decoding):
     def _frames(self, scanner: Any, frames: list[Frame], totals: Totals) -> None:
         """Frames that follow each other, one or more."""
         items = scanner.feed(frames)
-        if items:
+        if scanner.has_transports:  # the first item may be of a later frame, or of an earlier one
+            self._begin_at(frames[0].timestamp)
+        else:
             self._begin(items[0])
         if scanner.contested and not self.is_warned:
             self._warn_of(scanner.contested, items)
@@ -351,10 +353,14 @@ class LiveDecoding(Decoding):
 
     def _begin(self, first: Any) -> None:
         """Tell the writer that a source begins, once its first item is known, or that there is none."""
+        self._begin_at(None if first is None else first.meta.time)
+
+    def _begin_at(self, time: float | None) -> None:
+        """The same, with the time that relative ones count from."""
         if self.pending is not None:
             source, link = self.pending
             self.pending = None
-            self.output.write(self.writer.begin(source, link, None if first is None else first.meta.time))
+            self.output.write(self.writer.begin(source, link, time))
 
     def _after(self, capture: Recording, frames: int = 0) -> None:
         if capture.live or self.output.is_terminal:

@@ -1,0 +1,86 @@
+"""The command and messages in several frames: every frame is accounted for, whichever way it is decoded."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aces_bus.recordings import open as parts
+from aces_tools import decode_jobs
+from tests.tools.conftest import Aces
+from tests.tools.conftest import aces as aces
+
+SPEC = Path(__file__).parents[2] / "examples" / "fast_packet_device.py"
+FIRST, LAST = "0DF80505#000A01C0855D2040", "0DF80505#0123050609FFFFFF"
+
+
+def log(folder: Path, count: int) -> Path:
+    """So many packets, of which each tenth has lost its last frame; wind between the frames."""
+    path = folder / "boat.log"
+    lines = []
+    for number in range(count):
+        lines += [FIRST, "0DFD0205#01EE02E02E020000"] + [LAST] * (number % 10 != 9)
+    path.write_text("".join(f"({0.01 * n:.6f}) can0 {line}\n" for n, line in enumerate(lines)))
+    return path
+
+
+def test_records_losses_and_pending_frames_are_shown(aces: Aces, tmp_path: Path) -> None:
+    """One line a packet, with the time of its last frame; frames of what is not whole one by one; the bins sum up."""
+    result = aces("decode", log(tmp_path, 10), "-p", SPEC, "--unknown", "show")
+    assert result.out.count("Position") == 9
+    assert result.out.count("pending") == 1
+    assert "    0.020000  can0  0DF80505 " in result.out
+    summary = result.summary
+    assert (summary["decoded"], summary["pending"], summary["frames"]) == (28, 1, 29)
+
+
+def test_filters_and_windows_take_whole_packets(aces: Aces, tmp_path: Path) -> None:
+    """What is filtered is counted in frames, in lines as in tables."""
+    path = log(tmp_path, 10)
+    for more in ((), ("-o", tmp_path / "boat.npz")):
+        result = aces("decode", path, "-p", SPEC, "--filter", "0DF80505:1FFFFFFF", *more)
+        assert (result.summary["decoded"], result.summary["filtered"]) == (18, 10)
+        result = aces("decode", path, "-p", SPEC, "--from", "0.1", *more)
+        assert sum(result.summary[name] for name in ("decoded", "filtered", "pending")) == 29
+
+
+def test_jobs_find_packets_across_their_pieces(
+    aces: Aces, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Several processes decode what one does: frames of packets are left to one of them."""
+    pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    monkeypatch.setattr(decode_jobs, "PIECE", 5_000)
+    monkeypatch.setattr(parts, "LEAST", 1_000)
+    path = log(tmp_path, 400)
+    one = aces("decode", path, "-p", SPEC, "-o", tmp_path / "one.parquet")
+    many = aces("decode", path, "-p", SPEC, "-o", tmp_path / "many.parquet", "--jobs", 2)
+    assert one.summary == many.summary
+    assert one.summary["malformed"] == 39
+    tables = [parquet.read_table(tmp_path / name / "Position.parquet") for name in ("one.parquet", "many.parquet")]
+    assert [table.num_rows for table in tables] == [360, 360]
+    times = [np.sort(table.column("time").to_numpy()) for table in tables]
+    assert (times[0] == times[1]).all()
+
+
+def test_what_would_be_sent_is_shown(aces: Aces) -> None:
+    """All frames of a message, and what a receiver makes of the last."""
+    given = ("source=5", "sid=1", "latitude=54.3", "longitude=10.1", "satellites=9")
+    result = aces("send", "Position", *given, "-p", SPEC)
+    lines = result.out.splitlines()
+    assert [line.split()[-1] for line in lines[:2]] == [FIRST, LAST]
+    assert "Position" in lines[2]
+    assert result.status == 0
+
+
+def test_what_carries_a_message_is_said(aces: Aces) -> None:
+    """`aces spec show` and `aces spec explain` know the transport."""
+    assert (
+        "carried by     fast packet, packets of up to 223 bytes" in aces("spec", "show", SPEC, "Position").out
+    )
+    explained = aces("spec", "explain", SPEC, f"{FIRST},{LAST},{LAST}").out
+    assert "Position(source=5, sid=1, latitude=54.3" in explained
+    assert "malformed: no first frame" in explained
