@@ -60,7 +60,9 @@ def test_jobs_find_packets_across_their_pieces(
     many = aces("decode", path, "-p", SPEC, "-o", tmp_path / "many.parquet", "--jobs", 2)
     assert one.summary == many.summary
     assert one.summary["malformed"] == 39
-    tables = [parquet.read_table(tmp_path / name / "Position.parquet") for name in ("one.parquet", "many.parquet")]
+    tables = [
+        parquet.read_table(tmp_path / name / "Position.parquet") for name in ("one.parquet", "many.parquet")
+    ]
     assert [table.num_rows for table in tables] == [360, 360]
     times = [np.sort(table.column("time").to_numpy()) for table in tables]
     assert (times[0] == times[1]).all()
