@@ -300,7 +300,7 @@ class Model:
         rows, pages, scanner = self.rows, self._pages, self.scanner
         frames = [item.content for item in items]
         records: Sequence[Any]
-        if scanner is not None and scanner.has_transports:
+        if getattr(scanner, "has_transports", False) and scanner is not None:
             # A record may be of several frames: it is shown with the one that decided.
             found = [(item, record) for item in items for record in scanner.feed((item.content,))]
             deciding, records = [item for item, _ in found], [record for _, record in found]
