@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import runpy
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from aces_bus.frames import Frame
 from aces_bus.recordings import open as parts
 from aces_tools import decode_jobs
+from aces_tools.screen.model import Model
 from tests.tools.conftest import Aces
 from tests.tools.conftest import aces as aces
+from tests.tools.screening import heard
 
 SPEC = Path(__file__).parents[2] / "examples" / "fast_packet_device.py"
 FIRST, LAST = "0DF80505#000A01C0855D2040", "0DF80505#0123050609FFFFFF"
@@ -86,3 +90,16 @@ def test_what_carries_a_message_is_said(aces: Aces) -> None:
     explained = aces("spec", "explain", SPEC, f"{FIRST},{LAST},{LAST}").out
     assert "Position(source=5, sid=1, latitude=54.3" in explained
     assert "malformed: no first frame" in explained
+
+
+def test_the_screen_has_rows_of_packets() -> None:
+    """A packet is one repetition of its row, with its fields; frames that open one are none."""
+    scanner = runpy.run_path(str(SPEC))["fast_packet_device"].scanner(include_unknown=True)
+    made = Model(scanner, name="can0")
+    first, last = (
+        Frame(int(text[:8], 16), bytes.fromhex(text[9:]), is_extended_id=True) for text in (FIRST, LAST)
+    )
+    made.feed(heard(first))
+    assert made.rows == {}
+    made.feed(heard(last, first, last, last))
+    assert sorted((row.name, row.count) for row in made.rows.values()) == [("Position", 2), ("malformed", 1)]

@@ -115,6 +115,7 @@ tables (-o FILE, by its suffix; millions of frames a second):
 
 summary (last on stderr, one line a kind of link; the parts sum to the total):
   frames = decoded + unknown + malformed + filtered + errors           (CAN)
+           + control + pending, where messages take several frames
   bytes = decoded + unknown + malformed + skipped + filtered + pending (streams)
   filtered: refused by --filter, --from or --to; or decoded, and refused by
   --message, --signals or --where. Filters apply after recognition, so that a

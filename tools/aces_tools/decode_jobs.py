@@ -82,6 +82,7 @@ class JobsDecoding(ColumnDecoding):
         #: Frames of this file that have been put together.
         self._frames = 0
         self._notes: dict[str, None] = {}
+        self._before: list[tuple[FrameTable, Any]] = []
         self._deferring: CanColumns | ChannelColumns | None = None
 
     def _open_export(self, path: str) -> Export:
@@ -101,6 +102,7 @@ class JobsDecoding(ColumnDecoding):
         tasks = self._tasks(capture)
         under_way: deque[Future[PieceResult]] = deque()
         self._frames = 0
+        self._before = []
         self._start_window(capture)
         try:
             while True:
@@ -194,7 +196,10 @@ class JobsDecoding(ColumnDecoding):
         tables = scanner.adopt(done.handover)
         self._frames += frames
         if deferred and (self.window is not None or self.filter is not None):
-            tables = [self._part(table, self._kept_rows(deferred, table), totals) for table in tables]
+            # A packet of a transport may lose frames of the piece before.
+            known = [*self._before, *deferred]
+            tables = [self._part(table, self._kept_rows(known, table), totals) for table in tables]
+        self._before = deferred
         self._take(tables, totals)
         self.progress.step(frames)
 

@@ -55,6 +55,7 @@ STYLES: dict[str, str] = {
     "malformed": "bold red",
     "skipped": "red dim",
     "pending": "yellow dim",
+    "control": "dim",
     "errors": "magenta",
     "raw": "dim",
 }

@@ -300,9 +300,16 @@ class Model:
         rows, pages, scanner = self.rows, self._pages, self.scanner
         frames = [item.content for item in items]
         records: Sequence[Any]
-        records = [None] * len(frames) if scanner is None else scanner.feed(frames)
+        if getattr(scanner, "has_transports", False) and scanner is not None:
+            # A record may be of several frames: it is shown with the one that decided.
+            found = [(item, record) for item in items for record in scanner.feed((item.content,))]
+            deciding, records = [item for item, _ in found], [record for _, record in found]
+            frames = [item.content for item in deciding]
+        else:
+            deciding = list(items)
+            records = [None] * len(frames) if scanner is None else scanner.feed(frames)
         record: Any
-        for item, frame, record in zip(items, frames, records, strict=True):
+        for item, frame, record in zip(deciding, frames, records, strict=True):
             kind: Any = type(record)
             page = pages[kind]
             if page is not None:
