@@ -115,7 +115,8 @@ class FramePart(NamedTuple):
     number: int = 0
     is_last: bool = False
     reason: str = ""
-    #: Of an abort: the session that it ends where the first one has no packet under way.
+    #: Of an abort (which without a reason is a packet itself): the session that it ends where the first one has no packet
+    #: under way.
     other: Hashable = None
 
 
@@ -153,6 +154,8 @@ class Transport:
 
     #: For people, in messages and docs.
     title: ClassVar[str] = "transport"
+    #: Why packets of several frames are not sent by devices and tools ("" where they are).
+    unsendable: ClassVar[str] = ""
 
     fd: bool = False
     address: int = 0
