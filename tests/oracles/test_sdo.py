@@ -11,7 +11,8 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.frames import message_to_frame
+from aces_bus.frames import Frame, message_to_frame
+from aces_protocols.canopen.spec import canopen as shipped
 from tests.oracles.foreign import oracle
 from tests.specs.sdo_like import sdo_like
 
@@ -47,6 +48,13 @@ def bus() -> Iterator[can.BusABC]:
         yield ours
 
 
+def check_shipped(record: Any, name: str) -> None:
+    """The shipped protocol's dialect for who reads along says the same of the same frames."""
+    frames = [Frame(record.meta.identifier, data) for data in record.meta.frames]
+    (same,) = shipped.scanner(dialect="transfers", include_unknown=True).feed(frames)
+    assert (type(same).__name__, same.node, same.index, same.data) == (name, NODE, INDEX, record.data)
+
+
 def text(size: int) -> bytes:
     return bytes((11 * place + size) & 0xFF for place in range(size))
 
@@ -80,10 +88,12 @@ def test_what_canopen_writes_and_reads_back_is_one_record_each(
     assert node.get_data(INDEX, 0) == data
     ours = sdo_like.encode("Write", node=NODE, sized=record.sized, index=INDEX, subindex=0, data=data)
     assert tuple(bytes(one.data) for one in ours) == record.meta.frames
+    check_shipped(record, "SdoDownloadTransfer")
     assert sdo.upload(INDEX, 0) == data
     found, record, counts = read_until(bus, "Object")
     assert found == ["control: segment taken", "Read", *["control: segment request"] * count, "Object"]
     assert (record.node, record.index, record.data) == (NODE, INDEX, data)
+    check_shipped(record, "SdoUploadTransfer")
     ours = sdo_like.encode("Object", node=NODE, sized=record.sized, index=INDEX, subindex=0, data=data)
     assert tuple(bytes(one.data) for one in ours) == record.meta.frames
 
