@@ -176,6 +176,12 @@ class CarriedPort:
         if not isinstance(word, tuple):
             return self.port.send(word, age_ns, urgent=urgent, topic=topic, report=report)
         key = _key(word[0])
+        transport = self._transport_of(key)
+        if transport is not None and transport.unsendable and len(word) > 1:
+            if report is not None:
+                report("dropped", f"{transport.title}: {transport.unsendable}")
+            self.failed += 1
+            return False
         if urgent:  # what is under way gives way to a stop
             for outgoing, _ in [*self._out.get(key, ())]:
                 outgoing.end("dropped", "a stop overtook it")
@@ -185,12 +191,6 @@ class CarriedPort:
         def send(frame: Frame) -> bool:
             return self.port.send(frame, 0, urgent=urgent, topic=topic)
 
-        transport = self._transport_of(key)
-        if transport is not None and transport.is_paced:
-            self.failed += 1
-            if report is not None:
-                report("dropped", f"{transport.title} takes pauses, or a handshake, that devices do not keep")
-            return False
         waits = transport is not None and transport.go_ahead(key, word[0].data) is not None
         made = _Outgoing(self, word, send, report)
         waiting = self._out.setdefault(key, deque())

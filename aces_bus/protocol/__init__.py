@@ -33,6 +33,7 @@ from .declare.message import Message, Request
 from .declare.pattern import IdField
 from .declare.protocol import Protocol, Variant
 from .declare.registers import Register, RegisterMap
+from .declare.sdo import SdoTransfer
 from .declare.stuffing import Cobs, CutZeros, Insert, Slip
 from .declare.tail_byte import TailByte
 from .declare.transport import FrameKind, FrameNumber, FramePart, Transport
@@ -91,6 +92,7 @@ __all__ = [
     "Reserved",
     "ScanCounts",
     "Scanner",
+    "SdoTransfer",
     "SignMagnitude",
     "Slip",
     "Split",

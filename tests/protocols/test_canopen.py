@@ -43,6 +43,9 @@ WORKED: list[tuple[str, str, dict[str, Any]]] = [
     ("605#2B 17 10 00 E8 03 00 00", "SdoDownload", {"index": 0x1017, "data": b"\xe8\x03\0\0"}),
 ]
 
+#: Messages that both dialects have.
+EXPEDITED = {"SdoUpload", "SdoUploaded", "SdoDownload", "SdoAborted"}
+
 
 @pytest.mark.parametrize(("text", "name", "fields"), WORKED)
 def test_worked_frames(text: str, name: str, fields: dict[str, Any]) -> None:
@@ -79,6 +82,22 @@ def test_what_is_no_object_is_unknown() -> None:
     for record in _read(*unknown):
         assert type(record).__name__ == "Unknown", record
     assert isinstance(_read("77F#7F")[0], Heartbeat)
+
+
+def test_transfers_are_one_record() -> None:
+    """The dialect `transfers`: segments are one record, what takes and asks for them is counted; all else as in `frames`."""
+    written = ["605#21 08 10 00 06 00 00 00", "585#60 08 10 00 00 00 00 00", "605#03 61 62 63 64 65 66 00"]
+    read = ["605#40 08 10 00 00 00 00 00", "585#41 08 10 00 06 00 00 00", "605#60 00 00 00 00 00 00 00"]
+    rest = ["585#20 00 00 00 00 00 00 00", *read, "585#03 61 62 63 64 65 66 00"]
+    expedited = [text for text, name, _ in WORKED if name in EXPEDITED]
+    scanner = canopen.scanner(dialect="transfers")
+    found = scanner.feed([_frame(text) for text in [*written, *rest, *expedited]])
+    names = ["SdoDownloaded", "SdoDownloadTransfer", "SdoUpload", "SdoUploadTransfer"]
+    assert [type(one).__name__ for one in found[:4]] == names
+    for one in (found[1], found[3]):
+        assert (one.node, one.index, one.subindex, one.data) == (5, 0x1008, 0, b"abcdef")
+    assert [as_dict(one) for one in found[4:]] == [as_dict(one) for one in _read(*expedited)]
+    assert (scanner.counts.control, scanner.counts.malformed) == (2, 0)
 
 
 def test_codes_without_a_name_show_their_number() -> None:

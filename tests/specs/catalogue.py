@@ -21,6 +21,7 @@ from tests.specs.mit_motor import mit_motor
 from tests.specs.modbus_like import modbus_like
 from tests.specs.nmea2000_like import nmea2000_like
 from tests.specs.odrive_like import odrive_like
+from tests.specs.sdo_like import sdo_like
 from tests.specs.slip import slip
 from tests.specs.uds_like import uds_like
 from tests.specs.xbus_like import xbus_like
@@ -42,6 +43,7 @@ SPECS: dict[str, Protocol] = {
         modbus_like,
         nmea2000_like,
         odrive_like,
+        sdo_like,
         slip,
         uds_like,
         xbus_like,

@@ -111,6 +111,9 @@ class Sending:
         self.make: Callable[[], list[Word]] = self._raw() if "#" in arguments.what[0] else self._message()
         self.first = self.make()
         self.is_can = isinstance(self.first[0], Frame)
+        carrier = self.message.transport if self.message is not None and len(self.first) > 1 else None
+        if arguments.tx and carrier is not None and carrier.unsendable and not carrier.has_sender:
+            raise CallerError(f"{arguments.what[0]} is not sent by {carrier.title}: {carrier.unsendable}")
         self.every, self.count, self.until = self._often()
         self.reply_ns: int | None = arguments.reply
         if self.reply_ns is not None and not arguments.tx:

@@ -50,7 +50,8 @@ class J1939Transport(Transport):
     """
 
     title: ClassVar[str] = "J1939 transport"
-    is_paced: ClassVar[bool] = True
+    unsendable: ClassVar[str] = "it takes pauses, or a handshake, that devices do not keep"
+    has_sender: ClassVar[bool] = True
 
     fd: bool = field(default=False, init=False, repr=False)
     address: int = field(default=0, init=False, repr=False)

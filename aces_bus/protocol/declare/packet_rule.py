@@ -175,7 +175,7 @@ class PacketRule:
         if part.role != "next" and before is not None:
             decided.append(self._lost(before, "aborted" if part.role == "abort" else "restarted"))
         if part.role == "abort":
-            decided.append(DecidedFrames((mine,), part.reason))
+            decided.append(DecidedFrames((mine,), part.reason, part.key, part.data))
         elif part.role == "single":
             decided.append(DecidedFrames((mine,), "", part.key, part.data))
         elif part.role == "first":

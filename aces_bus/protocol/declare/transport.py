@@ -115,7 +115,8 @@ class FramePart(NamedTuple):
     number: int = 0
     is_last: bool = False
     reason: str = ""
-    #: Of an abort: the session that it ends where the first one has no packet under way.
+    #: Of an abort (which without a reason is a packet itself): the session that it ends where the first one has no packet
+    #: under way.
     other: Hashable = None
 
 
@@ -153,8 +154,10 @@ class Transport:
 
     #: For people, in messages and docs.
     title: ClassVar[str] = "transport"
-    #: Whether packets of several frames go out with pauses or a handshake that devices and twins do not keep.
-    is_paced: ClassVar[bool] = False
+    #: Why devices and twins send no packets of several frames ("" where they do).
+    unsendable: ClassVar[str] = ""
+    #: Whether tools have a sender of their own for it, such as `J1939Sender`.
+    has_sender: ClassVar[bool] = False
 
     fd: bool = False
     address: int = 0

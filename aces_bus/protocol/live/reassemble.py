@@ -107,7 +107,7 @@ class Reassembler:
         if found is not None:
             out.append(self._give_up(who, found.why("aborted" if role == "abort" else "restarted")))
         if role == "abort":
-            out.append(Packet([mine], part.reason))
+            out.append(Packet([mine], part.reason, part.key, part.data))
         elif role == "single":
             out.append(Packet([mine], "", part.key, part.data))
         else:

@@ -170,7 +170,7 @@ class Rpdo4(Record, frozen=True):
 class SdoUpload(Record, frozen=True):
     """Read an object.
 
-    to device; source: CiA 301 (canopen; ros2_canopen)
+    to device; dialects frames, transfers; source: CiA 301 (canopen; ros2_canopen)
     """
     node: int
     """node id"""
@@ -181,7 +181,7 @@ class SdoUpload(Record, frozen=True):
 class SdoUploadSegment(Record, frozen=True):
     """The next seven bytes of what is read, please.
 
-    to device; source: CiA 301 (canopen; ros2_canopen)
+    to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
     """
     node: int
     """node id"""
@@ -192,7 +192,7 @@ class SdoUploadSegment(Record, frozen=True):
 class SdoDownload(Record, frozen=True):
     """Write an object of up to four bytes.
 
-    to device; source: CiA 301 (canopen; ros2_canopen)
+    to device; dialects frames, transfers; source: CiA 301 (canopen; ros2_canopen)
     """
     node: int
     """node id"""
@@ -207,7 +207,7 @@ class SdoDownload(Record, frozen=True):
 class SdoDownloadStart(Record, frozen=True):
     """Write an object of more than four bytes; segments follow.
 
-    to device; source: CiA 301 (canopen; ros2_canopen)
+    to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
     """
     node: int
     """node id"""
@@ -221,7 +221,7 @@ class SdoDownloadStart(Record, frozen=True):
 class SdoDownloadSegment(Record, frozen=True):
     """Seven bytes of what is written, less those that are unused.
 
-    to device; source: CiA 301 (canopen; ros2_canopen)
+    to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
     """
     node: int
     """node id"""
@@ -236,7 +236,7 @@ class SdoDownloadSegment(Record, frozen=True):
 class SdoAbort(Record, frozen=True):
     """The transfer ends here: who asked has given up.
 
-    to device; source: CiA 301 (canopen; ros2_canopen)
+    to device; dialects frames, transfers; source: CiA 301 (canopen; ros2_canopen)
     """
     node: int
     """node id"""
@@ -244,10 +244,23 @@ class SdoAbort(Record, frozen=True):
     subindex: int
     code: Literal["toggle", "timeout", "command", "access", "write_only", "read_only", "no_object", "not_mappable", "pdo_length", "parameter", "internal", "hardware", "length", "too_long", "too_short", "no_subindex", "value_range", "value_high", "value_low", "max_below_min", "resource", "general", "cannot_store", "local_control", "device_state", "no_dictionary", "no_data"] | int
 
+class SdoDownloadTransfer(Record, frozen=True):
+    """An object that was written in segments; the time is that of the last one.
+
+    to device; dialect transfers; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    sized: int
+    """whether a size is given"""
+    index: int
+    subindex: int
+    data: bytes
+
 class SdoUploaded(Record, frozen=True):
     """An object of up to four bytes.
 
-    from device; source: CiA 301 (canopen; ros2_canopen)
+    from device; dialects frames, transfers; source: CiA 301 (canopen; ros2_canopen)
     """
     node: int
     """node id"""
@@ -262,7 +275,7 @@ class SdoUploaded(Record, frozen=True):
 class SdoUploadStarted(Record, frozen=True):
     """An object of more than four bytes; ask for its segments.
 
-    from device; source: CiA 301 (canopen; ros2_canopen)
+    from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
     """
     node: int
     """node id"""
@@ -276,7 +289,7 @@ class SdoUploadStarted(Record, frozen=True):
 class SdoUploadedSegment(Record, frozen=True):
     """Seven bytes of what is read, less those that are unused.
 
-    from device; source: CiA 301 (canopen; ros2_canopen)
+    from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
     """
     node: int
     """node id"""
@@ -291,7 +304,7 @@ class SdoUploadedSegment(Record, frozen=True):
 class SdoDownloaded(Record, frozen=True):
     """The object is written, or may be sent in segments.
 
-    from device; source: CiA 301 (canopen; ros2_canopen)
+    from device; dialects frames, transfers; source: CiA 301 (canopen; ros2_canopen)
     """
     node: int
     """node id"""
@@ -302,7 +315,7 @@ class SdoDownloaded(Record, frozen=True):
 class SdoDownloadedSegment(Record, frozen=True):
     """A segment has been taken.
 
-    from device; source: CiA 301 (canopen; ros2_canopen)
+    from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
     """
     node: int
     """node id"""
@@ -313,10 +326,23 @@ class SdoDownloadedSegment(Record, frozen=True):
 class SdoAborted(Record, frozen=True):
     """The transfer ends here: the device refuses.
 
-    from device; source: CiA 301 (canopen; ros2_canopen)
+    from device; dialects frames, transfers; source: CiA 301 (canopen; ros2_canopen)
     """
     node: int
     """node id"""
     index: int
     subindex: int
     code: Literal["toggle", "timeout", "command", "access", "write_only", "read_only", "no_object", "not_mappable", "pdo_length", "parameter", "internal", "hardware", "length", "too_long", "too_short", "no_subindex", "value_range", "value_high", "value_low", "max_below_min", "resource", "general", "cannot_store", "local_control", "device_state", "no_dictionary", "no_data"] | int
+
+class SdoUploadTransfer(Record, frozen=True):
+    """An object that was read in segments; the time is that of the last one.
+
+    from device; dialect transfers; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    sized: int
+    """whether a size is given"""
+    index: int
+    subindex: int
+    data: bytes

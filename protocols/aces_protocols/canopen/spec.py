@@ -3,6 +3,8 @@
 1. An identifier is function << 7 | node; nodes are 1 to 127. Objects at other identifiers are no messages here.
 2. What a PDO carries is the device's own: `data` is its bytes. A file of the device (`-p drive.eds`) knows what they mean.
 3. SDO and EMCY have eight bytes, always. Block transfers are left out: bytes alone do not tell their segments.
+4. Objects in segments: in the dialect `frames` each frame is a message, for who makes transfers; in `transfers` each
+   transfer is one, for who reads along.
 
 Numbers are little-endian. Sources are CiA 301 as the `canopen` library and ros2_canopen have it, and bytes that the
 library made.
@@ -12,7 +14,17 @@ from __future__ import annotations
 
 from construct import Byte, Bytes, GreedyBytes, Int16ul, Int32ul, Struct
 
-from aces_bus.protocol import BitLayout, Enumeration, Flags, IdField, Protocol, Quantity, Reserved, bits
+from aces_bus.protocol import (
+    BitLayout,
+    Enumeration,
+    Flags,
+    IdField,
+    Protocol,
+    Quantity,
+    Reserved,
+    SdoTransfer,
+    bits,
+)
 
 CIA301 = "CiA 301 (canopen; ros2_canopen)"
 
@@ -20,6 +32,10 @@ canopen = Protocol(
     "canopen",
     link="can",
     bitrate=1_000_000,
+    dialects={
+        "frames": "each frame of service data is a message",
+        "transfers": "service data in segments are one message a transfer",
+    },
     broadcast={"node": 0},
     doc="What every CANopen node speaks: NMT, SYNC, TIME, EMCY, PDOs, SDO, heartbeat, LSS.",
     source="CiA 301; christiansandberg/canopen; ros-industrial/ros2_canopen",
@@ -234,16 +250,25 @@ for _number in range(1, 5):
 
 _OBJECT = Struct("command" / Byte, "index" / Int16ul, "subindex" / Byte)
 _SEGMENT = Struct("command" / Byte)
-ask = canopen.family(_OBJECT, id=0x600 + Node, direction="to device")
-ask_segment = canopen.family(_SEGMENT, id=0x600 + Node, direction="to device")
+_TO = {"id": 0x600 + Node, "direction": "to device"}
+_FROM = {"id": 0x580 + Node, "direction": "from device"}
+_FRAMES, _CARRIED = (
+    {"dialect": "frames"},
+    {"dialect": "transfers", "transport": SdoTransfer(max_size=1 << 16)},
+)
+ask_frame, ask_segment = (canopen.family(prefix, **_TO, **_FRAMES) for prefix in (_OBJECT, _SEGMENT))
+ask_carried = canopen.family(_OBJECT, **_TO, **_CARRIED)
 
-SdoUpload = ask(
-    "SdoUpload",
-    command=0x40,
-    payload=Struct("reserved" / Reserved(4)),
-    doc="Read an object.",
-    source=CIA301,
-    examples=[("605#40 41 60 00 00 00 00 00", {"node": 5, "index": 0x6041, "subindex": 0})],
+SdoUpload, _ = (
+    declare(
+        "SdoUpload",
+        command=0x40,
+        payload=Struct("reserved" / Reserved(4)),
+        doc="Read an object.",
+        source=CIA301,
+        examples=[("605#40 41 60 00 00 00 00 00", {"node": 5, "index": 0x6041, "subindex": 0})],
+    )
+    for declare in (ask_frame, ask_carried)
 )
 SdoUploadSegment = ask_segment(
     "SdoUploadSegment",
@@ -253,29 +278,32 @@ SdoUploadSegment = ask_segment(
     source=CIA301,
     examples=[("605#70 00 00 00 00 00 00 00", {"node": 5, "toggle": 1})],
 )
-SdoDownload = ask(
-    "SdoDownload",
-    command=0x22 | Sized | Unused << 2,
-    payload=Struct("data" / Bytes(4)),
-    doc="Write an object of up to four bytes.",
-    source=CIA301,
-    examples=[
-        (
-            "605#2F 60 60 00 08 00 00 00",
-            {
-                "node": 5,
-                "index": 0x6060,
-                "subindex": 0,
-                "sized": 1,
-                "unused": 3,
-                "data": b"\x08\0\0\0",
-            },
-        ),
-        ("605#2B 40 60 00 0F 00 00 00", {"index": 0x6040, "unused": 2, "data": b"\x0f\0\0\0"}),
-        ("605#23 7A 60 00 18 FC FF FF", {"index": 0x607A, "unused": 0, "data": b"\x18\xfc\xff\xff"}),
-    ],
+SdoDownload, _ = (
+    declare(
+        "SdoDownload",
+        command=0x22 | Sized | Unused << 2,
+        payload=Struct("data" / Bytes(4)),
+        doc="Write an object of up to four bytes.",
+        source=CIA301,
+        examples=[
+            (
+                "605#2F 60 60 00 08 00 00 00",
+                {
+                    "node": 5,
+                    "index": 0x6060,
+                    "subindex": 0,
+                    "sized": 1,
+                    "unused": 3,
+                    "data": b"\x08\0\0\0",
+                },
+            ),
+            ("605#2B 40 60 00 0F 00 00 00", {"index": 0x6040, "unused": 2, "data": b"\x0f\0\0\0"}),
+            ("605#23 7A 60 00 18 FC FF FF", {"index": 0x607A, "unused": 0, "data": b"\x18\xfc\xff\xff"}),
+        ],
+    )
+    for declare in (ask_frame, ask_carried)
 )
-SdoDownloadStart = ask(
+SdoDownloadStart = ask_frame(
     "SdoDownloadStart",
     command=0x20 | Sized,
     payload=Struct("size" / Quantity(Int32ul, unit="B")),
@@ -298,41 +326,61 @@ SdoDownloadSegment = ask_segment(
         )
     ],
 )
-SdoAbort = ask(
-    "SdoAbort",
-    command=0x80,
-    payload=Struct("code" / Enumeration(Int32ul, ABORTS)),
-    doc="The transfer ends here: who asked has given up.",
+SdoAbort, _ = (
+    declare(
+        "SdoAbort",
+        command=0x80,
+        payload=Struct("code" / Enumeration(Int32ul, ABORTS)),
+        doc="The transfer ends here: who asked has given up.",
+        source=CIA301,
+        examples=[("605#80 00 00 00 00 00 04 05", {"node": 5, "index": 0, "subindex": 0, "code": "timeout"})],
+    )
+    for declare in (ask_frame, ask_carried)
+)
+
+SdoDownloadTransfer = ask_carried(
+    "SdoDownloadTransfer",
+    command=0x20 | Sized,
+    payload=Struct("data" / GreedyBytes),
+    doc="An object that was written in segments; the time is that of the last one.",
     source=CIA301,
-    examples=[("605#80 00 00 00 00 00 04 05", {"node": 5, "index": 0, "subindex": 0, "code": "timeout"})],
+    examples=[
+        (
+            ["605#21 08 10 00 06 00 00 00", "605#03 61 62 63 64 65 66 00"],
+            {"node": 5, "index": 0x1008, "subindex": 0, "sized": 1, "data": b"abcdef"},
+        )
+    ],
 )
 
 # ---------------------------------------------------------------------- service data: from the device
 
-answer = canopen.family(_OBJECT, id=0x580 + Node, direction="from device")
-answer_segment = canopen.family(_SEGMENT, id=0x580 + Node, direction="from device")
+answer_frame, answer_segment = (canopen.family(prefix, **_FROM, **_FRAMES) for prefix in (_OBJECT, _SEGMENT))
+answer_carried = canopen.family(_OBJECT, **_FROM, **_CARRIED)
 
-SdoUploaded = answer(
-    "SdoUploaded",
-    command=0x42 | Sized | Unused << 2,
-    payload=Struct("data" / Bytes(4)),
-    doc="An object of up to four bytes.",
-    source=CIA301,
-    examples=[
-        (
-            "585#4B 41 60 00 37 06 00 00",
-            {
-                "node": 5,
-                "index": 0x6041,
-                "subindex": 0,
-                "sized": 1,
-                "unused": 2,
-                "data": b"\x37\x06\0\0",
-            },
-        )
-    ],
+SdoUploaded, _ = (
+    declare(
+        "SdoUploaded",
+        command=0x42 | Sized | Unused << 2,
+        payload=Struct("data" / Bytes(4)),
+        doc="An object of up to four bytes.",
+        source=CIA301,
+        examples=[
+            (
+                "585#4B 41 60 00 37 06 00 00",
+                {
+                    "node": 5,
+                    "index": 0x6041,
+                    "subindex": 0,
+                    "sized": 1,
+                    "unused": 2,
+                    "data": b"\x37\x06\0\0",
+                },
+            )
+        ],
+    )
+    for declare in (answer_frame, answer_carried)
 )
-SdoUploadStarted = answer(
+SdoUploadStarted = answer_frame(
     "SdoUploadStarted",
     command=0x40 | Sized,
     payload=Struct("size" / Quantity(Int32ul, unit="B")),
@@ -355,13 +403,16 @@ SdoUploadedSegment = answer_segment(
         )
     ],
 )
-SdoDownloaded = answer(
-    "SdoDownloaded",
-    command=0x60,
-    payload=Struct("reserved" / Reserved(4)),
-    doc="The object is written, or may be sent in segments.",
-    source=CIA301,
-    examples=[("585#60 08 10 00 00 00 00 00", {"node": 5, "index": 0x1008, "subindex": 0})],
+SdoDownloaded, _ = (
+    declare(
+        "SdoDownloaded",
+        command=0x60,
+        payload=Struct("reserved" / Reserved(4)),
+        doc="The object is written, or may be sent in segments.",
+        source=CIA301,
+        examples=[("585#60 08 10 00 00 00 00 00", {"node": 5, "index": 0x1008, "subindex": 0})],
+    )
+    for declare in (answer_frame, answer_carried)
 )
 SdoDownloadedSegment = answer_segment(
     "SdoDownloadedSegment",
@@ -371,13 +422,32 @@ SdoDownloadedSegment = answer_segment(
     source=CIA301,
     examples=[("585#20 00 00 00 00 00 00 00", {"node": 5, "toggle": 0})],
 )
-SdoAborted = answer(
-    "SdoAborted",
-    command=0x80,
-    payload=Struct("code" / Enumeration(Int32ul, ABORTS)),
-    doc="The transfer ends here: the device refuses.",
+SdoAborted, _ = (
+    declare(
+        "SdoAborted",
+        command=0x80,
+        payload=Struct("code" / Enumeration(Int32ul, ABORTS)),
+        doc="The transfer ends here: the device refuses.",
+        source=CIA301,
+        examples=[
+            (
+                "585#80 40 60 00 30 00 09 06",
+                {"node": 5, "index": 0x6040, "subindex": 0, "code": "value_range"},
+            )
+        ],
+    )
+    for declare in (answer_frame, answer_carried)
+)
+SdoUploadTransfer = answer_carried(
+    "SdoUploadTransfer",
+    command=0x40 | Sized,
+    payload=Struct("data" / GreedyBytes),
+    doc="An object that was read in segments; the time is that of the last one.",
     source=CIA301,
     examples=[
-        ("585#80 40 60 00 30 00 09 06", {"node": 5, "index": 0x6040, "subindex": 0, "code": "value_range"})
+        (
+            ["585#41 08 10 00 0A 00 00 00", "585#00 61 62 63 64 65 66 67", "585#19 68 69 6A 00 00 00 00"],
+            {"node": 5, "index": 0x1008, "subindex": 0, "sized": 1, "data": b"abcdefghij"},
+        )
     ],
 )

@@ -1,0 +1,138 @@
+"""Service data of CANopen in segments: what opens, carries and ends a transfer, and what is wrong with one."""
+
+from __future__ import annotations
+
+from typing import Any, cast
+
+import pytest
+from construct import GreedyBytes, Struct
+
+from aces_bus.device.carried_port import CarriedPort
+from aces_bus.errors import FieldError, SpecError
+from aces_bus.frames import Frame
+from aces_bus.protocol import Protocol, SdoTransfer
+from aces_tools.main import main
+from tests.specs.sdo_like import sdo_like
+
+#: A node writes sixteen bytes to object 1008, and reads them.
+WRITE = ["605#2108100010000000", "605#0061626364656667", "605#1068696A6B6C6D6E", "605#0B6F700000000000"]
+TAKEN = ["585#6008100000000000", "585#2000000000000000", "585#3000000000000000", "585#2000000000000000"]
+READ = [text.replace("605#21", "585#41").replace("605", "585") for text in WRITE]
+ASKED = ["605#4008100000000000", "605#6000000000000000", "605#7000000000000000", "605#6000000000000000"]
+REFUSED, GIVEN_UP = "585#8008100022000008", "605#8008100000000405"
+
+
+class FakePort:
+    """A port that keeps what is sent."""
+
+    def __init__(self, sent: list[Frame]) -> None:
+        self.sent = sent
+
+    def send(self, word: Any, *_: Any, **options: Any) -> bool:
+        self.sent.append(word)
+        return True
+
+
+def frames(*texts: str, times: tuple[float, ...] = ()) -> list[Frame]:
+    found = []
+    for number, text in enumerate(texts):
+        identifier, _, data = text.partition("#")
+        found.append(Frame(int(identifier, 16), bytes.fromhex(data), times[number] if times else None))
+    return found
+
+
+def fed(*texts: str, times: tuple[float, ...] = ()) -> list[str]:
+    """What each thing is that a scanner gives: the message, or the reason."""
+    scanner = sdo_like.scanner(include_unknown=True)
+    items: list[Any] = [*scanner.feed(frames(*texts, times=times)), *scanner.close()]
+    assert scanner.counts.total == len(texts)
+    return [getattr(one, "reason", type(one).__name__).removeprefix("malformed: ") for one in items]
+
+
+def test_a_conversation_is_one_record_each_way() -> None:
+    """Segments and what asks for them or takes them, in turn: a record of the data, the others counted apart."""
+    written = [text for pair in zip(WRITE, TAKEN, strict=True) for text in pair]
+    assert fed(*written) == ["Written", *["control: segment taken"] * 2, "Write", "control: segment taken"]
+    read = [text for pair in zip(ASKED, READ, strict=True) for text in pair]
+    assert fed(*read) == ["Read", *["control: segment request"] * 3, "Object"]
+    scanner = sdo_like.scanner()
+    record = scanner.feed(frames(*WRITE, times=(0.0, 0.1, 0.2, 0.3)))[0]
+    assert (record.node, record.index, record.subindex, record.data) == (5, 0x1008, 0, b"abcdefghijklmnop")
+    assert (record.meta.identifier, record.meta.first_time, record.meta.time) == (0x605, 0.0, 0.3)
+    assert len(record.meta.frames) == 4
+
+
+def test_nodes_side_by_side() -> None:
+    """Transfers of two nodes and of both directions, frame by frame in turn."""
+    other = [text.replace("605", "606") for text in WRITE]
+    in_turn = [text for three in zip(WRITE, other, READ, strict=True) for text in three]
+    assert fed(*in_turn) == ["Write", "Write", "Object"]
+
+
+def test_what_a_transfer_lacks_is_said() -> None:
+    """Segments that are lost, doubled, late, short, or behind nothing; a toggle tells one of two."""
+    assert fed(WRITE[0], *WRITE[2:]) == ["frame 2 of 4 missing"] * 2 + ["no first frame"]
+    assert fed(WRITE[0], WRITE[1], WRITE[1], *WRITE[2:]) == ["repeated", "Write"]
+    assert fed(*WRITE[:2], *WRITE) == ["restarted"] * 2 + ["Write"]
+    assert fed(*WRITE, times=(0.0, 0.1, 1.2, 1.3)) == ["timed out"] * 2 + ["no first frame"] * 2
+    assert fed(*WRITE[:3]) == ["pending"] * 3
+    assert fed(*WRITE[:2], "605#1268696A6B6C6D00") == ["frame 3 of 4 is short"] * 3
+    assert (
+        fed(WRITE[0], WRITE[3]) == ["frame 2 of 4 is short"] * 2
+    )  # two are lost: the last one comes too early
+    assert fed("605#2108100091010000") == ["too long"]
+    assert fed("605#21081000100000") == ["length"]
+    assert fed("605#E000000000000000") == ["no frame of SDO transfer"]
+
+
+def test_an_abort_ends_the_transfer_and_is_a_message() -> None:
+    """Of either end, whoever has the data; without a transfer it is a message, too."""
+    for data in (WRITE, READ):
+        assert fed(*data[:2], REFUSED) == ["aborted", "aborted", "Refused"]
+        assert fed(*data[:2], GIVEN_UP, data[2]) == ["aborted", "aborted", "Abort", "no first frame"]
+    assert fed(REFUSED) == ["Refused"]
+    assert sdo_like.scanner().feed(frames(REFUSED))[0].code == 0x08000022
+
+
+def test_block_transfers_are_refused_by_name() -> None:
+    """What begins, steers and ends one; a numbered frame of it follows no first one."""
+    begun = ["605#C208100010000000", "585#A40810007F000000", "605#0161626364656667", "605#C100000000000000"]
+    assert fed(*begun) == ["block transfer", "block transfer", "no first frame", "block transfer"]
+
+
+def test_sizes_need_not_be_given() -> None:
+    """Without a size the last segment says that it is the last; so it does for no bytes at all."""
+    for size in (0, 1, 7, 8, 300):
+        data = bytes(place & 0xFF for place in range(size))
+        for sized in (0, 1):
+            sent = sdo_like.encode("Write", node=9, sized=sized, index=0x2000, subindex=3, data=data)
+            assert len(sent) == 1 + max(1, -(-size // 7))
+            (record,) = sdo_like.scanner().feed(sent)
+            assert (record.sized, record.data) == (sized, data)
+    with pytest.raises(FieldError, match="400"):
+        sdo_like.encode("Write", node=9, sized=1, index=0x2000, subindex=3, data=bytes(397))
+
+
+def test_transfers_in_segments_are_not_sent(capsys: pytest.CaptureFixture[str]) -> None:
+    """Neither by `aces send` nor by devices: nothing leaves, and the reason is said; single frames go."""
+    what = ["send", "Write", "node=5", "sized=1", "index=8192", "subindex=0", "data=hex:0102"]
+    on = ["-p", "tests/specs/sdo_like.py", "-i", "aces", "-c", "sdo", "--bus-kwargs", "physics=False"]
+    assert main([*what, *on, "--tx"]) != 0
+    assert "each of its frames waits for an answer" in capsys.readouterr().err
+    sent: list[Frame] = []
+    said: list[tuple[str, str]] = []
+    port = CarriedPort(cast("Any", FakePort(sent)), [sdo_like.variant()], lambda key: True)
+    long = sdo_like.encode("Write", node=5, sized=1, index=0x2000, subindex=0, data=bytes(9))
+    assert not port.send(tuple(long), report=lambda fate, why: said.append((fate, why)))
+    assert (sent, said[0][0], port.failed) == ([], "dropped", 1)
+    short = sdo_like.encode("Read", node=5, index=0x2000, subindex=0)
+    assert port.send(tuple(short))
+    assert len(sent) == 1
+
+
+def test_frames_of_the_transport_are_no_messages() -> None:
+    """What carries packets cannot be a message of one frame, too."""
+    protocol = Protocol("mixed", link="can")
+    protocol.message("Long", transport=SdoTransfer(), id=0x605, payload=Struct("data" / GreedyBytes))
+    with pytest.raises(SpecError, match="by which SDO transfer carries 'Long'"):
+        protocol.message("Segment", id=0x585)
