@@ -204,7 +204,7 @@ def _scanned(variant: Any, message: Any, example: Example) -> bool:
             # Numbers as characters may have more or fewer decimals than we would write, if they read the same.
             again = as_dict(scanner.feed(made)[0])
             same = all(agree(again[field], value) for field, value in values.items())
-    return same and all(agree(values[field], wanted) for field, wanted in example.fields.items())
+    return same and agree(values, example.fields)
 
 
 # ---------------------------------------------------------------------- characters

@@ -57,11 +57,26 @@ STATUS = {
 
 # ---------------------------------------------------------------------- MIT frames
 
+#: What one command and one feedback mean, by model: of 2**n − 1 steps they are 5241, −273 and 613, and −2623, 409 and −411
+#: from the middle. kp is step 409 of 500 N·m/rad, kd step 245 of 5 N·m·s/rad.
+_GAINS = {"kp": 49.93894993894994, "kd": 0.29914529914529914}
+_COMMANDS: dict[str, dict[str, float]] = {
+    SHARE: {"position": 0.0799725338, "velocity": -0.0666666667, "torque": 0.149694750, **_GAINS},
+    "4310": {"position": 0.9996566720, "velocity": -2.0, "torque": 1.49694750, **_GAINS},
+    "4340": {"position": 0.9996566720, "velocity": -0.666666667, "torque": 4.19145299, **_GAINS},
+    "8009": {"position": 0.9996566720, "velocity": -3.0, "torque": 8.08351648, **_GAINS},
+}
+_FEEDBACKS: dict[str, dict[str, float]] = {
+    SHARE: {"position": -0.0400244144, "velocity": 0.0998778999, "torque": -0.100366300},
+    "4310": {"position": -0.500305180, "velocity": 2.99633700, "torque": -1.00366300},
+    "4340": {"position": -0.500305180, "velocity": 0.998778999, "torque": -2.81025641},
+    "8009": {"position": -0.500305180, "velocity": 4.49450549, "torque": -5.41978022},
+}
+
 for model, (position, velocity, torque), units in (
     (SHARE, (1.0, 1.0, 1.0), ("", "", "")),
     *((name, MODELS[name], ("rad", "rad/s", "N·m")) for name in DIALECTS),
 ):
-    is_4310 = model == "4310"
     damiao.message(
         "Command",
         id=0x000 + Motor,
@@ -78,21 +93,7 @@ for model, (position, velocity, torque), units in (
         ),
         doc="Torque = kp × (position error) + kd × (velocity error) + torque.",
         source="motorcontrol can.c, unpack_cmd; python-damiao-driver motor.py",
-        examples=[
-            (
-                "001#8A 3C 77 71 99 0F 59 32",
-                {
-                    "motor": 1,
-                    "position": 0.9996566720073243,
-                    "velocity": -2.0,
-                    "kp": 49.93894993894994,
-                    "kd": 0.29914529914529914,
-                    "torque": 1.496947496947497,
-                },
-            )
-        ]
-        if is_4310
-        else (),
+        examples=[("001#8A 3C 77 71 99 0F 59 32", {"motor": 1, **_COMMANDS[model]})],
     )
     damiao.message(
         "Feedback",
@@ -115,22 +116,17 @@ for model, (position, velocity, torque), units in (
         examples=[
             (
                 "011#11 7A E0 8C C7 32 23 29",
-                {
-                    "master": 0x11, "motor": 1, "status": "enabled", "position": -0.5003051804379339,
-                    "velocity": 2.996336996336993,
-                    "torque": -1.0036630036630036, "mos_temperature": 35, "rotor_temperature": 41,
-                },
+                {"master": 0x11, "motor": 1, "status": "enabled", "mos_temperature": 35, "rotor_temperature": 41}
+                | _FEEDBACKS[model],
             )
-        ]
-        if is_4310
-        else (),
+        ],
     )  # fmt: skip
 
-for name, last, doc in (
-    ("Enable", 0xFC, "Switch the motor on."),
-    ("Disable", 0xFD, "Switch the motor off."),
-    ("SetZero", 0xFE, "The present position becomes zero."),
-    ("ClearError", 0xFB, "Clear the error."),
+for name, last, doc, example in (
+    ("Enable", 0xFC, "Switch the motor on.", "001#FF FF FF FF FF FF FF FC"),
+    ("Disable", 0xFD, "Switch the motor off.", "001#FF FF FF FF FF FF FF FD"),
+    ("SetZero", 0xFE, "The present position becomes zero.", "001#FF FF FF FF FF FF FF FE"),
+    ("ClearError", 0xFB, "Clear the error.", "001#FF FF FF FF FF FF FF FB"),
 ):
     damiao.message(
         name,
@@ -140,6 +136,7 @@ for name, last, doc in (
         overrides="Command",  # motors test for it first
         doc=doc,
         source="motorcontrol main.c; DM_CAN.py",
+        examples=[(example, {"motor": 1})],
     )
 
 # ---------------------------------------------------------------------- other modes
@@ -214,7 +211,30 @@ _EXAMPLES: dict[str, list[Any]] = {
             "7FF#01 00 33 15 00 00 00 00",
         )
     ],
+    "WriteFloat": [("7FF#0F 00 55 05 00 00 20 C0", {"motor": 15, "register": "deceleration", "value": -2.5})],
+    "WriteFloatReply": [
+        (
+            "01F#0F 00 55 05 00 00 20 C0",
+            {"master": 0x1F, "register": "deceleration", "value": -2.5},
+            "7FF#0F 00 55 05 00 00 20 C0",
+        )
+    ],
+    "ReadInteger": [("7FF#01 00 33 09 00 00 00 00", {"motor": 1, "register": "timeout"})],
+    "ReadIntegerReply": [
+        (
+            "011#01 00 33 09 20 4E 00 00",
+            {"register": "timeout", "value": 20_000},
+            "7FF#01 00 33 09 00 00 00 00",
+        )
+    ],
     "WriteInteger": [("7FF#01 00 55 0A 02 00 00 00", {"register": "control_mode", "value": 2})],
+    "WriteIntegerReply": [
+        (
+            "011#01 00 55 0A 02 00 00 00",
+            {"register": "control_mode", "value": 2},
+            "7FF#01 00 55 0A 02 00 00 00",
+        )
+    ],
 }
 
 for name, opcode in (("Read", 0x33), ("Write", 0x55)):
@@ -232,7 +252,7 @@ for name, opcode in (("Read", 0x33), ("Write", 0x55)):
             register=numbers,
             payload=Struct("value" / value) if name == "Write" else Struct("padding" / Reserved(4)),
             doc=f"{name} a register" + (", until the motor is switched off." if name == "Write" else "."),
-            examples=_EXAMPLES.get(f"{name}{kind}", ()),
+            examples=_EXAMPLES[f"{name}{kind}"],
         )
         access(
             f"{name}{kind}Reply",
@@ -246,18 +266,29 @@ for name, opcode in (("Read", 0x33), ("Write", 0x55)):
             overrides="Feedback",
             payload=Struct("value" / value),
             doc="What the register holds.",
-            examples=_EXAMPLES.get(f"{name}{kind}Reply", ()),
+            examples=_EXAMPLES[f"{name}{kind}Reply"],
         )
 
-for name, opcode, rest, doc, source in (
+for name, opcode, rest, doc, source, examples in (
     (
         "Store",
         0xAA,
         (0x00, 0x01),
         "Keep the registers for good; while the motor is off.",
         "DM_CAN.py (0), python-damiao-driver (1)",
+        [
+            ("7FF#01 00 AA 00 00 00 00 00", {"motor": 1, "how": 0}),
+            ("7FF#01 00 AA 01 00 00 00 00", {"motor": 1, "how": 1}),
+        ],
     ),
-    ("AskFeedback", 0xCC, (0x00,), "Ask for a feedback.", JX),
+    (
+        "AskFeedback",
+        0xCC,
+        (0x00,),
+        "Ask for a feedback.",
+        JX,
+        [("7FF#0F 00 CC 00 00 00 00 00", {"motor": 15})],
+    ),
 ):
     damiao.message(
         name,
@@ -268,4 +299,5 @@ for name, opcode, rest, doc, source in (
         payload=Struct("padding" / Reserved(4)),
         doc=doc,
         source=source,
+        examples=examples,
     )

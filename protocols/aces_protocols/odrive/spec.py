@@ -79,8 +79,13 @@ NEWTON_METRE, CELSIUS = Quantity(Float32l, unit="N·m"), Quantity(Float32l, unit
 
 
 def tells(name: str, command: int, payload: Construct, **more: Any) -> None:
-    """What a drive says by itself or when asked: `Get…` by a remote frame, `Get…Empty` by a data frame without data."""
+    """What a drive says by itself or when asked: `Get…` by a remote frame, `Get…Empty` by a data frame without data.
+
+    The first example's identifier is that of the requests' examples, too.
+    """
     shared = {"dialect": more.get("dialect"), "source": more["source"]}
+    answer, values = more["examples"][0]
+    identifier = answer.partition("#")[0]
     odrive.message(name, id=Node << 5 | command, direction="from device", payload=payload, **more)
     for suffix, remote in (("", True), ("Empty", False)):
         odrive.message(
@@ -89,6 +94,7 @@ def tells(name: str, command: int, payload: Construct, **more: Any) -> None:
             remote=remote,
             direction="to device",
             doc=f"Ask for {name}, by a {'remote frame' if remote else 'data frame without data'}.",
+            examples=[(f"{identifier}#{'R' if remote else ''}", {"node": values["node"]})],
             **shared,
         )
 
@@ -152,9 +158,21 @@ odrive.message(
         )
     ],
 )
-takes("Estop", 0x02, doc="Disarm the axis, with an error that has to be cleared.", source=OLD)
+takes(
+    "Estop",
+    0x02,
+    doc="Disarm the axis, with an error that has to be cleared.",
+    source=OLD,
+    examples=[("062#", {"node": 3}), ("7C2#", {"node": 0x3E})],
+)
 tells(
-    "MotorError", 0x03, Struct("error" / Int64ul), dialect="0.5", doc="Error bits of the motor.", source=OLD
+    "MotorError",
+    0x03,
+    Struct("error" / Int64ul),
+    dialect="0.5",
+    doc="Error bits of the motor.",
+    source=OLD,
+    examples=[("063#10 00 00 00 02 00 00 00", {"node": 3, "error": 0x2_0000_0010})],
 )
 tells(
     "Errors",
@@ -163,12 +181,18 @@ tells(
     dialect="0.6",
     doc="Errors that are there, and those that disarmed the axis.",
     source=NEW,
+    examples=[
+        (
+            "063#00 02 00 00 00 02 00 04",
+            {"node": 3, "active": ["under_voltage"], "disarm_reason": ["under_voltage", "spinout"]},
+        )
+    ],
 )
-for name, command, part in (
-    ("EncoderError", 0x04, "encoder"),
-    ("SensorlessError", 0x05, "sensorless estimator"),
-    ("ControllerError", 0x1D, "controller"),
-):
+for name, command, part, example in (
+    ("EncoderError", 0x04, "encoder", ("064#04 01 00 00 00 00 00 00", {"node": 3, "error": 0x104})),
+    ("SensorlessError", 0x05, "sensorless estimator", ("065#01 02 00 00 00 00 00 00", {"node": 3, "error": 0x201})),
+    ("ControllerError", 0x1D, "controller", ("07D#01 00 00 80 00 00 00 00", {"node": 3, "error": 0x8000_0001})),
+):  # fmt: skip
     tells(
         name,
         command,
@@ -176,8 +200,16 @@ for name, command, part in (
         dialect="0.5",
         doc=f"Error bits of the {part}.",
         source=OLD,
+        examples=[example],
     )
-takes("ClearErrors", 0x18, dialect="0.5", doc="Clear all errors.", source=OLD)
+takes(
+    "ClearErrors",
+    0x18,
+    dialect="0.5",
+    doc="Clear all errors.",
+    source=OLD,
+    examples=[("078#", {"node": 3})],
+)
 takes(
     "ClearErrors",
     0x18,
@@ -185,6 +217,7 @@ takes(
     dialect="0.6",
     doc="Clear all errors; identify 1: blink.",
     source=NEW,
+    examples=[("078#01", {"node": 3, "identify": 1})],
 )
 
 # ---------------------------------------------------------------------- control
@@ -232,17 +265,43 @@ takes(
     Struct("velocity" / REV_S, "torque" / NEWTON_METRE),
     doc="How fast to turn, with the torque that is fed forward.",
     source=OLD,
+    examples=[("06D#00 00 20 C0 00 00 00 3E", {"node": 3, "velocity": -2.5, "torque": 0.125})],
 )
-takes("SetInputTorque", 0x0E, **four("torque", NEWTON_METRE), doc="Which torque to give.", source=OLD)
+takes(
+    "SetInputTorque",
+    0x0E,
+    **four("torque", NEWTON_METRE),
+    doc="Which torque to give.",
+    source=OLD,
+    examples=[
+        ("06E#00 00 00 BF", {"node": 3, "torque": -0.5, "more": b""}),
+        ("06E#00 00 00 BF 00 00 00 00", {"node": 3, "torque": -0.5, "more": bytes(4)}),
+    ],
+)
 takes(
     "SetLimits",
     0x0F,
     Struct("velocity" / REV_S, "current" / AMPERE),
     doc="The greatest velocity and current.",
     source=OLD,
+    examples=[("06F#00 00 A0 41 00 00 28 41", {"node": 3, "velocity": 20.0, "current": 10.5})],
 )
-takes("StartAnticogging", 0x10, dialect="0.5", doc="Calibrate against cogging: it moves.", source=OLD)
-takes("SetTrajectoryVelocity", 0x11, **four("velocity", REV_S), doc="Speed of trapezoids.", source=OLD)
+takes(
+    "StartAnticogging",
+    0x10,
+    dialect="0.5",
+    doc="Calibrate against cogging: it moves.",
+    source=OLD,
+    examples=[("070#", {"node": 3})],
+)
+takes(
+    "SetTrajectoryVelocity",
+    0x11,
+    **four("velocity", REV_S),
+    doc="Speed of trapezoids.",
+    source=OLD,
+    examples=[("071#00 00 48 41", {"node": 3, "velocity": 12.5})],
+)
 takes(
     "SetTrajectoryAcceleration",
     0x12,
@@ -252,6 +311,7 @@ takes(
     ),
     doc="Acceleration and deceleration of trapezoids.",
     source=OLD,
+    examples=[("072#00 00 20 40 00 00 80 40", {"node": 3, "acceleration": 2.5, "deceleration": 4.0})],
 )
 takes(
     "SetTrajectoryInertia",
@@ -259,6 +319,7 @@ takes(
     **four("inertia", Quantity(Float32l, unit="N·m/(rev/s²)")),
     doc="Torque that is fed forward for an acceleration.",
     source=OLD,
+    examples=[("073#00 00 80 3E", {"node": 3, "inertia": 0.25})],
 )
 takes(
     "SetPositionGain",
@@ -266,6 +327,7 @@ takes(
     **four("gain", Quantity(Float32l, unit="(rev/s)/rev")),
     doc="The position controller's gain.",
     source=OLD,
+    examples=[("07A#00 00 A0 41", {"node": 3, "gain": 20.0})],
 )
 takes(
     "SetVelocityGains",
@@ -275,6 +337,7 @@ takes(
     ),
     doc="The velocity controller's gains.",
     source=OLD,
+    examples=[("07B#00 00 40 3E 00 00 A0 3E", {"node": 3, "gain": 0.1875, "integrator": 0.3125})],
 )
 takes(
     "SetLinearCount",
@@ -283,6 +346,7 @@ takes(
     **four("count", Int32sl),
     doc="The present position, in counts of the encoder.",
     source=OLD,
+    examples=[("079#18 FC FF FF", {"node": 3, "count": -1000})],
 )
 takes(
     "SetAbsolutePosition",
@@ -291,6 +355,7 @@ takes(
     **four("position", REV),
     doc="The present position.",
     source=NEW,
+    examples=[("079#00 00 A0 BF", {"node": 3, "position": -1.25})],
 )
 
 # ---------------------------------------------------------------------- what is measured
@@ -310,6 +375,7 @@ tells(
     dialect="0.5",
     doc="Counts of the encoder: over all turns, and within one.",
     source=OLD,
+    examples=[("06A#18 FC FF FF 18 1C 00 00", {"node": 3, "shadow": -1000, "in_cpr": 7192})],
 )
 tells(
     "Iq",
@@ -317,6 +383,7 @@ tells(
     Struct("setpoint" / AMPERE, "measured" / AMPERE),
     doc="The current that makes torque.",
     source=OLD,
+    examples=[("074#00 00 C0 3F 00 00 A0 BF", {"node": 3, "setpoint": 1.5, "measured": -1.25})],
 )
 tells(
     "SensorlessEstimates",
@@ -325,6 +392,7 @@ tells(
     dialect="0.5",
     doc="What is estimated without an encoder.",
     source=OLD,
+    examples=[("075#00 00 40 3F 00 00 20 C0", {"node": 3, "position": 0.75, "velocity": -2.5})],
 )
 tells(
     "Temperature",
@@ -333,6 +401,7 @@ tells(
     dialect="0.6",
     doc="Temperatures of the transistors and of the motor.",
     source=NEW,
+    examples=[("075#00 00 FC 41 00 00 80 C0", {"node": 3, "inverter": 31.5, "motor": -4.0})],
 )
 tells(
     "BusVoltageCurrent",
@@ -340,6 +409,7 @@ tells(
     Struct("voltage" / VOLT, "current" / AMPERE),
     doc="Voltage and current of the supply (up to 0.5.5 the voltage alone, current 0).",
     source=OLD,
+    examples=[("077#00 00 C4 41 00 00 40 BF", {"node": 3, "voltage": 24.5, "current": -0.75})],
 )
 odrive.message(
     "GetAdcVoltage",
@@ -349,6 +419,7 @@ odrive.message(
     payload=Struct("gpio" / Byte),
     doc="Ask for the voltage at a pin (0.5.6).",
     source=OLD,
+    examples=[("07C#04", {"node": 3, "gpio": 4})],
 )
 odrive.message(
     "AdcVoltage",
@@ -358,6 +429,7 @@ odrive.message(
     payload=Struct("voltage" / VOLT, "padding" / Reserved(4)),
     doc="The voltage at a pin.",
     source=OLD,
+    examples=[("07C#00 00 50 40 00 00 00 00", {"node": 3, "voltage": 3.25})],
 )
 tells(
     "Torques",
@@ -366,6 +438,7 @@ tells(
     dialect="0.6",
     doc="Torque: wanted, and estimated from the current.",
     source=NEW,
+    examples=[("07C#00 00 00 BF 00 00 E0 BE", {"node": 3, "target": -0.5, "estimate": -0.4375})],
 )
 tells(
     "Powers",
@@ -374,11 +447,20 @@ tells(
     dialect="0.6",
     doc="Power: from the supply, and at the shaft.",
     source=NEW,
+    examples=[("07D#00 00 40 C2 00 00 80 C2", {"node": 3, "electrical": -48.0, "mechanical": -64.0})],
 )
 
 # ---------------------------------------------------------------------- addresses, versions, parameters
 
-takes("SetNodeId", 0x06, dialect="0.5", **four("new_node", Int32ul), doc="Another number.", source=OLD)
+takes(
+    "SetNodeId",
+    0x06,
+    dialect="0.5",
+    **four("new_node", Int32ul),
+    doc="Another number.",
+    source=OLD,
+    examples=[("066#3E 00 00 00", {"node": 3, "new_node": 0x3E})],
+)
 ADDRESS = {
     "payload": Struct(
         "address" / Byte,
@@ -407,9 +489,20 @@ odrive.message(
     dialect="0.6",
     doc="Ask everybody for node and serial number.",
     source=RESOURCES,
+    examples=[("7E6#R", {})],
 )
 odrive.message(
-    "Address", id=Node << 5 | 0x06, direction="from device", doc="Node and serial number.", **ADDRESS
+    "Address",
+    id=Node << 5 | 0x06,
+    direction="from device",
+    doc="Node and serial number.",
+    examples=[
+        (
+            "0A6#05 31 33 6B 39 68 30 02",
+            {"node": 5, "address": 5, "serial_number": 0x3068396B3331, "connection": b"\x02"},
+        )
+    ],
+    **ADDRESS,
 )
 tells(
     "Version",
@@ -421,6 +514,15 @@ tells(
     dialect="0.6",
     doc="Versions of the protocol, the hardware and the firmware.",
     source=NEW,
+    examples=[
+        (
+            "060#02 04 05 3A 00 06 0B 01",
+            {
+                "node": 3, "protocol_version": 2, "hardware_line": 4, "hardware_version": 5, "hardware_variant": 58,
+                "major": 0, "minor": 6, "revision": 11, "unreleased": 1,
+            },
+        )
+    ],
 )  # fmt: skip
 PARAMETER = ("endpoint" / Int16ul, "reserved_byte" / Reserved(1), "value" / Default(GreedyBytes, b""))
 takes(
@@ -443,8 +545,14 @@ odrive.message(
     payload=Struct("opcode" / Byte, *PARAMETER),
     doc="The parameter's value (from 0.6.11 on writes are confirmed, too).",
     source=RESOURCES,
+    examples=[
+        (
+            "065#00 23 01 00 00 00 A0 3F",
+            {"node": 3, "opcode": 0, "endpoint": 0x123, "value": bytes.fromhex("0000A03F")},
+        )
+    ],
 )
-takes("Reboot", 0x16, dialect="0.5", doc="Boot anew.", source=OLD)
+takes("Reboot", 0x16, dialect="0.5", doc="Boot anew.", source=OLD, examples=[("076#", {"node": 3})])
 takes(
     "Reboot",
     0x16,
@@ -452,5 +560,13 @@ takes(
     dialect="0.6",
     doc="Boot anew; save: with the present configuration, erase: as from the factory.",
     source=RESOURCES,
+    examples=[("076#02", {"node": 3, "action": "erase"})],
 )
-takes("EnterDfu", 0x1F, dialect="0.6", doc="Wait for a new firmware.", source=NEW)
+takes(
+    "EnterDfu",
+    0x1F,
+    dialect="0.6",
+    doc="Wait for a new firmware.",
+    source=NEW,
+    examples=[("07F#", {"node": 3})],
+)

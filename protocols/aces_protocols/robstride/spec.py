@@ -83,6 +83,13 @@ def asks(kind: int, name: str, payload: Any, **more: Any) -> Any:
 EMPTY = Struct("padding" / Reserved(8))
 STATES = {"reset": 0, "calibration": 1, "run": 2}
 _MOTION: dict[str, list[Any]] = {
+    SHARE: [
+        (
+            "0185547F#8A 2F 77 77 0F 5C 33 33",
+            {"motor": 0x7F, "position": 0.0795757992, "velocity": -0.0666666667, "kp": 0.0599984741, "kd": 0.2,
+                "torque": 0.0416418708},
+        )
+    ],
     FAMILY: [
         (
             "0185547F#8A 2F 77 77 0F 5C 33 33",
@@ -95,10 +102,30 @@ _MOTION: dict[str, list[Any]] = {
     ],
 }  # fmt: skip
 _STATUS: dict[str, list[Any]] = {
+    SHARE: [
+        (
+            "02B105FD#8A 2F 77 77 85 54 01 3B",
+            {
+                "host": 0xFD, "motor": 5, "state": "run", "uncalibrated": 1, "stalled": 1, "magnetic_encoder": 0,
+                "over_temperature": 0, "over_current": 0, "under_voltage": 1, "position": 0.0795757992,
+                "velocity": -0.0666666667, "torque": 0.0416418708, "temperature": 31.5,
+            },
+        )
+    ],
     FAMILY: [
         (
             "02847FFD#8A 2F 77 77 85 54 01 3B",
             {"host": 0xFD, "motor": 0x7F, "state": "run", "over_temperature": 1, "under_voltage": 0, "temperature": 31.5},
+        )
+    ],
+    "RS02": [
+        (
+            "024A05FD#8A 2E 7A 2D 83 C2 01 3B",
+            {
+                "host": 0xFD, "motor": 5, "state": "calibration", "uncalibrated": 0, "stalled": 0, "magnetic_encoder": 1,
+                "over_temperature": 0, "over_current": 1, "under_voltage": 0, "position": 0.999595482,
+                "velocity": -2.00143435, "torque": 0.499351492, "temperature": 31.5,
+            },
         )
     ],
 }  # fmt: skip
@@ -122,7 +149,7 @@ for dialect, (position, velocity, torque, kp, kd) in DIALECTS.items():
         ),
         doc="Torque = kp × (position error) + kd × (velocity error) + torque; in run mode `motion`.",
         source=CG,
-        examples=_MOTION.get(dialect, ()),
+        examples=_MOTION[dialect],
     )
     robstride.message(
         "Feedback",
@@ -149,7 +176,7 @@ for dialect, (position, velocity, torque, kp, kd) in DIALECTS.items():
         ),
         doc="The answer to every command; its state and faults are in the identifier.",
         source=CG if dialect == FAMILY else RS,
-        examples=_STATUS.get(dialect, ()),
+        examples=_STATUS[dialect],
     )
 
 asks(
@@ -164,12 +191,14 @@ asks(
     "Stop",
     Struct("clear" / Byte, "padding" / Reserved(7)),
     doc="Switch it off; clear 1: clear the faults, too.",
+    examples=[("0400FD7F#01 00 00 00 00 00 00 00", {"host": 0xFD, "motor": 0x7F, "clear": 1})],
 )
 asks(
     6,
     "SetZero",
     Struct("confirm" / Byte, "padding" / Reserved(7)),
     doc="The present position becomes zero (CyberGear: until power-off); confirm is 1.",
+    examples=[("0600FD7F#01 00 00 00 00 00 00 00", {"host": 0xFD, "motor": 0x7F, "confirm": 1})],
 )
 
 # ---------------------------------------------------------------------- who is there
@@ -188,6 +217,7 @@ robstride.message(
     direction="from device",
     payload=Struct("unique_id" / Int64ul),
     doc="A motor's unique id: the answer to GetId and SetId.",
+    examples=[("00007FFE#01 02 03 04 05 06 07 88", {"motor": 0x7F, "unique_id": 0x8807060504030201})],
     source=CG,
 )
 robstride.message(
@@ -197,6 +227,9 @@ robstride.message(
     direction="to device",
     payload=Struct("confirm" / Byte, "padding" / Reserved(7)),
     doc="Give the motor another number.",
+    examples=[
+        ("0705FD7F#01 00 00 00 00 00 00 00", {"new_motor": 5, "host": 0xFD, "motor": 0x7F, "confirm": 1})
+    ],
     source=CG,
 )
 
@@ -231,6 +264,19 @@ asks(
     doc="Ask for a parameter.",
     examples=[("1100FD7F#19 70 00 00 00 00 00 00", {"host": 0xFD, "motor": 0x7F, "index": "mech_pos"})],
 )
+_VALUES: dict[str, list[Any]] = {
+    "FloatParameter": [
+        ("11007FFD#19 70 00 00 00 00 40 BF", {"motor": 0x7F, "index": "mech_pos", "value": -0.75}),
+        ("11017FFD#19 70 00 00 00 00 00 00", {"motor": 0x7F, "index": "mech_pos", "status": "error"}),
+    ],
+    "ByteParameter": [("110001FD#05 70 00 00 02 00 00 00", {"motor": 1, "index": "run_mode", "value": 2})],
+    "ShortParameter": [("110001FD#1D 70 00 00 18 FC 00 00", {"motor": 1, "index": "rotation", "value": -1000})],
+    "LongParameter": [("110001FD#28 70 00 00 20 4E 01 00", {"motor": 1, "index": "can_timeout", "value": 85_536})],
+    "WriteFloat": [("1200FD01#16 70 00 00 00 00 C0 BF", {"motor": 1, "index": "loc_ref", "value": -1.5})],
+    "WriteByte": [("1200FD01#05 70 00 00 01 00 00 00", {"motor": 1, "index": "run_mode", "value": 1})],
+    "WriteShort": [("1200FD01#1D 70 00 00 FE FF 00 00", {"motor": 1, "index": "rotation", "value": -2})],
+    "WriteLong": [("1200FD01#28 70 00 00 20 4E 01 00", {"motor": 1, "index": "can_timeout", "value": 85_536})],
+}  # fmt: skip
 for kind, (names, value) in KINDS.items():
     shared: dict[str, Any] = {
         "extended": True,
@@ -244,9 +290,7 @@ for kind, (names, value) in KINDS.items():
         id=17 << 24 | IdField("status", range(2), names={"ok": 0, "error": 1}) << 16 | Motor << 8 | Host,
         direction="from device",
         doc="A parameter's value; with status `error` it means nothing (kscalelabs).",
-        examples=[("11007FFD#19 70 00 00 00 00 40 BF", {"motor": 0x7F, "index": "mech_pos", "value": -0.75})]
-        if kind == "Float"
-        else (),
+        examples=_VALUES[f"{kind}Parameter"],
         **shared,
     )
     robstride.message(
@@ -254,9 +298,7 @@ for kind, (names, value) in KINDS.items():
         id=18 << 24 | Host << 8 | Motor,
         direction="to device",
         doc="Write a parameter, until power-off; answered by a Feedback. The run mode changes while it is stopped only.",
-        examples=[("1200FD01#05 70 00 00 01 00 00 00", {"motor": 1, "index": "run_mode", "value": 1})]
-        if kind == "Byte"
-        else (),
+        examples=_VALUES[f"Write{kind}"],
         **shared,
     )
 
@@ -276,6 +318,15 @@ robstride.message(
         "warnings" / Flags(Int32ul, motor_over_temperature=0),
     ),
     doc="Faults and warnings, by itself when one comes.",
+    examples=[
+        (
+            "15007FFD#04 00 01 00 01 00 00 00",
+            {
+                "motor": 0x7F, "host": 0xFD, "faults": ["under_voltage", "phase_a_over_current"],
+                "warnings": ["motor_over_temperature"],
+            },
+        )
+    ],
     source=CG,
 )  # fmt: skip
 RATES = {"1M": 1, "500k": 2, "250k": 3, "125k": 4}
@@ -285,6 +336,7 @@ asks(
     Struct("rate" / Enumeration(Byte, RATES), "padding" / Reserved(7)),
     dialect=FAMILY,
     doc="Another bit rate, from the next power-on.",
+    examples=[("1600FD7F#02 00 00 00 00 00 00 00", {"motor": 0x7F, "rate": "500k"})],
 )
 asks(
     22,
@@ -292,6 +344,7 @@ asks(
     Struct(Const(bytes(range(1, 9)))),
     dialect=(SHARE, "RS02"),
     doc="Keep the parameters for good.",
+    examples=[("1600FD7F#01 02 03 04 05 06 07 08", {"host": 0xFD, "motor": 0x7F})],
     source=RS,
 )
 asks(
@@ -300,5 +353,6 @@ asks(
     Struct("rate" / Enumeration(Byte, RATES), "padding" / Reserved(7)),
     dialect=(SHARE, "RS02"),
     doc="Another bit rate.",
+    examples=[("1700FD7F#03 00 00 00 00 00 00 00", {"motor": 0x7F, "rate": "250k"})],
     source=RS,
 )
