@@ -178,7 +178,7 @@ class Host(BusEndpoint[Device]):
 
     def _noting(self, word: Any) -> Callable[[], None] | None:
         """What is called instead of giving a word that was sent to the scanner."""
-        if not isinstance(self.scanner, CanScanner):
+        if not isinstance(self.scanner, CanScanner) or isinstance(word, tuple):  # several frames: each by itself
             return None
         return self.scanner.noting(word) or _nothing
 

@@ -81,7 +81,7 @@ def test_a_model_that_sources_disagree_about_needs_ranges() -> None:
     """A wrong range is a wrong torque: nothing is guessed."""
     with pytest.raises(CallerError, match="disagree about a RS03"):
         made(ROBOT.replace('"RS04"', '"RS03"'))
-    with pytest.raises(UnknownNameError, match="RS04"):
+    with pytest.raises(UnknownNameError, match="RS03 and 3 more"):
         made(ROBOT.replace('model = "RS04", ', ""))
     ranges = "settings = { ranges = [12.566, 50, 60, 5000, 100] }"
     with made(

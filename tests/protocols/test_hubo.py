@@ -836,7 +836,7 @@ def test_units_are_the_sheet_s() -> None:
 
 def test_an_unknown_name_lists_those_that_exist() -> None:
     """A message of another dialect is not there, and the error says what is."""
-    with pytest.raises(UnknownNameError, match=r"NameInfo.*GetBoardInfo"):
+    with pytest.raises(UnknownNameError, match=r"NameInfo.*there are: .* more"):
         written(DEFAULT, "NameInfo", {"board": 0})
 
 

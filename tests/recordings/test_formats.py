@@ -328,5 +328,5 @@ def opened_unreadable(sample: Sample) -> int:
 
 def test_an_unknown_format_lists_those_that_exist() -> None:
     """A slip of the finger is met with the name that was meant."""
-    with pytest.raises(UnknownNameError, match=r"did you mean 'gvret'\? \(there are: asc, "):
+    with pytest.raises(UnknownNameError, match=r"did you mean 'gvret'\? \(there are: gvret, "):
         open_recording(io.BytesIO(b""), format="gvrt")

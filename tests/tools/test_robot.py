@@ -81,7 +81,7 @@ def test_check_for_programs(aces: Aces, robot: Path) -> None:
         (["check"], "name a robot or a file: aces robot check"),
         (["import"], "name a description file"),
         (["check", "nobody.toml"], "nobody.toml: No such file"),
-        (["check", "hubo2pls"], "did you mean 'hubo2plus'? (there are: drc_hubo"),
+        (["check", "hubo2pls"], "did you mean 'hubo2plus'? (there are: hubo2plus"),
         (["show", "hubo2pls"], "did you mean 'hubo2plus'?"),
         (["list", "hubo2"], "takes no names"),
         (["show", "hubo2", "--strict"], "--strict belongs to 'aces robot check'"),
