@@ -373,7 +373,8 @@ class CanScanner:
         if known is None:
             return None
         wire, name, values = known
-        return wire.context.noting(name, frame.channel, frame.timestamp, values)
+        note: Callable[[], None] = wire.context.noting(name, frame.channel, frame.timestamp, values)
+        return note
 
     def _request_of(self, frame: Any) -> tuple[Any, str, Mapping[str, Any]] | None:
         """The request that a frame is, with whose it is and its raw fields; None: no reply hangs on it."""
