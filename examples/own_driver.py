@@ -20,15 +20,15 @@ from aces_bus.robot import VirtualRobot, parse_robot
 
 # ---------------------------------------------------------------------- the spec
 
-odrive = Protocol("odrive", link="can", bitrate=250_000, doc="ODrive CAN Simple", source="can-protocol.rst")
+my_odrive = Protocol("my_odrive", link="can", bitrate=250_000, doc="ODrive CAN Simple", source="can-protocol.rst")
 Node = IdField("node", range(0x3F)) << 5
 Estimate = Struct("position" / Quantity(Float32l, unit="rev"), "velocity" / Quantity(Float32l, unit="rev/s"))
 State = Enumeration(Int32ul, idle=1, closed_loop=8)
 
-odrive.message("GetEstimates", id=Node + 0x09, remote=True, direction="to device")
-odrive.message("Estimates", id=Node + 0x09, direction="from device", payload=Estimate)
-odrive.message("SetState", id=Node + 0x07, direction="to device", payload=Struct("state" / State))
-odrive.message(
+my_odrive.message("GetEstimates", id=Node + 0x09, remote=True, direction="to device")
+my_odrive.message("Estimates", id=Node + 0x09, direction="from device", payload=Estimate)
+my_odrive.message("SetState", id=Node + 0x07, direction="to device", payload=Struct("state" / State))
+my_odrive.message(
     "SetVelocity",
     id=Node + 0x0D,
     direction="to device",
@@ -43,7 +43,7 @@ odrive.message(
 class ODrive(Device):
     """One axis: position and velocity are read, velocity is set."""
 
-    protocol = odrive
+    protocol = my_odrive
     polls = (Poll("GetEstimates", reply="Estimates"),)
     streams = ("SetVelocity",)  # repeated in each tick: it feeds the axis' watchdog
     provides = (
@@ -79,7 +79,7 @@ class ODrive(Device):
 class ODriveTwin(Twin):
     """A motor that has its velocity at once, while it is in closed loop."""
 
-    protocol = odrive
+    protocol = my_odrive
 
     def setup(self) -> None:
         self.position = self.velocity = 0.0
@@ -112,21 +112,21 @@ ROBOT = """
 name = "two wheels"
 rate_hz = 100
 [buses]
-wheels = { link = "can", protocol = "odrive" }
+wheels = { link = "can", protocol = "my_odrive" }
 [devices]
-LEFT  = { driver = "odrive", bus = "wheels", credentials = { node = 1 } }
-RIGHT = { driver = "odrive", bus = "wheels", credentials = { node = 2 } }
+LEFT  = { driver = "my_odrive", bus = "wheels", credentials = { node = 1 } }
+RIGHT = { driver = "my_odrive", bus = "wheels", credentials = { node = 2 } }
 """
 
 driver = Driver(
-    "odrive", ODrive, ODriveTwin, ROBOT, doc="ODrive motor controllers", source="can-protocol.rst, 0.5.x"
+    "my_odrive", ODrive, ODriveTwin, ROBOT, doc="ODrive motor controllers", source="can-protocol.rst, 0.5.x"
 )
 
 
 def main() -> None:
     robot, _ = parse_robot(ROBOT)
     assert robot is not None
-    with VirtualRobot(robot, rate_hz=robot.rate_hz, load={"odrive": driver}.__getitem__) as wheels:
+    with VirtualRobot(robot, rate_hz=robot.rate_hz, load={"my_odrive": driver}.__getitem__) as wheels:
         wheels.rig.each("enable").wait()
         wheels["LEFT.velocity"].set(6.0)
         wheels["RIGHT.velocity"].set(99.0)  # more than the driver allows

@@ -69,7 +69,7 @@ class Supervisor:
         #: When it last gave set-points that went down, or had none to give (ns); None: not yet.
         self._alive: int | None = None
         #: The reactions' own functions that wait for the controller's thread, with their events.
-        guard.fault = self._react
+        guard.fault = self._fault_of_guard
         self._to_do: deque[tuple[Callable[[EventLike], object], EventLike]] = deque()
         listeners = getattr(controller, "listeners", None)
         if isinstance(listeners, Listeners):  # "failed" is said, not raised
@@ -205,6 +205,10 @@ class Supervisor:
     def _raised(self, now: int, error: Exception, who: str = "") -> ControlEvent:
         self.error = error
         return ControlEvent("raised", now, self.name, f"{who}{raised_text(error)}")
+
+    def _fault_of_guard(self, event: ControlEvent) -> None:
+        """It is this controller's, whatever its guard is called."""
+        self._react(ControlEvent(event.kind, event.instant, self.name, event.detail))
 
     def _react(self, event: EventLike) -> None:
         kind = event.kind

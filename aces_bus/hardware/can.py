@@ -366,7 +366,7 @@ class CanGate(Gate[Frame]):
         return self._quick is None or self._quick.push()
 
     def _name_of(self, word: Frame) -> str:
-        return identifier_text(word)
+        return f"{word.arbitration_id:#x}"
 
     def _put_out(self, word: Frame) -> None:
         from .python_can import frame_to_message
@@ -394,14 +394,9 @@ class CanGate(Gate[Frame]):
                     raise
 
 
-def identifier_text(frame: Frame) -> str:
-    """What a frame is called in events."""
-    return f"{frame.arbitration_id:#x}"
-
-
 def not_allowed(frame: Frame) -> str:
     """Why a frame does not leave where others are allowed."""
-    return f"{identifier_text(frame)} is not among the identifiers that may be sent here (allow)"
+    return f"{frame.arbitration_id:#x} is not among the identifiers that may be sent here (allow)"
 
 
 def _opener(options: dict[str, Any], *, listen_only: bool) -> Open:

@@ -44,6 +44,9 @@ MAILBOX_AGE_NS = round(AGE_S * 1e9)
 class BasePort(Generic[Word]):
     """What ports of all kinds have in common. `_send` is set when a port is opened; a gate's words go to its `Loop`."""
 
+    #: Whether its gate takes what a turn of the loop gives together (`Gate.give`): its words are of size 1.
+    _gives = False
+
     def __init__(self, bus: Any, loop: Loop | None, name: str) -> None:
         self._gate: Gate[Word] | None = bus if isinstance(bus, Gate) else None
         self.clock: EventClock = _loop_of(loop) if isinstance(bus, Gate) else bus.clock
@@ -55,7 +58,7 @@ class BasePort(Generic[Word]):
         clock = self.clock
         assert isinstance(clock, Loop)
         # The method's place is taken by the closure: one call less a word.
-        self.__dict__["send"] = _sender(gate, clock, gate.give if isinstance(gate, CanGate) else None)
+        self.__dict__["send"] = _sender(gate, clock, gate.give if self._gives else None)
         gate.start_on(clock, lambda items: self._hand_over(iter(items), handle))
 
     def _hand_over(self, items: Iterator[Received[Word]], handle: Handler) -> None:
@@ -112,6 +115,7 @@ class CanPort(BasePort[Frame]):
     """
 
     link: Literal["can"] = "can"
+    _gives = True
     half_duplex = False
 
     def __init__(

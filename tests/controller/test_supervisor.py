@@ -234,3 +234,30 @@ def test_an_unknown_action_is_refused_when_it_is_declared() -> None:
         stop("explode")  # type: ignore[arg-type]
     assert str(event("lost", detail="gone")) == "can0: lost: gone"
     assert DeviceEvent("silent", 0, "can0", "JMC6").kind == "silent"
+
+
+@pytest.mark.parametrize(
+    ("reaction", "tripped", "degraded"),
+    [
+        (stop("hold"), "walk: not finite: A: 5 set-points in a row were not finite numbers", []),
+        (degrade("no A"), "", ["no A"]),
+        (IGNORE, "", []),
+    ],
+)
+def test_what_numbers_that_are_none_lead_to_is_declared(
+    reaction: Any, tripped: str, degraded: list[str]
+) -> None:
+    """Five in a row for one state are the fault "not finite"; whatever is declared, they leave in no case."""
+
+    class Half(Controller):
+        def step(self, now_ns: int) -> Mapping[str, float]:
+            return {"A": float("nan"), "B": 0.0}
+
+    guard = Guard({"A": Bounds(), "B": Bounds()}, period_s=0.01, dead_man_s=0.05)
+    supervisor = Supervisor(Half("walk", rate_hz=100, states=[]), guard, {"not finite": reaction})
+    supervisor.start(0)
+    given = [supervisor.step(n * 10 * MS) for n in range(8)]
+    assert given[:4] == [{"B": 0.0}] * 4
+    assert not any("A" in one for one in given)
+    assert supervisor.reason == tripped
+    assert list(supervisor.degraded) == degraded

@@ -213,8 +213,8 @@ def _of_call(node: ast.Call, tree: ast.Module) -> Iterator[Change]:
             yield f"missing {word}", _without(node, words[word])
     if "sync" in words and isinstance(words["sync"].value, ast.Constant):
         sync = words["sync"].value
-        assert isinstance(sync.value, bytes)
-        yield "sync byte", _set(sync, sync.value[:-1] + bytes([sync.value[-1] ^ 1]))
+        if isinstance(sync.value, bytes):
+            yield "sync byte", _set(sync, sync.value[:-1] + bytes([sync.value[-1] ^ 1]))
     if name == "Const" and node.args and isinstance(node.args[0], ast.Constant):
         said = node.args[0].value
         if isinstance(said, bytes):

@@ -196,7 +196,10 @@ def _scanned(variant: Any, message: Any, example: Example) -> bool:
         # The example has some sequence number.
         packets = (variant.encoder.numbered(number, message.name, **values) for number in range(32))
         shown = [frame.data for frame in example.frames]
-        same = any([bytes(frame.data) for frame in made] == shown for made in packets)
+        same = any(
+            [bytes(frame.data) for frame in (made if isinstance(made, list) else [made])] == shown
+            for made in packets
+        )
     else:
         made = variant.encoder.encode(message.name, **values)
         same = made == example.word.data if variant.link != "can" else bytes(made.data) == example.word.data

@@ -449,8 +449,13 @@ ROWS = {
         "test_a_run_may_leave_the_robot_held",
     ],
     "a controller raises": ["test_a_controller_that_raises", "served:test_a_controller_that_fails"],
-    "it gives nothing, or no finite numbers": [
+    "it gives nothing": [
         "test_a_controller_that_gives_nothing_or_no_numbers",
+        "served:test_a_controller_that_fails",
+    ],
+    "it gives no finite numbers": [
+        "test_a_controller_that_gives_nothing_or_no_numbers",
+        "programs:test_nothing_but_numbers_that_are_none",
         "served:test_a_controller_that_fails",
     ],
     "its step blocks": [

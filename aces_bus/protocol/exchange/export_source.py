@@ -100,9 +100,8 @@ class _Printer:
     # ------------------------------------------------------------------ messages
 
     def _message(self, message: Message, own: str) -> Expression:
-        if message.transport is not None or message.heads_written:
-            what = "a transport" if message.transport is not None else "fixed values in front"
-            raise CallerError(f"{message.name}: a message with {what} is not printed as source")
+        if message.heads_written:
+            raise CallerError(f"{message.name}: a message with fixed values in front is not printed as source")
         keywords: list[tuple[str, Expression]] = [("id", self._identifier(message))]
         for name in ("extended", "fd", "any_format", "remote"):
             if getattr(message, name):
