@@ -28,7 +28,7 @@ obd2 = Protocol(
 J1979, ELM = "SAE J1979", "SAE J1979; ELM327 data sheet"
 
 
-def asks(
+def _asks(
     name: str,
     service: int,
     *fields: Construct,
@@ -52,7 +52,7 @@ def asks(
     return one, everyone
 
 
-def says(
+def _says(
     name: str, service: int, *fields: Construct, to: tuple[Any, Any], source: str = J1979, **more: Any
 ) -> None:
     """An ECU's answer."""
@@ -62,7 +62,7 @@ def says(
     )  # fmt: skip
 
 
-_live = asks(
+_live = _asks(
     "ReadLive",
     0x01,
     "pids" / GreedyRange(Byte),
@@ -73,7 +73,7 @@ _live = asks(
         ("7E0#02 01 0C 00 00 00 00 00", {"ecu": 0, "pids": [0x0C]}),
     ],
 )
-says(
+_says(
     "Live",
     0x01,
     "values" / Items(tag=Byte, kinds=KINDS),
@@ -93,11 +93,11 @@ for _name, _service, _which in (
     ("PendingCodes", 0x07, "pending: seen in this or the last drive"),
     ("PermanentCodes", 0x0A, "permanent: `ClearCodes` leaves them"),
 ):
-    says(
+    _says(
         _name,
         _service,
         "codes" / PrefixedArray(Byte, Code),
-        to=asks(
+        to=_asks(
             f"Read{_name}",
             _service,
             doc=f"Ask for trouble codes that are {_which}.",
@@ -107,10 +107,10 @@ for _name, _service, _which in (
         source=ELM,
         examples=[(f"7E8#04 {_service | 0x40:02X} 01 01 33 00 00 00", {"ecu": 0, "codes": ["P0133"]})],
     )
-says(
+_says(
     "CodesCleared",
     0x04,
-    to=asks(
+    to=_asks(
         "ClearCodes",
         0x04,
         doc="Clear trouble codes, freeze frames and the results of tests.",
@@ -122,7 +122,7 @@ says(
 
 # ---------------------------------------------------------------------- the vehicle
 
-_info = asks(
+_info = _asks(
     "ReadInfo",
     0x09,
     "what" / Enumeration(Byte, supported=0x00, vin=0x02, calibrations=0x04, ecu_name=0x0A),
@@ -130,7 +130,7 @@ _info = asks(
     source=ELM,
     examples=[("7E0#02 09 02 00 00 00 00 00", {"ecu": 0, "what": "vin"})],
 )
-says(
+_says(
     "SupportedInfo",
     0x09,
     Const(0x00, Byte),
@@ -139,7 +139,7 @@ says(
     doc="What can be asked for: the highest bit is number 1.",
     examples=[("7E8#06 49 00 50 40 00 00 00", {"ecu": 0, "types": ["vin", "calibrations", "ecu_name"]})],
 )
-says(
+_says(
     "Vin",
     0x09,
     Const(0x02, Byte),
@@ -155,7 +155,7 @@ says(
         )
     ],
 )
-says(
+_says(
     "Calibrations",
     0x09,
     Const(0x04, Byte),
@@ -169,7 +169,7 @@ says(
         )
     ],
 )
-says(
+_says(
     "EcuName",
     0x09,
     Const(0x0A, Byte),

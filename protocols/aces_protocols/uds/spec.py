@@ -49,7 +49,7 @@ IDENTIFIERS: dict[str, tuple[int, Construct]] = {
 NUMBERS = {name: number for name, (number, _) in IDENTIFIERS.items()}
 
 
-def asks(
+def _asks(
     name: str,
     service: int,
     payload: Construct | None = None,
@@ -69,7 +69,7 @@ def asks(
     return one, everyone
 
 
-def says(name: str, service: int, *fields: Construct, to: tuple[Any, Any], **more: Any) -> None:
+def _says(name: str, service: int, *fields: Construct, to: tuple[Any, Any], **more: Any) -> None:
     """An ECU's answer."""
     uds.message(
         name, transport=ONE_ECU, direction="from device", payload=Struct(Const(0x40 | service, Byte), *fields),
@@ -85,13 +85,13 @@ def sub(name: str, names: dict[str, int] | None = None, **more: Any) -> BitLayou
 
 # ---------------------------------------------------------------------- sessions
 
-says(
+_says(
     "Session",
     0x10,
     "session" / Enumeration(Byte, SESSIONS),
     "answers_within" / Quantity(Int16ub, unit="s", scale=0.001),
     "patience" / Quantity(Int16ub, unit="s", scale=0.01),
-    to=asks(
+    to=_asks(
         "ChangeSession",
         0x10,
         sub("session", SESSIONS),
@@ -106,12 +106,12 @@ says(
         )
     ],
 )
-says(
+_says(
     "ResetBegins",
     0x11,
     "kind" / Enumeration(Byte, RESETS),
     "more" / GreedyBytes,
-    to=asks(
+    to=_asks(
         "Reset",
         0x11,
         sub("kind", RESETS),
@@ -121,11 +121,11 @@ says(
     doc="It boots; `more` is the time until it is off (s), of `enable_rapid_power_off` alone.",
     examples=[("7E8#02 51 01 00 00 00 00 00", {"ecu": 0, "kind": "hard", "more": b""})],
 )
-says(
+_says(
     "TesterSeen",
     0x3E,
     "none" / Byte,
-    to=asks(
+    to=_asks(
         "TesterPresent",
         0x3E,
         sub("none"),
@@ -135,12 +135,12 @@ says(
     doc="The session is kept.",
     examples=[("7E8#02 7E 00 00 00 00 00 00", {"ecu": 0, "none": 0})],
 )
-says(
+_says(
     "Security",
     0x27,
     "step" / Byte,
     "data" / GreedyBytes,
-    to=asks(
+    to=_asks(
         "AccessSecurity",
         0x27,
         sub("step", trailing="data"),
@@ -153,11 +153,11 @@ says(
 
 # ---------------------------------------------------------------------- values
 
-says(
+_says(
     "Data",
     0x22,
     "values" / Items(tag=Int16ub, kinds=IDENTIFIERS),
-    to=asks(
+    to=_asks(
         "ReadData",
         0x22,
         Struct("identifiers" / GreedyRange(Int16ub)),
@@ -172,11 +172,11 @@ says(
         )
     ],
 )
-says(
+_says(
     "DataWritten",
     0x2E,
     "identifier" / Int16ub,
-    to=asks(
+    to=_asks(
         "WriteData",
         0x2E,
         Struct("identifier" / Int16ub, "data" / GreedyBytes),
@@ -191,14 +191,14 @@ says(
 
 _MASK = "status" / Flags(Byte, STATUS)
 _CODES = GreedyRange(Struct("code" / LongCode, "status" / Flags(Byte, STATUS)))
-says(
+_says(
     "CodeCount",
     0x19,
     Const(0x01, Byte),
     "available" / Flags(Byte, STATUS),
     "format" / Byte,
     "count" / Int16ub,
-    to=asks(
+    to=_asks(
         "CountCodes",
         0x19,
         Struct(Const(0x01, Byte), _MASK),
@@ -208,13 +208,13 @@ says(
     doc="How many there are; `available` are the bits of status that this ECU has, `format` 1 is ISO 14229-1's.",
     examples=[("7E8#06 59 01 2F 01 00 01 00", {"ecu": 0, "format": 1, "count": 1})],
 )
-says(
+_says(
     "Codes",
     0x19,
     Const(0x02, Byte),
     "available" / Flags(Byte, STATUS),
     "codes" / _CODES,
-    to=asks(
+    to=_asks(
         "ReadCodes",
         0x19,
         Struct(Const(0x02, Byte), _MASK),
@@ -229,13 +229,13 @@ says(
         )
     ],
 )
-says(
+_says(
     "KnownCodes",
     0x19,
     Const(0x0A, Byte),
     "available" / Flags(Byte, STATUS),
     "codes" / _CODES,
-    to=asks(
+    to=_asks(
         "ReadKnownCodes",
         0x19,
         Struct(Const(0x0A, Byte)),
@@ -255,10 +255,10 @@ says(
         )
     ],
 )
-says(
+_says(
     "CodesCleared",
     0x14,
-    to=asks(
+    to=_asks(
         "ClearCodes",
         0x14,
         Struct("group" / BytesInteger(3)),
