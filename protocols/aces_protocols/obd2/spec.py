@@ -4,8 +4,8 @@
 2. An answer of live values is a list: PID, value, PID, value. A PID that is not in the table ends what is known of it: how
    long its value is the bytes do not say.
 
-Sources: SAE J1979 / ISO 15031-5 (services and values), SAE J2012 (codes); ELM Electronics' ELM327 data sheet, whose worked
-examples are those below.
+Sources: SAE J1979 / ISO 15031-5 (services and values), SAE J2012 (codes); ELM Electronics' ELM327 data sheet, as public
+decoders quote it (the examples of `engine_speed`, `coolant_temperature`, `Vin`). The README says which were at hand.
 """
 
 from __future__ import annotations

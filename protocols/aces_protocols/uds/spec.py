@@ -6,8 +6,8 @@
    how long its value is the vehicle's maker knows alone.
 3. Seeds and keys are bytes; what makes a key of a seed is each maker's secret.
 
-Sources: ISO 14229-1 (services, identifiers, refusals), ISO 14229-3 and ISO 15765-4 (on CAN); pylessard/python-udsoncan
-`udsoncan/services/*`, which reads and sends the same bytes.
+Sources: ISO 14229-1 (services, identifiers, refusals), ISO 14229-3 and ISO 15765-4 (on CAN), as generally known;
+udsoncan 1.26, whose requests and answers are compared in tests.
 """
 
 from __future__ import annotations
