@@ -39,10 +39,14 @@ class _Outgoing:
         self.allowed: int | None = 0
         self.gap_ns = 0
         self.waits = 0
+        self.has_begun = False
         self.timer: Any = None
 
     def begin(self, waits: bool) -> bool:
-        """Send the first frame; without a handshake all of them."""
+        """Send the first frame; without a handshake all of them. Not when it was ended while it waited for its turn."""
+        if not self.left:
+            return False
+        self.has_begun = True
         if not waits:
             self.allowed = None
             return self.go_on()
@@ -58,7 +62,9 @@ class _Outgoing:
         self.end("expired", "its receiver gave no go-ahead in time")
 
     def steered(self, steering: Steering) -> None:
-        """Its receiver says how to go on."""
+        """Its receiver says how to go on; before it has begun, that was another packet's."""
+        if not self.has_begun:
+            return
         if steering.go == "stop":
             self.end("dropped", "its receiver cannot take it")
         elif steering.go == "wait":

@@ -13,6 +13,7 @@ from __future__ import annotations
 import heapq
 from collections import Counter, deque
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from ..errors import AcesError, CallerError, DeviceError, FieldError, NoReplyError, UnknownNameError
@@ -182,6 +183,8 @@ class Host(BusEndpoint[Device]):
         """What is called instead of giving a word that was sent to the scanner."""
         if not isinstance(self.scanner, CanScanner) or isinstance(word, tuple):  # several frames: each by itself
             return None
+        if isinstance(word, tuple):  # the frames of a packet
+            return partial(self._note_frames, word)
         return self.scanner.noting(word) or _nothing
 
     def postpone(self, device: Device, message: str, duration_s: float) -> None:

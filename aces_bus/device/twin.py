@@ -332,7 +332,12 @@ class Twins(BusEndpoint[Twin]):
 
 
 def _shorter(word: Any) -> Any:
-    """A frame or packet that is a byte short; a CAN FD frame of more than 8 has the next length that there is."""
+    """A frame or packet that is a byte short; a CAN FD frame of more than 8 has the next length that there is.
+
+    Of a transport's frames the last one has a byte: how many of its bytes are only filling is not known here.
+    """
+    if isinstance(word, tuple):
+        return with_data(word, lambda data: data[:1])
     if isinstance(word, (bytes, bytearray)):
         return word[:-1]
     size = max((n for n in FD_LENGTHS if n < len(word.data)), default=0)

@@ -1,0 +1,1 @@
+"""OBD-II: live values, trouble codes, the vehicle's number."""

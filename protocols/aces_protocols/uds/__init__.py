@@ -1,0 +1,1 @@
+"""UDS: unified diagnostic services of ECUs."""

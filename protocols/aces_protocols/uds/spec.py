@@ -1,0 +1,281 @@
+"""UDS (unified diagnostic services) on CAN: sessions, values by identifier, trouble codes, seed and key.
+
+1. A request goes to one ECU or, by the message `…All`, to all of them. With `suppress` an ECU does nothing but it, and says
+   so only when it refuses.
+2. Values are a list: identifier, value, identifier, value. An identifier that is not in the table ends what is known of it:
+   how long its value is the vehicle's maker knows alone.
+3. Seeds and keys are bytes; what makes a key of a seed is each maker's secret.
+
+Sources: ISO 14229-1 (services, identifiers, refusals), ISO 14229-3 and ISO 15765-4 (on CAN), as generally known;
+udsoncan 1.26, whose requests and answers are compared in tests.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from construct import Byte, BytesInteger, Const, Construct, Default, GreedyBytes, GreedyRange, Int16ub, Struct
+
+from aces_bus.protocol import BitLayout, Enumeration, Flags, Items, Protocol, Quantity, Text, bits
+
+from ..diagnostics import ALL, ALL_ECUS, KINDS, ONE_ECU, REFUSALS, LongCode, for_all
+
+uds = Protocol(
+    "uds",
+    link="can",
+    bitrate=500_000,
+    doc="Unified diagnostic services (UDS) by ISO-TP on CAN.",
+    source="ISO 14229-1; ISO 15765-4",
+)
+STANDARD = "ISO 14229-1"
+
+SESSIONS = {"default": 1, "programming": 2, "extended": 3, "safety": 4}
+RESETS = {"hard": 1, "key_off_on": 2, "soft": 3, "enable_rapid_power_off": 4, "disable_rapid_power_off": 5}
+#: Bits of a trouble code's status (ISO 14229-1, annex D).
+STATUS = {
+    "failed": 0, "failed_this_cycle": 1, "pending": 2, "confirmed": 3, "not_tested_since_clear": 4,
+    "failed_since_clear": 5, "not_tested_this_cycle": 6, "lamp": 7,
+}  # fmt: skip
+SERVICES = {
+    "change_session": 0x10, "reset": 0x11, "clear_codes": 0x14, "read_codes": 0x19, "read_data": 0x22,
+    "security": 0x27, "write_data": 0x2E, "tester_present": 0x3E,
+}  # fmt: skip
+#: Identifiers whose values are known, by name: number and form (ISO 14229-1, annex C). 0xF400 + PID is a live value.
+IDENTIFIERS: dict[str, tuple[int, Construct]] = {
+    "session": (0xF186, Enumeration(Byte, SESSIONS)),
+    "vin": (0xF190, Text(17)),
+    **{name: (0xF400 + pid, form) for name, (pid, form) in KINDS.items()},
+}
+NUMBERS = {name: number for name, (number, _) in IDENTIFIERS.items()}
+
+
+def _asks(
+    name: str,
+    service: int,
+    payload: Construct | None = None,
+    *,
+    doc: str,
+    examples: list[tuple[str, dict[str, Any]]],
+) -> tuple[Any, Any]:
+    """A request to one ECU, and the same to all."""
+    known: dict[str, Any] = {"prefix": Struct("service" / Byte), "source": STANDARD, "direction": "to device"}
+    fields: dict[str, Any] = {"match": {"service": service}}
+    if payload is not None:
+        fields["payload"] = payload
+    one = uds.family(transport=ONE_ECU, **known)(name, doc=doc, examples=examples, **fields)
+    everyone = uds.family(transport=ALL_ECUS, id=ALL, **known)(
+        f"{name}All", doc=f"{name} of all ECUs.", examples=for_all(examples), **fields
+    )
+    return one, everyone
+
+
+def _says(name: str, service: int, *fields: Construct, to: tuple[Any, Any], **more: Any) -> None:
+    """An ECU's answer."""
+    uds.message(
+        name, transport=ONE_ECU, direction="from device", payload=Struct(Const(0x40 | service, Byte), *fields),
+        reply_to=to, source=STANDARD, **more,
+    )  # fmt: skip
+
+
+def sub(name: str, names: dict[str, int] | None = None, **more: Any) -> BitLayout:
+    """A sub-function, and the bit that wants no positive answer."""
+    form = bits(7, at=0) if names is None else Enumeration(bits(7, at=0), names)
+    return BitLayout(1, name / form, "suppress" / Default(bits(1, at=7), 0), **more)
+
+
+# ---------------------------------------------------------------------- sessions
+
+_says(
+    "Session",
+    0x10,
+    "session" / Enumeration(Byte, SESSIONS),
+    "answers_within" / Quantity(Int16ub, unit="s", scale=0.001),
+    "patience" / Quantity(Int16ub, unit="s", scale=0.01),
+    to=_asks(
+        "ChangeSession",
+        0x10,
+        sub("session", SESSIONS),
+        doc="Begin a session; one that is not the default ends after 5 s without requests.",
+        examples=[("7E0#02 10 03 00 00 00 00 00", {"ecu": 0, "session": "extended", "suppress": 0})],
+    ),
+    doc="A session has begun; how soon answers begin (P2), and how soon after `response_pending` (P2*).",
+    examples=[
+        (
+            "7E8#06 50 03 00 32 01 F4 00",
+            {"ecu": 0, "session": "extended", "answers_within": 0.05, "patience": 5.0},
+        )
+    ],
+)
+_says(
+    "ResetBegins",
+    0x11,
+    "kind" / Enumeration(Byte, RESETS),
+    "more" / GreedyBytes,
+    to=_asks(
+        "Reset",
+        0x11,
+        sub("kind", RESETS),
+        doc="Boot anew.",
+        examples=[("7E0#02 11 01 00 00 00 00 00", {"ecu": 0, "kind": "hard"})],
+    ),
+    doc="It boots; `more` is the time until it is off (s), of `enable_rapid_power_off` alone.",
+    examples=[("7E8#02 51 01 00 00 00 00 00", {"ecu": 0, "kind": "hard", "more": b""})],
+)
+_says(
+    "TesterSeen",
+    0x3E,
+    "none" / Byte,
+    to=_asks(
+        "TesterPresent",
+        0x3E,
+        sub("none"),
+        doc="Keep the session.",
+        examples=[("7E0#02 3E 80 00 00 00 00 00", {"ecu": 0, "none": 0, "suppress": 1})],
+    ),
+    doc="The session is kept.",
+    examples=[("7E8#02 7E 00 00 00 00 00 00", {"ecu": 0, "none": 0})],
+)
+_says(
+    "Security",
+    0x27,
+    "step" / Byte,
+    "data" / GreedyBytes,
+    to=_asks(
+        "AccessSecurity",
+        0x27,
+        sub("step", trailing="data"),
+        doc="An odd step asks for a seed, the next one sends its key in `data`.",
+        examples=[("7E0#04 27 02 A5 5A 00 00 00", {"ecu": 0, "step": 2, "data": b"\xa5\x5a"})],
+    ),
+    doc="The seed (zeros: it is unlocked), or, without data, that the key is right.",
+    examples=[("7E8#04 67 01 36 57 00 00 00", {"ecu": 0, "step": 1, "data": b"\x36\x57"})],
+)
+
+# ---------------------------------------------------------------------- values
+
+_says(
+    "Data",
+    0x22,
+    "values" / Items(tag=Int16ub, kinds=IDENTIFIERS),
+    to=_asks(
+        "ReadData",
+        0x22,
+        Struct("identifiers" / GreedyRange(Int16ub)),
+        doc="Ask for values by their identifiers.",
+        examples=[("7E0#03 22 F1 90 00 00 00 00", {"ecu": 0, "identifiers": [0xF190]})],
+    ),
+    doc="Values.",
+    examples=[
+        (
+            ["7E8#10 14 62 F1 90 57 30 4C", "7E8#21 30 30 30 30 34 33 4D", "7E8#22 42 35 34 31 33 32 36"],
+            {"ecu": 0, "values": [{"kind": "vin", "data": "W0L000043MB541326"}]},
+        )
+    ],
+)
+_says(
+    "DataWritten",
+    0x2E,
+    "identifier" / Int16ub,
+    to=_asks(
+        "WriteData",
+        0x2E,
+        Struct("identifier" / Int16ub, "data" / GreedyBytes),
+        doc="Write a value: its bytes.",
+        examples=[("7E0#05 2E 01 23 A5 5A 00 00", {"ecu": 0, "identifier": 0x123, "data": b"\xa5\x5a"})],
+    ),
+    doc="It was written.",
+    examples=[("7E8#03 6E F1 90 00 00 00 00", {"ecu": 0, "identifier": 0xF190})],
+)
+
+# ---------------------------------------------------------------------- trouble codes
+
+_MASK = "status" / Flags(Byte, STATUS)
+_CODES = GreedyRange(Struct("code" / LongCode, "status" / Flags(Byte, STATUS)))
+_says(
+    "CodeCount",
+    0x19,
+    Const(0x01, Byte),
+    "available" / Flags(Byte, STATUS),
+    "format" / Byte,
+    "count" / Int16ub,
+    to=_asks(
+        "CountCodes",
+        0x19,
+        Struct(Const(0x01, Byte), _MASK),
+        doc="How many codes have one of these bits of status?",
+        examples=[("7E0#03 19 01 08 00 00 00 00", {"ecu": 0, "status": ["confirmed"]})],
+    ),
+    doc="How many there are; `available` are the bits of status that this ECU has, `format` 1 is ISO 14229-1's.",
+    examples=[("7E8#06 59 01 2F 01 00 01 00", {"ecu": 0, "format": 1, "count": 1})],
+)
+_says(
+    "Codes",
+    0x19,
+    Const(0x02, Byte),
+    "available" / Flags(Byte, STATUS),
+    "codes" / _CODES,
+    to=_asks(
+        "ReadCodes",
+        0x19,
+        Struct(Const(0x02, Byte), _MASK),
+        doc="Ask for the codes that have one of these bits of status.",
+        examples=[("7E0#03 19 02 08 00 00 00 00", {"ecu": 0, "status": ["confirmed"]})],
+    ),
+    doc="Codes with their status.",
+    examples=[
+        (
+            "7E8#07 59 02 FF 03 01 11 09",
+            {"ecu": 0, "codes": [{"code": "P0301-11", "status": ["failed", "confirmed"]}]},
+        )
+    ],
+)
+_says(
+    "KnownCodes",
+    0x19,
+    Const(0x0A, Byte),
+    "available" / Flags(Byte, STATUS),
+    "codes" / _CODES,
+    to=_asks(
+        "ReadKnownCodes",
+        0x19,
+        Struct(Const(0x0A, Byte)),
+        doc="Ask for all codes that it can report.",
+        examples=[("7E0#02 19 0A 00 00 00 00 00", {"ecu": 0})],
+    ),
+    doc="All codes that it can report, with their status.",
+    examples=[
+        (
+            "7E8#07 59 0A FF C1 00 00 50",
+            {
+                "ecu": 0,
+                "codes": [
+                    {"code": "U0100-00", "status": ["not_tested_since_clear", "not_tested_this_cycle"]}
+                ],
+            },
+        )
+    ],
+)
+_says(
+    "CodesCleared",
+    0x14,
+    to=_asks(
+        "ClearCodes",
+        0x14,
+        Struct("group" / BytesInteger(3)),
+        doc="Clear the codes of a group; 0xFFFFFF: all.",
+        examples=[("7E0#04 14 FF FF FF 00 00 00", {"ecu": 0, "group": 0xFFFFFF})],
+    ),
+    doc="Codes were cleared.",
+    examples=[("7E8#01 54 00 00 00 00 00 00", {"ecu": 0})],
+)
+uds.message(
+    "Refused",
+    transport=ONE_ECU,
+    direction="from device",
+    payload=Struct(
+        Const(0x7F, Byte), "service" / Enumeration(Byte, SERVICES), "reason" / Enumeration(Byte, REFUSALS)
+    ),
+    doc="An ECU refuses a request, or asks for patience (`response_pending`).",
+    source=STANDARD,
+    examples=[("7E8#03 7F 22 31 00 00 00 00", {"ecu": 0, "service": "read_data", "reason": "out_of_range"})],
+)

@@ -1,0 +1,134 @@
+"""can-isotp, unmodified, with our twin of an ECU on a served bus; udsoncan's requests and answers by our spec."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import can
+import pytest
+
+from aces_bus.frames import Frame
+from aces_devices.obd2 import driver
+from aces_devices.obd2.twin import Obd2Twin
+from aces_protocols.obd2.spec import obd2
+from aces_protocols.uds.spec import uds
+from tests.oracles.foreign import oracle
+from tests.oracles.served import PATIENCE_S, served
+
+isotp: Any = oracle("isotp", "can-isotp")
+udsoncan: Any = oracle("udsoncan", "udsoncan")
+services: Any = oracle("udsoncan.services", "udsoncan")
+
+
+def frames_of(packet: bytes, key: int = 0x7E0) -> list[Frame]:
+    """A short packet in its frame, as can-isotp sends it."""
+    return [Frame(key, bytes((len(packet),)) + packet)]
+
+
+def test_can_isotp_reads_our_ecu() -> None:
+    """Values, codes and the number (with flow control, two frames at a time) are what the twin says."""
+    with served(driver.example) as ecu, can.Bus(channel=ecu.channel, interface="aces") as bus:
+        twin = ecu.twins["ENGINE"]
+        assert isinstance(twin, Obd2Twin)
+        address = isotp.Address(isotp.AddressingMode.Normal_11bits, txid=0x7E0, rxid=0x7E8)
+        params = {"stmin": 0, "blocksize": 2, "tx_padding": 0xAA}
+        stack = isotp.CanStack(bus, address=address, params=params)
+        stack.start()
+        try:
+
+            def asked(*data: int) -> bytes:
+                stack.send(bytes(data))
+                return bytes(stack.recv(block=True, timeout=PATIENCE_S))
+
+            assert asked(0x01, 0x0C, 0x0D, 0x05) == bytes.fromhex("41 0C 1A F8 0D 32 05 7B")
+            assert asked(0x03) == bytes.fromhex("43 01 03 01")
+            assert asked(0x09, 0x02) == b"\x49\x02\x01" + twin.ecu.vin.encode()
+        finally:
+            stack.stop()
+        scanner = obd2.scanner(include_unknown=True)
+        records = scanner.feed([Frame(m.arbitration_id, bytes(m.data)) for m in ecu.frames()])
+    assert [type(one).__name__ for one in records if type(one).__name__ != "Unknown"] == [
+        "ReadLive", "Live", "ReadStoredCodes", "StoredCodes", "ReadInfo", "Vin",
+    ]  # fmt: skip
+    counts = scanner.counts
+    assert counts.decoded + counts.control == counts.total
+    assert records[0].pids == (0x0C, 0x0D, 0x05)
+
+
+REQUESTS: list[tuple[str, Any, dict[str, Any]]] = [
+    ("ChangeSession", lambda: services.DiagnosticSessionControl.make_request(3), {"session": "extended", "suppress": 0}),
+    ("Reset", lambda: services.ECUReset.make_request(1), {"kind": "hard"}),
+    ("ClearCodes", lambda: services.ClearDiagnosticInformation.make_request(0xFFFFFF), {"group": 0xFFFFFF}),
+    ("TesterPresent", lambda: services.TesterPresent.make_request(), {"none": 0}),
+    ("ReadData", lambda: services.ReadDataByIdentifier.make_request([0xF190, 0xF186], {"default": "B"}),
+        {"identifiers": (0xF190, 0xF186)}),
+    ("WriteData", lambda: services.WriteDataByIdentifier.make_request(0x123, 0x5A, {0x123: "B"}),
+        {"identifier": 0x123, "data": b"\x5a"}),
+    ("AccessSecurity", lambda: services.SecurityAccess.make_request(1, services.SecurityAccess.Mode.SendKey, b"\xa5\x5a"),
+        {"step": 2, "data": b"\xa5\x5a"}),
+    ("ReadCodes", lambda: services.ReadDTCInformation.make_request(2, status_mask=8), {"status": 8}),
+    ("CountCodes", lambda: services.ReadDTCInformation.make_request(1, status_mask=8), {"status": 8}),
+    ("ReadKnownCodes", lambda: services.ReadDTCInformation.make_request(10), {}),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "made", "fields"), REQUESTS, ids=[one[0] for one in REQUESTS])
+def test_what_udsoncan_asks_we_read(name: str, made: Any, fields: dict[str, Any]) -> None:
+    """Each request has its message and its values; with its suppress bit, too, where it may have one."""
+    request = made()
+    (record,) = uds.scanner(include_unknown=True).feed(frames_of(request.get_payload()))
+    assert type(record).__name__ == name
+    assert {one: getattr(record, one) for one in fields} == fields
+    if hasattr(record, "suppress"):
+        quiet = request.get_payload(suppress_positive_response=True)
+        (record,) = uds.scanner(include_unknown=True).feed(frames_of(quiet))
+        assert (type(record).__name__, record.suppress) == (name, 1)
+
+
+def test_what_we_answer_udsoncan_reads() -> None:
+    """Sessions, codes with their status, seeds, values."""
+    session = parsed(
+        services.DiagnosticSessionControl, "Session", session="extended", answers_within=0.05, patience=5.0
+    )
+    assert (session.session_echo, session.p2_server_max, session.p2_star_server_max) == (3, 0.05, 5.0)
+    seed = parsed(
+        services.SecurityAccess,
+        "Security",
+        step=1,
+        data=b"\x36\x57",
+        mode=services.SecurityAccess.Mode.RequestSeed,
+    )
+    assert (seed.security_level_echo, bytes(seed.seed)) == (1, b"\x36\x57")
+    codes = parsed(
+        services.ReadDTCInformation,
+        "Codes",
+        available=0xFF,
+        codes=[{"code": "P0301-11", "status": ["failed", "confirmed"]}],
+        subfunction=2,
+    )
+    (code,) = codes.dtcs
+    assert code.id == 0x030111
+    assert (code.status.test_failed, code.status.confirmed, code.status.pending) == (True, True, False)
+
+
+def parsed(service: Any, message: str, **fields: Any) -> Any:
+    """What udsoncan reads in a packet of ours; `subfunction` and `mode` are its own arguments."""
+    mine = {name: fields.pop(name) for name in ("subfunction", "mode") if name in fields}
+    (record,) = uds.scanner().feed(uds.encode(message, ecu=0, **fields))
+    response = udsoncan.Response.from_payload(record.meta.raw)
+    assert response.valid
+    service.interpret_response(response, **mine)
+    return response.service_data
+
+
+def test_refusals_have_the_same_reasons() -> None:
+    """Every code that udsoncan names we name, for each service; its name of the service is the one we mean."""
+    numbers = {v: n for n, v in vars(udsoncan.ResponseCode).items() if n[0].isupper() and isinstance(v, int)}
+    unnamed = []
+    for number in numbers:
+        (record,) = uds.scanner().feed(frames_of(bytes((0x7F, 0x22, number)), 0x7E8))
+        response = udsoncan.Response.from_payload(record.meta.raw)
+        assert (record.service, response.code) == ("read_data", number)
+        if number and not isinstance(record.reason, str):
+            unnamed.append(numbers[number])
+    assert unnamed == []
