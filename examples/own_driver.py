@@ -1,4 +1,4 @@
-"""A driver and its twin for a device that is not in the catalogue: an ODrive motor controller, from its documentation.
+"""A driver and its twin in one small file: an ODrive motor controller, from its documentation (the catalogue has a whole one).
 
 First what the documentation says (the spec), then what the device is to a robot (the driver), then what a simulated one does
 (the twin). The robot below has two of them on one bus; it runs in virtual time, moves, and loses a reply on the way.
@@ -20,15 +20,15 @@ from aces_bus.robot import VirtualRobot, parse_robot
 
 # ---------------------------------------------------------------------- the spec
 
-my_odrive = Protocol("my_odrive", link="can", bitrate=250_000, doc="ODrive CAN Simple", source="can-protocol.rst")
+my_wheel = Protocol("my_wheel", link="can", bitrate=250_000, doc="ODrive CAN Simple", source="can-protocol.rst")
 Node = IdField("node", range(0x3F)) << 5
 Estimate = Struct("position" / Quantity(Float32l, unit="rev"), "velocity" / Quantity(Float32l, unit="rev/s"))
 State = Enumeration(Int32ul, idle=1, closed_loop=8)
 
-my_odrive.message("GetEstimates", id=Node + 0x09, remote=True, direction="to device")
-my_odrive.message("Estimates", id=Node + 0x09, direction="from device", payload=Estimate)
-my_odrive.message("SetState", id=Node + 0x07, direction="to device", payload=Struct("state" / State))
-my_odrive.message(
+my_wheel.message("GetEstimates", id=Node + 0x09, remote=True, direction="to device")
+my_wheel.message("Estimates", id=Node + 0x09, direction="from device", payload=Estimate)
+my_wheel.message("SetState", id=Node + 0x07, direction="to device", payload=Struct("state" / State))
+my_wheel.message(
     "SetVelocity",
     id=Node + 0x0D,
     direction="to device",
@@ -43,7 +43,7 @@ my_odrive.message(
 class ODrive(Device):
     """One axis: position and velocity are read, velocity is set."""
 
-    protocol = my_odrive
+    protocol = my_wheel
     polls = (Poll("GetEstimates", reply="Estimates"),)
     streams = ("SetVelocity",)  # repeated in each tick: it feeds the axis' watchdog
     provides = (
@@ -79,7 +79,7 @@ class ODrive(Device):
 class ODriveTwin(Twin):
     """A motor that has its velocity at once, while it is in closed loop."""
 
-    protocol = my_odrive
+    protocol = my_wheel
 
     def setup(self) -> None:
         self.position = self.velocity = 0.0
@@ -112,21 +112,21 @@ ROBOT = """
 name = "two wheels"
 rate_hz = 100
 [buses]
-wheels = { link = "can", protocol = "my_odrive" }
+wheels = { link = "can", protocol = "my_wheel" }
 [devices]
-LEFT  = { driver = "my_odrive", bus = "wheels", credentials = { node = 1 } }
-RIGHT = { driver = "my_odrive", bus = "wheels", credentials = { node = 2 } }
+LEFT  = { driver = "my_wheel", bus = "wheels", credentials = { node = 1 } }
+RIGHT = { driver = "my_wheel", bus = "wheels", credentials = { node = 2 } }
 """
 
 driver = Driver(
-    "my_odrive", ODrive, ODriveTwin, ROBOT, doc="ODrive motor controllers", source="can-protocol.rst, 0.5.x"
+    "my_wheel", ODrive, ODriveTwin, ROBOT, doc="ODrive motor controllers", source="can-protocol.rst, 0.5.x"
 )
 
 
 def main() -> None:
     robot, _ = parse_robot(ROBOT)
     assert robot is not None
-    with VirtualRobot(robot, rate_hz=robot.rate_hz, load={"my_odrive": driver}.__getitem__) as wheels:
+    with VirtualRobot(robot, rate_hz=robot.rate_hz, load={"my_wheel": driver}.__getitem__) as wheels:
         wheels.rig.each("enable").wait()
         wheels["LEFT.velocity"].set(6.0)
         wheels["RIGHT.velocity"].set(99.0)  # more than the driver allows

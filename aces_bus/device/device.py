@@ -118,7 +118,7 @@ class Device(EndpointMember):
     stale_s: ClassVar[float] = 0.1
     attributes = EndpointMember.attributes | {
         *("host", "signals", "readable", "last_heard", "is_silent", "is_driven", "misses", "missing_since"),
-        *("missed_at", "awaiting", "answered", "timed_out", "second_answers", "was_late", "epoch", "duplicates"),
+        *("missed_at", "awaiting", "answered", "timed_out", "second_answers", "epoch", "duplicates"),
     }
 
     def __init_subclass__(cls) -> None:
@@ -154,8 +154,6 @@ class Device(EndpointMember):
         self.timed_out: dict[str, int] = {}
         #: How many second answers of each kind are under way, as a poll was sent again before its answer came.
         self.second_answers: dict[str, int] = {}
-        #: Whether its last answer took longer than a full bus explains.
-        self.was_late = False
         self._updates: dict[str, list[tuple[Callable[[Any], Any], Signal]]] = {}
         self._given: dict[str, dict[str, Any]] = {}
         self._paths: dict[str, dict[str, None]] = {}

@@ -45,8 +45,6 @@ PROBED = Robot(name="probed", buses={}, devices={}, joints={}, sensors={})
 SILENT_SHARE = 5
 #: A poll without an answer by the next tick, or the one after while others still come, is sent again, so often at most.
 ASKED_AGAIN = 2
-#: An answer that takes longer than so many ticks is late, whatever the bus carries.
-SLOW_TICKS = 4
 #: A bus on which nothing came for this part of a tick has nothing under way.
 QUIET_SHARE = 5
 #: An instant that does not come (ns).
@@ -696,7 +694,6 @@ class Host(BusEndpoint[Device]):
             counts.latency_ns = latency
         if latency > self._period and self._period:
             counts.answered_late += 1
-        device.was_late = latency > SLOW_TICKS * self._period > 0
         slot: PollSlot | None = ticket.poll
         if slot is not None:
             slot.waiting = None
@@ -721,13 +718,11 @@ class Host(BusEndpoint[Device]):
         before = device.answered.get(name)
         late = device.timed_out.get(name, 0)
         expected = device.second_answers.get(name, 0)
-        if expected:  # this one was asked for, too: on a full bus the first was only slow
-            device.second_answers[name] = expected - 1
-            if device.was_late:
-                self.tell("late reply", device.name, name)
-        elif late:
+        if late:
             device.timed_out[name] = late - 1
             self.tell("late reply", device.name, name)
+        elif expected:  # this one was asked for, too: on a full bus the first was only slow
+            device.second_answers[name] = expected - 1
         elif before is not None and instant - before < DUPLICATE_REPLY_NS:
             self._duplicate(device, f"{name} came twice", instant)
 

@@ -17,9 +17,9 @@ ROBOT = """
 name = "two wheels"
 rate_hz = 100
 [buses]
-wheels = { link = "can", protocol = "my_odrive" }
+wheels = { link = "can", protocol = "my_wheel" }
 [devices]
-LEFT  = { driver = "my_odrive", bus = "wheels", credentials = { node = 1 } }
+LEFT  = { driver = "my_wheel", bus = "wheels", credentials = { node = 1 } }
 """
 CONTROLLER = """
 from aces_bus.controller import controller
@@ -75,8 +75,8 @@ SCAN = """
 def scan(host, job):
     found = []
     for node in range(1, 4):
-        if (yield from host.answers("my_odrive", {"node": node}, "GetEstimates", reply="Estimates", timeout_s=0.5)):
-            found.append(DeviceConfig(name=f"AXIS{node}", driver="my_odrive", bus=host.name, credentials={"node": node}))
+        if (yield from host.answers("my_wheel", {"node": node}, "GetEstimates", reply="Estimates", timeout_s=0.5)):
+            found.append(DeviceConfig(name=f"AXIS{node}", driver="my_wheel", bus=host.name, credentials={"node": node}))
     return found
 
 driver = replace(driver, scan=scan)
@@ -108,11 +108,11 @@ def test_its_devices_are_found(robot: Path, tmp_path: Path, monkeypatch: pytest.
 def test_what_is_no_driver_is_refused(robot: Path, tmp_path: Path) -> None:
     """Without the file; a file without one; a name that an installed driver has."""
     (tmp_path / "none.py").write_text("x = 1\n")
-    source = DRIVER.read_text().replace('"my_odrive", ODrive', '"hubo_motor", ODrive')
+    source = DRIVER.read_text().replace('"my_wheel", ODrive', '"hubo_motor", ODrive')
     (tmp_path / "clash.py").write_text(source)
     command = ("device", "LEFT", "get", "-r", robot, "--virtual")
     for more, said in (
-        ((), "my_odrive"),
+        ((), "my_wheel"),
         (("--driver", tmp_path / "none.py"), "none.py: declares no driver at its top level"),
         (("--driver", tmp_path / "clash.py"), "two packages claim the driver name 'hubo_motor'"),
     ):
