@@ -1,4 +1,4 @@
-"""A driver and its twin in one small file: an ODrive motor controller, from its documentation (the catalogue has a whole one).
+"""A driver and its twin in one small file: an ODrive motor controller (the catalogue has a whole one).
 
 First what the documentation says (the spec), then what the device is to a robot (the driver), then what a simulated one does
 (the twin). The robot below has two of them on one bus; it runs in virtual time, moves, and loses a reply on the way.
@@ -20,7 +20,9 @@ from aces_bus.robot import VirtualRobot, parse_robot
 
 # ---------------------------------------------------------------------- the spec
 
-my_wheel = Protocol("my_wheel", link="can", bitrate=250_000, doc="ODrive CAN Simple", source="can-protocol.rst")
+my_wheel = Protocol(
+    "my_wheel", link="can", bitrate=250_000, doc="ODrive CAN Simple", source="can-protocol.rst"
+)
 Node = IdField("node", range(0x3F)) << 5
 Estimate = Struct("position" / Quantity(Float32l, unit="rev"), "velocity" / Quantity(Float32l, unit="rev/s"))
 State = Enumeration(Int32ul, idle=1, closed_loop=8)

@@ -181,7 +181,8 @@ class CarriedPort:
         """Send a frame or the frames of a packet (a tuple); `report` says once what became of it."""
         if not isinstance(word, tuple):
             return self.port.send(word, age_ns, urgent=urgent, topic=topic, report=report)
-        key = _key(word[0])
+        frames: tuple[Frame, ...] = word
+        key = _key(frames[0])
         transport = self._transport_of(key)
         if transport is not None and transport.unsendable and len(word) > 1:
             if report is not None:
@@ -192,12 +193,12 @@ class CarriedPort:
             for outgoing, _ in [*self._out.get(key, ())]:
                 outgoing.end("dropped", "a stop overtook it")
         if len(word) == 1 and key not in self._out:
-            return self.port.send(word[0], age_ns, urgent=urgent, topic=topic, report=report)
+            return self.port.send(frames[0], age_ns, urgent=urgent, topic=topic, report=report)
 
         def send(frame: Frame) -> bool:
             return self.port.send(frame, 0, urgent=urgent, topic=topic)
 
-        waits = transport is not None and transport.go_ahead(key, word[0].data) is not None
+        waits = transport is not None and transport.go_ahead(key, frames[0].data) is not None
         made = _Outgoing(self, word, send, report)
         waiting = self._out.setdefault(key, deque())
         waiting.append((made, waits))

@@ -179,7 +179,9 @@ class Host(BusEndpoint[Device]):
 
     def _noting(self, word: Any) -> Callable[[], None] | None:
         """What is called instead of giving a word that was sent to the scanner."""
-        if not isinstance(self.scanner, CanScanner) or isinstance(word, tuple):  # several frames: each by itself
+        if not isinstance(self.scanner, CanScanner) or isinstance(
+            word, tuple
+        ):  # several frames: each by itself
             return None
         if isinstance(word, tuple):  # the frames of a packet
             return partial(self._note_frames, word)

@@ -8,7 +8,7 @@ A wire is simulated and needs no thread; a gate is served by the loop, with thre
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Generic, Literal, TypeVar
 
 from msgspec.structs import replace
@@ -59,7 +59,11 @@ class BasePort(Generic[Word]):
         assert isinstance(clock, Loop)
         # The method's place is taken by the closure: one call less a word.
         self.__dict__["send"] = _sender(gate, clock, gate.give if self._gives else None)
-        gate.start_on(clock, lambda items: self._hand_over(iter(items), handle))
+
+        def take(items: Iterable[Received[Word]]) -> None:
+            self._hand_over(iter(items), handle)
+
+        gate.start_on(clock, take)
 
     def _hand_over(self, items: Iterator[Received[Word]], handle: Handler) -> None:
         try:

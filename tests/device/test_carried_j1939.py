@@ -35,5 +35,8 @@ def test_long_packets_do_not_leave_and_short_ones_do() -> None:
         word = tuple(map(message_to_frame, words))
         assert port.send(word, report=lambda *fate: said.append(fate)) == (size == 8)
     assert [frame.arbitration_id for frame in below.left] == [0x18EF0501]
-    assert said == [("dropped", "J1939 transport: it takes pauses, or a handshake, that devices do not keep")] * 2
+    assert (
+        said
+        == [("dropped", "J1939 transport: it takes pauses, or a handshake, that devices do not keep")] * 2
+    )
     assert port.failed == 2

@@ -101,7 +101,9 @@ class _Printer:
 
     def _message(self, message: Message, own: str) -> Expression:
         if message.heads_written:
-            raise CallerError(f"{message.name}: a message with fixed values in front is not printed as source")
+            raise CallerError(
+                f"{message.name}: a message with fixed values in front is not printed as source"
+            )
         keywords: list[tuple[str, Expression]] = [("id", self._identifier(message))]
         for name in ("extended", "fd", "any_format", "remote"):
             if getattr(message, name):

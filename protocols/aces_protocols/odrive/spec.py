@@ -83,7 +83,7 @@ def tells(name: str, command: int, payload: Construct, **more: Any) -> None:
 
     The first example's identifier is that of the requests' examples, too.
     """
-    shared = {"dialect": more.get("dialect"), "source": more["source"]}
+    shared: dict[str, Any] = {"dialect": more.get("dialect"), "source": more["source"]}
     answer, values = more["examples"][0]
     identifier = answer.partition("#")[0]
     odrive.message(name, id=Node << 5 | command, direction="from device", payload=payload, **more)
@@ -461,7 +461,7 @@ takes(
     source=OLD,
     examples=[("066#3E 00 00 00", {"node": 3, "new_node": 0x3E})],
 )
-ADDRESS = {
+ADDRESS: dict[str, Any] = {
     "payload": Struct(
         "address" / Byte,
         "serial_number" / BytesInteger(6, swapped=True),
