@@ -59,7 +59,7 @@ CONTENTS: dict[str, list[str]] = {
         "troubleshooting",
         "glossary",
     ],
-    "Protocols": ["language", "checking", "fuzzing", "exporting", "reference/index"],
+    "Protocols": ["language", "transports", "checking", "fuzzing", "exporting", "reference/index"],
     "Recordings and buses": ["captures", "bus"],
     "Robots": ["devices", "robots", "states", "controllers", "running", "logging"],
     "Catalogue": ["catalogue/protocols", "catalogue/devices"],
