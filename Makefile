@@ -22,6 +22,8 @@ unexport PYTHONPATH PYTEST_ADDOPTS HYPOTHESIS_PROFILE
 
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# An index that fails for a moment looks like versions that do not go together: what is installed is asked for once more.
+TWICE = $(1) || { echo "once more, in 10 s" >&2; sleep 10; $(1); }
 
 .DEFAULT_GOAL := help
 .PHONY: help venv demo test test-oracles test-lerobot test-long test-steady constraints test-socketcan docs soak stops teleoperation compiled test-compiled check lint types pristine format bench bench-framings golden clean
@@ -41,7 +43,7 @@ $(VENV)/.python:
 
 $(VENV)/.run: $(VENV)/.python pyproject.toml
 	@echo "installing aces-bus into $(VENV) (once)"
-	@$(PIP) --editable .
+	@$(call TWICE,$(PIP) --editable .)
 	@touch $@
 
 $(VENV)/.demo: $(VENV)/.run
@@ -50,17 +52,17 @@ $(VENV)/.demo: $(VENV)/.run
 
 $(VENV)/.dev: $(VENV)/.python pyproject.toml constraints.txt
 	@echo "installing aces-bus and its development tools into $(VENV) (once)"
-	@$(PIP) --constraint constraints.txt --editable '.[dev]'
+	@$(call TWICE,$(PIP) --constraint constraints.txt --editable '.[dev]')
 	@touch $@ $(VENV)/.run
 
 $(VENV)/.docs: $(VENV)/.dev
 	@echo "installing Sphinx and its theme into $(VENV) (once)"
-	@$(PIP) --constraint constraints.txt --editable '.[docs]'
+	@$(call TWICE,$(PIP) --constraint constraints.txt --editable '.[docs]')
 	@touch $@
 
 $(VENV)/.oracles: $(VENV)/.dev
 	@echo "installing the programs that tests/oracles holds ours against into $(VENV) (once)"
-	@$(PIP) --constraint constraints.txt --editable '.[oracles]'
+	@$(call TWICE,$(PIP) --constraint constraints.txt --editable '.[oracles]')
 	@touch $@
 
 $(VENV)/.bench: $(VENV)/.python pyproject.toml
