@@ -88,7 +88,7 @@ demo: $(VENV)/.demo ## decode the captures in examples/captures, draw a message;
 
 PYTEST := $(BIN)/python -m pytest -n $(JOBS) --benchmark-disable -q
 
-test: $(VENV)/.dev ## run the tests (under three minutes); ARGS="-k name" to choose
+test: $(VENV)/.dev ## run the tests (about six minutes on two cores); ARGS="-k name" to choose
 	$(PYTEST) $(ARGS)
 
 test-oracles: $(VENV)/.oracles ## vendors' own programs and peer libraries against our specs and twins

@@ -7,7 +7,8 @@
 1. A reply is a message that the spec declares to be one (`reply_to`), with the request's values of what both capture.
    What was received before the request is none.
 2. What comes in between is kept for `listen`, up to a bound.
-3. For whole robots there are drivers and a `Host`: they poll, watch and stop. A client does what it is called for.
+3. Messages of a transport are sent and received where they are one frame: a client sends no flow control.
+4. For whole robots there are drivers and a `Host`: they poll, watch and stop. A client does what it is called for.
 """
 
 from __future__ import annotations
@@ -61,6 +62,13 @@ class Client:
         self._send(self.variant.encoder.encode(message, **fields))
 
     def _send(self, word: Any) -> None:
+        if isinstance(word, list):  # a packet of a transport
+            if len(word) > 1:
+                raise CallerError(
+                    f"{self.variant.name}: this message takes {len(word)} frames, and a client keeps no handshake;"
+                    " a device on a host does, or aces send"
+                )
+            (word,) = word
         self._scanner.sent(word)
         if self.variant.link == "can":
             self.bus.send(word)
@@ -86,7 +94,7 @@ class Client:
             raise CallerError(f"{self.variant.name}: {which}; say which it is: reply=… (or send, and listen)")
         word = self.variant.encoder.encode(message, **fields)
         self._requests.reset()
-        (asked,) = self._requests.feed([word] if self.variant.link == "can" else word) or [None]
+        asked = next(iter(self._requests.feed([word] if self._is_one_frame(word) else word)), None)
         self._keep_waiting()
         self._send(word)
         ends = time.monotonic() + timeout
@@ -110,6 +118,9 @@ class Client:
             self._kept.extend(self._received(timeout))
             if not self._kept:
                 return
+
+    def _is_one_frame(self, word: Any) -> bool:
+        return self.variant.link == "can" and not isinstance(word, list)
 
     def _keep_waiting(self) -> None:
         """Keep what has come already."""

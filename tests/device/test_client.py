@@ -6,12 +6,12 @@ from collections import deque
 from typing import Any
 
 import pytest
-from construct import Int8ub, Int16ub, Struct
+from construct import Const, GreedyBytes, Int8ub, Int16ub, Struct
 
 from aces_bus.device import Client
 from aces_bus.errors import CallerError, NoReplyError
 from aces_bus.frames import Frame
-from aces_bus.protocol import IdField, Protocol, Sum
+from aces_bus.protocol import IdField, IsoTp, Protocol, Sum
 
 lamp = Protocol("lamp", link="can")
 _node = IdField("node", range(8))
@@ -29,6 +29,20 @@ _packets = line.framing(
 _read = _packets("Read", match={"kind": 1}, payload=Struct("what" / Int8ub), direction="to device")
 _packets(
     "Value", match={"kind": 2}, payload=Struct("value" / Int8ub), direction="from device", reply_to=_read
+)
+
+
+diagnostics = Protocol("diagnostics", link="can")
+_isotp = IsoTp(to_device=0x7E0, from_device=0x7E8)
+_request = diagnostics.message(
+    "Ask", transport=_isotp, direction="to device", payload=Struct(Const(0x22, Int8ub), "data" / GreedyBytes)
+)
+diagnostics.message(
+    "Answer",
+    transport=_isotp,
+    direction="from device",
+    reply_to=_request,
+    payload=Struct(Const(0x62, Int8ub), "data" / GreedyBytes),
 )
 
 
@@ -105,6 +119,17 @@ def test_a_reply_that_the_spec_does_not_know() -> None:
         Client(bus, lamp).ask("Set", node=5, level=1)
     assert bus.sent == []
     assert str(Client(bus, lamp).ask("Set", reply="Beat", node=5, level=1)) == "Beat(node=5, count=7)"
+
+
+def test_messages_of_a_transport() -> None:
+    """One frame goes and comes as any other; several would need a handshake, and are refused before anything is sent."""
+    bus = FakeBus([Frame(0x7E8, bytes.fromhex("03 62 00 07"))])
+    client = Client(bus, diagnostics)
+    answer: Any = client.ask("Ask", data=b"\x07")
+    assert (type(answer).__name__, answer.data) == ("Answer", b"\0\x07")
+    with pytest.raises(CallerError, match="takes 3 frames, and a client keeps no handshake"):
+        client.ask("Ask", data=bytes(14))
+    assert [bytes(frame.data) for frame in bus.sent] == [b"\x02\x22\x07"]
 
 
 def test_on_a_serial_line() -> None:

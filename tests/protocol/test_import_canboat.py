@@ -90,7 +90,7 @@ def test_what_cannot_be_said_is_left_out_by_name() -> None:
     said = {one.reason.partition(":")[0]: str(one).partition(": ")[2] for one in boat().losses}
     assert said["PGN onCondition"] == "PGN onCondition: a field that is there on a condition: left out"
     assert said["PGN half"] == "PGN half: its fields end inside a byte, 4 bits behind one: left out"
-    assert said["PGN rest"] == "PGN rest: what stands for all PGNs that are not known: left out"
+    assert said["PGN rest"] == "PGN rest: an entry for all unknown PGNs: left out"
     assert said["PGN commanded"].startswith("PGN commanded: of the type ISO, sent in a way that is neither")
     (half,) = (one for one in boat().losses if "half" in one.reason)
     assert '"half"' in BOAT.read_text(encoding="utf-8").splitlines()[half.line - 1]

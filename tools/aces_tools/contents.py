@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -23,10 +22,11 @@ from aces_bus.protocol import Variant, list_protocols, load_protocol
 from aces_bus.protocol.columns.decode import feed
 from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
-from aces_bus.recordings import CanRecording, SerialRecording, open_recording, parse_filter
+from aces_bus.recordings import CanRecording, parse_filter
 from aces_bus.recordings.filters import passing
 
 from .console import Patience, abandon_stdout, counted, print_json, report_unreadable, say
+from .decoding import open_any
 from .output.columns import Page
 
 #: Options that need to know the messages.
@@ -66,7 +66,7 @@ def show_contents(arguments: argparse.Namespace) -> int:
         for name in arguments.files:
             try:
                 with patience.waiting():
-                    recording = _opened(name)
+                    recording = open_any(name)
                 with recording:
                     found: CanContents | SerialContents
                     if isinstance(recording, CanRecording):
@@ -94,15 +94,6 @@ def show_contents(arguments: argparse.Namespace) -> int:
             if patience.is_over:
                 break
     return status
-
-
-def _opened(name: str) -> CanRecording | SerialRecording:
-    try:
-        return open_recording(name)
-    except CaptureError:
-        if name == "-" or not os.path.isfile(name):
-            raise
-        return open_recording(name, link="serial")
 
 
 def _shown(name: str) -> str:

@@ -139,6 +139,16 @@ class Requests:
         return [(record.meta.raw, record.meta.time) for record in self._scanner.feed(data, time)]
 
 
+def open_any(name: str) -> CanRecording | SerialRecording:
+    """A recording of either link; a file of none of the formats that say what they are is raw bytes."""
+    try:
+        return open_recording(name)
+    except CaptureError:
+        if name == "-" or not os.path.isfile(name):
+            raise
+        return open_recording(name, link="serial")
+
+
 def has_requests(variant: Variant) -> bool:
     """Whether some message of the protocol hangs on another."""
     return any(message.reply_to or message.after for message in variant.messages.values())
@@ -361,12 +371,7 @@ class Decoding(ABC):
         with patience.waiting():  # for the first bytes of a pipe
             if len(links) == 1:
                 return open_recording(name, link=links[0])
-            try:
-                return open_recording(name)
-            except CaptureError:
-                if name == "-" or not os.path.isfile(name):
-                    raise
-                return open_recording(name, link="serial")  # none of the formats that say what they are
+            return open_any(name)
 
     def _seen(self, channels: set[str]) -> None:
         """These interfaces have occurred."""

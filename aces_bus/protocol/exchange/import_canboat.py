@@ -215,7 +215,7 @@ class _Builder:
         if number is None or not 0 <= number < 1 << 18 or not isinstance(fields, list):
             raise _LeftOut("a PGN has a number below 2¹⁸ and a list Fields")
         if given.get("Fallback"):
-            raise _LeftOut("what stands for all PGNs that are not known")
+            raise _LeftOut("an entry for all unknown PGNs")
         if len(fields) > MOST_BITS:
             raise _LeftOut(f"{len(fields):,} fields")
         kind = given.get("Type")

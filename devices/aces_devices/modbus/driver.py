@@ -333,7 +333,7 @@ def _is_in(one: ModbusRegister, span: tuple[str, int, int]) -> bool:
 
 
 def _scan(host: Host, job: Job) -> Steps:
-    """Ask each number for its first holding register: whoever is there answers, if only to refuse it."""
+    """Ask each unit for its first holding register: one that is there answers, if only with an exception."""
     found: list[DeviceConfig] = []
     for unit in range(1, 248):
         job.progress, job.text = unit / 247, f"unit {unit}"

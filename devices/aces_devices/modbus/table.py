@@ -1,4 +1,4 @@
-"""A device's registers as a table: what stands in a robot's file or a TOML file, and what its numbers mean.
+"""A device's registers as a table, from a robot's file or a TOML file of its own, and what its numbers mean.
 
 1. A table says everything: nothing is guessed of a type, an order, a scale or whether something may be written.
 2. A value is raw × `scale` + `offset`, in `unit`; what is sent is rounded to the nearest, and never cut off: it fits, or is

@@ -171,5 +171,5 @@ class ModbusTwin(Twin):
         self._answer(request, "Refusal", function=function, reason=reason)
 
     def _answer(self, request: Any, message: str, **fields: Any) -> None:
-        if request.unit != 0:  # what everybody is told, nobody answers
+        if request.unit != 0:  # a broadcast has no answer
             self.reply(message, **fields)

@@ -1,7 +1,7 @@
 """mjbots moteus: one controller, one joint, by position or by speed.
 
-1. Every set-point carries the watchdog and the limits: what the device forgets, it is told again in the next tick.
-2. Nothing moves before `enable`, which holds the joint where it is; a fault, a time-out or a reboot ends that, and is told.
+1. Every set-point carries the watchdog and the limits: what the device forgets comes again with the next tick.
+2. Nothing moves before `enable`, which holds the joint where it is; a fault, a time-out or a reboot ends that, reported.
 3. A stop is mode 0 (or the brake), and counts when the device answers that it is in it.
 """
 
