@@ -134,8 +134,8 @@ class Steering(NamedTuple):
 class Transport:
     """How packets are cut into CAN frames, and the rule by which frames are packets again.
 
-    A *first* frame opens a packet, *next* frames go on with it, a *single* frame is a whole packet. Packets under way are kept
-    apart by channel and session (`FramePart.session`), so that senders do not disturb one another.
+    A *first* frame opens a packet, *next* frames go on with it, a *single* frame is a whole packet. Packets under way
+    are kept apart by channel and session (`FramePart.session`), so that senders do not disturb one another.
 
     * A next frame has the number that is due: the first one `first_number`, then one more each, modulo `modulo`. Another
       number: a frame is missing, and the packet is malformed. With `any_order` next frames may come in any order, each one
