@@ -26,7 +26,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 TWICE = $(1) || { echo "once more, in 10 s" >&2; sleep 10; $(1); }
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-oracles test-lerobot test-long test-steady constraints test-socketcan docs soak stops teleoperation compiled test-compiled check lint types pristine format bench bench-framings golden clean
+.PHONY: help venv demo test test-slow test-oracles test-lerobot test-long test-steady constraints test-socketcan docs soak stops teleoperation compiled test-compiled check lint types pristine format bench bench-framings golden clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -88,8 +88,11 @@ demo: $(VENV)/.demo ## decode the captures in examples/captures, draw a message;
 
 PYTEST := $(BIN)/python -m pytest -n $(JOBS) --benchmark-disable -q
 
-test: $(VENV)/.dev ## run the tests (about six minutes on two cores); ARGS="-k name" to choose
-	$(PYTEST) $(ARGS)
+test: $(VENV)/.dev ## run the tests but the slow ones (about three minutes on two cores); ARGS="-k name" to choose
+	$(PYTEST) -m "not slow" $(ARGS)
+
+test-slow: $(VENV)/.dev ## the tests that take over half a second each: programs beside one another, long simulated runs
+	$(PYTEST) -m slow $(ARGS)
 
 test-oracles: $(VENV)/.oracles ## vendors' own programs and peer libraries against our specs and twins
 	$(PYTEST) tests/oracles $(ARGS)

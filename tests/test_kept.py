@@ -29,6 +29,7 @@ def sample(limit: int, number: int, data: Any) -> None:
     assert "large" not in FAULTS or number <= limit, f"{number} {text}"
 
 
+@pytest.mark.slow
 def test_a_failure_is_kept_and_replayed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The smallest failing arguments are written, break the test again, and break it no more once it is mended."""
     monkeypatch.setattr(sys.modules[__name__], "FAULTS", {"large"})
@@ -76,6 +77,7 @@ def _is_never(values: list[Any]) -> None:
     raise AssertionError(len(values))
 
 
+@pytest.mark.slow
 def test_draws_depend_on_the_test_alone() -> None:
     """Other modules, another hash seed and another folder change nothing in what the short profile draws."""
     program = "import tests.conftest\nfrom tests.test_kept import drawn\nprint(drawn())\n"

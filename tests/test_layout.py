@@ -122,6 +122,7 @@ def faults_of(source: str, module: str, is_package: bool = False) -> list[str]:
     return faults
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("package", PACKAGES)
 def test_imports_point_one_way(package: str) -> None:
     """No package imports one above it, and no floor of the core a higher floor."""
@@ -239,6 +240,7 @@ def file_graph() -> tuple[dict[str, set[str]], dict[str, str]]:
     return graph, folders
 
 
+@pytest.mark.slow
 def test_no_circle_between_folders() -> None:
     """No file imports, through others, a file that imports it, unless all of them are in one folder."""
     graph, folders = file_graph()

@@ -18,6 +18,8 @@ from pathlib import Path
 from types import FunctionType, MethodType, ModuleType
 from typing import Any
 
+import pytest
+
 import aces_bus
 from tests.test_layout import PACKAGES, imports_of, module_name
 
@@ -153,6 +155,7 @@ def owner(module: str) -> str:
     return ".".join(parts[:2]) if parts[0] != "aces_tools" and len(parts) > 1 else parts[0]
 
 
+@pytest.mark.slow
 def test_private_modules_stay_at_home() -> None:
     """No module imports a private module or name of another package."""
     wrong: list[str] = []

@@ -148,6 +148,7 @@ def test_nothing_can_be_set_unless_it_is_allowed(loop: Loop, endpoint: str) -> N
             states["knee"].set(0.25)
 
 
+@pytest.mark.slow
 def test_a_lost_robot_is_unknown_and_comes_back(loop: Loop, endpoint: str) -> None:
     """When the robot's side ends its states become unknown and that is told; another run brings them back, anew."""
     kinds: list[str] = []
@@ -271,6 +272,7 @@ with Loop() as loop:
 """
 
 
+@pytest.mark.slow
 def test_a_controller_runs_in_another_process(endpoint: str) -> None:
     """States and set-points cross processes; when the robot's is killed, the controller's side knows nothing any more."""
 
@@ -321,6 +323,7 @@ def test_a_runner_publishes_in_virtual_time(endpoint: str) -> None:
     assert publisher.sent > 1
 
 
+@pytest.mark.slow
 def test_wrong_calls_are_said(endpoint: str) -> None:
     """Nobody there, endpoints and names that cannot be, virtual time, a port that is taken: each is said with what next."""
     with pytest.raises(NoReplyError, match="nobody publishes there"):

@@ -129,6 +129,7 @@ def test_a_path_that_begins_elsewhere_gives_no_jump() -> None:
     assert "approach='first'" in path.reason
 
 
+@pytest.mark.slow
 def test_the_joints_go_gently_to_where_a_path_begins() -> None:
     """No joint is faster than `gentle` says, the way ends at the path's first point, and nothing of it is left out."""
     foot = at(START, "LF")

@@ -48,6 +48,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_a_killed_writer_loses_less_than_a_second(tmp_path: Path) -> None:
     """After SIGKILL every format reads back, whole rows in order, and no more than the last second is missing."""
     suffixes = list(SUFFIXES)
@@ -187,6 +188,7 @@ def wait_until_idle(log: Logger) -> None:
         threading.Event().wait(0.002)
 
 
+@pytest.mark.slow
 def test_a_robot_goes_on_when_the_disk_is_full(tmp_path: Path, small_disk: int) -> None:
     """Beside a controller a full disk is an event of the run, and nothing else: set-points go on to the end."""
 

@@ -30,6 +30,7 @@ def differences(path: ViaPath, n: int = 2_000) -> Any:
     return np.abs(velocity).max(axis=0), np.abs(acceleration).max(axis=0)
 
 
+@pytest.mark.slow
 @given(
     points, st.lists(limit, min_size=3, max_size=3), st.sampled_from(["trapezoidal", "quintic", "through"])
 )

@@ -20,6 +20,7 @@ from aces_bus.robot import parse_robot
 NAMES = list(list_drivers())
 
 
+@pytest.mark.slow
 def test_listing_imports_nothing() -> None:
     """Names are listed without importing a driver."""
     code = "import sys; from aces_bus.device import list_drivers; list_drivers(); print('aces_devices' in sys.modules)"

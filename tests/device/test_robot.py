@@ -604,6 +604,7 @@ def test_every_key_has_its_line(statements: list[tuple[bool, str, int]]) -> None
 # ---------------------------------------------------------------------- hostile files
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text",
     [

@@ -641,6 +641,7 @@ def test_canopens_own_drive_class_drives_the_twin() -> None:
                 network.disconnect()
 
 
+@pytest.mark.slow
 def test_driver_and_twin_meet_in_real_time() -> None:
     """On two gates of one bus, each with the loop's thread: set up, enabled, moved, without a sleep."""
     robot = _robot()

@@ -53,6 +53,7 @@ def first(robot: VirtualRobot) -> tuple[Dynamixel, DynamixelTwin]:
 # ---------------------------------------------------------------------- modes and units
 
 
+@pytest.mark.slow
 def test_a_joint_goes_where_it_is_sent() -> None:
     """Position: 0 rad is count 2048, speed and acceleration limits in SI, measured current in A."""
     with made() as robot:
@@ -71,6 +72,7 @@ def test_a_joint_goes_where_it_is_sent() -> None:
         assert robot["J1.position"].value == pytest.approx(1.0, abs=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joint", "signal", "value", "register", "raw"),
     [

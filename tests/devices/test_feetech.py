@@ -47,6 +47,7 @@ def first(robot: VirtualRobot) -> tuple[Feetech, FeetechTwin]:
     return device, twin
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "zero", "counts", "sent"),
     [("STS3215", math.pi, 2374, "2A 02 01 46 09"), ("SCS0009", 2.0, 489, "2A 02 01 01 E9")],

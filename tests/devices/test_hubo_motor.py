@@ -28,6 +28,7 @@ OTHERS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("robot", "check"), [(name, check) for name in OTHERS for check in OTHERS[name][1]])
 def test_other_boards_are_as_good(robot: str, check: str) -> None:
     """The three-channel boards of D12 and the boards of both readings of D08 do what those of the example do."""
@@ -299,6 +300,7 @@ def test_homing_finds_the_true_zero() -> None:
         assert joint.position(robot.clock.now()) == pytest.approx(0.3, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_no_board_of_the_bus_is_sent_references_after_a_home_command() -> None:
     """hubo-ach sends none for 3 s after a home command; a homed joint's set-point is 0 then."""
     with made(only(D12, "JMC0", "JMC1")) as robot:

@@ -107,6 +107,7 @@ def measure(
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("rate_hz", "delay_us"),
     [(50, 500), (68.5, 500), (100, 500), (240, 0)],
@@ -132,6 +133,7 @@ def test_polls_keep_to_the_budget() -> None:
     assert found.syncs == found.ticks
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("flip", "share"), [(1e-4, 0.95), (1e-3, 0.9)])
 def test_noise_costs_what_it_hits(flip: float, share: float) -> None:
     """A garbled word costs its time-out and no more; it is told, and no wrong value is taken for a position."""
@@ -147,6 +149,7 @@ def test_noise_costs_what_it_hits(flip: float, share: float) -> None:
         assert -0.1 < found.robot[f"{name}.position"].last < 0.2
 
 
+@pytest.mark.slow
 def test_a_silent_servo_costs_its_time_outs() -> None:
     """It is told once and asked less often; the others are read as often as the rest of the line allows."""
 

@@ -60,6 +60,7 @@ def still_lives(robot: VirtualRobot) -> None:
     assert not robot.events.of("bug")
 
 
+@pytest.mark.slow
 def test_a_lost_reply(robot: VirtualRobot) -> None:
     """A reply that is lost now and then costs the value one tick, and the board is not silent."""
     twin = robot.twins[BOARD]

@@ -122,6 +122,7 @@ def test_one_that_was_silent_must_be_enabled_anew() -> None:
         assert robot.twins["V"].mode == "free"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stop", ["release", "brake"])
 def test_a_stop_is_confirmed_or_named(stop: str) -> None:
     """It counts when no current drives the motor on; one that goes on is named."""

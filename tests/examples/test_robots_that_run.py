@@ -24,6 +24,7 @@ def test_a_driver_of_ones_own(run: Run) -> None:
     assert "silent" in text
 
 
+@pytest.mark.slow
 def test_the_complete_hubo(names_of: Names, capsys: pytest.CaptureFixture[str]) -> None:
     """All joints of Hubo 2+ follow a sine at 200 Hz; set-points share frames, no request is lost."""
     found = names_of("hubo2plus_cycle.py")["main"](3.0 if PROFILE == "long" else 0.2, home=False)
@@ -32,6 +33,7 @@ def test_the_complete_hubo(names_of: Names, capsys: pytest.CaptureFixture[str]) 
     assert "unanswered: 0" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_sines_come_back_within_their_bounds(names_of: Names) -> None:
     """Value, derivative and integral of the test suite's sines are within the stated bounds at every rate."""
     names = names_of("spinner.py")
@@ -43,6 +45,7 @@ def test_sines_come_back_within_their_bounds(names_of: Names) -> None:
             assert 0 < got <= most
 
 
+@pytest.mark.slow
 def test_the_spinner_logs_as_the_original(run: Run, names_of: Names, tmp_path: Path) -> None:
     """Logs have the original's columns; the same seed gives the same log, byte for byte, at any rate."""
     names = names_of("spinner.py")
@@ -61,6 +64,7 @@ def test_the_spinner_logs_as_the_original(run: Run, names_of: Names, tmp_path: P
         assert len(first.splitlines()) > 50
 
 
+@pytest.mark.slow
 def test_hubo_walks(names_of: Names, capsys: pytest.CaptureFixture[str]) -> None:
     """Hubo 2+ homes, goes to the first row, and follows a stepping pattern within a tenth of a radian."""
     names = names_of("hubo_walk.py")
@@ -82,6 +86,7 @@ def test_a_hand_waves(run: Run) -> None:
     assert "turned -1.20" in joints[0]
 
 
+@pytest.mark.slow
 def test_ankles_give_way(names_of: Names) -> None:
     """Bypassed they are stiff, with the original's gains they give way in its directions, and never beyond its limits."""
     stiff, soft, softest = names_of("ankle_compliance.py")["main"]().values()
@@ -95,6 +100,7 @@ def test_ankles_give_way(names_of: Names) -> None:
     assert 0.06 < softest["RAR"] < 0.0699  # 4°
 
 
+@pytest.mark.slow
 def test_crouching(run: Run) -> None:
     """The machine goes through its phases by what it measures, and ends when the arm is lifted."""
     lines = run("crouch.py")
@@ -105,6 +111,7 @@ def test_crouching(run: Run) -> None:
     assert lines[-1].endswith("nothing went wrong")
 
 
+@pytest.mark.slow
 def test_homing(run: Run) -> None:
     """Limbs search in parallel; a failed knee is named, mended and found; a loose contact costs one try."""
     lines = run("homing.py")
@@ -117,6 +124,7 @@ def test_homing(run: Run) -> None:
     assert lines[-1].startswith("21 joints, at most 0.000")
 
 
+@pytest.mark.slow
 def test_nobody_mends(names_of: Names) -> None:
     """A joint that stays unfound ends the sequence in a failure that names it; nothing behind it begins."""
     names = names_of("homing.py")
@@ -130,6 +138,7 @@ def test_nobody_mends(names_of: Names) -> None:
     assert said[-1].startswith("failed: upper EJMC3: WST")
 
 
+@pytest.mark.slow
 def test_minihubo_walks(names_of: Names, capsys: pytest.CaptureFixture[str]) -> None:
     """Four steps through the inverse kinematics: soles are level in every row, and 21 servos follow."""
     worst = names_of("minihubo_walk.py")["main"]([])
@@ -141,6 +150,7 @@ def test_minihubo_walks(names_of: Names, capsys: pytest.CaptureFixture[str]) -> 
     assert " 0 missing" in said
 
 
+@pytest.mark.slow
 def test_the_rover(names_of: Names, capsys: pytest.CaptureFixture[str]) -> None:
     """It finds its heading, comes to each place, and stands while its receiver has no fix."""
     near, blind = names_of("rover.py")["main"]([(2.0, 0.0), (2.0, 2.0)], lost_s=1.0)
@@ -171,6 +181,7 @@ def test_omnibot(run: Run) -> None:
     assert lines[-1].endswith("nothing went wrong")
 
 
+@pytest.mark.slow
 def test_a_follower_goes_where_the_leader_is_moved(
     names_of: Names, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -183,6 +194,7 @@ def test_a_follower_goes_where_the_leader_is_moved(
     assert all(line.endswith(" 0 unanswered") for line in said[1:-1])
 
 
+@pytest.mark.slow
 def test_a_quadruped_trots(names_of: Names, capsys: pytest.CaptureFixture[str]) -> None:
     """Twelve joints follow at 500 Hz, softly where feet swing; every command is answered."""
     found = names_of("quadruped_trot.py")["main"](6.0 if PROFILE == "long" else 1.2)
@@ -192,6 +204,7 @@ def test_a_quadruped_trots(names_of: Names, capsys: pytest.CaptureFixture[str]) 
     assert "nothing went wrong" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_one_controller_on_three_robots(names_of: Names) -> None:
     """The controller's file knows no robot; on CAN and serial it steps, on the recording it gives what it gave."""
     names = names_of("same_controller.py")

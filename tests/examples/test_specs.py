@@ -41,6 +41,7 @@ def test_a_newcomers_spec_is_short_and_clean(name: str) -> None:
     assert sum(examples) >= len(examples) - 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SPECS)
 def test_all_laws_hold(name: str) -> None:
     """Every message is reached, and no law fails."""

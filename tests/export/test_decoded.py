@@ -157,6 +157,7 @@ def test_wrong_calls(call: Any, complaint: str) -> None:
         call()
 
 
+@pytest.mark.slow
 def test_a_path_is_opened_at_the_top() -> None:
     """`aces_bus.decode` opens a recording and decodes it with a protocol or its name."""
     found = aces_bus.decode(EXAMPLES / "hubo2plus.log", "hubo")

@@ -114,6 +114,7 @@ def test_a_schema_has_all_that_is_known_of_a_message(tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".parquet", ".arrow"])
 def test_a_schema_does_not_hang_on_values(suffix: str, tmp_path: Path) -> None:
     """Pieces without a channel, with another, with unnamed numbers, with no bytes: one file, one schema."""

@@ -271,6 +271,7 @@ def in_json(value: Any, names: set[str], path: str = "") -> Any:
     return value
 
 
+@pytest.mark.slow
 @settings(max_examples=12, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(data=st.data())
 def test_drawn_frames_and_streams(data: st.DataObject, tmp_path_factory: pytest.TempPathFactory) -> None:

@@ -246,6 +246,7 @@ def count_calls(owner: Any, name: str, patch: pytest.MonkeyPatch | None = None) 
     return calls
 
 
+@pytest.mark.slow
 def test_socketcand_server_that_hangs_up_and_comes_back(server: Server) -> None:
     """Lost at once and not polled in a circle; found again when it serves again. python-can alone would spin for ever."""
     with CanGate(server.options) as gate:
@@ -443,6 +444,7 @@ def test_a_filter_that_excludes() -> None:
     assert [frame.arbitration_id for frame in kept] == [0x122, 0x124]
 
 
+@pytest.mark.slow
 def test_python_can_starts_without_asammdf() -> None:
     """Where asammdf is installed, python-can imports it at its start, for a second; our commands keep it out."""
     code = """

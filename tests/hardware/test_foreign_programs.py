@@ -107,6 +107,7 @@ class Program:
 BUS = ("-i", "aces", "-c", "unix:can0")
 
 
+@pytest.mark.slow
 def test_python_can_logger(bus: can.BusABC) -> None:
     """`can_logger` shows every frame that is sent on the bus."""
     with Program("-m", "can.logger", *BUS, "-b", "1000000") as logger:
@@ -118,6 +119,7 @@ def test_python_can_logger(bus: can.BusABC) -> None:
         logger.end()
 
 
+@pytest.mark.slow
 def test_python_can_player(bus: can.BusABC, tmp_path: Path) -> None:
     """`can_player` plays a log onto the bus; every frame arrives, although it ends as soon as it has sent the last."""
     log = tmp_path / "walk.log"
@@ -130,6 +132,7 @@ def test_python_can_player(bus: can.BusABC, tmp_path: Path) -> None:
         assert player.process.wait(PATIENCE) == 0
 
 
+@pytest.mark.slow
 def test_python_can_socketcand_client(server: BusServer, bus: can.BusABC) -> None:
     """`can_logger -i socketcand` in a process of its own, joined to the same bus."""
     host, port = parse_host(server.socketcand, None)
@@ -148,6 +151,7 @@ BO_ 291 Wheel: 8 X
 """
 
 
+@pytest.mark.slow
 def test_cantools_monitor(bus: can.BusABC, tmp_path: Path) -> None:
     """`cantools monitor` on a terminal shows the decoded signal, and ends when told to."""
     pytest.importorskip("cantools")
@@ -276,6 +280,7 @@ network.disconnect()
 """
 
 
+@pytest.mark.slow
 def test_a_canopen_master_and_a_node_in_another_process(server: BusServer, tmp_path: Path) -> None:
     """SDO upload and download (expedited and segmented), NMT with heartbeats, and a PDO."""
     canopen: Any = pytest.importorskip("canopen")

@@ -96,6 +96,7 @@ def balanced(counters: GateCounters) -> bool:
     return counters.given == sum(bins)
 
 
+@pytest.mark.slow
 def test_what_was_given_leaves_before_the_gate_closes() -> None:
     """`send` and then `stop`: every frame is on the bus, each time."""
     for number in range(50):

@@ -81,6 +81,7 @@ def test_a_link_in_the_folder_is_not_followed(folder: Path) -> None:
     assert (folder / "precious").read_text() == "keep"
 
 
+@pytest.mark.slow
 def test_a_killed_program_holds_nothing(folder: Path) -> None:
     """kill -9 of who drives frees the bus."""
     words = [sys.executable, "-c", HOLDER, "drive", "can0"]
@@ -113,6 +114,7 @@ def test_a_gate_has_it_from_its_start_to_its_end(folder: Path) -> None:
     BusLock("can0", "lower").take()
 
 
+@pytest.mark.slow
 def test_only_what_is_allowed_leaves(folder: Path) -> None:
     """An identifier that is not on the list is refused by its number, and is an event."""
     options = {"interface": "aces", "channel": str(folder)}

@@ -68,6 +68,7 @@ def heard(inbox: Any, size: int) -> bytes:
     return data
 
 
+@pytest.mark.slow
 def test_bytes_go_both_ways(line: Line) -> None:
     """What arrives is handed over with its time; what is sent is sent whole."""
     with SerialGate(line.path, baud=57_600) as gate:
@@ -194,6 +195,7 @@ def test_a_listener_that_raises(line: Line) -> None:
         assert heard(inbox, 1) == b"x"
 
 
+@pytest.mark.slow
 def test_datagrams_go_both_ways() -> None:
     """Whole, with who sent them; to the peer unless another address is named."""
     with DatagramGate() as robot, DatagramGate(peer=robot.address) as host:
@@ -206,6 +208,7 @@ def test_datagrams_go_both_ways() -> None:
         assert answer.content == b""
 
 
+@pytest.mark.slow
 def test_strangers_are_counted() -> None:
     """With `only_peer`, what others send is told and not handed on."""
     seen = Seen()

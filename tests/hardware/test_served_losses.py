@@ -26,6 +26,7 @@ def plain(address: str = "unix:can0") -> ServerConnection:
     return ServerConnection(parse_address(address), packets.Hello())
 
 
+@pytest.mark.slow
 def test_who_does_not_read_loses_the_oldest(opened: Open, monkeypatch: pytest.MonkeyPatch) -> None:
     """A member that does not read delays nobody; its losses are counted, and what is kept is the newest."""
     monkeypatch.setattr(channel_module, "QUEUE", 100)
@@ -127,6 +128,7 @@ def test_a_socketcand_client_that_never_ends_a_command(opened: Open) -> None:
         until(lambda: server.cut == 1)
 
 
+@pytest.mark.slow
 def test_too_many_clients_and_silent_ones(monkeypatch: pytest.MonkeyPatch, opened: Open) -> None:
     """Connections are bounded, and those that do not say who they are make room."""
     monkeypatch.setattr(server_module, "CLIENTS", 3)

@@ -157,6 +157,7 @@ def test_threads_in_real_time(physics: bool) -> None:
         assert [message.arbitration_id for message in got if message] == [0x77]
 
 
+@pytest.mark.slow
 def test_notifier_and_periodic_tasks() -> None:
     """python-can's Notifier and send_periodic work as on any other interface."""
     with opened("periodic") as left, opened("periodic") as right:
@@ -175,6 +176,7 @@ def test_notifier_and_periodic_tasks() -> None:
         notifier.stop()
 
 
+@pytest.mark.slow
 def test_a_canopen_master_and_node() -> None:
     """A canopen network on the virtual bus: heartbeat state, an SDO upload and download, NMT."""
     canopen = pytest.importorskip("canopen")

@@ -69,6 +69,7 @@ def test_forward_kinematics_equals_the_vectors(vectors: Any) -> None:
         assert np.abs(outputs(case["q"]) - np.array(case["out"])).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_inverse_kinematics_solves_what_can_be_solved(vectors: Any) -> None:
     """By residual: where the original converged, so do we, soles level and straight; elsewhere the error is told truly."""

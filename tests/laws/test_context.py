@@ -21,6 +21,7 @@ IS_LONG = settings().max_examples > 100
 BUS_SCENES, STREAM_SCENES = (15, 59) if IS_LONG else (7, 25)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hubo", "can_corners", "mit_motor"])
 @pytest.mark.parametrize("direction", [None, "from device"])
 def test_replies_follow_the_rule(name: str, direction: laws.Way) -> None:

@@ -20,6 +20,7 @@ def _holds(seeds: range) -> drawn_specs.Outcome:
     return outcome
 
 
+@pytest.mark.slow
 def test_drawn_specs_mean_what_bit_arithmetic_says() -> None:
     """Whatever the spec: refused by the language, or the same everywhere."""
     outcome = _holds(range(1_000_000, 1_000_000 + SHORT))

@@ -81,6 +81,7 @@ def test_scenes_are_mostly_readable_and_never_only_that(name: str) -> None:
         assert len(reasons) >= (1 if bare else 2)
 
 
+@pytest.mark.slow
 def test_a_wire_shrinks_to_little() -> None:
     """What breaks a law is shown small: here, one packet of the message looked for."""
     variant = PROTOCOLS["robotis"].variant()
@@ -122,6 +123,7 @@ def test_what_cannot_be_drawn_says_so() -> None:
         draw_packet(message, spread(1))
 
 
+@pytest.mark.slow
 def test_without_hypothesis_the_extra_is_named() -> None:
     """The strategies say what to install; the laws need nothing."""
     program = (

@@ -300,6 +300,7 @@ def test_memory_does_not_grow_with_what_is_unknown() -> None:
     assert any("more identifiers" in one.text for one in check.observations())
 
 
+@pytest.mark.slow
 @given(data=st.lists(st.binary(max_size=64), max_size=40), seed=st.integers(0, 1 << 16))
 def test_no_recording_raises(data: list[bytes], seed: int) -> None:
     """Frames and bytes of any kind are data: whatever the spec, observations come out of them."""

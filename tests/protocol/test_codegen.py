@@ -73,6 +73,7 @@ def test_generated_source_is_golden(name: str, golden: Golden) -> None:
         golden(f"{name}/scanner.py.txt", StreamScanner([variant], direction="from device").source)
 
 
+@pytest.mark.slow
 def test_the_same_spec_prints_the_same_bytes_in_every_process() -> None:
     """Neither hash order nor the current folder leaves a trace in generated source."""
     program = (

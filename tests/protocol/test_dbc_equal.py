@@ -230,6 +230,7 @@ def _scanner(protocol: Protocol, raw: bool) -> Any:
     return make_scanner([protocol.variant()], include_unknown=True, raw=raw)
 
 
+@pytest.mark.slow
 @given(text=databases(), seed=st.integers(0, 2**32))
 def test_every_value_is_that_of_cantools(
     text: str, seed: int, tmp_path_factory: pytest.TempPathFactory

@@ -257,6 +257,7 @@ def test_from_dbc_to_source_to_dbc(text: str) -> None:
 # ---------------------------------------------------------------------- there and back
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", SHIPPED, ids=lambda variant: variant.label)
 def test_what_is_exported_reads_back_the_same(variant: Variant) -> None:
     """Of each shipped protocol on CAN, frames of every length: what we read with the exported file is what the spec reads,

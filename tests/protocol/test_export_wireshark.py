@@ -265,6 +265,7 @@ def check_can(folder: Path, variant: Variant, words: Sequence[Frame]) -> set[str
     return seen
 
 
+@pytest.mark.slow
 @needs_tshark
 @pytest.mark.parametrize("dialect", ["D12", "D08"])
 def test_every_message_of_hubo_is_shown_as_it_is_decoded(dialect: str, tmp_path: Path) -> None:

@@ -566,6 +566,7 @@ def test_what_is_no_file(tmp_path: Path) -> None:
             load_database(tmp_path / path)
 
 
+@pytest.mark.slow
 def test_damaged_files_never_raise_anything_else(tmp_path: Path) -> None:
     """Cut anywhere, bytes flipped, lines dropped: a protocol with problems, or one clear error."""
     whole = (HEAD + CAR + MUX).encode()
@@ -764,6 +765,7 @@ def test_a_dcf_knows_its_node(tmp_path: Path) -> None:
     assert found.protocol["RPDO1"].direction == "to device"
 
 
+@pytest.mark.slow
 def test_damaged_eds_files_never_raise_anything_else(tmp_path: Path) -> None:
     """Cut anywhere, bytes changed, lines dropped: a protocol with problems, or one clear error."""
     pytest.importorskip("canopen")

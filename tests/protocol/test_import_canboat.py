@@ -204,6 +204,7 @@ def test_texts_say_their_length() -> None:
 _GOLDEN = re.compile(r'([^=;:"]+?) = (?:[^=;]*?) ?\(bytes = "([0-9A-F ]*)"(?:, bits = "([01]+)")?\)')
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_canboats_goldens_are_decoded_value_for_value(shared_captures: Path) -> None:
     """Each field's bytes, as canboat's analyzer prints them, are the raw value that we have."""
@@ -245,6 +246,7 @@ def _agreeing(record: Any, golden: list[tuple[str, str, str]], table: list[dict[
     return count
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_canboats_table_is_imported_but_for_what_is_named(shared_captures: Path) -> None:
     """Nearly all of it; and every message that is flat reads what it wrote."""
@@ -254,6 +256,7 @@ def test_canboats_table_is_imported_but_for_what_is_named(shared_captures: Path)
     assert imported.statements == len(imported.protocol.declared) + len(imported.losses)
 
 
+@pytest.mark.slow
 def test_a_table_that_would_cost_beyond_measure_is_cut(tmp_path: Path) -> None:
     """Forms of one group, fields, names: what is too much is left out by name, and the rest stands."""
     forms = [

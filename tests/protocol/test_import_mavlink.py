@@ -165,6 +165,7 @@ def test_what_a_dialect_says_of_its_fields() -> None:
     assert rover().variant()["DOCKED"].place.line == 28
 
 
+@pytest.mark.slow
 def test_the_laws_hold() -> None:
     """On drawn packets of both versions, signed ones among them: round trip, oracle, chunking, accounting, …"""
     for version in ("v2", "v1"):

@@ -109,6 +109,7 @@ def judged(chosen: list[Mutation], folder: Path) -> list[Mutation]:
     return missed
 
 
+@pytest.mark.slow
 def test_slips_in_small_specs_are_caught(tmp_path: Path) -> None:
     """Of every kind of slip one, in the specs of the serial protocols: what slips through is known."""
     missed = judged(drawn(SMALL, 12, SEED, in_turn=True), tmp_path)

@@ -35,6 +35,7 @@ WORKED: list[tuple[str, str, dict[str, Any]]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("text", "name", "fields"), WORKED)
 def test_worked_examples(text: str, name: str, fields: dict[str, Any]) -> None:
     """Each is read and written as printed."""

@@ -501,6 +501,7 @@ def test_a_bomb_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     assert any("more than 4,194,304 bytes" in problem.reason for problem in capture.problems)
 
 
+@pytest.mark.slow
 def test_much_damage_takes_no_more_time_a_byte() -> None:
     """A good object and an impossible one by turns, sizes that swallow the next: a fraction of a second, all counted."""
     good = thing(65, b"")

@@ -240,6 +240,7 @@ def test_common_lines_are_read_together(stamp: bytes, ending: bytes) -> None:
         assert (len(usual), int(usual.sum()), len(table)) == (len(some),) * 3
 
 
+@pytest.mark.slow
 def test_a_long_file_is_read_in_large_tables(tmp_path: Path) -> None:
     """Blocks of a mebibyte, tables of at least 65,536 rows but for the last, and none of the times rounded."""
     writer = Writer(random.Random(5))

@@ -170,6 +170,7 @@ def files_of_asammdf(tmp_path: Path) -> Iterator[bytes]:
     bus.close()
 
 
+@pytest.mark.slow
 @needs_asammdf
 def test_the_same_as_with_asammdf(tmp_path: Path) -> None:
     """Every frame, count and problem of ordinary files, whoever wrote them, is what asammdf's way gives."""
@@ -188,6 +189,7 @@ def test_the_same_as_with_asammdf(tmp_path: Path) -> None:
         ), name
 
 
+@pytest.mark.slow
 @needs_asammdf
 def test_what_is_not_ordinary_is_left_to_asammdf() -> None:
     """Later versions go the other way, whole, and are read there."""
@@ -251,6 +253,7 @@ def test_a_file_joined_behind_records_without_an_end_is_no_record() -> None:
     assert f"at byte {len(first)}," in got[5][-1].reason
 
 
+@pytest.mark.slow
 @needs_asammdf
 def test_a_file_that_is_joined_behind_is_said_by_asammdf_s_way() -> None:
     """Whoever reads the first."""
@@ -478,6 +481,7 @@ print(done)
 """
 
 
+@pytest.mark.slow
 def test_flips_in_little_memory(tmp_path: Path) -> None:
     """Bits and bytes changed at random, in a process with 96 MiB: no traceback, no hang, no large allocation."""
     count = 2000 if settings().max_examples > 100 else 500  # of the short profile

@@ -117,6 +117,7 @@ def frames(draw: st.DrawFn) -> Frame:
     )
 
 
+@pytest.mark.slow
 @settings(max_examples=2)
 @given(st.lists(st.lists(frames(), min_size=1, max_size=30), min_size=MANY, max_size=MANY))
 def test_what_is_written_is_read_back(captures: list[list[Frame]]) -> None:
@@ -150,6 +151,7 @@ def test_python_can_reads_what_we_write(tmp_path: Path) -> None:
         assert twin.channel == {"can0": 0, "can1": 1, None: 2}[frame.channel]
 
 
+@pytest.mark.slow
 def test_we_read_what_python_can_writes(tmp_path: Path) -> None:
     """Files of python-can, plain and packed: the frames that its own reader gives."""
     can = pytest.importorskip("can")
@@ -243,6 +245,7 @@ def results() -> dict[str, Result]:
     return dict(zip(contents, read_all([*contents.values()]), strict=True))
 
 
+@pytest.mark.slow
 def test_what_mf4_cannot_hold_is_counted(results: dict[str, Result]) -> None:
     """A frame without a time gets that of the frame before it, and it is said."""
     got, _ = _fine(results["untimed"])
@@ -322,6 +325,7 @@ def test_every_kind_of_damage(results: dict[str, Result]) -> None:
     assert any(not isinstance(result, CaptureError) for result in damaged)
 
 
+@pytest.mark.slow
 def test_bombs_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """A block that unpacks to, or claims, more than is allowed is an error or a counted loss; never the memory."""
     monkeypatch.setattr(child, "MEMORY", 96 << 20)
@@ -355,6 +359,7 @@ def test_what_becomes_of_the_process_is_said(monkeypatch: pytest.MonkeyPatch, st
         list(open_recording(io.BytesIO(later_file()), link="can"))
 
 
+@pytest.mark.slow
 def test_leaving_early_stops_the_process(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Who stops reading leaves no process and no file behind."""
     started: list[Any] = []

@@ -92,6 +92,7 @@ def found() -> dict[str, Said]:
 # ---- recordings ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_every_frame_of_real_recordings(shared_captures: Path) -> None:
     """Identifier, kind, channel, direction, data and time of every frame are those of python-can's reader.
@@ -189,6 +190,7 @@ def understood() -> dict[str, bytes]:
     }
 
 
+@pytest.mark.slow
 def test_conversions_are_those_of_python_can(tmp_path: Path, found: dict[str, Said]) -> None:
     """Linear, rational, tables, texts, virtual channels and times: every frame as python-can's reader gives it."""
     for name, content in understood().items():
@@ -544,6 +546,7 @@ def rows_of_asammdf(path: Path) -> list[Row]:
     return sorted(found)
 
 
+@pytest.mark.slow
 def test_files_of_asammdf(tmp_path: Path) -> None:
     """Data, remote and error frames, conversions, invalidation bits, packed or not: what asammdf says of each channel."""
     paths = list(files_of_asammdf(tmp_path))

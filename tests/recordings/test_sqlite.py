@@ -158,6 +158,7 @@ def test_the_time_limit_stops_a_query(monkeypatch: pytest.MonkeyPatch) -> None:
         read(database([GOOD] * 3))
 
 
+@pytest.mark.slow
 def test_every_truncation(tmp_path: Path) -> None:
     """A database that ends early gives what is there, and the rest is counted or refused."""
     content = database([GOOD] * 600)

@@ -225,6 +225,7 @@ def test_rig_and_states_resolve_the_same_names(name: str) -> None:
                 assert run.states[one] is run.states[signal.name]
 
 
+@pytest.mark.slow
 def test_a_state_that_is_not_there_is_named() -> None:
     """A slip in a state's name is said when the robot is put together, with what there is."""
     with pytest.raises(UnknownNameError, match=r"'RHP\.positon'.*RHP\.position"):

@@ -152,6 +152,7 @@ def test_garbage_on_the_bus() -> None:
     assert motors_are_off(run)
 
 
+@pytest.mark.slow
 def test_garbage_that_was_declared_harmless() -> None:
     """Declared harmless, garbage is counted, and the leg swings on as if nothing had been heard."""
     plain = walk_into(lambda run: None)[2]

@@ -253,6 +253,7 @@ def test_the_clock_jumps(seconds: float) -> None:
 # ---------------------------------------------------------------------- in real time
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_bus", [False, True])
 def test_the_same_on_threads(is_bus: bool) -> None:
     """On a real bus and threads, a silent device and a closed bus stop motion too, tell the handler, and end the run."""

@@ -71,6 +71,7 @@ def test_an_answer_is_understood_by_anothers_question() -> None:
         assert not looker.hosts["lower"].counts.sent
 
 
+@pytest.mark.slow
 def test_a_run_looks_on_beside_a_master() -> None:
     """A controller runs on what the master asks for; the run sends nothing, and ends without a stop."""
     robot = robot_of(ROBOT)

@@ -55,6 +55,7 @@ def test_the_same_seed_is_the_same_run() -> None:
     assert frames() == frames()
 
 
+@pytest.mark.slow
 def test_one_controller_runs_on_real_buses_too() -> None:
     """The same controller, unchanged, drives twins at a bus of this machine in real time, on threads."""
     robot = robot_of(ROBOT)

@@ -234,6 +234,7 @@ def test_only_what_a_controller_drives_is_enabled() -> None:
         assert run.do("fly") == []
 
 
+@pytest.mark.slow
 def test_steps_are_given_the_instants_that_they_were_due() -> None:
     """However late a thread wakes, the instants of a controller's steps are whole periods apart."""
     seen: list[int] = []
@@ -247,6 +248,7 @@ def test_steps_are_given_the_instants_that_they_were_due() -> None:
     assert {(b - a) % 20_000_000 for a, b in pairwise(seen)} == {0}
 
 
+@pytest.mark.slow
 def test_what_raises_on_the_buses_thread_stops_motion() -> None:
     """A driver's fault is told as "bug" with what it was, and ends the run."""
     robot = robot_of(ROBOT)
@@ -264,6 +266,7 @@ def test_what_raises_on_the_buses_thread_stops_motion() -> None:
     assert ended.tripped["drive"].startswith("buses: bug: RuntimeError: off by one (")
 
 
+@pytest.mark.slow
 def test_users_code_is_never_on_a_receive_thread() -> None:
     """Steps run on their controller's thread, handlers on that of the buses; neither on a gate's."""
     threads: dict[str, set[str]] = {"step": set(), "handle": set()}
@@ -296,6 +299,7 @@ def test_users_code_is_never_on_a_receive_thread() -> None:
     assert threads == {"step": {"drive"}, "handle": {"aces loop"}}
 
 
+@pytest.mark.slow
 def test_every_deadline_is_a_step_or_missed() -> None:
     """On threads, what a slow controller left out is counted, to the last deadline before the end."""
     robot = robot_of(ROBOT)

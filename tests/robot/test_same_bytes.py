@@ -51,6 +51,7 @@ def outcome(root: Path, hash_seed: int) -> tuple[list[str], str]:
     return found, kind
 
 
+@pytest.mark.slow
 def test_another_hash_seed_is_the_same_run() -> None:
     """Frames, instants and log of the complete robot hang on no order of sets."""
     first, _ = outcome(ROOT, 1)

@@ -24,6 +24,7 @@ from tests.robot.test_served_stops import twins as twins
 from tests.robot.walking import hubo_leg
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "kind", "said"),
     [
@@ -55,6 +56,7 @@ def test_a_board_that_misbehaves(twins: Twins, fault: str, kind: str, said: str)
     assert run.rig.hosts["lower"].counts.received
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["loses", "late"])
 def test_answers_that_are_lost_or_late(twins: Twins, fault: str) -> None:
     """Every third answer lost, or all of them 50 ms late: what the others say is known; the run goes on, and counts it."""
@@ -70,6 +72,7 @@ def test_answers_that_are_lost_or_late(twins: Twins, fault: str) -> None:
     assert set(ended.not_stopped) <= {"JMC1"}  # it may not say in time that it is off
 
 
+@pytest.mark.slow
 def test_a_controller_that_keeps_the_interpreter(twins: Twins) -> None:
     """While a controller's step lets no other thread run, nothing is sent; then all goes on, what was missed is counted."""
     held: list[float] = []
@@ -92,6 +95,7 @@ def test_a_controller_that_keeps_the_interpreter(twins: Twins) -> None:
     assert ended.not_stopped == {}
 
 
+@pytest.mark.slow
 def test_a_second_master_is_refused(twins: Twins) -> None:
     """Who drives has the bus: another program that would drive is refused, with who has it; one that looks on is not."""
     robot = hubo_leg()

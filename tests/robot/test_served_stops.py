@@ -108,6 +108,7 @@ def raises(given: dict[str, float]) -> dict[str, float]:
     raise ZeroDivisionError("by zero")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("then", "kind", "why"),
     [
@@ -124,6 +125,7 @@ def test_a_controller_that_fails(twins: Twins, then: Any, kind: str, why: str) -
     assert twins("off") == BOARDS
 
 
+@pytest.mark.slow
 def test_a_controller_that_blocks(twins: Twins) -> None:
     """The boards are off before the step has come back: nothing of a stop waits for it."""
     order: list[str] = []
@@ -149,6 +151,7 @@ def test_a_controller_that_blocks(twins: Twins) -> None:
     assert ended.failed == []
 
 
+@pytest.mark.slow
 def test_a_controller_that_finishes(twins: Twins) -> None:
     """A player at its end trips nothing; the run's own end switches off."""
     player = Player("p", Trajectory(["RKN"], [[0.0], [0.05]], rate_hz=10), rate_hz=100)
@@ -166,6 +169,7 @@ def test_a_controller_that_finishes(twins: Twins) -> None:
     assert twins("off") == BOARDS
 
 
+@pytest.mark.slow
 def test_hold_holds_until_its_time_is_over(twins: Twins) -> None:
     """Held, the boards stay on with live set-points although the controller gives none; then they are switched off."""
     run: Runner
@@ -197,6 +201,7 @@ def test_hold_holds_until_its_time_is_over(twins: Twins) -> None:
 # ---------------------------------------------------------------------- boards and buses
 
 
+@pytest.mark.slow
 def test_a_silent_board(twins: Twins) -> None:
     """The others are off; the silent one is named, for it cannot say that it is."""
     ended, _ = run_on(
@@ -207,6 +212,7 @@ def test_a_silent_board(twins: Twins) -> None:
     assert set(twins("off")) >= {"JMC0", "JMC2", "JMC3"}
 
 
+@pytest.mark.slow
 def test_bus_off_and_recovery(twins: Twins) -> None:
     """The host leaves the bus for half a second: the stop is the first to leave when it is back, and is confirmed."""
     ended, _ = run_on(twins, [Leg()], {"bus-off": stop()}, fault=lambda: twins("bus-off"))
@@ -214,6 +220,7 @@ def test_bus_off_and_recovery(twins: Twins) -> None:
     assert twins.wait_for("off", BOARDS)
 
 
+@pytest.mark.slow
 def test_a_stop_that_is_not_confirmed(twins: Twins) -> None:
     """A board that stays on is named, and the others are off."""
     ended, _ = run_on(
@@ -262,6 +269,7 @@ def begun(twins: Twins, folder: Path) -> Command:
     raise TimeoutError(said)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_signals(twins: Twins, tmp_path: Path, number: signal.Signals) -> None:
     """Ctrl-C, SIGTERM and SIGHUP end `aces run` with the board off."""
@@ -272,6 +280,7 @@ def test_signals(twins: Twins, tmp_path: Path, number: signal.Signals) -> None:
     assert twins("on") == []
 
 
+@pytest.mark.slow
 def test_not_switched_off(twins: Twins, tmp_path: Path) -> None:
     """A board that does not obey is named on stderr, and the status is 1."""
     run = begun(twins, tmp_path)
@@ -281,6 +290,7 @@ def test_not_switched_off(twins: Twins, tmp_path: Path) -> None:
     assert "NOT switched off: JMC2\n" in run.said()
 
 
+@pytest.mark.slow
 def test_kill_9_leaves_the_board_on(twins: Twins, tmp_path: Path) -> None:
     """Nothing can be sent any more: a board without a watchdog stays on, until a program stops it."""
     run = begun(twins, tmp_path)

@@ -11,6 +11,7 @@ from functools import cache, partial
 from math import inf
 from typing import Any
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -168,6 +169,7 @@ class Watcher:
         return found
 
 
+@pytest.mark.slow
 @settings(max_examples=EXAMPLES)
 @given(
     schedule=SCHEDULES,

@@ -92,6 +92,7 @@ class Slow(Walk):
         self.rate_hz = 1.0
 
 
+@pytest.mark.slow
 def test_the_shortcut_does_not_wait_for_a_slow_controller() -> None:
     """A board that says nothing stops the others within a bus tick, although the controller runs once a second."""
     found = case(lambda run: run.world.twins["JMC1"].fault("silent"), [Slow()], seconds=3.0)
@@ -142,6 +143,7 @@ def test_what_is_enabled_after_the_stop_has_begun_is_stopped_too() -> None:
     assert ended.not_stopped == {}
 
 
+@pytest.mark.slow
 def test_hold_holds_until_the_run_is_over() -> None:
     """Declared as hold, a fault switches nothing off before the run's own end, and is said."""
     found = case(lambda run: run.world.twins["FT_RF"].fault("silent"), on_trip="hold", seconds=1.5)
@@ -204,6 +206,7 @@ def test_a_controller_that_hangs_is_held_by_the_buses_thread() -> None:
         assert run.set_points - before >= 5 * 9
 
 
+@pytest.mark.slow
 def test_a_run_may_leave_the_robot_held() -> None:
     """Asked for, the end switches nothing off and says who is left enabled; what a fault switched off stays off."""
     found = case(lambda run: None, at_end="hold", seconds=0.5)
@@ -390,6 +393,7 @@ def test_a_stop_that_found_the_bus_off_leaves_when_it_is_back() -> None:
     assert motors_are_off(found.run)
 
 
+@pytest.mark.slow
 def test_a_stop_that_was_not_confirmed_is_owed() -> None:
     """The bus is off for longer than a stop is repeated, and another controller runs on: the stop leaves when it is back."""
 
@@ -412,6 +416,7 @@ def test_a_stop_that_was_not_confirmed_is_owed() -> None:
     assert found == [True]
 
 
+@pytest.mark.slow
 def test_a_bus_that_stays_off_is_said_with_all_names() -> None:
     """The end names every board that is not known to be off, within its bound, and raises where nobody reads it."""
     found = case(lambda run: bus_off(run, 60.0), seconds=3.0, reactions=PASSIVE)
@@ -428,6 +433,7 @@ def test_a_bus_that_stays_off_is_said_with_all_names() -> None:
         run.__exit__(None)
 
 
+@pytest.mark.slow
 def test_a_board_that_does_not_obey_is_named() -> None:
     """A board that answers and stays on has not stopped: its own status says so, and all others are off."""
 

@@ -25,6 +25,7 @@ writes = st.tuples(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=25)
 @given(st.lists(writes, min_size=1, max_size=12), st.sampled_from(["", "", "disable", "reboot", "can_error"]))
 def test_nothing_on_the_bus_passes_a_limit_or_a_rate(drawn: list[Any], trouble: str) -> None:

@@ -7,6 +7,7 @@ import pytest
 from aces_tools.benchmarks import control
 
 
+@pytest.mark.slow
 def test_contenders_agree() -> None:
     """The peers of a subject give the value that the states give."""
     _, peer, _, newest = control.values()

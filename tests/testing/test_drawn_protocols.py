@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
 from hypothesis import given, settings
 
 from aces_bus.protocol import Protocol, make_scanner
@@ -16,6 +17,7 @@ from aces_bus.testing.specs import Link, draw_spec, protocol_of
 SHORT, LONG = 6, 300
 
 
+@pytest.mark.slow
 def test_drawn_protocols_keep_the_laws() -> None:
     """Whatever fields, layouts, captures, checks and lengths: no law fails."""
     links: tuple[Link, ...] = ("can", "serial")

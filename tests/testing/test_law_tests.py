@@ -60,6 +60,7 @@ def _run(folder: Path, test: str, *options: str) -> subprocess.CompletedProcess[
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, env=alone)
 
 
+@pytest.mark.slow
 def test_a_broken_spec_fails_with_a_drawing_and_a_capture(tmp_path: Path) -> None:
     """One law fails, as a test of its own; it shows the scene, and says what repeats it."""
     (tmp_path / "my_spec.py").write_text(SPEC)

@@ -71,6 +71,7 @@ def _chosen() -> list[Any]:
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", _chosen())
 def test_a_planted_fault_is_found_and_small(fault: Fault, monkeypatch: Patch) -> None:
     """A law that is meant fails, on a handful of words that still break it when they are played again."""

@@ -63,6 +63,7 @@ def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     shutil.rmtree(folder, ignore_errors=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_serving_until_told_to_stop(runtime: Path, number: signal.Signals) -> None:
     """`aces bus serve` says how to join, serves, and on Ctrl-C or SIGTERM ends with a summary, status 0 and no files."""

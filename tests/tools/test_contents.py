@@ -57,6 +57,7 @@ def test_as_json(aces: Aces, tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("file", "advice"),
     [
@@ -74,6 +75,7 @@ def test_what_fits_is_named(aces: Aces, file: str, advice: str) -> None:
     assert aces(*call[1:], "-q", "--direction", "both").status == 0
 
 
+@pytest.mark.slow
 def test_of_a_pipe(aces: Aces, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without a file standard input is read, with a protocol or without."""
     data = (CAPTURES / "hubo2plus.log").read_bytes()
@@ -99,6 +101,7 @@ def test_filtered(aces: Aces) -> None:
     assert (result.status, "--where needs to know what is spoken" in result.err) == (2, True)
 
 
+@pytest.mark.slow
 def test_many_identifiers(aces: Aces, tmp_path: Path) -> None:
     """Only so many have a row; the frames of the others are counted."""
     log = tmp_path / "many.log"

@@ -347,6 +347,7 @@ def test_what_was_read_before_an_error_is_written(
     assert sum(len(some) for some in rows(out).values()) == 8
 
 
+@pytest.mark.slow
 def test_standard_input(arm: str, tmp_path: Path) -> None:
     """A pipe is decoded into tables as well; Ctrl-C is its usual end, and what came is written."""
     if os.name != "posix":

@@ -50,6 +50,7 @@ def decoded(log: Path, out: Path, *more: str, capfd: Any) -> tuple[int, list[str
     return status, said, {name: parquet.read_table(out / name).to_pylist() for name in sorted(names)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "more",
     [
@@ -78,6 +79,7 @@ def test_two_processes_give_what_one_gives(
     assert one[2] or "can7,060:7F0" in more
 
 
+@pytest.mark.slow
 def test_parts_are_in_order(log: Path, tmp_path: Path, capfd: Any) -> None:
     """Read by name, the parts of a message are the message, in the order of the capture."""
     one = decoded(log, tmp_path / "one.parquet", capfd=capfd)[2]
@@ -89,6 +91,7 @@ def test_parts_are_in_order(log: Path, tmp_path: Path, capfd: Any) -> None:
         assert [row for part in found for row in parquet.read_table(part).to_pylist()] == one[name]
 
 
+@pytest.mark.slow
 def test_other_formats_are_read_here_and_decoded_there(log: Path, tmp_path: Path, capfd: Any) -> None:
     """A packed log cannot be entered in its middle; the answer is the same."""
     import gzip
@@ -101,6 +104,7 @@ def test_other_formats_are_read_here_and_decoded_there(log: Path, tmp_path: Path
     assert {n: len(rows) for n, rows in two[2].items()} == {n: len(rows) for n, rows in one[2].items()}
 
 
+@pytest.mark.slow
 def test_an_earlier_output_is_replaced(log: Path, tmp_path: Path, capfd: Any) -> None:
     """Whole at once, whether parts or files stood there; other folders are left alone."""
     out = tmp_path / "walk.parquet"
@@ -144,6 +148,7 @@ def test_a_full_disk_is_said_once(log: Path, tmp_path: Path, capfd: Any) -> None
     assert sorted(path.name for path in tmp_path.iterdir()) == ["walk.log"]
 
 
+@pytest.mark.slow
 def test_frames_without_a_time_are_told_of(log: Path, tmp_path: Path, capfd: Any) -> None:
     """As by one process, also those that hang on requests."""
     found = re.findall(r"(can\d) ([0-9A-F]+)#((?:[0-9A-F]{2})+)\n", log.read_text())

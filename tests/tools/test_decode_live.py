@@ -67,6 +67,7 @@ def live(arm: str) -> Iterator[Running]:
     running.close()
 
 
+@pytest.mark.slow
 def test_lines_come_as_the_frames_do(live: Running) -> None:
     """Each frame of a pipe is printed at once, not when a block is full; the end of the pipe is the end."""
     for number in range(3):
@@ -81,6 +82,7 @@ def test_lines_come_as_the_frames_do(live: Running) -> None:
     )
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_with_the_summary(live: Running) -> None:
     """Ctrl-C while waiting for a live source is the usual end: summary, status 0, no traceback."""
     live.write(FRAME % 1 + b"rubbish\n" + FRAME % 2)
@@ -94,6 +96,7 @@ def test_ctrl_c_ends_with_the_summary(live: Running) -> None:
     assert said.splitlines()[-1].endswith("lines_unreadable=1")
 
 
+@pytest.mark.slow
 def test_a_reader_that_leaves_ends_it(live: Running) -> None:
     """`| head -1`: no traceback, the summary of what was read."""
     live.write(FRAME % 1)
@@ -113,6 +116,7 @@ def test_a_reader_that_leaves_ends_it(live: Running) -> None:
     assert said.startswith("frames=")
 
 
+@pytest.mark.slow
 def test_a_silent_line_ends_what_is_incomplete(tmp_path: Path) -> None:
     """Half a packet is shown after the protocol's gap, though the pipe stays open and nothing follows."""
     live = Running("decode", "-", "-p", "robotis", "--direction", "from", "--format", "jsonl")
@@ -125,6 +129,7 @@ def test_a_silent_line_ends_what_is_incomplete(tmp_path: Path) -> None:
     assert (found["message"], found["offset"]) == ("Status", 4)
 
 
+@pytest.mark.slow
 def test_head_on_a_file(arm: str, tmp_path: Path) -> None:
     """So does `aces decode big.log … | head -2`."""
     log = tmp_path / "big.log"
@@ -140,6 +145,7 @@ def test_head_on_a_file(arm: str, tmp_path: Path) -> None:
     assert said.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_ctrl_c_on_a_file_is_told_by_the_status(arm: str, tmp_path: Path) -> None:
     """A file that was not read to its end gives status 130 and the summary of what was."""
     fifo = tmp_path / "x.log"
@@ -158,6 +164,7 @@ def test_ctrl_c_on_a_file_is_told_by_the_status(arm: str, tmp_path: Path) -> Non
     assert said.startswith("frames=")
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_one_line(arm: str, tmp_path: Path) -> None:
     """An output that takes no more is said, with the summary, and status 2."""
     if not os.path.exists("/dev/full"):

@@ -38,6 +38,7 @@ def test_the_knees_are_bent_within_limits() -> None:
     assert np.allclose(rows[-1], 0)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short")
 def test_the_demonstration_draws(aces: Aces, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It ends by itself, with a plot in characters, a picture in the current folder, and how far it was off."""

@@ -94,6 +94,7 @@ def test_no_robot_is_said_with_those_that_ship(aces: Aces, monkeypatch: pytest.M
     assert "ACES_ROBOT" in said.err
 
 
+@pytest.mark.slow
 def test_what_a_joint_has(aces: Aces, leg: str) -> None:
     """A joint's name shows its signals with its board's own and the actions; other joints' signals are not there."""
     shown = aces("device", "Y", "-r", leg)
@@ -443,6 +444,7 @@ def test_on_a_served_bus(aces: Aces, leg: str, stand: SimulatedRobot) -> None:
     assert aces("device", "JMC0", "parameters", "-r", leg, "-i", "aces").status == 0  # only asks: no --tx
 
 
+@pytest.mark.slow
 def test_a_looker_sees_what_another_program_asks(
     aces: Aces, leg: str, stand: SimulatedRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -484,6 +486,7 @@ def test_on_a_pseudo_terminal(aces: Aces, leg: str, stand: SimulatedRobot) -> No
     assert (got.status, got.out) == (0, "TOE ping: none\n"), got.err
 
 
+@pytest.mark.slow
 def test_a_device_that_is_not_there(
     aces: Aces, leg: str, stand: SimulatedRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -42,6 +42,7 @@ def robot(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_device_of_a_files_driver(robot: Path) -> None:
     """Its twin answers; its protocol is that of the file."""
     got = aces("device", "LEFT", "get", "-r", robot, "--virtual", "--json", "--driver", DRIVER)
@@ -53,6 +54,7 @@ def test_a_device_of_a_files_driver(robot: Path) -> None:
     }
 
 
+@pytest.mark.slow
 def test_a_controller_drives_it(robot: Path) -> None:
     """In a run, with its limits and its stop."""
     (robot.parent / "turn.py").write_text(CONTROLLER)
@@ -63,6 +65,7 @@ def test_a_controller_drives_it(robot: Path) -> None:
     assert " set_points=26 " in ran.stderr
 
 
+@pytest.mark.slow
 def test_its_twins_are_served(robot: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """`aces sim` puts them on a bus, and lists how they misbehave."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
@@ -83,6 +86,7 @@ driver = replace(driver, scan=scan)
 """
 
 
+@pytest.mark.slow
 def test_its_devices_are_found(robot: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By the protocol's file and the driver's, which here is the same; the robot's file that is written works with them."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
@@ -105,6 +109,7 @@ def test_its_devices_are_found(robot: Path, tmp_path: Path, monkeypatch: pytest.
     assert 'protocol = "own.py"' in found.read_text()
 
 
+@pytest.mark.slow
 def test_what_is_no_driver_is_refused(robot: Path, tmp_path: Path) -> None:
     """Without the file; a file without one; a name that an installed driver has."""
     (tmp_path / "none.py").write_text("x = 1\n")

@@ -55,6 +55,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_good_protocol_passes_and_says_what_was_reached(aces: Aces, here: Path) -> None:
     """Status 0, a table of messages, and one line that sums up."""
     result = aces("fuzz", "good.py", "--examples", "256", "--seed", "1")
@@ -73,6 +74,7 @@ def test_what_was_never_reached_is_named(aces: Aces, here: Path) -> None:
     assert re.search(r"never reached: .*(Level|Reset)", out)
 
 
+@pytest.mark.slow
 def test_a_dialect_is_fuzzed_alone(aces: Aces, here: Path) -> None:
     """In dialect `a` there is one message."""
     assert "1/1 messages" in aces("fuzz", "good.py:a", "--examples", "96", "--seed", "1").out
@@ -98,6 +100,7 @@ def test_a_failure_is_drawn_saved_and_repeated(aces: Aces, here: Path) -> None:
     assert len(list((here / ".aces" / "failures").iterdir())) == 2
 
 
+@pytest.mark.slow
 def test_a_corpus_is_kept_and_judged_first(aces: Aces, here: Path) -> None:
     """What failed fails at once the next time, and what reached something new is kept."""
     first = aces("fuzz", "bad.py", "--seed", "5", "--law", "1", "--examples", "640", "--corpus", "corpus")
@@ -134,6 +137,7 @@ def test_json_says_everything(aces: Aces, here: Path) -> None:
     assert json.loads(Path(failure["scene"]).read_text())["protocol"] == "bad"
 
 
+@pytest.mark.slow
 def test_several_processes_do_the_same_examples(aces: Aces, here: Path) -> None:
     """With --jobs, as many examples and words, and the same coverage."""
     one = aces("fuzz", "good.py", "--examples", "128", "--seed", "9")
@@ -170,6 +174,7 @@ def test_a_wrong_call_says_what_is_wrong(aces: Aces, here: Path, arguments: list
     assert result.err.count("\n") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_ctrl_c_ends_with_the_summary(here: Path) -> None:
     """Status 130, the numbers so far, and no process left."""

@@ -135,6 +135,7 @@ def test_main_returns_and_never_exits() -> None:
     assert main(["decode", "--no-such-option"]) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("arguments", [["sniff", "--help"], ["protocols", "hubo", "Encoder"]])
 def test_an_output_without_unicode(arguments: list[str]) -> None:
     """Drawings and signs are written with what ASCII has, and nothing is a traceback."""

@@ -146,6 +146,7 @@ def test_filters(aces: Aces, node: Node, recording: Path) -> None:
     assert found.summary == {"frames": 5, "sent": 2, "failed": 0, "filtered": 2, "skipped": 1}
 
 
+@pytest.mark.slow
 def test_channels_onto_several_buses(aces: Aces, node: Node, recording: Path) -> None:
     """`--map` sends each channel to its bus; what has none is filtered."""
     other = Node()
@@ -300,6 +301,7 @@ def test_unreadable_lines_are_named_once(aces: Aces, node: Node, tmp_path: Path)
     assert found.messages == [f"{path}:2: not a line of candump: 'oops'"]
 
 
+@pytest.mark.slow
 def test_an_outage_is_said_and_not_made_up_for(
     aces: Aces, node: Node, opened: Opened, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -266,6 +266,7 @@ def test_a_gap_is_some_periods() -> None:
     assert longest_period(np.arange(4) * 0.01) == math.inf
 
 
+@pytest.mark.slow
 def test_no_signals_are_named(aces: Aces, tmp_path: Path) -> None:
     """Of many signals the most telling are drawn, by unit; it is said how many, and never an error."""
     capture = ROOT / "examples" / "captures" / "hubo2plus.log"
@@ -588,6 +589,7 @@ def test_without_matplotlib_only_files_are_refused(
 SIGNATURES = {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", SIGNATURES)
 def test_files_are_of_their_kind_and_repeat(aces: Aces, walk: Path, arm: str, suffix: str) -> None:
     """The suffix says the format; the same call gives the same bytes; nothing goes to stdout."""
@@ -612,6 +614,7 @@ def test_the_capture_is_not_overwritten(aces: Aces, walk: Path, arm: str) -> Non
     assert "one of the files to read" in result.err
 
 
+@pytest.mark.slow
 def test_a_figure_shows_what_was_asked_for(
     aces: Aces, walk: Path, arm: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

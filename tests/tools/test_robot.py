@@ -101,6 +101,7 @@ def test_a_wrong_call(aces: Aces, arguments: list[str], said: str) -> None:
 # ---------------------------------------------------------------------- list, show
 
 
+@pytest.mark.slow
 def test_list(aces: Aces) -> None:
     """Every robot that ships, what it speaks and has."""
     result = aces("robot", "list")

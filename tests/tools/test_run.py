@@ -295,6 +295,7 @@ def served(tmp_path: Path) -> Iterator[tuple[str, ...]]:
         yield "-i", "aces", "--bus", f"line={tmp_path}"
 
 
+@pytest.mark.slow
 def test_real_buses_move_only_with_tx(aces: Aces, robot: Path, knee: Path, served: tuple[str, ...]) -> None:
     """With --ask the devices are asked and set-points only counted; with --tx the joint moves, and is stopped."""
     only = aces("run", "-r", robot, knee, *served, "--for", "0.2s", "--ask")
@@ -309,6 +310,7 @@ def test_real_buses_move_only_with_tx(aces: Aces, robot: Path, knee: Path, serve
     assert any("late" in message and "(median)" in message for message in moved.messages)
 
 
+@pytest.mark.slow
 def test_without_tx_and_ask_nothing_is_sent(
     aces: Aces, robot: Path, knee: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -324,6 +326,7 @@ def test_without_tx_and_ask_nothing_is_sent(
     assert only.status == 1
 
 
+@pytest.mark.slow
 def test_what_is_missing_is_named_and_nothing_moves(
     aces: Aces, robot: Path, knee: Path, served: tuple[str, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:

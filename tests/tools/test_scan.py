@@ -43,6 +43,7 @@ def test_everything_is_there(aces: Aces, leg: str) -> None:
     assert found.err == "found=3 missing=0\n"
 
 
+@pytest.mark.slow
 def test_something_is_missing(aces: Aces, leg: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A device that does not answer is said, as is one that the file has not; status 1."""
     text = (
@@ -73,6 +74,7 @@ def load_other(path: Path, text: str) -> Path:
     return other
 
 
+@pytest.mark.slow
 def test_a_file_of_what_was_found(
     aces: Aces, lone: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -91,6 +93,7 @@ def test_a_file_of_what_was_found(
     assert written.buses["bus"].channel == line
 
 
+@pytest.mark.slow
 def test_nobody_is_there(aces: Aces, lone: str) -> None:
     """Nothing found is status 1, with what to look at, and no file."""
     with ExitStack() as stack:

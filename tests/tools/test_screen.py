@@ -116,6 +116,7 @@ async def three(stage: Stage) -> None:
     await stage.look()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(80, 24), (60, 20)])
 def test_the_screen_shows_the_bus(size: tuple[int, int]) -> None:
     """Bus, rates, messages, data and values stand on terminals of any size, and the keys below."""
@@ -131,6 +132,7 @@ def test_the_screen_shows_the_bus(size: tuple[int, int]) -> None:
     play(scene, size)
 
 
+@pytest.mark.slow
 def test_keys_sort_filter_and_hide() -> None:
     """s sorts, / filters while typing, Enter keeps and Esc ends the filter, u shows the unknown only."""
 
@@ -155,6 +157,7 @@ def test_keys_sort_filter_and_hide() -> None:
     play(scene)
 
 
+@pytest.mark.slow
 def test_freeze_stops_the_picture_and_not_the_counting() -> None:
     """f freezes rows; frames still count; f again shows what is now."""
 
@@ -172,6 +175,7 @@ def test_freeze_stops_the_picture_and_not_the_counting() -> None:
     play(scene)
 
 
+@pytest.mark.slow
 def test_clear_counts_anew() -> None:
     """c forgets rows and losses; new losses are counted from there."""
 
@@ -191,6 +195,7 @@ def test_clear_counts_anew() -> None:
     play(scene)
 
 
+@pytest.mark.slow
 def test_details_follow_the_selected_row_wherever_it_goes() -> None:
     """d opens them, the arrows choose, sorting moves the row and not the choice, Esc closes."""
 
@@ -248,6 +253,7 @@ def test_without_colour_nothing_is_coloured() -> None:
     play(scene, has_colour=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", ["q", "ctrl+c"])
 def test_help_opens_and_closes_and_q_quits(key: str) -> None:
     """? tells the keys, Esc goes back, q and Ctrl-C end with status 0."""
@@ -265,6 +271,7 @@ def test_help_opens_and_closes_and_q_quits(key: str) -> None:
     play(scene)
 
 
+@pytest.mark.slow
 def test_resizing_keeps_rows_and_moves_the_details() -> None:
     """From wide to narrow and back: the details stand beside the table where there is room."""
 
@@ -280,6 +287,7 @@ def test_resizing_keeps_rows_and_moves_the_details() -> None:
     play(scene)
 
 
+@pytest.mark.slow
 def test_a_long_list_scrolls_with_the_cursor() -> None:
     """The last of 300 rows is reached, and stands on the terminal."""
 
@@ -390,6 +398,7 @@ def test_a_wrong_call_leaves_nothing_behind(
 LOG = "".join(f"({1000 + n / 1000:.6f}) can0 060#{n:02X}000000F6FFFFFF\n" for n in range(200))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="needs a terminal as POSIX has them")
 def test_a_recording_is_seen_on_a_terminal_and_recorded_again(tmp_path: Path) -> None:
     """The command on a real terminal: it shows rows, q ends it, the summary and the recording are those of the lines."""

@@ -50,6 +50,7 @@ def test_as_json(aces: Aces, leg: str) -> None:
     assert last["devices"]["S7"] == {"requests": 0, "replies": 0}
 
 
+@pytest.mark.slow
 def test_a_program_of_its_own(leg: str) -> None:
     """As a process: clients come and go, Ctrl-C ends it with the counts and status 0."""
     process = subprocess.Popen(

@@ -766,6 +766,7 @@ def running(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
         process.communicate()
 
 
+@pytest.mark.slow
 @posix
 def test_kill_9_loses_less_than_a_second(
     running: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
@@ -786,6 +787,7 @@ def test_kill_9_loses_less_than_a_second(
     assert all(frame.arbitration_id == one["id"] and frame.data.hex() == one["raw"] for frame, one in pairs)
 
 
+@pytest.mark.slow
 @posix
 @pytest.mark.parametrize("number", [*([signal.SIGINT] if IS_LONG else []), signal.SIGTERM])
 def test_signals_end_it_with_a_whole_recording(
@@ -804,6 +806,7 @@ def test_signals_end_it_with_a_whole_recording(
     assert len(list(open_recording(record, link="can"))) == shown
 
 
+@pytest.mark.slow
 @posix
 def test_nobody_reads_any_more(running: Callable[..., subprocess.Popen[bytes]]) -> None:
     """`| head -1` ends it without a complaint."""

@@ -134,6 +134,7 @@ def test_protocols_named_together_share_a_bus(aces: Aces, written: Path) -> None
     assert "collides" in aces("spec", "check", "both.py").out
 
 
+@pytest.mark.slow
 def test_a_robot_is_checked_bus_by_bus(aces: Aces, written: Path) -> None:
     """The protocols of a robot's file; what is wrong with the file itself comes with its line."""
     assert aces("spec", "check", "hubo2plus").status == 0
@@ -170,6 +171,7 @@ def test_the_laws_are_asked(aces: Aces, written: Path) -> None:
     assert "'-1' is not a duration" in aces("spec", "check", "sound.py", "--for=-1").err
 
 
+@pytest.mark.slow
 def test_a_broken_law_is_an_error(aces: Aces, written: Path) -> None:
     """With the message and its line, the smallest frame that breaks it, and the command that repeats it."""
     Path("crooked.py").write_text(CROOKED)
@@ -227,6 +229,7 @@ def test_colour_only_where_it_is_wanted(aces: Aces, written: Path) -> None:
     assert "\x1b[" in aces("spec", "check", "doubt.py", "--color").out
 
 
+@pytest.mark.slow
 def test_the_page_shows_what_happens(aces: Aces, written: Path) -> None:
     """Each command of docs/checking.md, on the spec that the page begins with, prints what the page shows."""
     page = (Path(__file__).resolve().parents[2] / "docs" / "checking.md").read_text(encoding="utf-8")
@@ -270,6 +273,7 @@ def test_a_recording_that_contradicts_is_a_warning(aces: Aces, written: Path) ->
     assert finding["first"] == {"source": "run.log", "row": 0, "time": 0.0}
 
 
+@pytest.mark.slow
 def test_protocols_that_share_a_bus_are_held_against_it_together(aces: Aces, written: Path) -> None:
     """What one of them declares is no fault of the other, unless they are apart."""
     Path("sound.py").write_text(SOUND)

@@ -52,6 +52,7 @@ def test_frames_from_the_command_line(aces: Aces) -> None:
     assert "unknown: needs request GetParameters|SendCurrent" in alone.out
 
 
+@pytest.mark.slow
 def test_a_place_in_a_recording(aces: Aces, tmp_path: Path) -> None:
     """`--at` takes the decision that has this byte; what was asked before it still counts."""
     file = tmp_path / "wire.bin"

@@ -29,6 +29,7 @@ def made(tmp_path: Path, aces: Aces) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_what_is_written_passes_at_once(made: Path) -> None:
     """pytest in each folder: the worked examples and every law."""
     # The package's plug-in, and no others: they take as long to load as the tests take.
@@ -62,6 +63,7 @@ def test_what_is_written_passes_at_once(made: Path) -> None:
     assert "skipped" not in run.stdout
 
 
+@pytest.mark.slow
 def test_what_is_written_is_clean(made: Path, aces: Aces) -> None:
     """`aces spec check` finds nothing, formatters change nothing, and the messages are listed."""
     for link in LINKS:

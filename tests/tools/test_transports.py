@@ -50,6 +50,7 @@ def test_filters_and_windows_take_whole_packets(aces: Aces, tmp_path: Path) -> N
         assert sum(result.summary[name] for name in ("decoded", "filtered", "pending")) == 29
 
 
+@pytest.mark.slow
 def test_jobs_find_packets_across_their_pieces(
     aces: Aces, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -29,6 +29,7 @@ def path_of(draw: Any, name: str) -> str:
     return ".".join(parts)
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(data=st.data())
 def test_rows_are_kept_as_records_are(data: st.DataObject) -> None:
