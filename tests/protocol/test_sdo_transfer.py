@@ -94,12 +94,6 @@ def test_an_abort_ends_the_transfer_and_is_a_message() -> None:
     assert sdo_like.scanner().feed(frames(REFUSED))[0].code == 0x08000022
 
 
-def test_block_transfers_are_refused_by_name() -> None:
-    """What begins, steers and ends one; a numbered frame of it follows no first one."""
-    begun = ["605#C208100010000000", "585#A40810007F000000", "605#0161626364656667", "605#C100000000000000"]
-    assert fed(*begun) == ["block transfer", "block transfer", "no first frame", "block transfer"]
-
-
 def test_sizes_need_not_be_given() -> None:
     """Without a size the last segment says that it is the last; so it does for no bytes at all."""
     for size in (0, 1, 7, 8, 300):

@@ -1,7 +1,7 @@
-"""Service data of CANopen: objects that are read and written in segments, and in single frames.
+"""Service data of CANopen: objects that are read and written in segments, in blocks, and in single frames.
 
 What it asks of the language: packets in a conversation of two identifiers; messages of one frame on the identifiers of
-packets; aborts, which end a packet and are messages.
+packets; aborts, which end a packet and are messages; frames that are what they are only in their conversation.
 
 Source: CiA 301 as canopen 2.4 carries it out, which sent the transfers of the worked examples.
 """
@@ -16,6 +16,7 @@ sdo_like = Protocol("sdo_like", link="can", bitrate=1_000_000, doc="Service data
 
 Node = IdField("node", range(1, 128))
 Sized, Unused = IdField("sized", range(2)), IdField("unused", range(4))
+Checked, BlockSized = IdField("checked", range(2)), IdField("sized", range(2))
 transfer = SdoTransfer(max_size=400)
 
 _OBJECT = Struct("command" / Byte, "index" / Int16ul, "subindex" / Byte)
@@ -43,6 +44,27 @@ ask(
         ("605#2B 17 10 00 E8 03 00 00", {"node": 5, "index": 0x1017, "unused": 2, "data": b"\xe8\x03\0\0"})
     ],
 )
+ask(
+    "WriteBlocks",
+    command=0xC0 | Checked << 2 | BlockSized << 1,
+    payload=Struct("data" / GreedyBytes),
+    doc="An object that is written, in blocks.",
+    examples=[
+        (
+            [
+                "605#C6 08 10 00 0A 00 00 00", "585#A4 08 10 00 7F 00 00 00", "605#01 61 62 63 64 65 66 67",
+                "605#82 68 69 6A 00 00 00 00", "585#A2 02 7F 00 00 00 00 00", "605#D1 2A A3 00 00 00 00 00",
+            ],
+            {"node": 5, "checked": 1, "sized": 1, "index": 0x1008, "subindex": 0, "data": b"abcdefghij"},
+        )
+    ],
+)  # fmt: skip
+ask(
+    "ReadBlocks",
+    command=0xA0 | Checked << 2,
+    payload=Struct("block_size" / Byte, "switch" / Byte, "reserved" / Reserved(2)),
+    doc="What does an object say? In blocks of so many segments; in fewer frames where it has no more bytes than `switch`.",
+)
 ask("Read", command=0x40, payload=Struct("reserved" / Reserved(4)), doc="What does an object say?")
 ask("Abort", command=0x80, payload=Struct("code" / Int32ul), doc="Who asked has given up.")
 answer(
@@ -57,6 +79,21 @@ answer(
         )
     ],
 )
+answer(
+    "ObjectInBlocks",
+    command=0xC0 | Checked << 2 | BlockSized << 1,
+    payload=Struct("data" / GreedyBytes),
+    doc="An object that is read, in blocks.",
+    examples=[
+        (
+            [
+                "585#C2 08 10 00 03 00 00 00", "605#A3 00 00 00 00 00 00 00", "585#81 61 62 63 00 00 00 00",
+                "605#A2 01 7F 00 00 00 00 00", "585#D1 00 00 00 00 00 00 00",
+            ],
+            {"node": 5, "checked": 0, "sized": 1, "index": 0x1008, "subindex": 0, "data": b"abc"},
+        )
+    ],
+)  # fmt: skip
 answer(
     "ShortObject",
     command=0x42 | Sized | Unused << 2,

@@ -78,6 +78,8 @@ class ColumnReassembler:
         self._left = FrameTable.empty()
         self._left_rows: Array = np.empty(0, np.int64)
         self._keys = KeyNumbers()
+        #: Of a transport with acknowledged packets, what goes on from piece to piece: its sessions that are lost.
+        self._talks = Reassembler(transport) if transport.has_conversations else None
 
     @property
     def pending(self) -> int:
@@ -93,12 +95,14 @@ class ColumnReassembler:
         left = piece.in_columns(self._keys) if self._has_columns else None
         if left is None:
             piece = _Piece(self.transport, table, rows, self._extra_of)
-            left = piece.one_by_one()
+            left = piece.one_by_one() if self._talks is None else piece.gone_on(self._talks)
         self._left, self._left_rows = table.take(left), rows[left]
         return piece.decided()
 
     def close(self) -> tuple[FrameTable, Array]:
         """The frames that are pending at the end, and their numbers."""
+        if self._talks is not None:
+            self._talks.reset()
         left, rows = self._left, self._left_rows
         self._left, self._left_rows = FrameTable.empty(), np.empty(0, np.int64)
         return left, rows
@@ -180,6 +184,26 @@ class _Piece:
         """Decide all frames; the places of those that are under way."""
         return self._by_rule([(range(len(self.table)), None)], None)
 
+    def gone_on(self, reassembler: Reassembler) -> Array:
+        """Decide the frames that the reassembler has not had yet; the places of all that are under way.
+
+        It numbers frames by their rows in the capture, as their places change from piece to piece.
+        """
+        begin, made = reassembler.pending, []
+        items = self._items(np.arange(begin, len(self.table)))
+        place_of = {row: place for place, row in enumerate(self.rows.tolist())}
+        for place, item in items.items():
+            made += reassembler.take(None, int(self.rows[place]), *item)
+        whole: list[tuple[int, bytes, list[int]]] = []
+        for packet in made:
+            places = [place_of[one.number] for one in packet.frames]
+            if packet.reason:
+                self._lose(places, packet.reason)
+            else:
+                whole.append((packet.key, packet.data, places))
+        self._gather_whole(whole)
+        return np.array(sorted(place_of[one.number] for one in reassembler.under_way()), np.int64)
+
     def _by_rule(self, runs: Sequence[tuple[Sequence[int], int | None]], places: Array | None) -> Array:
         """Decide runs of frames, each by itself. A run's second part is the frame that begins the session's next packet: it
         says why this one ended. `places` are those of all the frames in runs, sorted; None: all."""
@@ -200,6 +224,11 @@ class _Piece:
             left += (
                 one.number for packet in reassembler.close() for one in packet.frames if one.number != after
             )
+        self._gather_whole(made)
+        return np.array(sorted(left), np.int64)
+
+    def _gather_whole(self, made: Sequence[tuple[int, bytes, list[int]]]) -> None:
+        """Packets that the rule has made, as key, bytes and places: all of one width and so many frames at once."""
         shapes: dict[tuple[int, int], list[tuple[int, bytes, list[int]]]] = {}
         for one in made:
             shapes.setdefault((_width_of(len(one[1])), len(one[2])), []).append(one)
@@ -211,7 +240,6 @@ class _Piece:
                 np.array([len(one[1]) for one in some], np.int64),
                 data.reshape(-1, width),
             )
-        return np.array(sorted(left), np.int64)
 
     def _items(self, places: Array | None) -> dict[int, tuple[int, bytes, int, float | None]]:
         """Key, data, channel and seconds of frames, by their places."""

@@ -89,8 +89,66 @@ def judge_frames(transport: Transport, given: Sequence[GivenFrame]) -> Judged:
     return Judged("under way")
 
 
+def judge_conversation(transport: Transport, given: Sequence[GivenFrame]) -> Judged:
+    """What the frames of an acknowledged packet are, of which the first one is a first frame."""
+    parts = [one.part for one in given]
+    first, size = parts[0], parts[0].size
+    taken: list[bytes] = []
+    begin = 1  # where the present block begins
+    for place, part in enumerate(parts):
+        block = {one.number: one for one in parts[begin:place] if one.role == "next"}
+
+        if part.role == "ready" and (block or taken):
+            return Judged("broken", "malformed: restarted")
+        if part.role == "next" and part.number in block:
+            return Judged(
+                "broken", f"malformed: {_named_data(transport, first, len(taken) + part.number)} twice"
+            )
+        if part.role == "taken":
+            missing = [number for number in range(1, part.number + 1) if number not in block]
+            if missing:
+                lacks = _named_data(transport, first, len(taken) + missing[0])
+                return Judged("broken", f"malformed: {lacks} missing")
+            taken += [block[number].data for number in range(1, part.number + 1)]
+            begin = place + 1
+        if part.role == "end":
+            whole = first.data + b"".join(taken)
+            data = whole[: len(whole) - part.number]
+            if size is not None and size != len(data):
+                return Judged("broken", "malformed: length")
+            if len(data) > transport.longest:
+                return Judged("broken", "malformed: too long")
+            return Judged("whole", data=data + part.data)
+    if len(given) > transport.most_frames:
+        return Judged("broken", "malformed: too long")
+    return Judged("under way")
+
+
+def conversation_given_up(transport: Transport, given: Sequence[GivenFrame]) -> str:
+    """Why an acknowledged packet is given up whose receiver says that it is over."""
+    roles = [one.part.role for one in given]
+    if roles[-1] == "next" or "next" in roles[_last_place(roles, "taken") :]:
+        return "malformed: acknowledgement missing"
+    taken = sum(one.part.number for one in given if one.part.role == "taken")
+    return f"malformed: {_named_data(transport, given[0].part, taken + 1)} missing"
+
+
+def _last_place(roles: Sequence[str], role: str) -> int:
+    return max((place for place, one in enumerate(roles) if one == role), default=0)
+
+
+def _named_data(transport: Transport, first: FramePart, number: int) -> str:
+    """A frame with data by its number, the first one being 0; the last one of all ends the packet."""
+    if first.size is None:
+        return f"frame {number + 1}"
+    rest = range(first.size - len(first.data))
+    return f"frame {number + 1} of {2 + max(1, len(rest[:: transport.room(transport.frame_size)]))}"
+
+
 def is_repeated(transport: Transport, given: Sequence[GivenFrame], more: GivenFrame) -> bool:
     """Whether a following frame is one that has come already."""
+    if given[0].part.is_acknowledged:
+        return (given[-1].part.role, given[-1].data) == (more.part.role, more.data)
     if transport.any_order:
         known = [one.part for one in given[1:] if one.part.number == more.part.number]
         return any(part.data == more.part.data for part in known)
@@ -160,52 +218,100 @@ class PacketRule:
 
     def decide(self, frame: Any, number: int, key: int, data: bytes) -> list[DecidedFrames]:
         """What one more frame decides."""
-        part = self.transport.part(key, data)
+        decided: list[DecidedFrames] = []
+        for session in self.transport.conversations(key):
+            talk = self._open((frame.channel, session))
+            if talk is not None and self._is_late(talk[1][-1].frame.timestamp, frame.timestamp):
+                if talk[1][0].part.is_acknowledged:
+                    decided += self._lost(talk, "timed out")
+        part = self._within(frame.channel, key, data) or self.transport.part(key, data)
         mine = GivenFrame(frame, number, data, part)
         if part.role in ("bad", "control"):
-            return [DecidedFrames((mine,), part.reason)]
+            return [*decided, DecidedFrames((mine,), part.reason)]
         who = (frame.channel, part.session)
-        if part.role == "abort" and all(one[0] != who for one in self.open):
+        if part.role == "abort" and self._open(who) is None:
             who = (frame.channel, part.other)
-        decided: list[DecidedFrames] = []
-        before = next((one for one in self.open if one[0] == who), None)
+        before = self._open(who)
         if before is not None and self._is_late(before[1][-1].frame.timestamp, frame.timestamp):
-            decided.append(self._lost(before, "timed out"))
+            decided += self._lost(before, "timed out")
             before = None
-        if part.role != "next" and before is not None:
-            decided.append(self._lost(before, "aborted" if part.role == "abort" else "restarted"))
-        if part.role == "abort":
-            decided.append(DecidedFrames((mine,), part.reason, part.key, part.data))
-        elif part.role == "single":
-            decided.append(DecidedFrames((mine,), "", part.key, part.data))
-        elif part.role == "first":
-            decided += self._ended((who, [mine]))
-        elif before is None:
-            decided.append(DecidedFrames((mine,), "malformed: no first frame"))
-        elif is_repeated(self.transport, before[1], mine):
-            decided.append(DecidedFrames((mine,), "malformed: repeated"))
-        else:
-            before[1].append(mine)
-            decided += self._ended(before)
-        return decided
+        if part.role in ("next", "ready", "taken", "end"):
+            return decided + self._followed(who, before, mine)
+        if before is not None and part.role == "over" and before[1][0].part.role == "first":
+            self.open.remove(before)
+            decided.append(DecidedFrames(tuple(before[1]), conversation_given_up(self.transport, before[1])))
+        elif before is not None:
+            decided += self._lost(before, "aborted" if part.role == "abort" else "restarted")
+        if part.role in ("single", "first") and part.other is not None:
+            beside = self._open((frame.channel, part.other))
+            decided += self._lost(beside, "restarted") if beside is not None else []
+        if part.role == "first":
+            return decided + self._ended((who, [mine]))
+        return [*decided, DecidedFrames((mine,), part.reason, part.key, part.data)]
+
+    def _open(self, who: Hashable) -> tuple[Hashable, list[GivenFrame]] | None:
+        return next((one for one in self.open if one[0] == who), None)
+
+    def _within(self, channel: Any, key: int, data: bytes) -> FramePart | None:
+        """What a frame is to an acknowledged packet that is under way, or lost."""
+        for session in self.transport.conversations(key):
+            talk = self._open((channel, session))
+            if talk is not None and talk[1][0].part.is_acknowledged:
+                part = self.transport.within([one.part for one in talk[1]], key, data)
+                if part is not None:
+                    return part
+        return None
+
+    def _followed(
+        self, who: Hashable, before: tuple[Hashable, list[GivenFrame]] | None, mine: GivenFrame
+    ) -> list[DecidedFrames]:
+        """What a frame decides that does not begin a packet."""
+        orphan = DecidedFrames((mine,), mine.part.reason or "malformed: no first frame")
+        is_spoken = before is not None and before[1][0].part.is_acknowledged
+        if mine.part.role != "next" and not is_spoken:
+            lost = self._lost(before, "restarted") if before is not None else []
+            return [*lost, orphan, *self._enter((who, [_silent(mine)]))]
+        if before is None:
+            return [orphan]
+        if before[1][0].part.role != "first":  # it is lost
+            before[1][:] = [_silent(mine)]
+            return [orphan]
+        if is_repeated(self.transport, before[1], mine):
+            return [DecidedFrames((mine,), "malformed: repeated")]
+        before[1].append(mine)
+        return self._ended(before)
 
     def _ended(self, one: tuple[Hashable, list[GivenFrame]]) -> list[DecidedFrames]:
         """What frames are, if they are anything yet."""
-        found = judge_frames(self.transport, one[1])
-        if found.state != "under way":
+        given = one[1]
+        is_acknowledged = given[0].part.is_acknowledged
+        found = (judge_conversation if is_acknowledged else judge_frames)(self.transport, given)
+        if found.state == "under way":
+            return self._enter(one) if len(given) == 1 else []
+        decided = DecidedFrames(tuple(given), found.reason, given[0].part.key, found.data)
+        if is_acknowledged and found.state == "broken":
+            given[:] = [_silent(given[-1])]
+        else:
             self.open = [other for other in self.open if other is not one]
-            return [DecidedFrames(tuple(one[1]), found.reason, one[1][0].part.key, found.data)]
-        decided: list[DecidedFrames] = []
-        if len(one[1]) == 1:
-            if len(self.open) == self.transport.senders:
-                oldest = self.open.pop(0)
-                decided.append(DecidedFrames(tuple(oldest[1]), "malformed: too many senders at once"))
-            self.open.append(one)
+        return [decided]
+
+    def _enter(self, one: tuple[Hashable, list[GivenFrame]]) -> list[DecidedFrames]:
+        """One more session: where there are too many, the oldest is given up."""
+        full = len(self.open) == self.transport.senders
+        decided = self._lost(self.open[0], "too many senders at once", whole=True) if full else []
+        self.open.append(one)
         return decided
 
-    def _lost(self, one: tuple[Hashable, list[GivenFrame]], reason: str) -> DecidedFrames:
+    def _lost(
+        self, one: tuple[Hashable, list[GivenFrame]], reason: str, whole: bool = False
+    ) -> list[DecidedFrames]:
+        """The frames of a packet that is given up; none of one that is lost already."""
         self.open.remove(one)
-        return DecidedFrames(tuple(one[1]), given_up(self.transport, one[1], reason))
+        if one[1][0].part.role != "first":
+            return []
+        is_acknowledged = whole or one[1][0].part.is_acknowledged
+        why = f"malformed: {reason}" if is_acknowledged else given_up(self.transport, one[1], reason)
+        return [DecidedFrames(tuple(one[1]), why)]
 
     def _is_late(self, last: float | None, time: float | None) -> bool:
         return last is not None and time is not None and time - last > self.transport.timeout_s
@@ -213,4 +319,12 @@ class PacketRule:
     def end(self) -> list[DecidedFrames]:
         """The frames that are pending at the end of the input."""
         left, self.open = self.open, []
-        return [DecidedFrames(tuple(frames), "pending") for _, frames in left]
+        return [
+            DecidedFrames(tuple(frames), "pending") for _, frames in left if frames[0].part.role == "first"
+        ]
+
+
+def _silent(last: GivenFrame) -> GivenFrame:
+    """What is kept of a session that is lost: when its last frame came."""
+    part = FramePart("ready", last.part.session, is_acknowledged=True)
+    return GivenFrame(last.frame, last.number, last.data, part)

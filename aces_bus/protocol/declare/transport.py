@@ -11,7 +11,7 @@ told apart otherwise (by their identifiers, say) overrides `part` and `split`.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, Literal, NamedTuple
@@ -23,8 +23,9 @@ from .pattern import IdPattern
 from .place import caller
 
 #: What a frame is: a whole packet; a packet's first frame; one that follows; one that only steers (flow control, an
-#: acknowledgement); one that ends a packet before its end; none of the transport.
-Role = Literal["single", "first", "next", "control", "abort", "bad"]
+#: acknowledgement); one that ends a packet before its end; none of the transport. Of acknowledged packets also: the receiver
+#: is ready for the next frames; has taken so many; the sender's last frame; the receiver's last word.
+Role = Literal["single", "first", "next", "control", "abort", "bad", "ready", "taken", "end", "over"]
 
 
 @dataclass(frozen=True)
@@ -116,8 +117,10 @@ class FramePart(NamedTuple):
     is_last: bool = False
     reason: str = ""
     #: Of an abort (which without a reason is a packet itself): the session that it ends where the first one has no packet
-    #: under way.
+    #: under way. Of a first or single frame: another session whose packet it ends as well.
     other: Hashable = None
+    #: Of a first frame: its packet is an acknowledged one. So are the frames of such packets that are seen without it.
+    is_acknowledged: bool = False
 
 
 class Steering(NamedTuple):
@@ -147,6 +150,16 @@ class Transport:
     * More than `timeout_s` seconds between two frames of a session: the packet before is malformed, it timed out.
     * `senders` packets may be open at once; when one more begins, the oldest is malformed. With `max_size`, the number of
       bytes of the longest packet (its address aside), this bounds what is kept.
+
+    An *acknowledged* packet is a conversation of two identifiers: what frames of either are, `within` says while it is open.
+
+    * The receiver may say that it is *ready*, before the first next frame.
+    * *Next* frames are numbered from 1 on, in blocks; `taken` ends a block: of its frames those up to this number count, and
+      each of them must be there. The others do not; they come again in the next block.
+    * *end* ends it: `number` bytes of the last frame are none, and its data go behind all.
+    * *over*: the receiver knows of an end; a packet that is still open is malformed.
+    * One with a fault is malformed at once. Its session stays *lost* until its end, an abort or a time-out: its frames are
+      no messages, whatever they look like. So is one whose beginning was not seen, from the first frame on that says so.
 
     `fd`: its frames are CAN FD. `address` bytes at the beginning of each frame belong to the address: they keep packets
     apart, too, and a packet's data begin with them. `pad` fills frames up (None: they are as short as they can be).
@@ -225,6 +238,27 @@ class Transport:
             if (is_sure and len(body) > kind.over) or kind.fits(body):
                 return self._part(kind, key, address, body)
         return FramePart("bad", reason=f"malformed: no frame of {self.title}")
+
+    def conversations(self, key: int) -> tuple[Hashable, ...]:
+        """The sessions whose acknowledged packets frames of a key may belong to."""
+        return ()
+
+    def within(self, so_far: Sequence[FramePart], key: int, data: bytes) -> FramePart | None:
+        """What a frame is while an acknowledged packet is open, whose frames are the parts `so_far`; None: what `part` says.
+
+        Of a lost session `so_far` is one part that is *ready*.
+        """
+        return None
+
+    @cached_property
+    def most_frames(self) -> int:
+        """How many frames an acknowledged packet has at most, acknowledgements and those that come again among them."""
+        return 4 * (2 + -(-self.longest // max(1, self.room(self.frame_size))))
+
+    @cached_property
+    def has_conversations(self) -> bool:
+        """Whether it has acknowledged packets."""
+        return type(self).within is not Transport.within
 
     @cached_property
     def _telling(self) -> int:

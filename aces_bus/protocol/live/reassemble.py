@@ -2,7 +2,8 @@
 
 1. Each frame comes out once: in a packet, or lost with a reason. Until then it is kept, and counted as pending.
 2. What is kept is bounded: `senders` packets of `max_size` bytes.
-3. The rule is that of `declare.transport.Transport`; `reference` carries it out once more, on whole inputs.
+3. An acknowledged packet (`_Conversation`) with a fault stays, without frames, until its end: what follows is no message.
+4. The rule is that of `declare.transport.Transport`; `reference` carries it out once more, on whole inputs.
 """
 
 from __future__ import annotations
@@ -47,6 +48,11 @@ class _Open:
             self.total = 1 + max(0, -(-(part.size - len(part.data)) // room))
 
     @property
+    def time(self) -> float | None:
+        """When its last frame came."""
+        return self.frames[-1].time
+
+    @property
     def due(self) -> int:
         """The place of the first frame that is not there, from 0 on."""
         place = 1
@@ -69,12 +75,78 @@ class _Open:
         return data if self.part.size is None else data[: self.part.size]
 
 
+#: What a frame may be to an acknowledged packet that is under way.
+_SPOKEN = ("next", "ready", "taken", "end")
+#: Why a packet is given up by a frame that ends it.
+_ENDS: dict[str, str] = {"abort": "aborted", "over": "over"}
+
+
+class _Conversation:
+    """An acknowledged packet under way; or lost, without frames, until its session's end."""
+
+    __slots__ = ("block", "count", "data", "frames", "is_lost", "parts", "time", "total")
+
+    def __init__(self, part: FramePart, frame: CarriedFrame, room: int) -> None:
+        self.frames, self.parts, self.time = [frame], [part], frame.time
+        self.is_lost = False
+        #: The packet's bytes that the receiver has taken, and in how many next frames they came.
+        self.data, self.count = bytearray(part.data), 0
+        #: The pieces of this block by their numbers.
+        self.block: dict[int, bytes] = {}
+        #: How many frames have data, the first and the last one among them; 0 where no size is given.
+        self.total = 0
+        if part.size is not None:
+            self.total = 2 + max(1, -(-(part.size - len(part.data)) // room))
+
+    def lose(self) -> None:
+        """From now on it is lost."""
+        self.is_lost, self.frames = True, []
+        self.parts = [FramePart("ready", self.parts[0].session, is_acknowledged=True)]
+        self.data, self.block = bytearray(), {}
+
+    def fault(self, part: FramePart, transport: Transport) -> str:
+        """Take one more frame's part; what is wrong with the packet then."""
+        role, block = part.role, self.block
+        self.parts.append(part)
+        if role == "ready":
+            return "restarted" if block or self.count else ""
+        if role == "next":
+            if part.number in block:
+                return f"{self.named(part.number)} twice"
+            block[part.number] = part.data
+        elif role == "taken":
+            for number in range(1, part.number + 1):
+                if number not in block:
+                    return f"{self.named(number)} missing"
+                self.data += block[number]
+            self.count += part.number
+            block.clear()
+        else:
+            del self.data[len(self.data) - part.number :]
+            if self.parts[0].size not in (None, len(self.data)):
+                return "length"
+            if len(self.data) > transport.longest:
+                return "too long"
+            self.data += part.data
+        return "too long" if len(self.frames) > transport.most_frames else ""
+
+    def named(self, number: int) -> str:
+        """A frame of this block by its number, as people count."""
+        return f"frame {1 + self.count + number}" + (f" of {self.total}" if self.total else "")
+
+    def why(self, reason: str) -> str:
+        """Why it is given up."""
+        if reason == "over":
+            reason = "acknowledgement missing" if self.block else f"{self.named(1)} missing"
+        return f"malformed: {reason}"
+
+
 class Reassembler:
     """Makes packets of the frames of one transport; no I/O, no clock."""
 
     def __init__(self, transport: Transport) -> None:
         self.transport = transport
-        self._open: dict[Hashable, _Open] = {}
+        self._open: dict[Hashable, _Open | _Conversation] = {}
         #: Frames that are in packets under way.
         self.pending = 0
 
@@ -83,49 +155,111 @@ class Reassembler:
     ) -> list[Packet]:
         """What one more frame of the transport decides; `key` is without the flag of CAN FD."""
         transport = self.transport
-        part = transport.part(key, data)
+        out: list[Packet] = []
+        part = self._within(key, data, channel, time, out) if transport.has_conversations else None
+        if part is None:
+            part = transport.part(key, data)
         mine = CarriedFrame(frame, number, data, time)
         role = part.role
         if role in ("bad", "control"):
-            return [Packet([mine], part.reason)]
+            out.append(Packet([mine], part.reason))
+            return out
         who = (channel, part.session)
         if role == "abort" and who not in self._open:
             who = (channel, part.other)
         found = self._open.get(who)
-        out: list[Packet] = []
-        if found is not None:
-            last = found.frames[-1].time
-            if last is not None and time is not None and time - last > transport.timeout_s:
-                out.append(self._give_up(who, found.why("timed out")))
-                found = None
+        if found is not None and self._is_late(found, time):
+            out += self._give_up(who, found.why("timed out"))
+            found = None
+        if isinstance(found, _Conversation) and role in _SPOKEN:
+            out += self._spoken(who, found, part, mine)
+            return out
         if role == "next":
-            if found is None:
-                out.append(Packet([mine], "malformed: no first frame"))
-            else:
+            if isinstance(found, _Open):
                 out += self._next(who, found, part, mine)
+            else:
+                out.append(Packet([mine], "malformed: no first frame"))
             return out
         if found is not None:
-            out.append(self._give_up(who, found.why("aborted" if role == "abort" else "restarted")))
-        if role == "abort":
+            out += self._give_up(who, found.why(_ENDS.get(role, "restarted")))
+        if role in ("single", "first"):
+            other = self._open.get((channel, part.other)) if part.other is not None else None
+            if other is not None:
+                out += self._give_up((channel, part.other), other.why("restarted"))
+        if role in ("single", "abort", "over"):
             out.append(Packet([mine], part.reason, part.key, part.data))
-        elif role == "single":
-            out.append(Packet([mine], "", part.key, part.data))
-        else:
+        elif role == "first":
             out += self._first(who, part, mine)
+        else:
+            out.append(Packet([mine], part.reason or "malformed: no first frame"))
+            lost = _Conversation(part, mine, 1)
+            lost.lose()
+            out += self._opened(who, lost)
         return out
 
+    def _within(
+        self, key: int, data: bytes, channel: Any, time: float | None, out: list[Packet]
+    ) -> FramePart | None:
+        """What a frame is to an acknowledged packet that is under way."""
+        for session in self.transport.conversations(key):
+            found = self._open.get((channel, session))
+            if not isinstance(found, _Conversation):
+                continue
+            if self._is_late(found, time):
+                out += self._give_up((channel, session), found.why("timed out"))
+                continue
+            part = self.transport.within(found.parts, key, data)
+            if part is not None:
+                return part
+        return None
+
+    def _is_late(self, found: _Open | _Conversation, time: float | None) -> bool:
+        last = found.time
+        return last is not None and time is not None and time - last > self.transport.timeout_s
+
+    def _opened(self, who: Hashable, made: _Open | _Conversation) -> Iterator[Packet]:
+        """One more is under way."""
+        if len(self._open) >= self.transport.senders:
+            yield from self._give_up(next(iter(self._open)), "malformed: too many senders at once")
+        self._open[who] = made
+        self.pending += len(made.frames)
+
+    def _spoken(
+        self, who: Hashable, found: _Conversation, part: FramePart, mine: CarriedFrame
+    ) -> Iterator[Packet]:
+        """One more frame of an acknowledged packet."""
+        if found.is_lost:
+            found.time = mine.time
+            yield Packet([mine], "malformed: no first frame")
+        elif found.parts[-1].role == part.role and found.frames[-1].data == mine.data:
+            yield Packet([mine], "malformed: repeated")
+        else:
+            found.frames.append(mine)
+            found.time = mine.time
+            self.pending += 1
+            fault = found.fault(part, self.transport)
+            if fault:
+                self.pending -= len(found.frames)
+                yield Packet(found.frames, f"malformed: {fault}")
+                found.lose()
+            elif part.role == "end":
+                del self._open[who]
+                self.pending -= len(found.frames)
+                yield Packet(found.frames, "", found.parts[0].key, bytes(found.data))
+
     def _first(self, who: Hashable, part: FramePart, mine: CarriedFrame) -> Iterator[Packet]:
-        made = _Open(part, mine, self.transport.room(len(mine.data)))
+        room = self.transport.room(len(mine.data))
+        if part.is_acknowledged:
+            yield from self._opened(who, _Conversation(part, mine, room))
+            return
+        made = _Open(part, mine, room)
         if part.is_last or (part.size is not None and made.total == 1):
             yield Packet(made.frames, "", part.key, made.joined())
             return
         if len(mine.data) not in self.transport.full_lengths:
             yield Packet([mine], "malformed: first frame is short")
             return
-        if len(self._open) >= self.transport.senders:
-            yield self._give_up(next(iter(self._open)), "malformed: too many senders at once")
-        self._open[who] = made
-        self.pending += 1
+        yield from self._opened(who, made)
 
     def _next(self, who: Hashable, found: _Open, part: FramePart, mine: CarriedFrame) -> Iterator[Packet]:
         transport, pieces = self.transport, found.pieces
@@ -145,42 +279,44 @@ class Reassembler:
         found.frames.append(mine)
         if is_wrong or place in pieces:
             how = "twice" if place in pieces else "missing" if place == found.due else "beyond its end"
-            yield self._give_up(who, f"malformed: {found.named(place)} {how}")
+            yield from self._give_up(who, f"malformed: {found.named(place)} {how}")
             return
         pieces[place] = part.data
         is_last = part.is_last or (found.total > 0 and place == found.total - 1)
         so_far = len(found.part.data) + found.room * place
         least = found.part.size - so_far + found.room if found.part.size is not None and is_last else 0
         if len(part.data) < least or (not is_last and len(part.data) != found.room):
-            yield self._give_up(who, f"malformed: {found.named(place)} is short")
+            yield from self._give_up(who, f"malformed: {found.named(place)} is short")
         elif (
             found.part.size is None
             and len(found.part.data) + sum(map(len, pieces.values())) > transport.longest + transport.overhead
         ):
-            yield self._give_up(who, "malformed: too long")
+            yield from self._give_up(who, "malformed: too long")
         elif is_last if not found.total else len(pieces) == found.total - 1:
             del self._open[who]
             self.pending -= len(found.frames)
             yield Packet(found.frames, "", found.part.key, found.joined())
 
-    def _give_up(self, who: Hashable, reason: str) -> Packet:
+    def _give_up(self, who: Hashable, reason: str) -> list[Packet]:
+        """The frames of a packet that is given up; none of one that is lost already."""
         lost = self._open.pop(who)
         self.pending -= len(lost.frames)
-        return Packet(lost.frames, reason)
+        return [Packet(lost.frames, reason)] if lost.frames else []
 
     def idle(self, time: float | None) -> list[Packet]:
         """The packets under way that are out of time at `time`; None: that nothing follows any more."""
         late = [
-            (who, found)
-            for who, found in self._open.items()
-            if time is None
-            or (found.frames[-1].time is not None and time - found.frames[-1].time > self.transport.timeout_s)
+            (who, found) for who, found in self._open.items() if time is None or self._is_late(found, time)
         ]
-        return [self._give_up(who, found.why("timed out")) for who, found in late]
+        return [packet for who, found in late for packet in self._give_up(who, found.why("timed out"))]
 
     def close(self) -> list[Packet]:
         """The frames of packets under way, which are pending for ever."""
-        return [self._give_up(who, "pending") for who in list(self._open)]
+        return [packet for who in list(self._open) for packet in self._give_up(who, "pending")]
+
+    def under_way(self) -> list[CarriedFrame]:
+        """The frames of packets under way."""
+        return [frame for found in self._open.values() for frame in found.frames]
 
     def reset(self) -> None:
         """Forget everything."""

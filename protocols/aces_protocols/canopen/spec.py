@@ -2,9 +2,10 @@
 
 1. An identifier is function << 7 | node; nodes are 1 to 127. Objects at other identifiers are no messages here.
 2. What a PDO carries is the device's own: `data` is its bytes. A file of the device (`-p drive.eds`) knows what they mean.
-3. SDO and EMCY have eight bytes, always. Block transfers are left out: bytes alone do not tell their segments.
-4. Objects in segments: in the dialect `frames` each frame is a message, for who makes transfers; in `transfers` each
-   transfer is one, for who reads along.
+3. SDO and EMCY have eight bytes, always.
+4. Objects in segments and blocks: in the dialect `frames` each frame is a message, for who makes transfers; in `transfers`
+   each transfer is one, for who reads along. Bytes alone do not tell the segments of a block from other frames: in `frames`
+   they are `SdoBlockSegment` only where they are like nothing else.
 
 Numbers are little-endian. Sources are CiA 301 as the `canopen` library and ros2_canopen have it, and bytes that the
 library made.
@@ -34,7 +35,7 @@ canopen = Protocol(
     bitrate=1_000_000,
     dialects={
         "frames": "each frame of service data is a message",
-        "transfers": "service data in segments are one message a transfer",
+        "transfers": "service data in segments and blocks are one message a transfer",
     },
     broadcast={"node": 0},
     doc="What every CANopen node speaks: NMT, SYNC, TIME, EMCY, PDOs, SDO, heartbeat, LSS.",
@@ -48,6 +49,8 @@ Unused = IdField("unused", range(4), doc="how many of the four bytes are not dat
 Left = IdField("unused", range(8), doc="how many of the seven bytes are not data")
 Toggle = IdField("toggle", range(2), doc="alternates from segment to segment")
 Last = IdField("last", range(2), doc="whether this is the last segment")
+Checked = IdField("checked", range(2), doc="whether the sender knows CRCs")
+Number = IdField("number", range(1, 128), doc="which segment of the block it is")
 
 #: NMT states; 80 and 96 are the library's own.
 STATES = {
@@ -78,6 +81,9 @@ ABORTS = {
     "toggle": 0x05030000,
     "timeout": 0x05040000,
     "command": 0x05040001,
+    "block_size": 0x05040002,
+    "sequence": 0x05040003,
+    "crc": 0x05040004,
     "access": 0x06010000,
     "write_only": 0x06010001,
     "read_only": 0x06010002,
@@ -256,7 +262,10 @@ _FRAMES, _CARRIED = (
     {"dialect": "frames"},
     {"dialect": "transfers", "transport": SdoTransfer(max_size=1 << 16)},
 )
-ask_frame, ask_segment = (canopen.family(prefix, **_TO, **_FRAMES) for prefix in (_OBJECT, _SEGMENT))
+
+ask_frame, ask_segment = (
+    canopen.family(prefix, **_TO, **_FRAMES, overrides="SdoBlockSegment") for prefix in (_OBJECT, _SEGMENT)
+)
 ask_carried = canopen.family(_OBJECT, **_TO, **_CARRIED)
 
 SdoUpload, _ = (
@@ -326,6 +335,7 @@ SdoDownloadSegment = ask_segment(
         )
     ],
 )
+abort_frame, abort_answer = (canopen.family(_OBJECT, **way, **_FRAMES) for way in (_TO, _FROM))
 SdoAbort, _ = (
     declare(
         "SdoAbort",
@@ -335,7 +345,7 @@ SdoAbort, _ = (
         source=CIA301,
         examples=[("605#80 00 00 00 00 00 04 05", {"node": 5, "index": 0, "subindex": 0, "code": "timeout"})],
     )
-    for declare in (ask_frame, ask_carried)
+    for declare in (abort_frame, ask_carried)
 )
 
 SdoDownloadTransfer = ask_carried(
@@ -354,7 +364,10 @@ SdoDownloadTransfer = ask_carried(
 
 # ---------------------------------------------------------------------- service data: from the device
 
-answer_frame, answer_segment = (canopen.family(prefix, **_FROM, **_FRAMES) for prefix in (_OBJECT, _SEGMENT))
+answer_frame, answer_segment = (
+    canopen.family(prefix, **_FROM, **_FRAMES, overrides="SdoBlockUploadedSegment")
+    for prefix in (_OBJECT, _SEGMENT)
+)
 answer_carried = canopen.family(_OBJECT, **_FROM, **_CARRIED)
 
 SdoUploaded, _ = (
@@ -436,7 +449,7 @@ SdoAborted, _ = (
             )
         ],
     )
-    for declare in (answer_frame, answer_carried)
+    for declare in (abort_answer, answer_carried)
 )
 SdoUploadTransfer = answer_carried(
     "SdoUploadTransfer",
@@ -451,3 +464,106 @@ SdoUploadTransfer = answer_carried(
         )
     ],
 )
+
+# ---------------------------------------------------------------------- service data: blocks
+
+_SIZE = Struct("size" / Quantity(Int32ul, unit="B"))
+_CRC = Struct("crc" / Int16ul, "reserved" / Reserved(5))
+_TAKEN = Struct("number" / Byte, "block_size" / Byte, "reserved" / Reserved(5))
+_ALONE = Struct("reserved" / Reserved(7))
+_BEGINS = 0xC0 | Checked << 2 | Sized << 1
+_ENDS = 0xC1 | Left << 2
+
+SdoBlockUpload, _ = (
+    declare(
+        "SdoBlockUpload",
+        command=0xA0 | Checked << 2,
+        payload=Struct("block_size" / Byte, "switch" / Byte, "reserved" / Reserved(2)),
+        doc="Read an object in blocks of so many segments; one of up to `switch` bytes may come otherwise.",
+        source=CIA301,
+        examples=[
+            (
+                "605#A4 08 10 00 7F 00 00 00",
+                {"node": 5, "checked": 1, "index": 0x1008, "subindex": 0, "block_size": 127, "switch": 0},
+            )
+        ],
+    )
+    for declare in (ask_frame, ask_carried)
+)
+for _declare, _name, _command, _payload, _doc, _bytes, _values in (
+    (ask_frame, "SdoBlockDownload", _BEGINS, _SIZE, "Write an object in blocks.",
+     "605#C6 08 10 00 0A 00 00 00", {"checked": 1, "sized": 1, "index": 0x1008, "size": 10}),
+    (ask_segment, "SdoBlockDownloadEnd", _ENDS, _CRC, "All is written; so many bytes of the last segment are none.",
+     "605#D1 2A A3 00 00 00 00 00", {"unused": 4, "crc": 0xA32A}),
+    (ask_segment, "SdoBlockUploadGo", 0xA3, _ALONE, "Segments of what is read, please.",
+     "605#A3 00 00 00 00 00 00 00", {}),
+    (ask_segment, "SdoBlockUploadTaken", 0xA2, _TAKEN, "Segments up to this one are taken; how many may follow.",
+     "605#A2 02 7F 00 00 00 00 00", {"number": 2, "block_size": 127}),
+    (ask_segment, "SdoBlockUploaded", 0xA1, _ALONE, "The object has been read.",
+     "605#A1 00 00 00 00 00 00 00", {}),
+    (answer_frame, "SdoBlockDownloadStarted", 0xA0 | Checked << 2, Struct("block_size" / Byte, "reserved" / Reserved(3)),
+     "The object may be sent in blocks of so many segments.",
+     "585#A4 08 10 00 7F 00 00 00", {"checked": 1, "index": 0x1008, "block_size": 127}),
+    (answer_segment, "SdoBlockDownloadTaken", 0xA2, _TAKEN,
+     "Segments up to this one are taken; how many may follow.",
+     "585#A2 02 7F 00 00 00 00 00", {"number": 2, "block_size": 127}),
+    (answer_segment, "SdoBlockDownloaded", 0xA1, _ALONE, "The object has been written.",
+     "585#A1 00 00 00 00 00 00 00", {}),
+    (answer_frame, "SdoBlockUploadStarted", _BEGINS, _SIZE, "The object comes in blocks.",
+     "585#C6 08 10 00 0A 00 00 00", {"checked": 1, "sized": 1, "index": 0x1008, "size": 10}),
+    (answer_segment, "SdoBlockUploadEnd", _ENDS, _CRC, "All is read; so many bytes of the last segment are none.",
+     "585#D1 2A A3 00 00 00 00 00", {"unused": 4, "crc": 0xA32A}),
+):  # fmt: skip
+    _declare(
+        _name,
+        command=_command,
+        payload=_payload,
+        doc=_doc,
+        source=CIA301,
+        examples=[(_bytes, {"node": 5, **_values})],
+    )
+for _way, _name, _key in ((_TO, "SdoBlockSegment", 605), (_FROM, "SdoBlockUploadedSegment", 585)):
+    canopen.family(_SEGMENT, **_way, **_FRAMES)(
+        _name,
+        command=Number | Last << 7,
+        payload=Struct("data" / Bytes(7)),
+        doc="Seven bytes of a block, where the first byte is no other frame's.",
+        source=CIA301,
+        examples=[
+            (
+                f"{_key}#81 61 62 63 00 00 00 00",
+                {"node": 5, "number": 1, "last": 1, "data": b"abc\0\0\0\0"},
+            )
+        ],
+    )
+for _declare, _name, _key, _back, _go, _doc in (
+    (ask_carried, "SdoBlockDownloadTransfer", 605, 585, "A4 08 10 00 7F 00 00 00", "written"),
+    (answer_carried, "SdoBlockUploadTransfer", 585, 605, "A3 00 00 00 00 00 00 00", "read"),
+):
+    _declare(
+        _name,
+        command=_BEGINS,
+        payload=Struct("data" / GreedyBytes),
+        doc=f"An object that was {_doc} in blocks; the time is that of the last frame.",
+        source=CIA301,
+        examples=[
+            (
+                [
+                    f"{_key}#C6 08 10 00 0A 00 00 00",
+                    f"{_back}#{_go}",
+                    f"{_key}#01 61 62 63 64 65 66 67",
+                    f"{_key}#82 68 69 6A 00 00 00 00",
+                    f"{_back}#A2 02 7F 00 00 00 00 00",
+                    f"{_key}#D1 2A A3 00 00 00 00 00",
+                ],
+                {
+                    "node": 5,
+                    "checked": 1,
+                    "sized": 1,
+                    "index": 0x1008,
+                    "subindex": 0,
+                    "data": b"abcdefghij",
+                },
+            )
+        ],
+    )
