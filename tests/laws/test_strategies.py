@@ -77,7 +77,9 @@ def test_scenes_are_mostly_readable_and_never_only_that(name: str) -> None:
             total += scanner.counts.total
         # Where every byte alone is a packet nothing is skipped or malformed, and noise weighs as much as a packet.
         bare = any(m.framing is not None and m.framing.max_size == 1 for m in variant.messages_for(direction))
-        assert (0.2 if bare else 0.3) < decoded / total < 0.95
+        # A frame that is lost or wrong takes along all frames of its packet.
+        carried = any(m.transport is not None for m in variant.messages_for(direction))
+        assert (0.2 if bare or carried else 0.3) < decoded / total < 0.95
         assert len(reasons) >= (1 if bare else 2)
 
 

@@ -69,6 +69,14 @@ REQUESTS: list[tuple[str, Any, dict[str, Any]]] = [
     ("ReadCodes", lambda: services.ReadDTCInformation.make_request(2, status_mask=8), {"status": 8}),
     ("CountCodes", lambda: services.ReadDTCInformation.make_request(1, status_mask=8), {"status": 8}),
     ("ReadKnownCodes", lambda: services.ReadDTCInformation.make_request(10), {}),
+    ("ControlRoutine", lambda: services.RoutineControl.make_request(0x201, 1, b"\xa5\x5a"),
+        {"action": "start", "routine": 0x201, "data": b"\xa5\x5a"}),
+    ("BeginDownload", lambda: services.RequestDownload.make_request(
+        udsoncan.MemoryLocation(0x60, 0xF0, address_format=8, memorysize_format=16)),
+        {"method": 0, "widths": 0x21, "address": 0x60, "size": 0xF0}),
+    ("TransferData", lambda: services.TransferData.make_request(1, b"\xde\xad"), {"number": 1, "data": b"\xde\xad"}),
+    ("EndTransfer", lambda: services.RequestTransferExit.make_request(), {"data": b""}),
+    ("Other", lambda: services.ControlDTCSetting.make_request(2), {"service": "control_code_setting", "data": b"\2"}),
 ]  # fmt: skip
 
 

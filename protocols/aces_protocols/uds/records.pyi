@@ -8,6 +8,24 @@ from aces_bus.protocol import FlagSet, Part, Protocol, Record
 
 uds: Protocol
 
+class Other(Record, frozen=True):
+    """A request of another service, or in another form, than is declared here.
+
+    to device; source: ISO 14229-1
+    """
+    ecu: int
+    """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
+    service: Literal["change_session", "reset", "clear_codes", "read_codes", "read_data", "security", "write_data", "control_routine", "begin_download", "transfer_data", "end_transfer", "tester_present", "read_memory", "read_scaling", "control_communication", "authenticate", "read_periodically", "define_identifier", "control_outputs", "begin_upload", "transfer_file", "write_memory", "access_timing", "secured_data", "control_code_setting", "respond_on_event", "control_link"] | int
+    data: bytes
+
+class OtherAll(Record, frozen=True):
+    """A request of another service, or in another form, than is declared here.
+
+    to device; source: ISO 14229-1
+    """
+    service: Literal["change_session", "reset", "clear_codes", "read_codes", "read_data", "security", "write_data", "control_routine", "begin_download", "transfer_data", "end_transfer", "tester_present", "read_memory", "read_scaling", "control_communication", "authenticate", "read_periodically", "define_identifier", "control_outputs", "begin_upload", "transfer_file", "write_memory", "access_timing", "secured_data", "control_code_setting", "respond_on_event", "control_link"] | int
+    data: bytes
+
 class ChangeSession(Record, frozen=True):
     """Begin a session; one that is not the default ends after 5 s without requests.
 
@@ -290,6 +308,101 @@ class DataWritten(Record, frozen=True):
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
     identifier: int
 
+class ControlRoutine(Record, frozen=True):
+    """Start or stop a routine, or ask for its results; what its data are the vehicle's maker knows.
+
+    to device; source: ISO 14229-1
+    """
+    ecu: int
+    """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
+    suppress: int
+    action: Literal["start", "stop", "results"] | int
+    routine: int
+    data: bytes
+    """bytes behind the declared ones"""
+
+class ControlRoutineAll(Record, frozen=True):
+    """ControlRoutine of all ECUs.
+
+    to device; source: ISO 14229-1
+    """
+    suppress: int
+    action: Literal["start", "stop", "results"] | int
+    routine: int
+    data: bytes
+    """bytes behind the declared ones"""
+
+class Routine(Record, frozen=True):
+    """A routine was started or stopped, or its results.
+
+    from device; source: ISO 14229-1
+    """
+    ecu: int
+    """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
+    action: Literal["start", "stop", "results"] | int
+    routine: int
+    data: bytes
+
+class BeginDownload(Record, frozen=True):
+    """Announce data for a place in memory. `method`: compression and encryption, 0 for neither. `widths`: how many bytes size (high nibble) and address (low nibble) have.
+
+    to device; source: ISO 14229-1
+    """
+    ecu: int
+    """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
+    method: int
+    widths: int
+    address: Any
+    size: Any
+
+class DownloadBegins(Record, frozen=True):
+    """It takes them, in requests of up to `longest` bytes; the high nibble of `width` says how many bytes that has.
+
+    from device; source: ISO 14229-1
+    """
+    ecu: int
+    """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
+    width: int
+    longest: Any
+
+class TransferData(Record, frozen=True):
+    """A piece of the data; the first one has number 1, and behind 255 comes 0.
+
+    to device; source: ISO 14229-1
+    """
+    ecu: int
+    """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
+    number: int
+    data: bytes
+
+class DataTransferred(Record, frozen=True):
+    """The piece has arrived.
+
+    from device; source: ISO 14229-1
+    """
+    ecu: int
+    """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
+    number: int
+    data: bytes
+
+class EndTransfer(Record, frozen=True):
+    """That was all.
+
+    to device; source: ISO 14229-1
+    """
+    ecu: int
+    """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
+    data: bytes
+
+class TransferEnded(Record, frozen=True):
+    """It has all of them.
+
+    from device; source: ISO 14229-1
+    """
+    ecu: int
+    """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
+    data: bytes
+
 class _CountCodes_status(FlagSet):
     failed: bool
     failed_this_cycle: bool
@@ -496,5 +609,5 @@ class Refused(Record, frozen=True):
     """
     ecu: int
     """the ECU: 0 is the engine's, 1 the transmission's as a rule"""
-    service: Literal["change_session", "reset", "clear_codes", "read_codes", "read_data", "security", "write_data", "tester_present"] | int
+    service: Literal["change_session", "reset", "clear_codes", "read_codes", "read_data", "security", "write_data", "control_routine", "begin_download", "transfer_data", "end_transfer", "tester_present", "read_memory", "read_scaling", "control_communication", "authenticate", "read_periodically", "define_identifier", "control_outputs", "begin_upload", "transfer_file", "write_memory", "access_timing", "secured_data", "control_code_setting", "respond_on_event", "control_link"] | int
     reason: Literal["general_reject", "service_not_supported", "subfunction_not_supported", "incorrect_length", "response_too_long", "busy", "conditions_not_correct", "sequence_error", "no_response_from_subnet", "failure_prevents_execution", "out_of_range", "security_denied", "authentication_required", "invalid_key", "too_many_attempts", "delay_not_over", "transfer_not_accepted", "transfer_suspended", "programming_failure", "wrong_block_number", "response_pending", "subfunction_not_in_this_session", "service_not_in_this_session", "engine_speed_too_high", "engine_speed_too_low", "engine_running", "engine_not_running", "run_time_too_low", "temperature_too_high", "temperature_too_low", "vehicle_speed_too_high", "vehicle_speed_too_low", "throttle_too_high", "throttle_too_low", "not_in_neutral", "not_in_gear", "brake_not_pressed", "not_in_park", "torque_converter_locked", "voltage_too_high", "voltage_too_low"] | int

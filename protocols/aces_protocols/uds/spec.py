@@ -5,6 +5,7 @@
 2. Values are a list: identifier, value, identifier, value. An identifier that is not in the table ends what is known of it:
    how long its value is the vehicle's maker knows alone.
 3. Seeds and keys are bytes; what makes a key of a seed is each maker's secret.
+4. A request of a service or of a form that is not declared here is `Other`: its service and its bytes.
 
 Sources: ISO 14229-1 (services, identifiers, refusals), ISO 14229-3 and ISO 15765-4 (on CAN), as generally known;
 udsoncan 1.26, whose requests and answers are compared in tests.
@@ -12,9 +13,22 @@ udsoncan 1.26, whose requests and answers are compared in tests.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
-from construct import Byte, BytesInteger, Const, Construct, Default, GreedyBytes, GreedyRange, Int16ub, Struct
+from construct import (
+    Byte,
+    BytesInteger,
+    Const,
+    Construct,
+    Default,
+    GreedyBytes,
+    GreedyRange,
+    Int16ub,
+    Struct,
+    this,
+)
 
 from aces_bus.protocol import BitLayout, Enumeration, Flags, Items, Protocol, Quantity, Text, bits
 
@@ -38,8 +52,17 @@ STATUS = {
 }  # fmt: skip
 SERVICES = {
     "change_session": 0x10, "reset": 0x11, "clear_codes": 0x14, "read_codes": 0x19, "read_data": 0x22,
-    "security": 0x27, "write_data": 0x2E, "tester_present": 0x3E,
+    "security": 0x27, "write_data": 0x2E, "control_routine": 0x31, "begin_download": 0x34, "transfer_data": 0x36,
+    "end_transfer": 0x37, "tester_present": 0x3E,
+    # Those that are not taken apart here.
+    "read_memory": 0x23, "read_scaling": 0x24, "control_communication": 0x28, "authenticate": 0x29,
+    "read_periodically": 0x2A, "define_identifier": 0x2C, "control_outputs": 0x2F, "begin_upload": 0x35,
+    "transfer_file": 0x38, "write_memory": 0x3D, "access_timing": 0x83, "secured_data": 0x84,
+    "control_code_setting": 0x85, "respond_on_event": 0x86, "control_link": 0x87,
 }  # fmt: skip
+#: What each request asks for, by the names of messages: what a refusal of it names.
+SERVICE_OF: dict[str, str] = {}
+ROUTINE_ACTIONS = {"start": 1, "stop": 2, "results": 3}
 #: Identifiers whose values are known, by name: number and form (ISO 14229-1, annex C). 0xF400 + PID is a live value.
 IDENTIFIERS: dict[str, tuple[int, Construct]] = {
     "session": (0xF186, Enumeration(Byte, SESSIONS)),
@@ -55,21 +78,30 @@ def _asks(
     payload: Construct | None = None,
     *,
     doc: str,
-    examples: list[tuple[str, dict[str, Any]]],
-) -> tuple[Any, Any]:
-    """A request to one ECU, and the same to all."""
-    known: dict[str, Any] = {"prefix": Struct("service" / Byte), "source": STANDARD, "direction": "to device"}
-    fields: dict[str, Any] = {"match": {"service": service}}
+    examples: list[tuple[Any, dict[str, Any]]],
+    to_all: bool = True,
+    prefix: Struct | None = None,
+    match: Mapping[str, Any] = MappingProxyType({}),
+) -> tuple[Any, ...]:
+    """A request to one ECU, and the same to all unless that makes no sense; `prefix` goes between service and payload."""
+    head = Struct("service" / Byte, *(() if prefix is None else prefix.subcons))
+    known: dict[str, Any] = {"prefix": head, "source": STANDARD, "direction": "to device"}
+    fields: dict[str, Any] = {"match": {"service": service, **match}}
     if payload is not None:
         fields["payload"] = payload
-    one = uds.family(transport=ONE_ECU, **known)(name, doc=doc, examples=examples, **fields)
-    everyone = uds.family(transport=ALL_ECUS, id=ALL, **known)(
+    SERVICE_OF[name] = next(one for one, number in SERVICES.items() if number == service)
+    one = uds.family(transport=ONE_ECU, overrides="Other", **known)(
+        name, doc=doc, examples=examples, **fields
+    )
+    if not to_all:
+        return (one,)
+    everyone = uds.family(transport=ALL_ECUS, id=ALL, overrides="OtherAll", **known)(
         f"{name}All", doc=f"{name} of all ECUs.", examples=for_all(examples), **fields
     )
     return one, everyone
 
 
-def _says(name: str, service: int, *fields: Construct, to: tuple[Any, Any], **more: Any) -> None:
+def _says(name: str, service: int, *fields: Construct, to: tuple[Any, ...], **more: Any) -> None:
     """An ECU's answer."""
     uds.message(
         name, transport=ONE_ECU, direction="from device", payload=Struct(Const(0x40 | service, Byte), *fields),
@@ -82,6 +114,28 @@ def sub(name: str, names: dict[str, int] | None = None, **more: Any) -> BitLayou
     form = bits(7, at=0) if names is None else Enumeration(bits(7, at=0), names)
     return BitLayout(1, name / form, "suppress" / Default(bits(1, at=7), 0), **more)
 
+
+# ---------------------------------------------------------------------- what is not declared below
+
+#: Numbers of requests (ISO 14229-1, table 2): those of the standard, and those of suppliers.
+REQUESTS = (*range(0x10, 0x3F), *range(0x83, 0x89), *range(0xBA, 0xBF))
+for _name, _carried in (
+    ("Other", {"transport": ONE_ECU}),
+    ("OtherAll", {"transport": ALL_ECUS, "id": ALL}),
+):
+    uds.message(
+        _name,
+        direction="to device",
+        prefix=Struct("service" / Enumeration(Byte, SERVICES)),
+        match={"service": REQUESTS},
+        payload=Struct("data" / GreedyBytes),
+        doc="A request of another service, or in another form, than is declared here.",
+        source=STANDARD,
+        examples=(for_all if _name.endswith("All") else list)(
+            [("7E0#03 28 03 01 00 00 00 00", {"ecu": 0, "service": "control_communication", "data": b"\3\1"})]
+        ),
+        **_carried,
+    )
 
 # ---------------------------------------------------------------------- sessions
 
@@ -185,6 +239,99 @@ _says(
     ),
     doc="It was written.",
     examples=[("7E8#03 6E F1 90 00 00 00 00", {"ecu": 0, "identifier": 0xF190})],
+)
+
+# ---------------------------------------------------------------------- routines and downloads
+
+_ROUTINE = BitLayout(
+    3,
+    "suppress" / Default(bits(1), 0),
+    "action" / Enumeration(bits(7), ROUTINE_ACTIONS),
+    "routine" / bits(16),
+    order="msb",
+    trailing="data",
+)
+_says(
+    "Routine",
+    0x31,
+    "action" / Enumeration(Byte, ROUTINE_ACTIONS),
+    "routine" / Int16ub,
+    "data" / GreedyBytes,
+    to=_asks(
+        "ControlRoutine",
+        0x31,
+        _ROUTINE,
+        doc="Start or stop a routine, or ask for its results; what its data are the vehicle's maker knows.",
+        examples=[
+            (
+                "7E0#06 31 01 02 01 A5 5A 00",
+                {"ecu": 0, "action": "start", "routine": 0x201, "data": b"\xa5\x5a"},
+            )
+        ],
+    ),
+    doc="A routine was started or stopped, or its results.",
+    examples=[
+        ("7E8#05 71 03 02 01 00 00 00", {"ecu": 0, "action": "results", "routine": 0x201, "data": b"\0"})
+    ],
+)
+_download = _asks(
+    "BeginDownload",
+    0x34,
+    Struct("address" / BytesInteger(this._.widths & 0xF), "size" / BytesInteger(this._.widths >> 4)),
+    prefix=Struct("method" / Byte, "widths" / Byte),
+    match={"widths": tuple(size << 4 | address for size in range(1, 5) for address in range(1, 6))},
+    doc="Announce data for a place in memory. `method`: compression and encryption, 0 for neither. `widths`: how many bytes"
+    " size (high nibble) and address (low nibble) have.",
+    to_all=False,
+    examples=[
+        (
+            ["7E0#10 09 34 11 33 60 20 00", "7E0#21 00 FF FF 00 00 00 00"],
+            {"ecu": 0, "method": 0x11, "widths": 0x33, "address": 0x602000, "size": 0xFFFF},
+        )
+    ],
+)
+uds.message(
+    "DownloadBegins",
+    transport=ONE_ECU,
+    direction="from device",
+    reply_to=_download,
+    prefix=Struct(Const(0x74, Byte), "width" / Byte),
+    match={"width": tuple(n << 4 for n in range(1, 9))},
+    payload=Struct("longest" / BytesInteger(this._.width >> 4)),
+    doc="It takes them, in requests of up to `longest` bytes; the high nibble of `width` says how many bytes that has.",
+    source=STANDARD,
+    examples=[("7E8#04 74 20 00 81 00 00 00", {"ecu": 0, "width": 0x20, "longest": 0x81})],
+)
+_says(
+    "DataTransferred",
+    0x36,
+    "number" / Byte,
+    "data" / GreedyBytes,
+    to=_asks(
+        "TransferData",
+        0x36,
+        Struct("number" / Byte, "data" / GreedyBytes),
+        doc="A piece of the data; the first one has number 1, and behind 255 comes 0.",
+        to_all=False,
+        examples=[("7E0#05 36 01 DE AD BE 00 00", {"ecu": 0, "number": 1, "data": bytes.fromhex("DEADBE")})],
+    ),
+    doc="The piece has arrived.",
+    examples=[("7E8#02 76 01 00 00 00 00 00", {"ecu": 0, "number": 1, "data": b""})],
+)
+_says(
+    "TransferEnded",
+    0x37,
+    "data" / GreedyBytes,
+    to=_asks(
+        "EndTransfer",
+        0x37,
+        Struct("data" / GreedyBytes),
+        doc="That was all.",
+        to_all=False,
+        examples=[("7E0#01 37 00 00 00 00 00 00", {"ecu": 0, "data": b""})],
+    ),
+    doc="It has all of them.",
+    examples=[("7E8#01 77 00 00 00 00 00 00", {"ecu": 0, "data": b""})],
 )
 
 # ---------------------------------------------------------------------- trouble codes
