@@ -272,7 +272,6 @@ def test_windows_need_times(aces: Aces, line: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (["-q", "-o", "x.parquet"], "--quiet"),
         (["--format", "parquet"], "--output"),
         (["--format", "npz", "-o", "-"], "--output"),
         (["--format", "parkett", "-o", "x"], "parkett"),

@@ -169,3 +169,21 @@ def test_files_behind_two_dashes(
     monkeypatch.chdir(tmp_path)
     result = aces("decode", "-q", "-p", arm, "--", "-walk.log")
     assert (result.status, result.summary["frames"]) == (0, 12)
+
+
+def test_quiet_is_valid_everywhere_and_switches_notes_off(
+    aces: Aces, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every verb takes -q; with it, or with ACES_NOTES=off, no notes are printed, and what is wrong still is."""
+    for name in [name for name in VERBS if name not in ACTIONS] + [
+        f"spec {name}" for name in ACTIONS["spec"]
+    ]:
+        assert "  -q, --quiet" in aces(*name.split(), "--help").out, name
+    monkeypatch.chdir(tmp_path)
+    assert aces("spec", "new", "one", "--link", "can").messages[0] == "wrote one/one.py"
+    assert aces("spec", "new", "two", "--link", "can", "-q").err == ""
+    monkeypatch.setenv("ACES_NOTES", "off")
+    assert aces("spec", "new", "three", "--link", "can").err == ""
+    assert "aces: no protocol named" in aces("protocols", "nonesuch", "-q").err
+    monkeypatch.delenv("ACES_NOTES")
+    assert aces("spec", "new", "four", "--link", "can").messages != []

@@ -37,7 +37,7 @@ def test_how_to_join_is_said(aces: Aces, leg: str) -> None:
     assert lines[0] == f"can: aces sniff -i aces -c unix:leg0 -p hubo@{leg}"
     assert lines[1].startswith("line: aces discover --bus /dev/")
     assert lines[2].startswith(f"aces device -r {leg} --bus can=unix:leg0 --bus line=/dev/")
-    assert made.messages == ["leg: 3 devices are there; Ctrl-C ends it"]
+    assert made.messages == ["leg: 3 devices are there; runs until Ctrl-C"]
     assert made.summary == {"requests": 0, "replies": 0, "others": 0}
 
 

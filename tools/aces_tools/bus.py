@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import signal
 import sys
 import time
@@ -26,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 
 from .bus_arg import ChosenBus, can_options, chosen_bus
-from .console import Patience, print_json, say
+from .console import ENDLESS, Patience, print_json, say, say_note
 from .options import FOR, JSON, SEED, Arguments, Group, argument, flag
 
 if TYPE_CHECKING:
@@ -144,6 +145,7 @@ def _serve(arguments: argparse.Namespace) -> int:
                 print(f"{name}  -i socketcand -c {name} --bus-kwargs host={host.strip('[]')} port={port}")
         if sys.stdout is not None:
             sys.stdout.flush()
+        say_note(ENDLESS)
         server.serve()
     finally:
         server.close()
@@ -226,7 +228,7 @@ def _list(arguments: argparse.Namespace) -> int:
         )
         print(f"-i {config['interface']} -c {config['channel']}" + (f"  {rest}" if rest else ""))
     if not found and not configs:
-        say("no bus is served and none is detected; serve one: aces bus serve")
+        say_note("no bus is served and none is detected; serve one: aces bus serve")
     return 0
 
 
@@ -261,6 +263,8 @@ def _load(arguments: argparse.Namespace) -> int:
         if bitrate is None:
             raise CallerError("a load needs the bit rate of the bus: -b 500000")
         measures = _heard_load(chosen_bus(arguments), bitrate, getattr(arguments, "data_bitrate", None))
+    if not arguments.once:
+        say_note(f"{ENDLESS}; --once measures one second")
     with Patience() as patience:
         for measure in patience.each(measures):
             if arguments.json:
@@ -288,9 +292,13 @@ def _served_address(text: str | None, interface: str | None) -> str | None:
         return str(*known.values())
     if text in known:
         return str(known[text])
-    if interface == "aces" or (text is None and known):
+    if interface == "aces" or (text is None and known) or (text and not _is_network(text) and known):
         raise UnknownNameError("served channel", str(text), known)
     return None
+
+
+def _is_network(name: str) -> bool:
+    return os.path.exists(f"/sys/class/net/{os.path.basename(name)}")
 
 
 def _served_load(text: str) -> Iterator[dict[str, Any]]:

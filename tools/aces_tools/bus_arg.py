@@ -20,6 +20,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from glob import glob
 from typing import TYPE_CHECKING, Any, Literal
 
 from aces_bus.errors import CallerError, first_names
@@ -194,19 +195,34 @@ def _take_name(arguments: argparse.Namespace) -> None:
         arguments.channel = text
 
 
-def _named(channel: str) -> Mapping[str, Any]:
-    """The interface of a channel that is named without one; raises `CallerError` where there is none."""
+def served_address(channel: str) -> str | None:
+    """The address of a channel that is served on this machine, by its name or address; None of any other."""
     from aces_bus.hardware.served import is_served, served_channels
 
-    if is_served(channel):
-        return {"interface": "aces", "channel": channel}
-    served = served_channels()
-    if channel in served:
-        return {"interface": "aces", "channel": served[channel]}
+    return channel if is_served(channel) else served_channels().get(channel)
+
+
+def near_buses(channel: str) -> str:
+    """What buses there are on this machine, the one that may have been meant first; for messages about one that is not."""
+    from difflib import get_close_matches
+
+    from aces_bus.hardware.served import served_channels
+
+    served = [*served_channels()]
+    there = [*served, *sorted(map(os.path.basename, glob("/sys/class/net/*can*")))]
+    near = get_close_matches(channel, there, n=1)
+    return f"served: {first_names(served)}" + (f"; did you mean {near[0]}?" if near else "")
+
+
+def _named(channel: str) -> Mapping[str, Any]:
+    """The interface of a channel that is named without one; raises `CallerError` where there is none."""
+    address = served_address(channel)
+    if address is not None:
+        return {"interface": "aces", "channel": address}
     if os.path.exists(f"/sys/class/net/{os.path.basename(channel)}"):
         return {"interface": "socketcan", "channel": channel}
     raise CallerError(
-        f"{channel!r} is no network interface of this machine, and not served (served: {first_names(served)});"
+        f"{channel!r} is no network interface of this machine, and not served ({near_buses(channel)});"
         f" {HELP}, or serve one: aces bus serve {channel}"
     )
 

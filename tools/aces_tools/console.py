@@ -29,6 +29,26 @@ def say(message: str, *, who: str = "aces: ") -> None:
         print(printable_lines(f"{who}{message}"), file=sys.stderr, flush=True)
 
 
+#: Whether notes are printed; `main` decides it for each command.
+_shows_notes = True
+
+
+def show_notes(wanted: bool) -> None:
+    """Print notes from now on, or leave them out: for `-q`, and for a user who has set ACES_NOTES=off."""
+    global _shows_notes
+    _shows_notes = wanted and os.environ.get("ACES_NOTES", "on").lower() not in ("off", "no", "0")
+
+
+def say_note(message: str) -> None:
+    """Say what is good to know but no fault: a hint, what was written, how to end it. Not where notes are switched off."""
+    if _shows_notes:
+        say(message)
+
+
+#: What is said where neither time nor number ends a command.
+ENDLESS = "runs until Ctrl-C"
+
+
 def abandon_stdout() -> None:
     """Discard what is still buffered for a reader that has gone, or it raises once again when Python ends."""
     with suppress(OSError, ValueError, AttributeError):  # not a file of the system (a test's)
@@ -82,7 +102,7 @@ def write_text(
     finally:
         output.close()
     if path not in (None, "-") and not is_quiet:
-        say(f"wrote {path}")
+        say_note(f"wrote {path}")
 
 
 def check_suffix(option: str, path: str | None, *suffixes: str) -> None:
@@ -168,7 +188,7 @@ class StatusLine:
     """A line on stderr that is written over again and again: on a terminal only, unless it is not wanted."""
 
     def __init__(self, *, is_wanted: bool = True) -> None:
-        self.is_shown = is_wanted and sys.stderr is not None and sys.stderr.isatty()
+        self.is_shown = is_wanted and _shows_notes and sys.stderr is not None and sys.stderr.isatty()
         self._width = 0
 
     def show(self, text: str) -> None:
@@ -305,7 +325,9 @@ class Progress:
         self._before = self._place = self._frames = 0
         self._began = self._next = 0.0
         self.total = sum(os.path.getsize(name) for name in files if os.path.isfile(name))
-        self._is_wanted = self.total > LARGE and sys.stderr is not None and sys.stderr.isatty()
+        self._is_wanted = (
+            _shows_notes and self.total > LARGE and sys.stderr is not None and sys.stderr.isatty()
+        )
 
     def opened(self, capture: Any) -> None:
         """The next file is being read."""

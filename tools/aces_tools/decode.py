@@ -33,15 +33,7 @@ from aces_bus.protocol.explain import why_unknown
 from aces_bus.protocol.keys import key_of
 from aces_bus.recordings import CanRecording, Recording, SerialRecording
 
-from .console import (
-    Output,
-    Patience,
-    abandon_stdout,
-    say,
-    standard_input,
-    terminal_width,
-    wants_colour,
-)
+from .console import Output, Patience, abandon_stdout, say_note, standard_input, terminal_width, wants_colour
 from .decoding import Decoding, Direction, Link, Totals, check_direction, utf8
 from .options import (
     COLOR,
@@ -65,6 +57,7 @@ from .options import (
     several,
 )
 from .output import LIVE, Writer, line_format, table_format
+from .registers import RegisterNotes
 from .where import Where
 
 BATCH = 1024
@@ -212,6 +205,7 @@ class LiveDecoding(Decoding):
         #: End after so many lines, and how many were shown.
         self.count: int | None = arguments.count
         self.printed = 0
+        self.registers = RegisterNotes(variant for variants in self.variants.values() for variant in variants)
         self.output = Output(arguments.output, self.files)
         self.writer = self._writer(arguments)
 
@@ -235,6 +229,7 @@ class LiveDecoding(Decoding):
         return LiveText(
             self.plans,
             stated,
+            notes=self.registers,
             times=Times(arguments.time),
             paint=make_paint() if wants_colour(arguments.color, is_terminal) else no_paint,
             width=terminal_width() if is_terminal else None,
@@ -348,7 +343,7 @@ class LiveDecoding(Decoding):
             if why:
                 self.to_explain = 0
                 place = f"frame {meta.identifier:03X}" if is_can else f"packet at offset {meta.offset}"
-                say(f"unknown, though its head is right: {place}. {why} (more: aces spec explain)")
+                say_note(f"unknown, though its head is right: {place}. {why} (more: aces spec explain)")
             if not self.to_explain:
                 return
 
@@ -393,6 +388,7 @@ class LiveDecoding(Decoding):
         """Write what is to be shown; what --message and --where refuse goes into the bin `filtered`."""
         if items:
             self._begin(items[0])
+        self.registers.see(items)
         if self.is_selective:
             wanted = [type(item) is Unknown or self._is_wanted(item) for item in items]
             items = self._kept(items, wanted, totals, is_can=is_can)

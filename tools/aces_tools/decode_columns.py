@@ -24,7 +24,7 @@ from aces_bus.protocol.columns.table import MessageTable, kinds_of
 from aces_bus.recordings import CanRecording, Recording, SerialRecording
 from aces_bus.recordings.filters import passing
 
-from .console import Patience, Progress, check_not_read, say
+from .console import Patience, Progress, check_not_read, say, say_note
 from .decoding import Decoding, Direction, Totals, utf8
 from .where import Rows, WhereColumns
 
@@ -180,10 +180,6 @@ class ColumnDecoding(TableDecoding):
 
     def __init__(self, arguments: argparse.Namespace, form: str) -> None:
         super().__init__(arguments)
-        if arguments.quiet:
-            raise CallerError(
-                "--quiet prints nothing, and a table is not printed; leave --quiet or --output out"
-            )
         self.where = WhereColumns(arguments.where, self.plans) if arguments.where else None
         self.columns = self._signals(arguments.signals)
         show = arguments.unknown or "hide"
@@ -258,7 +254,7 @@ class ColumnDecoding(TableDecoding):
         notes = self.export.notes
         self.export.close()
         for note in notes:
-            say(note)
+            say_note(note)
 
     def _flush(self) -> None:
         """Nothing of the output is printed."""

@@ -36,7 +36,7 @@ from aces_bus.protocol.columns.table import MessageTable
 from aces_bus.recordings import CanRecording, UnreadableEntry, open_recording
 from aces_bus.recordings.open import open_part, split_capture
 
-from .console import SHOWN, Patience, say
+from .console import SHOWN, Patience, say_note
 from .decode_columns import ColumnDecoding, pieces_of
 from .decoding import Totals
 from .where import Rows
@@ -219,7 +219,7 @@ class JobsDecoding(ColumnDecoding):
     def _finish(self, *, is_whole: bool) -> None:
         if is_whole:
             for note in self._notes:
-                say(note)
+                say_note(note)
         super()._finish(is_whole=is_whole)
 
     def _clean_up(self) -> None:

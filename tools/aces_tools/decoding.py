@@ -27,7 +27,7 @@ from aces_bus.recordings import (
 )
 from aces_bus.recordings.serial.raw import RawCapture
 
-from .console import Patience, abandon_stdout, report_unreadable, say
+from .console import Patience, abandon_stdout, report_unreadable, say, say_note
 from .output.shape import plans_of
 from .protocols_arg import parse_protocols
 from .window import TimeWindow
@@ -360,7 +360,7 @@ class Decoding(ABC):
                 self._problems(capture, is_over=True)
                 if capture.others:
                     kinds = ", ".join(f"{number} {kind}" for kind, number in capture.others.items())
-                    say(f"{capture.name}: beside its frames it holds {kinds}")
+                    say_note(f"{capture.name}: beside its frames it holds {kinds}")
                 totals.lines_unreadable += capture.lines_unreadable
                 if isinstance(capture, CanRecording):
                     totals.dropped += capture.frames_dropped
@@ -389,7 +389,7 @@ class Decoding(ABC):
     def _warn(self, contested: Mapping[int, tuple[str, str]], key: int, identifier: int) -> None:
         """Two protocols claim a frame that has come: say so, once."""
         first, other = contested[key]
-        say(
+        say_note(
             f"{first} and {other} both claim identifier {identifier:#05x}"
             f" ({len(contested)} in all); the one that -p names first is tried first"
         )
@@ -413,9 +413,11 @@ class Decoding(ABC):
             if not self.plans or not total["total"] or total["decoded"]:
                 continue
             if not total["filtered"]:
-                say("nothing was decoded: is this the right protocol, dialect, configuration and direction?")
+                say_note(
+                    "nothing was decoded: is this the right protocol, dialect, configuration and direction?"
+                )
             elif given := [option for name, option in FILTERS if getattr(self.arguments, name, None)]:
-                say(f"nothing that was decoded passed {', '.join(given)}")
+                say_note(f"nothing that was decoded passed {', '.join(given)}")
         faults = [fault for total in totals.values() for fault in total.faults]
         if self.arguments.strict and faults:
             say(f"--strict: {', '.join(faults)}")

@@ -26,7 +26,7 @@ import numpy.typing as npt
 from aces_bus.errors import CallerError
 from aces_bus.protocol.columns.table import ColumnKind
 
-from .console import say
+from .console import say, say_note
 from .options import OUTPUT, SEED, Arguments
 from .plotting.picture import Picture, PlotLine, PlotPanel
 from .plotting.select import ImageFormat, PlotSignal
@@ -77,7 +77,7 @@ def run(arguments: argparse.Namespace) -> int:
     path = knee_bends()
     player = Player("knee bends", path, rate_hz=RATE)
     log = MemoryLog([JOINT, f"{JOINT}.setpoint"], rate_hz=RATE)
-    say(
+    say_note(
         f"{robot.name} bends its knees for {path.duration_s:.0f} s, simulated with all of its boards and buses …"
     )
     run = run_virtual(robot, [player], rate_hz=RATE, seed=arguments.seed, loggers=[log])

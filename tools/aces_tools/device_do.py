@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from aces_bus.device import Device, Signal, stop_devices, wait_stopped
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError, UnknownNameError
 
-from .console import StatusLine, print_json, say
+from .console import ENDLESS, StatusLine, print_json, say, say_note
 from .device_text import reading, result_lines, shown_value, value_for
 from .live import LivePatience
 from .output.shape import json_value
@@ -162,6 +162,8 @@ class Doing:
     def watch(self, every: int, duration: int | None) -> int:
         """Again and again: a table that is kept up to date on a terminal, else a line each time."""
         signals = self.readable(self.arguments.values)
+        if duration is None:
+            say_note(ENDLESS)
         is_terminal = sys.stdout is not None and sys.stdout.isatty()
         if is_terminal and not self.arguments.json:
             with watched(signals) as show:

@@ -18,7 +18,7 @@ from aces_bus import __version__
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.plain_text import LOOKALIKES
 
-from .console import abandon_stdout, say
+from .console import abandon_stdout, say, show_notes
 
 #: Verb → its module in this package, and what it is for. The module has a table ARGUMENTS (see `options`) and
 #: `run(arguments)`, where it needs them also EPILOG, USAGE and DEFAULTS, and its docstring is what `aces VERB --help` says.
@@ -72,6 +72,10 @@ class Parser(argparse.ArgumentParser):
             message = _unknown_options(message.partition(": ")[2].split(), known)
         self.exit(2, f"aces: {message.removeprefix('argument ')} (see '{self.prog} --help')\n")
 
+    def has(self, option: str) -> bool:
+        """Whether there is an option of this name."""
+        return option in self._option_string_actions
+
 
 def _unknown_options(given: list[str], known: list[str]) -> str:
     """What is said of arguments that a verb does not take: of a mistyped option, what was meant."""
@@ -117,6 +121,7 @@ def _run(arguments: list[str]) -> int:
         print(f"aces {__version__}: devices on CAN and serial lines, from one declared protocol\n")
         print(f"usage: aces VERB …\n\n{_listed(VERBS)}\n")
         print("'aces VERB --help' says more; 'aces --version' prints the version.")
+        print("-q: no notes, no progress; ACES_NOTES=off in the environment: no notes at all.")
         return 0
     if arguments[0] in ("-V", "--version"):
         print(f"aces {__version__}")
@@ -140,7 +145,7 @@ def _run(arguments: list[str]) -> int:
             raise UnknownNameError(f"action of 'aces {verb}'", arguments[1], actions)
         name = actions[arguments[1]][0]
         verb, arguments = f"{verb} {arguments[1]}", arguments[1:]
-    from .options import add_arguments
+    from .options import QUIET, add_arguments
 
     module = import_module(f"{__package__}.{name}")
     parser = Parser(
@@ -152,8 +157,12 @@ def _run(arguments: list[str]) -> int:
         allow_abbrev=False,
     )
     add_arguments(parser, module.ARGUMENTS)
+    if not parser.has("-q"):
+        add_arguments(parser, [QUIET])
     parser.set_defaults(**getattr(module, "DEFAULTS", {}))
-    return int(module.run(parser.parse_intermixed_args(_plain(arguments[1:]))))
+    given = parser.parse_intermixed_args(_plain(arguments[1:]))
+    show_notes(not given.quiet)
+    return int(module.run(given))
 
 
 def _plain(arguments: list[str]) -> list[str]:

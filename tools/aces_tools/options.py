@@ -194,7 +194,8 @@ TX = flag("--tx", help="really send; nothing else makes it")
 ASK = flag("--ask", help="ask the devices; without (and without --tx) only listen to what others ask")
 OUTPUT = argument("-o", "--output", metavar="FILE", help="write there instead of on standard output")
 JSON = flag("--json", help="JSON on standard output, for programs")
-QUIET = flag("-q", "--quiet", help="print only the summary")
+#: Every verb takes it: `main` adds it to those that say nothing more about it.
+QUIET = flag("-q", "--quiet", help="no notes, no progress: only results, and what is wrong")
 STRICT = flag("--strict", help="exit 1 when anything was lost or not understood")
 JOBS = argument(
     "--jobs",

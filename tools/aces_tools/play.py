@@ -24,7 +24,7 @@ from aces_bus.frames import Frame
 from aces_bus.recordings import CanRecording, Chunk, SerialRecording, open_recording, parse_filter
 
 from .bus_arg import BUS_ARGUMENTS, CAN_OPTIONS, ChosenBus, chosen_bus
-from .console import StatusLine, report_unreadable, say
+from .console import ENDLESS, StatusLine, report_unreadable, say, say_note
 from .live import LINGER_S, BusEventLines, LivePatience, SendQueue
 from .options import DIRECTION, FILTER, LOOP, MAP, RATE, TX, Arguments, argument, duration
 
@@ -254,6 +254,8 @@ class Playing:
 
     def _play(self, patience: LivePatience) -> None:
         done = 0
+        if not self.loops:
+            say_note(ENDLESS)
         while not patience.is_over and (not self.loops or done < self.loops):
             done += 1
             before = self.total

@@ -24,7 +24,7 @@ from aces_bus.frame_table import NO_TIME, FrameTable
 from aces_bus.protocol.columns.table import MessageTable
 from aces_bus.recordings import Recording
 
-from .console import check_not_read, say
+from .console import check_not_read, say, say_note
 from .decode_columns import TableDecoding
 from .decoding import Totals
 from .options import COLOR, DIRECTION, FROM, OUTPUT, PROTOCOL, TIME, TO, Arguments, argument, flag, several
@@ -118,7 +118,7 @@ def run(arguments: argparse.Namespace) -> int:
         if chosen := survey.chosen:
             arguments.items = [*files, *chosen]
             number = len(chosen) - chosen.count("-")
-            say(
+            say_note(
                 f"drawn: {number} of {len(survey.collector.series)} signals; --list shows all, name those you want"
             )
     return Plotting(arguments).run()
@@ -322,7 +322,7 @@ class Plotting(TableDecoding):
 
     def _summarise(self) -> None:
         if self.collector.left_out:
-            say(
+            say_note(
                 "there are more signals than a picture or a list shows: some are left out; name those wanted: [board=3]"
             )
         if self.clock.timeless:

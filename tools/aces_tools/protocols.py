@@ -198,9 +198,9 @@ def _print_protocol(protocol: Protocol, messages: Sequence[Message], page: Page)
             )
         )
     page.table(("message", "recognised by", "bytes", "", "dialect", ""), rows)
-    if protocol.register_map is not None:
-        page.lines([""])
-        _print_registers(list(protocol.register_map.values()), page)
+    for table in protocol.register_maps:
+        page.lines(["", *([table.doc] if len(protocol.register_maps) > 1 else [])])
+        _print_registers(list(table.values()), page)
 
 
 _ARROWS = {None: "", "to device": "→", "from device": "←"}

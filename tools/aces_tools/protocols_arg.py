@@ -41,7 +41,7 @@ from aces_bus.protocol import Protocol, Variant, load_protocol
 from aces_bus.protocol.exchange import SUFFIXES, ImportedProtocol, ImportProblem, load_database
 from aces_bus.protocol.files import protocol_of_file
 
-from .console import say
+from .console import say_note
 
 _FILE = re.compile(
     rf"(?P<path>.+\.(?P<kind>py|{'|'.join(suffix[1:] for suffix in SUFFIXES)}))"
@@ -132,7 +132,7 @@ def _of_database(path: str) -> Protocol:
         imported = load_database(path)
         if imported.problems and parent_process() is None:
             more = f" (all: aces protocols {path})" if len(imported.problems) > 1 else ""
-            say(imported.summary + more)
+            say_note(imported.summary + more)
         _databases[known] = imported
     return _databases[known].protocol
 

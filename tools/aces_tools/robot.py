@@ -26,7 +26,7 @@ import msgspec
 from aces_bus.errors import AcesError, CallerError
 from aces_bus.plain_text import printable
 
-from .console import check_suffix, counted, print_json, say, write_text
+from .console import check_suffix, counted, print_json, say, say_note, write_text
 from .options import COLOR, JSON, OUTPUT, STRICT, Arguments, argument
 
 ARGUMENTS: Arguments = (
@@ -338,7 +338,7 @@ def _import(paths: Sequence[str], arguments: argparse.Namespace) -> int:
     check_suffix("--output", arguments.output, ".json" if arguments.json else ".toml")
     imported = import_robot(paths, base=arguments.base, name=arguments.name)
     for note in imported.notes:
-        say(note)
+        say_note(note)
     for warning in imported.warnings:
         if "is not installed" not in warning.text:
             say(str(warning))

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 
+from .bus_arg import near_buses, served_address
 from .options import SEED, Group, argument, at_least, flag, several
 
 if TYPE_CHECKING:
@@ -137,6 +138,8 @@ def bus_options(robot: Robot, arguments: argparse.Namespace) -> dict[str, dict[s
             if arguments.interface == "aces" and not channel and bus.channel and ":" not in bus.channel:
                 # A virtual bus within this program would have no other node on it.
                 found[name]["channel"] = f"unix:{bus.channel}"
+        elif bus.link == "can" and channel and not bus.interface and (address := served_address(channel)):
+            found[name].update(interface="aces", channel=address)
         if bus.link == "serial" and arguments.baud:
             found[name]["baud"] = arguments.baud
     return found
@@ -216,13 +219,16 @@ def open_host(name: str, station: Any, channel: str | None) -> None:
         raise
     except Exception as error:  # whatever a backend or the system may raise
         said = " ".join(str(error).split()) or type(error).__name__
-        raise CallerError(f"bus {name} ({channel}) cannot be opened: {_clearer(said)}") from error
+        more = f" ({near_buses(channel)})" if channel and NO_INTERFACE in said else ""
+        raise CallerError(f"bus {name} ({channel}) cannot be opened: {_clearer(said)}{more}") from error
 
 
+#: python-can, where nothing says which of its interfaces a channel is of.
+NO_INTERFACE = 'Unknown interface type "None"'
 #: What backends say when they cannot open a bus, and what helps.
 _SAYINGS = (
     (
-        re.compile(r'Unknown interface type "None"'),
+        re.compile(NO_INTERFACE),
         "which interface? -i socketcan for one, -i aces for those of `aces sim` (also CAN_INTERFACE, or"
         " interface = in the robot's file)",
     ),

@@ -4,8 +4,9 @@
   aces send ControlOn board=3 -p hubo -i socketcan -c can0 --tx
   aces send Reference board=2 position=[100,-40] -p hubo -c can0 --tx \\
        --every 10ms --for 5s
-  aces send Read id=1 start=36 count=2 -p robotis --serial /dev/ttyUSB0 \\
-       --half-duplex --tx --reply
+  aces send Read id=1 start=present_position -p robotis --half-duplex \\
+       --serial /dev/ttyUSB0 --tx --reply
+  aces send Write id=1 goal_position=150 -p robotis --serial /dev/ttyUSB0 --tx
   aces send 123#DEADBEEF 18FEF100#R8 -i socketcan -c can0 --tx
   aces send '#FFFF010201FB' --serial /dev/ttyUSB0 --tx
 
@@ -33,12 +34,13 @@ from aces_bus.recordings.candump.line import read_line
 from aces_bus.recordings.text.rows import UnreadableRow
 
 from .bus_arg import BUS_ARGUMENTS, CAN_OPTIONS, ChosenBus, chosen_bus
-from .console import Output, abandon_stdout, say, terminal_width, wants_colour
+from .console import ENDLESS, Output, abandon_stdout, say, say_note, terminal_width, wants_colour
 from .live import LINGER_S, BusEventLines, LivePatience, SendQueue, heard_frame
 from .live_text import CandumpLines, LiveText, Times, notation
 from .options import COLOR, COUNT, EVERY, FOR, PROTOCOL, RATE, TX, Arguments, argument, duration, flag
 from .output.shape import plans_of
 from .protocols_arg import parse_protocols
+from .registers import RegisterNotes, with_registers
 from .values import parse_fields
 
 #: Frames a second, unless --rate says otherwise.
@@ -49,6 +51,8 @@ values:
   board=3  mode=torque  error=hot|cold  data=0a00  name="left arm"
   position=[120,-4]  or  position.0=120 position.1=-4
   servos=[{id=1,data=hex:0a00}]  temperature=none
+  start=present_position          a register's address, by name
+  goal_position=150               in messages with start and data: both of them
 
 raw frames, as cansend takes them: 123#DEADBEEF, 12345678#00 (29 bits),
 123##1AABB (FD, flags 1: bit rate switch), 123#R8 (remote); '#0A0B' are the
@@ -126,6 +130,7 @@ class Sending:
                 what, where = ("CAN frames", "no CAN bus") if self.is_can else ("bytes", "a CAN bus")
                 raise CallerError(f"these are {what}, and {self.bus.name} is {where}")
         self.plans = plans_of(self.variants)
+        self.registers = RegisterNotes(self.variants)
         self.output = Output(None)
         self.late = 0
         #: What sends packets with a handshake, where the message's transport wants one.
@@ -151,7 +156,7 @@ class Sending:
                 "message", name, {one for variant in self.variants for one in variant.messages}
             )
         self.variant, self.message = found[0], found[0].messages[name]
-        self.fields = parse_fields(self.message, texts)
+        self.fields = parse_fields(self.message, with_registers(self.message, texts))
         encoder = self.variant.encoder
         return lambda: _words(encoder.next(name, **self.fields))
 
@@ -186,7 +191,9 @@ class Sending:
                 shown = notation(word) if isinstance(word, Frame) else word.hex(" ").upper()
                 self.output.write(f"{self._where}  {shown}\n".encode())
             if is_json or self.plans:
-                self.output.write(writer.items(self._decoded(scanner, word)))
+                items = self._decoded(scanner, word)
+                self.registers.see(items)
+                self.output.write(writer.items(items))
         if self.arguments.bits and self.message is not None:
             self.output.write("".join(f"{line}\n" for line in ["", *picture(self.message)]).encode())
         self.output.close()
@@ -227,6 +234,7 @@ class Sending:
         return _Untitled(
             self.plans,
             None,
+            notes=self.registers,
             times=Times("relative"),
             paint=make_paint() if wants_colour(self.arguments.color, is_terminal) else no_paint,
             width=terminal_width() if is_terminal else None,
@@ -298,13 +306,15 @@ class Sending:
         writer = self.writer() if self.variants else None
         made = Replies(self.output, writer, gate, self.link, wait_ns=self.reply_ns)
         if self.variants:
-            made.decode(self.variants, self.variant, self.message, self.fields)
+            made.decode(self.variants, self.variant, self.message, self.fields, self.registers)
         return made
 
     def _send(
         self, outgoing: SendQueue, patience: LivePatience, events: BusEventLines, replies: Replies | None
     ) -> None:
         words = self.first
+        if self.every is not None and self.count is None and self.until is None:
+            say_note(ENDLESS)
         due = time.monotonic_ns()
         until = None if self.until is None else due + self.until
         number = 0
@@ -408,12 +418,16 @@ class Replies:
         variant: Variant | None,
         message: Message | None,
         fields: dict[str, Any],
+        registers: RegisterNotes,
     ) -> None:
-        """Decode what comes; `message` of `variant`, with these fields, is what was asked."""
+        """Decode what comes; `message` of `variant`, with these fields, is what was asked; `registers` is the writer's."""
+        self._registers = registers
         messages_for: Any = (
             "from device" if message is not None and message.direction == "to device" else "both"
         )
         self._scanner = make_scanner(variants, direction=messages_for)
+        #: What reads back what is sent.
+        self._requests: Any = make_scanner(variants, direction="to device")
         self._expected = answers(variant, message)
         every = variant.protocol.broadcast.items() if variant is not None else ()
         self._is_broadcast = any(fields.get(name) == number for name, number in every)
@@ -428,6 +442,7 @@ class Replies:
             self._scanner.sent(msgspec.structs.replace(word, timestamp=now, channel=self._name))
         else:
             self._scanner.sent(word, now)
+            self._registers.see(self._requests.datagram(word))
 
     def wait(self, patience: LivePatience) -> None:
         """Until the first reply, or until the time is up; of a broadcast all that come in time."""
@@ -448,6 +463,7 @@ class Replies:
             wanted = [one for one in items if not self._expected or type(one).__name__ in self._expected]
             if not wanted:
                 continue
+            self._registers.see(items)
             if not self._is_begun:
                 self._is_begun = True
                 self._output.write(self._writer.begin(self._name, self._link, wanted[0].meta.time))

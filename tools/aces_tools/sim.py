@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError, UnknownNameError
 
-from .console import print_json, say
+from .console import ENDLESS, print_json, say, say_note
 from .live import LivePatience
 from .options import FOR, JSON, SEED, Arguments, flag, several
 from .robot_arg import (
@@ -150,7 +150,7 @@ def _announce(robot: Robot, given: str | None, stand: SimulatedRobot, as_json: b
         print(f"aces device -r {given or robot.name} {stand.device_options}")
     if sys.stdout is not None:
         sys.stdout.flush()
-    say(f"{robot.name}: {len(stand.simulation.twins)} devices are there; Ctrl-C ends it")
+    say_note(f"{robot.name}: {len(stand.simulation.twins)} devices are there; {ENDLESS}")
 
 
 def _summary(stand: SimulatedRobot, as_json: bool) -> None:

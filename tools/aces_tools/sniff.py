@@ -26,7 +26,7 @@ from aces_bus.protocol.counts import ScanCounts
 from aces_bus.recordings import CanFilter, Chunk, parse_filter
 
 from .bus_arg import BUS, BUS_ARGUMENTS, ChosenBus, chosen_bus
-from .console import abandon_stdout, say, terminal_width, wants_colour
+from .console import ENDLESS, abandon_stdout, say, say_note, terminal_width, wants_colour
 from .decode import LiveDecoding
 from .decoding import Link, Totals, utf8
 from .live import STEP_S, BusEventLines, LivePatience, heard_frame, losses
@@ -165,6 +165,7 @@ class Sniffing(LiveDecoding):
         return LiveText(
             self.plans,
             self.direction if self.direction != "both" else None,
+            notes=self.registers,
             times=self.times,
             paint=paint,
             width=terminal_width() if is_terminal else None,
@@ -181,6 +182,8 @@ class Sniffing(LiveDecoding):
         recorder = self.recorder()
         with LivePatience() as patience:
             self.open(gate, recorder)
+            if self.duration is None and self.count is None:
+                say_note(f"{self.name}: {ENDLESS}")
             if self.lines is None:
                 self.pending = (self.name, self.link)
             try:
@@ -379,7 +382,7 @@ class Nameless:
 # ---------------------------------------------------------------------- aces sniff --screen
 
 #: Options that say something about lines.
-_OF_LINES = ("where", "unknown", "count", "format", "output", "quiet")
+_OF_LINES = ("where", "unknown", "count", "format", "output")
 
 
 def _run_on_screen(sniffing: Sniffing) -> int:

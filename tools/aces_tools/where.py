@@ -233,7 +233,7 @@ def _check(condition: WhereCondition, plans: Mapping[type[Record], p.MessagePlan
     if condition.value not in known:
         if known:
             raise UnknownNameError(f"value of {'.'.join(map(str, condition.path))}", condition.value, known)
-        raise CallerError(f"--where {condition.text!r}: {condition.value!r} is not a number")
+        raise CallerError(f"--where {condition.text!r}: {condition.value!r} is not a number; a range is 3..5")
 
 
 def _meant(path: Sequence[str | int], plan: p.MessagePlan) -> list[p.NodePath]:

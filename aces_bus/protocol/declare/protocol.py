@@ -84,7 +84,8 @@ class Protocol:
         self.messages: dict[str, Message] = {}
         self.declared: list[Message] = []
         self.framings: list[Framing] = []
-        self.register_map: RegisterMap | None = None
+        #: Maps of registers, in the order of their declaration: one for each kind of device that has its own.
+        self.register_maps: list[RegisterMap] = []
         self._variants: dict[Any, Variant] = {}
         self._neighbours, self._on_stream = ambiguity.Neighbours(), ambiguity.StreamNeighbours()
         #: Of each transport that has identifiers of its own, the first message.
@@ -298,11 +299,17 @@ class Protocol:
         return declare
 
     def registers(self, **declared: Any) -> RegisterMap:
-        """Declare a register map; see `RegisterMap`."""
+        """Declare a register map; see `RegisterMap`. A protocol may have several, for devices with different tables."""
         from .registers import RegisterMap
 
-        self.register_map = RegisterMap(self, **declared)
-        return self.register_map
+        made = RegisterMap(self, **declared)
+        self.register_maps.append(made)
+        return made
+
+    @property
+    def register_map(self) -> RegisterMap | None:
+        """The map that was declared last; None without any."""
+        return self.register_maps[-1] if self.register_maps else None
 
     def __getitem__(self, name: str) -> Message:
         try:

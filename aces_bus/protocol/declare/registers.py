@@ -57,7 +57,8 @@ class RegisterMap(Mapping[str, Register]):
     """The registers of a device, by name.
 
     `read`, `write` and `sync` name the messages that carry them: `read` has the fields (id, start, count), `write`
-    (id, start, data), `sync` (start, size, servos).
+    (id, start, data), `sync` (start, size, servos). `reply` is what answers `read`, as "MESSAGE.FIELD" with the field
+    that holds the bytes.
     """
 
     def __init__(
@@ -67,6 +68,7 @@ class RegisterMap(Mapping[str, Register]):
         read: str | Message,
         write: str | Message,
         sync: str | Message | None = None,
+        reply: str = "",
         doc: str = "",
     ) -> None:
         self.protocol = protocol
@@ -74,6 +76,8 @@ class RegisterMap(Mapping[str, Register]):
         self.read_message, self.write_message, self.sync_message = (
             self._name(m) for m in (read, write, sync)
         )
+        #: What answers `read`, and its field with the bytes; empty where that was not said.
+        self.reply_message, self.reply_field = self._reply(reply)
         self.doc = doc
         self._registers: dict[str, Register] = {}
 
@@ -86,6 +90,12 @@ class RegisterMap(Mapping[str, Register]):
                 f"{self.place}: no message named {name!r} (there are: {', '.join(self.protocol.messages)})"
             )
         return name
+
+    def _reply(self, reply: str) -> tuple[str, str]:
+        message, _, field = reply.partition(".")
+        if reply and field not in self.protocol.messages[self._name(message) or ""].fields:
+            raise SpecError(f"{self.place}: reply={reply!r} names no field of a message; write 'Status.data'")
+        return message, field
 
     def add(
         self,
@@ -126,6 +136,9 @@ class RegisterMap(Mapping[str, Register]):
         except KeyError:
             raise UnknownNameError(f"register of {self.protocol.name}", name, self._registers) from None
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._registers
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._registers)
 
@@ -144,7 +157,17 @@ class RegisterMap(Mapping[str, Register]):
         return bytes(self.protocol.encode(self.read_message, id=id, start=one.address, count=count))
 
     def write(self, id: int, values: Mapping[str, Any], *, message: str | None = None) -> bytes:
-        """The packet that writes registers that stand side by side."""
+        """The packet that writes registers that stand side by side; errors are those of `stretch`."""
+        start, data = self.stretch(values)
+        name = message or self.write_message
+        assert name is not None
+        return bytes(self.protocol.encode(name, id=id, start=start, data=data))
+
+    def stretch(self, values: Mapping[str, Any]) -> tuple[int, bytes]:
+        """The first address and the bytes of registers that stand side by side, by name.
+
+        Raises `UnknownNameError`, and `FieldError` for one that can only be read, for values that do not fit and for gaps.
+        """
         chosen = sorted((self[name] for name in values), key=lambda r: r.address)
         data = b""
         for register in chosen:
@@ -155,9 +178,7 @@ class RegisterMap(Mapping[str, Register]):
                     f"registers {', '.join(r.name for r in chosen)} do not stand side by side; write them one by one"
                 )
             data += register.encode(values[register.name])
-        name = message or self.write_message
-        assert name is not None
-        return bytes(self.protocol.encode(name, id=id, start=chosen[0].address, data=data))
+        return chosen[0].address, data
 
     def sync_write(self, name: str, values: Mapping[int, Any]) -> bytes:
         """One packet that writes the register `name` of many devices: id → value."""

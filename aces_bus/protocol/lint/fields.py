@@ -397,8 +397,7 @@ def declared_fields(protocol: Protocol) -> Iterator[Written]:
                 continue
             seen.add(key)
             yield item
-    registers = protocol.register_map
-    for register in registers.values() if registers is not None else ():
+    for register in (one for table in protocol.register_maps for one in table.values()):
         yield from _walk(register.field, "register", register.name, register.place)
 
 

@@ -296,6 +296,7 @@ control_table = dynamixel.registers(
     read=Read,
     write=Write,
     sync=SyncWrite,
+    reply="Status.parameters",
     doc="Control table of the X series: EEPROM 0–63, RAM 64–147; words are little-endian. Models differ: `models.py`.",
 )
 add_x_registers(control_table)

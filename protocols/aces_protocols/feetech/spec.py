@@ -77,13 +77,18 @@ declare_packets(
 # ---------------------------------------------------------------------- control tables
 
 scs_table = feetech.registers(
-    read="Read", write="Write", sync="SyncWrite", doc="Control table of SCS servos; words are big-endian."
+    read="Read",
+    write="Write",
+    sync="SyncWrite",
+    reply="Status.parameters",
+    doc="Control table of SCS servos; words are big-endian.",
 )
 add_scs_registers(scs_table)
 sts_table = feetech.registers(
     read="Read",
     write="Write",
     sync="SyncWrite",
+    reply="Status.parameters",
     doc="Control table of STS and SMS servos; words are little-endian. SCS servos have one of their own, `scs_table`.",
 )
 add_sts_registers(sts_table)

@@ -66,6 +66,7 @@ control_table = robotis.registers(
     read="Read",
     write="Write",
     sync="SyncWrite",
+    reply="Status.parameters",
     doc="Control table of RX-10, RX-28 and RX-64: EEPROM 0x00–0x17, RAM 0x18–0x31; words are little-endian.",
 )
 add_registers(control_table)

@@ -60,7 +60,7 @@ from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire, 
 from aces_bus.protocol.lint.fields import Written
 from aces_bus.recordings import CanRecording, SerialRecording, open_recording
 
-from ..console import counted, print_json, report_unreadable, say
+from ..console import counted, print_json, report_unreadable, say, say_note
 from ..options import COLOR, DIRECTION, FOR, JSON, Arguments, argument, duration_or_none, flag, several
 from ..output.columns import Page
 from ..protocols_arg import named_protocol, parse_protocols, problems_of
@@ -159,7 +159,7 @@ def run(arguments: argparse.Namespace) -> int:
         if result.scenes is not None:
             is_held = not any(one.rule == "law" for one in result.findings)
             held = "held" if is_held else "were asked, and do not all hold,"
-            say(f"{result.name}: the nine laws {held} on {counted(result.scenes, 'scene')}")
+            say_note(f"{result.name}: the nine laws {held} on {counted(result.scenes, 'scene')}")
     if any(result.complaint for result in results):
         return 2
     return int(any(one.level != "note" for result in results for one in result.findings))

@@ -30,7 +30,7 @@ from aces_bus.protocol.exchange.export_dbc import print_dbc
 from aces_bus.protocol.exchange.export_markdown import print_markdown
 from aces_bus.protocol.exchange.export_wireshark import Way, print_dissector
 
-from ..console import check_suffix, print_json, say, write_text
+from ..console import check_suffix, print_json, say, say_note, write_text
 from ..options import (
     DIRECTION,
     JSON,
@@ -137,7 +137,7 @@ def _write(path: str, text: str, *, is_dbc: bool) -> None:
             text.encode("cp1252")
             encoding = "cp1252"
         except UnicodeEncodeError:
-            say(f"{path}: written as UTF-8, as it has characters beyond Windows-1252")
+            say_note(f"{path}: written as UTF-8, as it has characters beyond Windows-1252")
     write_text(path, text, encoding=encoding)
 
 

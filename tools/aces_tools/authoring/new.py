@@ -22,7 +22,7 @@ from string import Template
 from aces_bus.errors import CallerError
 from aces_bus.protocol.exchange.names import TAKEN_BY_CODE
 
-from ..console import print_json, say
+from ..console import print_json, say_note
 from ..options import JSON, OUTPUT, Arguments, argument
 
 LINKS = ("can", "serial", "datagram")
@@ -76,8 +76,8 @@ def run(arguments: argparse.Namespace) -> int:
         print_json({"name": name, "link": arguments.link, "files": [str(path) for path in made]})
         return 0
     for path in made:
-        say(f"wrote {path}")
-    say(f"next: cd {folder} && pytest; then put your device into {name}.py")
+        say_note(f"wrote {path}")
+    say_note(f"next: cd {folder} && pytest; then put your device into {name}.py")
     return 0
 
 

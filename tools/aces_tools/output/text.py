@@ -17,7 +17,7 @@ import datetime
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from aces_bus.plain_text import LOOKALIKES
 from aces_bus.plain_text import printable as printable
@@ -38,6 +38,12 @@ class PrintedField(NamedTuple):
     unit: str
     style: str
     pad: int = 0
+
+
+class Notes(Protocol):
+    """What else is to be said of records."""
+
+    def of(self, record: Any) -> Sequence[PrintedField]: ...
 
 
 #: What is printed, and how rich styles it.
@@ -97,7 +103,8 @@ def make_paint() -> Paint:
 
 
 class TextOutput:
-    """`paint` colours, `width` is the terminal's (None: no limit), `is_relative` counts time from the first item."""
+    """`paint` colours, `width` is the terminal's (None: no limit), `is_relative` counts time from the first item; `notes`
+    are shown behind a record's fields."""
 
     def __init__(
         self,
@@ -108,7 +115,9 @@ class TextOutput:
         width: int | None = None,
         is_relative: bool = True,
         encoding: str = "utf-8",
+        notes: Notes | None = None,
     ) -> None:
+        self._notes = notes
         self._fields = OfKind(lambda kind: _Fields(plans[kind]))
         self._direction = direction
         self._paint = paint
@@ -157,6 +166,8 @@ class TextOutput:
             style, name, tokens = item.kind, item.reason.partition(": ")[0], self._lost(item, meta)
         else:
             style, name, tokens = "message", meta.message, self._fields[type(item)].tokens(item)
+            if self._notes is not None:
+                tokens += self._notes.of(item)
         arrow = self._arrows.get(direction or "", " ")
         if direction is not None:
             arrow = paint(direction, arrow)

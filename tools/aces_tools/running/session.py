@@ -23,9 +23,9 @@ from aces_bus.frames import Frame
 from aces_bus.recordings import CanRecording, open_recording
 from aces_bus.robot import Ended, Runner, run_real, run_replay, run_virtual
 
-from ..console import abandon_stdout, say, terminal_width, wants_colour
+from ..console import abandon_stdout, say, say_note, terminal_width, wants_colour
 from ..live import LivePatience
-from ..robot_arg import bus_options, chosen_pose
+from ..robot_arg import NO_INTERFACE, bus_options, chosen_pose
 from .figures import USUAL, Figures, Watch, event_text
 from .loading import own_functions, reactions_of
 from .panel import panel, plain_line, to_rich
@@ -40,8 +40,6 @@ ENABLE_S, HOME_S = 30.0, 180.0
 SWITCH_S = 0.0001
 #: Events of one kind and source that are printed.
 FEW = 3
-#: What python-can says where neither the call nor its own configuration names an interface.
-NO_INTERFACE = 'interface type "None"'
 #: Modes of controllers that have come to their end.
 ENDED = ("ended", "done", "failed")
 
@@ -137,6 +135,8 @@ class Session:
                 if ready:
                     self._start_showing(runner, watch)
                     seconds = None if self.duration is None else self.duration / 1e9
+                    if seconds is None and self.is_real:
+                        say_note("runs until its controllers are done, or until Ctrl-C; --for says how long")
                     self._end = runner.run(seconds, until=lambda: self._look(runner, watch))
                 else:
                     status = 1
@@ -182,15 +182,11 @@ class Session:
         if asked.home:
             homed = runner.do("home", HOME_S, devices=devices)
             if homed:
-                self._say(f"homed: {', '.join(homed)}")
+                say_note(f"homed: {', '.join(homed)}")
                 runner.clock.wait(lambda: False, round(REST_S * 1e9))
         if asked.enable:
             runner.do("enable", ENABLE_S, devices=devices)
         return True
-
-    def _say(self, text: str) -> None:
-        if not self.arguments.quiet:
-            say(text)
 
     def _look(self, runner: Runner, watch: Watch) -> bool:
         """Asked every millisecond: show, keep the pace; whether it is to end."""
@@ -298,14 +294,14 @@ class Session:
         tasks = runner.tasks.tasks
         for task in tasks if ended.seconds > 0 else ():
             if self.is_real:
-                self._say(f"{task}{', SCHED_FIFO' if task.is_real_time else ''}")
+                say_note(f"{task}{', SCHED_FIFO' if task.is_real_time else ''}")
         if self.is_real and self.arguments.real_time and not any(task.is_real_time for task in tasks):
-            say("SCHED_FIFO is not allowed here (CAP_SYS_NICE, or an rtprio limit); it ran without")
+            say_note("SCHED_FIFO is not allowed here (CAP_SYS_NICE, or an rtprio limit); it ran without")
         for logger in self.loggers:
             if logger.failure:
                 say(f"{logger.path} is not whole: {logger.failure}; {logger}")
             else:
-                self._say(str(logger))
+                say_note(str(logger))
         clips = sum(c.total for s in runner.supervisors for c in s.guard.clips.values())
         counts = {
             "cycles": sum(task.ticks for task in tasks),
