@@ -661,7 +661,7 @@ def test_driver_and_twin_meet_in_real_time() -> None:
 def test_the_driver_speaks_to_a_bare_node_of_canopen() -> None:
     """What no twin of ours answers: a plain `LocalNode` gives the driver's SDO what canopen's own client reads."""
     canopen = pytest.importorskip("canopen")
-    from aces_devices.cia402.network import StationNetwork
+    from aces_devices.canopen_node.network import StationNetwork
 
     robot = VirtualRobot(
         _robot('sync = false, pdo = "file"', 'command = "position"'), rate_hz=100, load=_load

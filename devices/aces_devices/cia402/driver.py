@@ -18,11 +18,11 @@ from aces_bus.device import UNKNOWN, Job, Poll, Signal, Steps
 from aces_bus.device.settings import settings_of
 from aces_bus.errors import AcesError, CallerError, DeviceError, NoReplyError
 
+from ..canopen_node.pdo import RECEIVED, SENT, PdoEntry, PdoLayout, from_file, offset_of
+from ..canopen_node.sdo import SdoChannel
 from .axis import CONTROLWORD, MODE, MODE_SHOWN, POSITION, STATUSWORD, DriveAxis
 from .dictionary import dictionary_of
 from .objects import ObjectAccess
-from .pdo import RECEIVED, SENT, PdoEntry, PdoLayout, from_file, offset_of
-from .sdo import SdoChannel
 from .set_up import set_up
 from .states import (
     DISABLE_VOLTAGE,

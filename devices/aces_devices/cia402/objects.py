@@ -11,8 +11,8 @@ from aces_bus.device import Job, MotorDevice, Steps
 from aces_bus.device.motor import A
 from aces_bus.errors import AcesError, CallerError
 
+from ..canopen_node.sdo import SdoChannel
 from .dictionary import object_of
-from .sdo import SdoChannel
 
 #: What `identity` asks for: name, index, subindex. The first must be there.
 IDENTITY = (

@@ -10,7 +10,7 @@ from aces_bus.device import Device, Host, Job, Steps
 from aces_bus.device.config import DeviceConfig
 from aces_bus.errors import AcesError
 
-from .sdo import SdoChannel
+from ..canopen_node.sdo import SdoChannel
 
 NODES = range(1, 128)
 #: Seconds that a node may take to answer.

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 from aces_bus.device import Job, Steps
 from aces_bus.errors import DeviceError
 
+from ..canopen_node.pdo import MOST, NOT_VALID, RECEIVED, SENT, PdoLayout, layout_of, offset_of
+from ..canopen_node.sdo import SdoRefused
 from .axis import CONTROLWORD, MODE, MODE_SHOWN, POSITION, STATUSWORD, TORQUE, VELOCITY
-from .pdo import MOST, NOT_VALID, RECEIVED, SENT, PdoLayout, layout_of, offset_of
-from .sdo import SdoRefused
 from .states import TARGETS, emergency_text
 
 if TYPE_CHECKING:

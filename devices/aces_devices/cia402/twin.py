@@ -1,6 +1,7 @@
 """The twin of a CiA 402 drive: a local node of `canopen` with the drive's dictionary, and axes that move.
 
-1. `canopen` answers SDO and NMT and repeats heartbeats; PDOs are ours: its local node takes no RPDO (canopen 2.4).
+1. `canopen` answers SDO and NMT and repeats heartbeats; block transfers are ours (`sdo_server`), and so are PDOs: its local
+   node takes no RPDO (canopen 2.4).
 2. What canopen sends is read by the spec and leaves as that message: so the twin misbehaves as all twins do.
 3. It begins as a drive does: a boot-up message, pre-operational, "switch on disabled".
 4. It watches over the nodes that object 1016 names, each from its first heartbeat on (CiA 301).
@@ -17,9 +18,9 @@ from aces_bus.protocol import make_scanner
 from aces_bus.protocol.record import as_dict
 from aces_bus.runtime import Timer
 
+from ..canopen_node.pdo import RECEIVED, SENT, PdoLayout, layouts, offset_of
 from .dictionary import dictionary_of
 from .model import HOST_GONE, HOT, OVER_VOLTAGE, REGISTERS, AxisModel
-from .pdo import RECEIVED, SENT, PdoLayout, layouts, offset_of
 from .units import DriveSettings, units_of
 from .watchdog import CONSUMER
 
@@ -49,7 +50,8 @@ class Cia402Twin(Twin):
         """The node and its axes, as just switched on."""
         import canopen
 
-        from .network import StationNetwork
+        from ..canopen_node.network import StationNetwork
+        from ..canopen_node.sdo_server import BlockSdoServer
 
         if self.network is not None:
             self.network.stop()
@@ -59,6 +61,7 @@ class Cia402Twin(Twin):
         self._scanner = make_scanner([self.variant], direction="from device")
         self.network = network = StationNetwork(self.clock, self._put)
         node: Any = canopen.LocalNode(number, self.dictionary)
+        node.sdo = BlockSdoServer(0x600 + number, 0x580 + number, node)
         self.node = node
         network[number] = node
         node.add_read_callback(self._read)
@@ -223,7 +226,7 @@ class Cia402Twin(Twin):
 
     def _repeat(self) -> None:
         """PDOs that go out by themselves: on a timer, which here is also how soon a change is seen."""
-        from .network import Periodic
+        from ..canopen_node.network import Periodic
 
         for number, layout in self.outputs.items():
             if layout.is_synchronous or not layout.event_ms:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from aces_bus.device import Steps
 from aces_bus.errors import AcesError, CallerError, DeviceError
 
-from .sdo import SdoRefused
+from ..canopen_node.sdo import SdoRefused
 
 if TYPE_CHECKING:
     from .driver import Cia402
