@@ -19,8 +19,9 @@ from aces_bus.hardware.simulated.bus import ListeningNode
 from aces_bus.robot import VirtualRobot, connect, parse_robot, simulate
 from aces_bus.runtime import Loop
 from aces_bus.testing.conformance import driver_tests
+from aces_devices.canopen_node.dictionary import object_of
 from aces_devices.cia402 import driver
-from aces_devices.cia402.dictionary import dictionary_of, object_of
+from aces_devices.cia402.dictionary import dictionary_of
 from aces_devices.cia402.states import drive_state, emergency_text
 
 test_driver = driver_tests(driver)
@@ -498,7 +499,7 @@ def test_a_watch_that_cannot_be_had_is_an_error_with_the_way_out() -> None:
         recorder = ListeningNode(robot.wires["drives"])
         robot.advance(1)
         assert _frames(recorder, 0x77F) == []
-    with pytest.raises(CallerError, match="host_node = 5 is the drive's own number"):
+    with pytest.raises(CallerError, match="host_node = 5 is the node's own number"):
         VirtualRobot(_robot("host_node = 5"), rate_hz=100, load=_load)
 
 
@@ -536,7 +537,7 @@ def test_files_that_are_none_are_refused(tmp_path: Any) -> None:
     with pytest.raises(CallerError, match="no statusword"):
         dictionary_of(str(other), 5)
     other.write_text("[1000]\nCompactSubObj=1\n[1000Name]\nNrOfEntries=999999999\n")
-    with pytest.raises(CallerError, match="NrOfEntries = 999999999 is more than a drive has"):
+    with pytest.raises(CallerError, match="NrOfEntries = 999999999 is more than a device has"):
         dictionary_of(str(other), 6)
     text = ONE.replace("SETTINGS", "sync = true").replace("MORE", 'command = "position"')
     robot, _ = parse_robot(text, "one.toml")
@@ -662,7 +663,7 @@ def test_driver_and_twin_meet_in_real_time() -> None:
 def test_the_driver_speaks_to_a_bare_node_of_canopen() -> None:
     """What no twin of ours answers: a plain `LocalNode` gives the driver's SDO what canopen's own client reads."""
     canopen = pytest.importorskip("canopen")
-    from aces_devices.cia402.network import StationNetwork
+    from aces_devices.canopen_node.network import StationNetwork
 
     robot = VirtualRobot(
         _robot('sync = false, pdo = "file"', 'command = "position"'), rate_hz=100, load=_load

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from aces_bus.device import Driver
 from aces_bus.device.settings import described
 
+from ..canopen_node.scan import scan_nodes
 from .driver import Cia402
-from .scan import scan_nodes
 from .twin import Cia402Twin
 from .units import DriveSettings
 
@@ -56,7 +58,7 @@ driver = Driver(
     example=EXAMPLE,
     doc="Servo drive of CiA 402 on CANopen: position, velocity and torque, profile and cyclic; homing.",
     source="CiA 301, CiA 402 (christiansandberg/canopen; ros-industrial/ros2_canopen)",
-    scan=scan_nodes,
+    scan=partial(scan_nodes, profile=402, driver="cia402", prefix="DRIVE", with_silent=True),
     settings=described(DriveSettings),
 )
 

@@ -1,99 +1,20 @@
-"""Object dictionaries: of the file that a robot names, else of our own drive.
-
-1. `canopen` reads EDS and DCF; it is imported here, when the first device is made.
-2. A file is read once a node: its defaults may contain the node's number.
-"""
+"""The object dictionary of a drive: of the file that a robot names, else of our own drive."""
 
 from __future__ import annotations
 
-import io
-import re
-from collections.abc import Mapping
-from functools import cache
-from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
-from aces_bus.errors import CallerError
-from aces_bus.robot.checks import near
+from ..canopen_node.dictionary import OwnFile
+from ..canopen_node.dictionary import dictionary_of as read_dictionary
 
-#: The largest file that is read, and the largest numbers in it that canopen counts up to.
-LARGEST = 4 << 20
-COUNTS = {"nrofentries": 254, "compactsubobj": 254, "lines": 10_000}
-_COUNT = re.compile(r"(?im)^[ \t]*(NrOfEntries|CompactSubObj|Lines)[ \t]*=[ \t]*(\w{1,40})")
+OWN = OwnFile(
+    "aces_devices.cia402",
+    "drive.eds",
+    (0x6041,),
+    "has no statusword (object 6041): not a drive of CiA 402",
+)
 
 
-@cache
 def dictionary_of(path: str | None, node: int) -> Any:
-    """canopen's object dictionary of an EDS or DCF file (None: our own drive's) for a node.
-
-    Raises `CallerError` for a file that is not there or is none. Shared: it must not be changed.
-    """
-    from canopen.objectdictionary import eds
-
-    read: Any = eds.import_eds
-
-    try:
-        if path is None:
-            text = (files(__package__ or "aces_devices.cia402") / "drive.eds").read_text("utf-8")
-        else:
-            with Path(path).open("rb") as stream:
-                text = stream.read(LARGEST + 1).decode("utf-8", "replace")
-            if len(text) > LARGEST:
-                raise CallerError(f"{path}: larger than an EDS file may be ({LARGEST >> 20} MB)")
-    except OSError as error:
-        raise CallerError(
-            f"{path}: {error.strerror or error}; a robot's file names it from where the program was started,"
-            " or with its whole path"
-        ) from error
-    for name, value in _COUNT.findall(text):
-        if (value.isdecimal() and int(value) > COUNTS[name.lower()]) or len(value) > 10:
-            raise CallerError(f"{path}: {name} = {value} is more than a drive has")
-    source = io.StringIO(text)
-    source.name = path or "drive.eds"
-    try:
-        found = read(source, node)
-    except Exception as error:  # whatever the library lets through on a file that is none
-        raise CallerError(f"{path}: not an EDS or DCF file that canopen can read: {error}") from error
-    if 0x6041 not in found:
-        raise CallerError(f"{path}: has no statusword (object 6041): not a drive of CiA 402")
-    return found
-
-
-def object_of(dictionary: Any, name: str | int) -> tuple[int, int, Any]:
-    """Index, subindex and canopen's variable (None where the file has none) of "6064", "0x6099:1" or an object's name.
-
-    Raises `CallerError` for what is neither a number nor in the file.
-    """
-    if isinstance(name, int):
-        index, subindex = name, 0
-    else:
-        head, _, tail = name.partition(":")
-        try:
-            index, subindex = int(head, 16), int(tail, 0) if tail else 0
-        except ValueError:
-            found = _named(dictionary).get(name.strip().lower())
-            if found is None:
-                names = _named(dictionary)
-                hint = near(name.lower(), names, 0.5, many=len(names))
-                raise CallerError(
-                    f"{name!r} is no object: write its index, as 6064 or 6099:1 (hexadecimal), or its name{hint}"
-                ) from None
-            return found.index, found.subindex, found
-    if not 0 <= index <= 0xFFFF or not 0 <= subindex <= 0xFF:
-        raise CallerError(f"{name!r}: an index has four hexadecimal digits, a subindex is 0 to 255")
-    return index, subindex, dictionary.get_variable(index, subindex)
-
-
-def _named(dictionary: Any) -> Mapping[str, Any]:
-    """Variables by name in small letters; a record's members as "record.member", and by their own name."""
-    found: dict[str, Any] = {}
-    members: dict[str, Any] = {}
-    for entry in dictionary.values():
-        if hasattr(entry, "data_type"):
-            found[entry.name.lower()] = entry
-            continue
-        for member in entry.values():
-            found[member.name.lower()] = member
-            members[member.name.rpartition(".")[2].lower()] = member
-    return {**members, **found}
+    """The dictionary of a drive's file (None: our own drive's). Raises `CallerError` for a file that is none."""
+    return read_dictionary(path, node, OWN)

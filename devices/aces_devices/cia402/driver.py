@@ -14,15 +14,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from aces_bus.device import UNKNOWN, Job, Poll, Signal, Steps
+from aces_bus.device import Job, MotorDevice, Poll, Signal, Steps
 from aces_bus.device.settings import settings_of
-from aces_bus.errors import AcesError, CallerError, DeviceError, NoReplyError
+from aces_bus.errors import CallerError, DeviceError
 
+from ..canopen_node.node import NMT, CanopenNode
+from ..canopen_node.pdo import RECEIVED, SENT, PdoEntry, PdoLayout, from_file, offset_of
+from ..canopen_node.watchdog import Watchdog
 from .axis import CONTROLWORD, MODE, MODE_SHOWN, POSITION, STATUSWORD, DriveAxis
 from .dictionary import dictionary_of
-from .objects import ObjectAccess
-from .pdo import RECEIVED, SENT, PdoEntry, PdoLayout, from_file, offset_of
-from .sdo import SdoChannel
 from .set_up import set_up
 from .states import (
     DISABLE_VOLTAGE,
@@ -40,12 +40,9 @@ from .states import (
     emergency_text,
 )
 from .units import DriveSettings
-from .watchdog import Watchdog
 
 #: Seconds that one step of the state machine may take, and a change of mode.
 STEP_S, MODE_S = 1.0, 1.0
-#: How often an absent node is looked for (ns).
-RETRY_NS = 2_000_000_000
 #: `Host.postpone` for good (s).
 LONG_S = 1e9
 #: Object → the signals that it gives.
@@ -56,10 +53,11 @@ _SHOWN = {
     MODE_SHOWN: ("mode",),
     STATUSWORD: ("status", "state", "reached", "limited", "warning"),
 }
-NMT = ("start", "stop", "pre_operational", "reset_node", "reset_communication")
+#: The object that says what an axis does without its host.
+ABORT_OPTION = 0x6007
 
 
-class Cia402(ObjectAccess[DriveAxis]):
+class Cia402(CanopenNode, MotorDevice[DriveAxis]):
     """Signals of each joint: position, velocity, torque (the one that its mode takes can be set), state, mode and status;
     of the drive: network (NMT state) and error (the last emergency).
     """
@@ -83,7 +81,7 @@ class Cia402(ObjectAccess[DriveAxis]):
         """Axes, signals; polls as the node's file says."""
         self.node = self.credentials["node"]
         settings = self.settings = settings_of(self.name, DriveSettings, self.config.settings)
-        self.pdo, self.heartbeat_ms, self.event_ms = settings.pdo, settings.heartbeat_ms, settings.event_ms
+        self.pdo, self.event_ms = settings.pdo, settings.event_ms
         self.dictionary = dictionary_of(settings.eds, self.node)
         self.inputs = from_file(self.name, self.dictionary, self.node, SENT)
         self.outputs = from_file(self.name, self.dictionary, self.node, RECEIVED)
@@ -93,21 +91,9 @@ class Cia402(ObjectAccess[DriveAxis]):
         slowest = max([one.event_ms for one in self.inputs.values()] + [self.event_ms])
         self.pdo_stale_s = 0.1 if self.sync else max(0.1, 5 * slowest / 1000)
         self.axes = [DriveAxis(self, joint) for joint in self.joints]
-        beats = 3.5 * self.heartbeat_ms / 1000 if self.heartbeat_ms else 1e6
-        self.network: Signal = self.add_signal(
-            "network", of="Heartbeat.state", stale_s=beats, doc="NMT state", source="CiA 301"
-        )
-        self.error: Signal = self.add_signal(
-            "error", stale_s=beats, doc="the last emergency; empty: none", source="CiA 301, EMCY; object 603F"
-        )
-        self.sdo = SdoChannel(self, settings.sdo_timeout_s)
-        self.watchdog = Watchdog(self, settings.watchdog_ms, settings.host_node)
-        self.is_set_up = False
-        self.last_beat: int | None = None
-        self._tried_at = self.clock.now()
-        #: How many boot-up messages were heard.
-        self.boots = 0
-        self._set_up: Job | None = None
+        reactions = [ABORT_OPTION + axis.offset for axis in self.axes]
+        watchdog = Watchdog(self, settings.watchdog_ms, settings.host_node, reactions)
+        self.add_node(settings.heartbeat_ms, settings.sdo_timeout_s, watchdog)
         self._by_sdo: dict[int, int] = {}
         self._writing: Job | None = None
         self._wire()
@@ -142,49 +128,17 @@ class Cia402(ObjectAccess[DriveAxis]):
 
     # ------------------------------------------------------------------ up
 
-    def start(self) -> Job:
-        """Set the node up; again whenever it has booted."""
-        self._quiet(True)
-        self._look()
-        return self.set_up()
-
-    def set_up(self) -> Job:
-        """Have the node ready to be enabled: its PDOs known, its heartbeat on, itself operational."""
-        if self._set_up is not None and not self._set_up.is_over:
-            return self._set_up
-        self._quiet(True)
-
-        def steps(job: Job) -> Steps:
-            while True:
-                boots = self.boots
-                try:
-                    yield from set_up(self, job)
-                except AcesError:
-                    if self.boots == boots:
-                        raise
-                if self.boots == boots:
-                    return
-
-        made = self.job("set up", steps)
-        self._set_up, self._tried_at = made, self.clock.now()
-        made.then(self._was_set_up)
-        return made
+    def set_up_steps(self, job: Job) -> Steps:
+        """See `set_up`."""
+        return set_up(self, job)
 
     def begin(self) -> None:
         """It was started, and its PDOs are known: from now on it is to be heard."""
         self._wire()
         self.is_set_up = True
-        self._quiet(False)
+        self.quiet(False)
 
-    def _was_set_up(self, job: Job) -> None:
-        if job is not self._set_up or job.error is None:
-            return
-        self.is_set_up = False
-        self._quiet(True)
-        if not isinstance(job.error, NoReplyError):
-            self.tell_event("alarm", f"cannot be set up: {job.error}")
-
-    def _quiet(self, on: bool) -> None:
+    def quiet(self, on: bool) -> None:
         """Whether it is not to be expected at SYNC."""
         if on:
             self.host.postpone(self, "Sync", LONG_S)
@@ -194,20 +148,6 @@ class Cia402(ObjectAccess[DriveAxis]):
             if slot.device is self:
                 slot.replies = frozenset((f"Tpdo{holder}",))
                 slot.due = self.clock.now()
-
-    def _look(self) -> None:
-        """Every now and then: is a node that was absent there, is one that was there gone?"""
-        now = self.clock.now()
-        is_idle = self._set_up is None or self._set_up.is_over
-        if not self.is_set_up and is_idle and now - self._tried_at >= RETRY_NS:
-            self.set_up()
-        beat = self.heartbeat_ms * 1_000_000
-        if self.is_set_up and beat and not self.is_silent and self.last_beat is not None:
-            age = now - max(self.last_beat, self.last_heard or 0)
-            if age > 3 * beat:
-                self.is_silent = True
-                self.tell_event("silent", f"no heartbeat for {age / 1e9:.1f} s")
-        self.clock.call_in(min(RETRY_NS, beat or RETRY_NS), self._look)
 
     def heard(self, record: Any, instant: int) -> None:
         """PDOs, heartbeats and emergencies."""
@@ -221,44 +161,12 @@ class Cia402(ObjectAccess[DriveAxis]):
             word = int.from_bytes(data, "little")
             for place, axis, index in readers:
                 axis.update(index, place.take(word), instant)
-        elif name == "Heartbeat":
-            self._beat(record.state, instant)
-        elif name == "Emergency":
-            self._emergency(record, instant)
+        else:
+            super().heard(record, instant)
 
-    def _beat(self, state: Any, instant: int) -> None:
-        self.last_beat = instant
-        if self.error.instant is not None:
-            self.error.update(self.error.last, instant)
-        if state == "boot_up":
-            self.boots += 1
-            self.watchdog.forget()
-            was_set_up, self.is_set_up = self.is_set_up, False
-            self._quiet(True)
-            if was_set_up:
-                self.rebooted("sent its boot-up message")
-            self.set_up()  # one that is under way begins anew by itself
-        elif state != "operational" and self.is_set_up:
-            self._quiet(True)
-        elif state == "operational" and self.is_set_up:
-            for slot in self.host.slots:
-                if slot.device is self and slot.due - instant > RETRY_NS:
-                    slot.due = instant
-
-    def _emergency(self, record: Any, instant: int) -> None:
-        raw = int.from_bytes(record.meta.raw[:2], "little")
-        if raw & 0xFF00 == 0:
-            self.error.update("", instant)
-            self.tell_event("alarm over", "error reset")
-            return
-        text = emergency_text(raw)
-        details = f", details {record.details.hex(' ')}" if any(record.details) else ""
-        self.error.update(text, instant)
-        self.tell_event("alarm", f"{text}{details}")
-
-    def overheard(self, record: Any, instant: int) -> bool:
-        """The heartbeat of the program that drives, where this one looks on."""
-        return type(record).__name__ == "Heartbeat" and record.node == self.watchdog.host_node
+    def describe_emergency(self, code: int) -> str:
+        """An emergency's code in words."""
+        return emergency_text(code)
 
     def forget(self) -> None:
         """Nothing is known any more."""
@@ -316,9 +224,9 @@ class Cia402(ObjectAccess[DriveAxis]):
         """The node is set up and says its state."""
         if not self.is_set_up:
             yield self.set_up()
-        elif not self._is_operational:
+        elif not self.is_operational:
             yield self.tell("Nmt", command="start")
-            self._quiet(False)
+            self.quiet(False)
         for axis in self.axes:
             before = axis.heard
             yield self.until(
@@ -326,11 +234,6 @@ class Cia402(ObjectAccess[DriveAxis]):
                 STEP_S,
                 lambda axis=axis: f"{axis.name} says no statusword",  # type: ignore[misc]
             )
-
-    @property
-    def _is_operational(self) -> bool:
-        """Whether it takes PDOs, as far as is known: one that has lost the host does not."""
-        return self.is_set_up and self.network.last in (UNKNOWN, "operational")
 
     # ------------------------------------------------------------------ actions
 
@@ -390,7 +293,7 @@ class Cia402(ObjectAccess[DriveAxis]):
         def steps(job: Job) -> Steps:
             for axis in axes:
                 if (
-                    not self._is_operational
+                    not self.is_operational
                 ):  # it takes no PDOs, or they are not known; it may move all the same
                     yield self.sdo.download(CONTROLWORD + axis.offset, 0, word.to_bytes(2, "little"))
                     continue
@@ -400,7 +303,8 @@ class Cia402(ObjectAccess[DriveAxis]):
                     STEP_S,
                     lambda axis=axis: f"{axis.name} stays enabled",  # type: ignore[misc]
                 )
-            yield from self.watchdog.end()
+            if all(axis.state != "operation enabled" for axis in self.axes):
+                yield from self.watchdog.end()
 
         return self.job(name, steps)
 
@@ -508,17 +412,3 @@ class Cia402(ObjectAccess[DriveAxis]):
             if self.is_set_up:
                 self.put(axis, CONTROLWORD)
         yield from self._into_mode(axis, mode)
-
-    def nmt(self, command: str) -> Job:
-        """A command of network management to this node."""
-        if command not in NMT:
-            raise CallerError(f"{self.name}: no command {command!r} (there are: {', '.join(NMT)})")
-
-        def steps(job: Job) -> Steps:
-            if command in ("stop", "pre_operational"):
-                self._quiet(True)
-            yield self.tell("Nmt", command=command)
-            if command == "start" and self.is_set_up:
-                self._quiet(False)
-
-        return self.job(f"nmt {command}", steps)

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 from aces_bus.device import Job, Steps
 from aces_bus.errors import DeviceError
 
+from ..canopen_node.pdo import MOST, NOT_VALID, RECEIVED, SENT, PdoLayout, layout_of, offset_of, read_layouts
+from ..canopen_node.sdo import SdoRefused
 from .axis import CONTROLWORD, MODE, MODE_SHOWN, POSITION, STATUSWORD, TORQUE, VELOCITY
-from .pdo import MOST, NOT_VALID, RECEIVED, SENT, PdoLayout, layout_of, offset_of
-from .sdo import SdoRefused
 from .states import TARGETS, emergency_text
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def set_up(device: Cia402, job: Job) -> Steps:
         yield from _write(device)
     elif device.pdo == "read":
         for side in (RECEIVED, SENT):
-            found = yield from _read(device, side)
+            found = yield from read_layouts(device, side)
             if side is SENT:
                 device.inputs = found
             else:
@@ -114,40 +114,6 @@ def _check(device: Cia402) -> None:
             raise DeviceError(
                 f"{device.name}: PDO {holders[0].number} is sent at SYNC; settings sync = true sends it"
             )
-
-
-def _number(device: Cia402, index: int, subindex: int) -> Steps:
-    data: bytes = yield device.sdo.upload(index, subindex)
-    return int.from_bytes(data, "little")
-
-
-def _read(device: Cia402, side: tuple[int, int, int]) -> Steps:
-    """The PDOs as the node has them."""
-    communication, mapping, base = side
-    found: dict[int, PdoLayout] = {}
-    for number in range(1, MOST + 1):
-        index = communication + number - 1
-        if index not in device.dictionary:
-            continue
-        raw: dict[int, int] = {}
-        for subindex in (1, 2, 5):
-            if subindex == 5 and (side is RECEIVED or raw.get(2, 255) <= 240):
-                continue
-            try:
-                raw[subindex] = yield from _number(device, index, subindex)
-            except SdoRefused:
-                if subindex == 1:
-                    break
-        if 1 not in raw or raw[1] & NOT_VALID:
-            continue
-        count = yield from _number(device, mapping + number - 1, 0)
-        entries: list[int] = []
-        for subindex in range(1, min(count, 64) + 1):
-            entries.append((yield from _number(device, mapping + number - 1, subindex)))
-        made = layout_of(device.name, device.dictionary, number, base, device.node, raw, entries)
-        if made is not None:
-            found[number] = made
-    return found
 
 
 def _write(device: Cia402) -> Steps:

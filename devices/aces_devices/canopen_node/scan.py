@@ -1,7 +1,7 @@
-"""Finding drives: every node is asked what it is; nodes that only send heartbeats are noticed meanwhile.
+"""Finding nodes of a device profile: every node is asked what it is; nodes that only send heartbeats are noticed meanwhile.
 
 1. Bounded: 127 nodes, one request each, two more of those that answer.
-2. Only nodes of device profile 402 are drives; others are left to those who know them.
+2. Nodes of other device profiles are left to those who know them.
 """
 
 from __future__ import annotations
@@ -17,8 +17,11 @@ NODES = range(1, 128)
 ANSWER_S = 0.02
 
 
-def scan_nodes(host: Host, job: Job) -> Steps:
-    """Ask each node for its device type and identity; listen for heartbeats of those that do not answer."""
+def scan_nodes(host: Host, job: Job, profile: int, driver: str, prefix: str, *, with_silent: bool) -> Steps:
+    """Ask each node for its device type and identity; those of `profile` are a `driver`'s, named `prefix` and their number.
+
+    `with_silent`: also nodes that are heard, and do not answer.
+    """
     probes: dict[int, Device] = {node: host.probe("canopen", node=node) for node in NODES}
     found: list[DeviceConfig] = []
     answered: set[int] = set()
@@ -37,13 +40,13 @@ def scan_nodes(host: Host, job: Job) -> Steps:
             except AcesError:
                 continue
             answered.add(node)
-            if type(told).__name__ == "SdoUploaded" and told.data[:2] == (402).to_bytes(2, "little"):
+            if type(told).__name__ == "SdoUploaded" and told.data[:2] == profile.to_bytes(2, "little"):
                 model = yield from _model(probe)
-                found.append(_config(host, node, model, None))
-        for node, probe in probes.items():
+                found.append(_config(host, driver, prefix, node, model, None))
+        for node, probe in probes.items() if with_silent else ():
             if probe.last_heard is not None and node not in answered:
                 doc = "sends, and does not answer SDO: what it is is not known"
-                found.append(_config(host, node, None, doc))
+                found.append(_config(host, driver, prefix, node, None, doc))
     finally:
         for probe in probes.values():
             host.remove(probe.name)
@@ -63,7 +66,9 @@ def _model(probe: Device) -> Steps:
     return ", ".join(parts) or None
 
 
-def _config(host: Host, node: int, model: str | None, doc: str | None) -> DeviceConfig:
+def _config(
+    host: Host, driver: str, prefix: str, node: int, model: str | None, doc: str | None
+) -> DeviceConfig:
     return DeviceConfig(
-        name=f"DRIVE{node}", driver="cia402", bus=host.name, credentials={"node": node}, model=model, doc=doc
+        name=f"{prefix}{node}", driver=driver, bus=host.name, credentials={"node": node}, model=model, doc=doc
     )

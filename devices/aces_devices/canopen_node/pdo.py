@@ -12,7 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from aces_bus.device import Steps
 from aces_bus.errors import DeviceError
+
+from .objects import ObjectAccess
+from .sdo import SdoRefused
 
 NOT_VALID = 1 << 31
 #: PDOs each way that the predefined connection set has.
@@ -142,3 +146,39 @@ def from_file(who: str, dictionary: Any, node: int, side: tuple[int, int, int]) 
         return found if isinstance(found, int) else None
 
     return layouts(who, dictionary, node, side, value)
+
+
+def _number(device: ObjectAccess, index: int, subindex: int) -> Steps:
+    data: bytes = yield device.sdo.upload(index, subindex)
+    return int.from_bytes(data, "little")
+
+
+def read_layouts(device: ObjectAccess, side: tuple[int, int, int]) -> Steps:
+    """The PDOs as the node has them."""
+    communication, mapping, base = side
+    found: dict[int, PdoLayout] = {}
+    for number in range(1, MOST + 1):
+        index = communication + number - 1
+        if index not in device.dictionary:
+            continue
+        raw: dict[int, int] = {}
+        for subindex in (1, 2, 5):
+            if subindex == 5 and (side is RECEIVED or raw.get(2, 255) <= 240):
+                continue
+            try:
+                raw[subindex] = yield from _number(device, index, subindex)
+            except SdoRefused:
+                if subindex == 1:
+                    break
+        if 1 not in raw or raw[1] & NOT_VALID:
+            continue
+        count = yield from _number(device, mapping + number - 1, 0)
+        entries: list[int] = []
+        for subindex in range(1, min(count, 64) + 1):
+            entries.append((yield from _number(device, mapping + number - 1, subindex)))
+        made = layout_of(
+            device.name, device.dictionary, number, base, device.credentials["node"], raw, entries
+        )
+        if made is not None:
+            found[number] = made
+    return found

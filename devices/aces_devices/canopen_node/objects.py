@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from aces_bus.device import Job, MotorDevice, Steps
-from aces_bus.device.motor import A
+from aces_bus.device import Device, Job, Steps
 from aces_bus.errors import AcesError, CallerError
 
 from .dictionary import object_of
@@ -25,7 +24,7 @@ IDENTITY = (
 )
 
 
-class ObjectAccess(MotorDevice[A]):
+class ObjectAccess(Device):
     """A CANopen node with its dictionary (canopen's) and its SDO channel."""
 
     dictionary: Any
@@ -60,7 +59,7 @@ class ObjectAccess(MotorDevice[A]):
         return self.job(f"read {index:04X}:{subindex}", steps)
 
     def write(self, object: str | int, value: Any, confirm: bool = False) -> Job:
-        """Write an object over SDO. Raises `CallerError` without `confirm`: it may move the drive, or outlive it."""
+        """Write an object over SDO. Raises `CallerError` without `confirm`: it may move the device, or outlive it."""
         index, subindex, known = object_of(self.dictionary, object)
         if confirm is not True:
             raise CallerError(
@@ -76,7 +75,7 @@ class ObjectAccess(MotorDevice[A]):
         return self.sdo.download(index, subindex, data)
 
     def identity(self) -> Job:
-        """What the drive says it is: device type, vendor, product, revision, serial number, name."""
+        """What the node says it is: device type, vendor, product, revision, serial number, name."""
 
         def steps(job: Job) -> Steps:
             found: dict[str, Any] = {}

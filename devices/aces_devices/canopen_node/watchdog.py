@@ -1,57 +1,58 @@
-"""A drive that watches over its host: without the host's heartbeat an enabled drive goes into its fault reaction.
+"""A node that watches over its host: without the host's heartbeat it goes into its fault reaction, or to safe outputs.
 
-1. It watches while it may move: enabling begins that, and a stop that is confirmed ends it: an orderly end is no fault.
-2. One heartbeat a bus, whatever the number of drives, sent by the thread of the buses: a host that hangs sends none.
-3. Only where the drive's file has object 1016; a drive that says that it would do nothing (6007 is 0) is set to a fault.
+1. It watches while it may move: enabling it, or its first output, begins that, and a stop that is confirmed ends it: an
+   orderly end is no fault.
+2. One heartbeat a bus, whatever the number of nodes, sent by the thread of the buses: a host that hangs sends none.
+3. Only where the node's file has object 1016; a drive that says that it would do nothing (6007 is 0) is set to a fault.
 
-An entry of object 1016 is `node << 16 | ms`; a drive watches from that node's first heartbeat on (CiA 301).
+An entry of object 1016 is `node << 16 | ms`; a node watches from that node's first heartbeat on (CiA 301).
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 from aces_bus.device import Steps
 from aces_bus.errors import AcesError, CallerError, DeviceError
 
+from .objects import ObjectAccess
 from .sdo import SdoRefused
 
-if TYPE_CHECKING:
-    from .driver import Cia402
-
-CONSUMER, ABORT_OPTION = 0x1016, 0x6007
+CONSUMER = 0x1016
 #: What a drive does when its connection is lost, object 6007: nothing; go into fault.
 NO_ACTION, FAULT = 0, 1
-#: So many heartbeats go into the time that a drive waits.
+#: So many heartbeats go into the time that a node waits.
 BEATS = 4
 
 
 class Watchdog:
-    """One drive's watch over the host."""
+    """One node's watch over the host; `reactions` are its objects that say what it does without (6007 of each axis)."""
 
-    def __init__(self, device: Cia402, wait_ms: int, host_node: int) -> None:
-        self.device, self.wait_ms, self.host_node = device, wait_ms, host_node
+    def __init__(
+        self, device: ObjectAccess, wait_ms: int, host_node: int, reactions: Sequence[int] = ()
+    ) -> None:
+        self.device, self.wait_ms, self.host_node, self.reactions = device, wait_ms, host_node, reactions
         #: The entry of object 1016 that is ours while it watches; None: it does not.
         self.entry: int | None = None
         self._beats = False
-        if host_node == device.node:
+        if host_node == device.credentials["node"]:
             raise CallerError(
-                f"{device.name}: host_node = {host_node} is the drive's own number; give another"
+                f"{device.name}: host_node = {host_node} is the node's own number; give another"
             )
 
     @property
     def is_possible(self) -> bool:
-        """Whether it is wanted, and the drive's file has the object."""
+        """Whether it is wanted, and the node's file has the object."""
         return bool(self.wait_ms) and self.device.dictionary.get_variable(CONSUMER, 1) is not None
 
     def begin(self) -> Steps:
-        """Have the drive watch. Fails with `DeviceError` where all its entries watch others."""
+        """Have the node watch. Fails with `DeviceError` where all its entries watch others."""
         if not self.is_possible or self.entry is not None:
             return
         device = self.device
         entry = yield from self._free()
-        for axis in device.axes:
-            yield from self._react(ABORT_OPTION + axis.offset)
+        for index in self.reactions:
+            yield from self._react(index)
         yield device.sdo.download(
             CONSUMER, entry, (self.host_node << 16 | self.wait_ms).to_bytes(4, "little")
         )
@@ -63,12 +64,12 @@ class Watchdog:
     def end(self) -> Steps:
         """Have it watch no more, for it is stopped."""
         entry = self.entry
-        if entry is None or any(axis.state == "operation enabled" for axis in self.device.axes):
+        if entry is None:
             return
         try:
             yield self.device.sdo.download(CONSUMER, entry, (self.host_node << 16).to_bytes(4, "little"))
         except AcesError:
-            return  # heartbeats go on as long as there is a host; then it is a fault of a drive that is off
+            return  # heartbeats go on as long as there is a host; then it is a fault of a node that is off
         self.entry = None
 
     def forget(self) -> None:
@@ -109,7 +110,7 @@ class Watchdog:
             ) from error
 
     def _beat(self) -> None:
-        """The first of the bus's drives that watch this number has the heartbeat sent for all."""
+        """The first of the bus's nodes that watch this number has the heartbeat sent for all."""
         device = self.device
         if self.entry is None:
             self._beats = False

@@ -1,0 +1,173 @@
+"""A CANopen node as a driver has it: set up when its bus opens and whenever it has booted, heard by its heartbeat.
+
+1. Nothing here moves a node: setting up asks it, switches its heartbeat on and starts it.
+2. An absent node is looked for every now and then; one that was there and is not any more is silent.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from aces_bus.device import UNKNOWN, Job, Signal, Steps
+from aces_bus.errors import AcesError, CallerError, NoReplyError
+
+from .objects import ObjectAccess
+from .sdo import SdoChannel
+from .watchdog import Watchdog
+
+#: How often an absent node is looked for (ns).
+RETRY_NS = 2_000_000_000
+NMT = ("start", "stop", "pre_operational", "reset_node", "reset_communication")
+
+
+class CanopenNode(ObjectAccess):
+    """A node with an NMT state, a heartbeat and emergencies. Drivers call `add_node` in `setup`, and have `set_up_steps`."""
+
+    heartbeat_ms: int
+
+    def add_node(self, heartbeat_ms: int, sdo_timeout_s: float, watchdog: Watchdog) -> None:
+        """The signals of any node, and what its life is known by."""
+        self.heartbeat_ms = heartbeat_ms
+        beats = 3.5 * heartbeat_ms / 1000 if heartbeat_ms else 1e6
+        self.network: Signal = self.add_signal(
+            "network", of="Heartbeat.state", stale_s=beats, doc="NMT state", source="CiA 301"
+        )
+        self.error: Signal = self.add_signal(
+            "error", stale_s=beats, doc="the last emergency; empty: none", source="CiA 301, EMCY; object 603F"
+        )
+        self.sdo = SdoChannel(self, sdo_timeout_s)
+        self.watchdog = watchdog
+        self.is_set_up = False
+        self.last_beat: int | None = None
+        self._tried_at = self.clock.now()
+        #: How many boot-up messages were heard.
+        self.boots = 0
+        self._set_up: Job | None = None
+
+    # ------------------------------------------------------------------ for drivers
+
+    def set_up_steps(self, job: Job) -> Steps:
+        """Ask the node what it is, set it up, start it; then `is_set_up`."""
+        raise NotImplementedError(f"{type(self).__name__} does not say how it is set up")
+
+    def quiet(self, on: bool) -> None:
+        """Whether the node is not to be expected to answer polls now."""
+
+    # ------------------------------------------------------------------ up
+
+    def start(self) -> Job:
+        """Set the node up; again whenever it has booted."""
+        self.quiet(True)
+        self._look()
+        return self.set_up()
+
+    def set_up(self) -> Job:
+        """Have the node ready: its PDOs known, its heartbeat on, itself operational."""
+        if self._set_up is not None and not self._set_up.is_over:
+            return self._set_up
+        self.quiet(True)
+
+        def steps(job: Job) -> Steps:
+            while True:
+                boots = self.boots
+                try:
+                    yield from self.set_up_steps(job)
+                except AcesError:
+                    if self.boots == boots:
+                        raise
+                if self.boots == boots:
+                    return
+
+        made = self.job("set up", steps)
+        self._set_up, self._tried_at = made, self.clock.now()
+        made.then(self._was_set_up)
+        return made
+
+    def _was_set_up(self, job: Job) -> None:
+        if job is not self._set_up or job.error is None:
+            return
+        self.is_set_up = False
+        self.quiet(True)
+        if not isinstance(job.error, NoReplyError):
+            self.tell_event("alarm", f"cannot be set up: {job.error}")
+
+    def _look(self) -> None:
+        """Every now and then: is a node that was absent there, is one that was there gone?"""
+        now = self.clock.now()
+        is_idle = self._set_up is None or self._set_up.is_over
+        if not self.is_set_up and is_idle and now - self._tried_at >= RETRY_NS:
+            self.set_up()
+        beat = self.heartbeat_ms * 1_000_000
+        if self.is_set_up and beat and not self.is_silent and self.last_beat is not None:
+            age = now - max(self.last_beat, self.last_heard or 0)
+            if age > 3 * beat:
+                self.is_silent = True
+                self.tell_event("silent", f"no heartbeat for {age / 1e9:.1f} s")
+        self.clock.call_in(min(RETRY_NS, beat or RETRY_NS), self._look)
+
+    def heard(self, record: Any, instant: int) -> None:
+        """Heartbeats and emergencies."""
+        name = type(record).__name__
+        if name == "Heartbeat":
+            self._beat(record.state, instant)
+        elif name == "Emergency":
+            self._emergency(record, instant)
+
+    def _beat(self, state: Any, instant: int) -> None:
+        self.last_beat = instant
+        if self.error.instant is not None:
+            self.error.update(self.error.last, instant)
+        if state == "boot_up":
+            self.boots += 1
+            self.watchdog.forget()
+            was_set_up, self.is_set_up = self.is_set_up, False
+            self.quiet(True)
+            if was_set_up:
+                self.rebooted("sent its boot-up message")
+            self.set_up()  # one that is under way begins anew by itself
+        elif state != "operational" and self.is_set_up:
+            self.quiet(True)
+        elif state == "operational" and self.is_set_up:
+            for slot in self.host.slots:
+                if slot.device is self and slot.due - instant > RETRY_NS:
+                    slot.due = instant
+
+    def _emergency(self, record: Any, instant: int) -> None:
+        raw = int.from_bytes(record.meta.raw[:2], "little")
+        if raw & 0xFF00 == 0:
+            self.error.update("", instant)
+            self.tell_event("alarm over", "error reset")
+            return
+        text = self.describe_emergency(raw)
+        details = f", details {record.details.hex(' ')}" if any(record.details) else ""
+        self.error.update(text, instant)
+        self.tell_event("alarm", f"{text}{details}")
+
+    def describe_emergency(self, code: int) -> str:
+        """An emergency's code in words."""
+        return f"error {code:04X}"
+
+    def overheard(self, record: Any, instant: int) -> bool:
+        """The heartbeat of the program that drives, where this one looks on."""
+        return type(record).__name__ == "Heartbeat" and record.node == self.watchdog.host_node
+
+    @property
+    def is_operational(self) -> bool:
+        """Whether it takes PDOs, as far as is known: one that has lost the host does not."""
+        return self.is_set_up and self.network.last in (UNKNOWN, "operational")
+
+    # ------------------------------------------------------------------ down
+
+    def nmt(self, command: str) -> Job:
+        """A command of network management to this node."""
+        if command not in NMT:
+            raise CallerError(f"{self.name}: no command {command!r} (there are: {', '.join(NMT)})")
+
+        def steps(job: Job) -> Steps:
+            if command in ("stop", "pre_operational"):
+                self.quiet(True)
+            yield self.tell("Nmt", command=command)
+            if command == "start" and self.is_set_up:
+                self.quiet(False)
+
+        return self.job(f"nmt {command}", steps)
