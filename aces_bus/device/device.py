@@ -103,7 +103,8 @@ class Device(EndpointMember):
     `actions` names the methods that programs and the command line may call: name → what it does; those in `asking` only
     ask, and change nothing, so that the command line does not want `--tx` for them. `streams` are messages
     of set-points that are repeated in each tick, once given; others are sent when set. `silent_after` is how many polls
-    in a row may miss before the device counts as silent.
+    in a row may miss before the device counts as silent. `one_at_a_time`: it takes one request at a time, so that on its bus
+    nothing is asked while an answer is due, but for stops.
     """
 
     #: What it speaks: the name of an installed protocol, or a protocol itself.
@@ -115,6 +116,7 @@ class Device(EndpointMember):
     actions: ClassVar[Mapping[str, str]] = {}
     asking: ClassVar[Collection[str]] = ()
     silent_after: ClassVar[int] = 3
+    one_at_a_time: ClassVar[bool] = False
     stale_s: ClassVar[float] = 0.1
     attributes = EndpointMember.attributes | {
         *("host", "signals", "readable", "last_heard", "is_silent", "is_driven", "misses", "missing_since"),

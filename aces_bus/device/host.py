@@ -150,6 +150,7 @@ class Host(BusEndpoint[Device]):
             name in member.credentials for m in member.variant.messages.values() for name in m.request_fields
         ):
             self._half = True  # answers that only their request tells whose they are: one asks at a time
+        self._half = self._half or member.one_at_a_time
         for poll in member.polls:
             for name in poll.replies:
                 if name not in member.variant.protocol.messages:
@@ -524,6 +525,10 @@ class Host(BusEndpoint[Device]):
                     waiting.fail(DeviceError(f"{waiting.message} to {device.name}: a stop overtook it"))
                 else:
                     kept.append(waiting)
+            if self._is_can:  # nothing is in its way
+                self._line = kept
+                self._send(ticket, self.clock.now())
+                return ticket
             kept.insert(sum(1 for waiting in kept if waiting.urgent), ticket)
             self._line = kept
         else:
@@ -589,6 +594,18 @@ class Host(BusEndpoint[Device]):
         wire_ns = self.port.wire_ns(ticket.word) if slot is None else slot.wire_ns
         ticket.deadline = now + ticket.timeout_ns + wire_ns + more_ns
         ticket.device.awaiting.append(ticket)
+        self._watch(ticket)
+
+    def prolong(self, device: Device, duration_s: float) -> None:
+        """A device asks for patience: what was asked of it may be answered for so long from now."""
+        until = self.clock.now() + round(duration_s * 1e9)
+        for ticket in device.awaiting:
+            if ticket.deadline < until:
+                ticket.deadline = until
+                self._watch(ticket)
+
+    def _watch(self, ticket: Ticket) -> None:
+        """See to it that a ticket's deadline is looked at."""
         self._serial_number += 1
         heapq.heappush(self._deadlines, (ticket.deadline, self._serial_number, ticket))
         timer = self._deadline_timer

@@ -1,7 +1,9 @@
-"""can-isotp, unmodified, with our twin of an ECU on a served bus; udsoncan's requests and answers by our spec."""
+"""can-isotp and udsoncan, unmodified, with our twins of ECUs on a served bus; udsoncan's messages by our spec."""
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from contextlib import contextmanager
 from typing import Any
 
 import can
@@ -10,10 +12,11 @@ import pytest
 from aces_bus.frames import Frame
 from aces_devices.obd2 import driver
 from aces_devices.obd2.twin import Obd2Twin
+from aces_devices.uds.twin import UdsTwin
 from aces_protocols.obd2.spec import obd2
 from aces_protocols.uds.spec import uds
 from tests.oracles.foreign import oracle
-from tests.oracles.served import PATIENCE_S, served
+from tests.oracles.served import PATIENCE_S, ServedTwins, served
 
 isotp: Any = oracle("isotp", "can-isotp")
 udsoncan: Any = oracle("udsoncan", "udsoncan")
@@ -140,3 +143,131 @@ def test_refusals_have_the_same_reasons() -> None:
         if number and not isinstance(record.reason, str):
             unnamed.append(numbers[number])
     assert unnamed == []
+
+
+ENGINE = """
+name = "car"
+rate_hz = 20
+[buses]
+can = { link = "can", protocol = "uds", bitrate = 500_000 }
+[devices.ENGINE]
+driver = "uds"
+bus = "can"
+credentials = { ecu = 0 }
+[devices.ENGINE.settings]
+level = 1
+routines = { learn = 0x0201 }
+[devices.ENGINE.settings.identifiers]
+limit = { identifier = 0x0110, type = "u16", access = "read-write", unit = "rpm", scale = 0.25, upper = 8000 }
+name = { identifier = 0x0111, type = "text", count = 30, access = "read-write" }
+"""
+
+
+@contextmanager
+def a_tester(key: Any = None) -> Generator[tuple[Any, Any, ServedTwins]]:
+    """udsoncan's client at a served bus, and the twin that it talks to."""
+    from udsoncan.client import Client
+    from udsoncan.connections import PythonIsoTpConnection
+
+    config: Any = {
+        **udsoncan.configs.default_client_config,
+        "request_timeout": PATIENCE_S,
+        "p2_timeout": PATIENCE_S,
+        "p2_star_timeout": PATIENCE_S,
+        "use_server_timing": False,
+        "data_identifiers": {0x0110: ">H", 0x0111: udsoncan.AsciiCodec(30), 0xF190: udsoncan.AsciiCodec(17)},
+        "security_algo": key,
+    }
+    with served(ENGINE) as ecu, can.Bus(channel=ecu.channel, interface="aces") as bus:
+        twin = ecu.twins["ENGINE"]
+        assert isinstance(twin, UdsTwin)
+        address = isotp.Address(isotp.AddressingMode.Normal_11bits, txid=0x7E0, rxid=0x7E8)
+        stack = isotp.CanStack(bus, address=address, params={"stmin": 0, "blocksize": 4, "tx_padding": 0xAA})
+        with Client(PythonIsoTpConnection(stack), config=config) as client:
+            yield client, twin, ecu
+
+
+def refused(ask: Any, *args: Any) -> str:
+    """How udsoncan names the refusal of a request."""
+    with pytest.raises(udsoncan.exceptions.NegativeResponseException) as found:
+        ask(*args)
+    return str(found.value.response.code_name)
+
+
+def test_udsoncan_works_with_our_twin() -> None:
+    """Sessions, seed and key, values of several frames, codes, routines, a download, a reset; and all refusals by name."""
+    with a_tester(lambda level, seed, params: bytes(byte ^ 0xFF for byte in seed)) as (client, twin, ecu):
+        values = client.read_data_by_identifier([0xF190, 0x0110]).service_data.values
+        assert (values[0xF190], values[0x0110]) == (twin.ecu.vin, (0,))
+        assert refused(client.write_data_by_identifier, 0x0110, (1,)) == "ServiceNotSupportedInActiveSession"
+        assert refused(client.transfer_data, 1, b"1") == "ServiceNotSupportedInActiveSession"
+        assert refused(client.control_dtc_setting, 1) == "ServiceNotSupported"
+        timing = client.change_session(3).service_data
+        assert (timing.p2_server_max, timing.p2_star_server_max) == (0.05, 5.0)
+        assert refused(client.write_data_by_identifier, 0x0110, (1,)) == "SecurityAccessDenied"
+        assert client.unlock_security_access(1).positive
+        assert refused(client.write_data_by_identifier, 0x0110, (32_001,)) == "RequestOutOfRange"
+        assert client.write_data_by_identifier(0x0110, (4000,)).positive
+        assert client.write_data_by_identifier(0x0111, "a text that takes some frames.").positive
+        assert ecu.call(lambda: (twin.take("limit"), twin.take("name"))) == (
+            1000.0,
+            "a text that takes some frames.",
+        )
+
+        codes = {
+            one.id: one.status.get_byte_as_int()
+            for one in client.get_dtc_by_status_mask(0xFF).service_data.dtcs
+        }
+        assert codes == {0x030100: 0b1101, 0x042000: 0b0100}
+        assert client.get_number_of_dtc_by_status_mask(0x08).service_data.dtc_count == 1
+        assert refused(client.get_dtc_fault_counter) == "SubFunctionNotSupported"
+        assert client.clear_dtc().positive
+        assert client.get_supported_dtc().service_data.dtc_count == 0
+
+        assert refused(client.get_routine_result, 0x0201) == "RequestSequenceError"
+        assert client.start_routine(0x0201, b"\xa5").service_data.routine_id_echo == 0x0201
+        assert client.stop_routine(0x0201).positive
+        assert refused(client.start_routine, 0x0202) == "RequestOutOfRange"
+
+        data = bytes(range(256)) * 5
+        client.change_session(2)
+        client.unlock_security_access(1)
+        place = udsoncan.MemoryLocation(0x200, len(data), address_format=16, memorysize_format=16)
+        size = client.request_download(place).service_data.max_length - 2
+        assert refused(client.transfer_data, 2, b"1") == "WrongBlockSequenceCounter"
+        for number, at in enumerate(range(0, len(data), size), 1):
+            client.transfer_data(number, data[at : at + size])
+        assert client.request_transfer_exit().positive
+        assert ecu.call(lambda: bytes(twin.memory[0x200 : 0x200 + len(data)])) == data
+
+        with client.suppress_positive_response():
+            client.tester_present()
+        assert ecu.call(lambda: twin.session) == "programming"
+        assert client.ecu_reset(1).positive
+        scanner = uds.scanner()
+        names = [
+            type(one).__name__
+            for one in scanner.feed([Frame(m.arbitration_id, bytes(m.data)) for m in ecu.frames()])
+        ]
+    assert (names[:2], names[-2:]) == (["ReadData", "Data"], ["Reset", "ResetBegins"])
+    assert scanner.counts.decoded + scanner.counts.control == scanner.counts.total
+
+
+def test_udsoncan_has_patience_with_our_twin() -> None:
+    """A twin that asks for patience is waited for; the value comes."""
+    with a_tester() as (client, twin, ecu):
+        heard: list[Any] = []
+        client.set_config("nrc78_callback", lambda: heard.append(1))
+        ecu.call(lambda: twin.fault("pending", 0.2))
+        assert client.read_data_by_identifier(0xF190).service_data.values[0xF190] == twin.ecu.vin
+        assert len(heard) == 1
+
+
+def test_a_wrong_key_is_udsoncans_too() -> None:
+    """The client is told so by name, and after the third one that it has to wait."""
+    with a_tester(lambda level, seed, params: bytes(4)) as (client, _, _):
+        client.change_session(3)
+        assert refused(client.unlock_security_access, 1) == "InvalidKey"
+        assert refused(client.unlock_security_access, 1) == "InvalidKey"
+        assert refused(client.unlock_security_access, 1) == "ExceedNumberOfAttempts"
+        assert refused(client.unlock_security_access, 1) == "RequiredTimeDelayNotExpired"

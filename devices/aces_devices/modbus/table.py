@@ -1,35 +1,21 @@
 """A device's registers as a table, from a robot's file or a TOML file of its own, and what its numbers mean.
 
-1. A table says everything: nothing is guessed of a type, an order, a scale or whether something may be written.
-2. A value is raw × `scale` + `offset`, in `unit`; what is sent is rounded to the nearest, and never cut off: it fits, or is
-   refused.
+A register has 16 bits, a number as many registers as it takes; the rest is as `aces_devices.tables` says.
 """
 
 from __future__ import annotations
 
 import struct
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
 
-from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.errors import CallerError
+from aces_devices.tables import NUMBERS, data_of, entries_of, value_of
 
-#: Types → how struct writes them with the high byte first.
-NUMBERS = {
-    "u16": "H",
-    "s16": "h",
-    "u32": "I",
-    "s32": "i",
-    "u64": "Q",
-    "s64": "q",
-    "float": "f",
-    "double": "d",
-}
 #: The four tables of a device → the function that reads them.
 READERS = {"coil": 1, "input_bit": 2, "holding": 3, "input": 4}
 #: What one request reads at most.
@@ -73,8 +59,8 @@ class ModbusRegister:
             raise CallerError(f"register {name}: what is in the table {entry.table!r} can only be read")
         if not entry.scale:
             raise CallerError(f"register {name}: a scale of 0 leaves no value")
-        self.code = NUMBERS.get(entry.type, "")
-        self.size = struct.calcsize(f">{self.code}") // 2 if self.code else 1 if self.is_bit else entry.count
+        code = NUMBERS.get(entry.type, "")
+        self.size = struct.calcsize(f">{code}") // 2 if code else 1 if self.is_bit else entry.count
         if entry.address + self.size > 0x10000:
             raise CallerError(
                 f"register {name}: {self.size} registers from {entry.address} on end beyond 65,535"
@@ -86,11 +72,7 @@ class ModbusRegister:
         if self.is_bit:
             return bool(raw[0])
         data = struct.pack(f">{len(raw)}H", *self._ordered(raw))
-        if not self.code:
-            return data.decode("latin-1").rstrip("\0 ")
-        (number,) = struct.unpack(f">{self.code}", data)
-        entry = self.entry
-        return number if entry.scale == 1 and entry.offset == 0 else number * entry.scale + entry.offset
+        return value_of(data, self.entry.type, self.entry.scale, self.entry.offset)
 
     def raw(self, value: Any) -> tuple[int, ...]:
         """The registers of a value. Raises `CallerError` for one that does not fit."""
@@ -99,18 +81,8 @@ class ModbusRegister:
             if value not in (0, 1):
                 raise CallerError(f"register {self.name}: a bit is true or false, not {value!r}")
             return (int(value),)
-        try:
-            if not self.code:
-                data = str(value).encode("latin-1").ljust(2 * self.size, b"\0")
-                if len(data) > 2 * self.size:
-                    raise struct.error
-            else:
-                number = (value - entry.offset) / entry.scale
-                data = struct.pack(f">{self.code}", number if self.code in "fd" else round(number))
-        except (struct.error, OverflowError, ValueError, TypeError):
-            raise CallerError(
-                f"register {self.name}: {value!r} {entry.unit} does not fit into {entry.type}"
-            ) from None
+        what = f"register {self.name}"
+        data = data_of(what, value, entry.type, 2 * self.size, entry.scale, entry.offset, entry.unit)
         return self._ordered(struct.unpack(f">{self.size}H", data))
 
     def _ordered(self, raw: Sequence[int]) -> tuple[int, ...]:
@@ -126,7 +98,7 @@ def registers_of(who: str, table: str | None, own: Mapping[str, Any]) -> dict[st
 
     Raises `CallerError` naming the register and what is wrong.
     """
-    entries: dict[str, Any] = {**(_read_table(who, table) if table else {}), **own}
+    entries = entries_of(who, "registers", table, own, files("aces_devices.modbus") / "tables")
     found: dict[str, ModbusRegister] = {}
     for name, entry in entries.items():
         try:
@@ -134,30 +106,6 @@ def registers_of(who: str, table: str | None, own: Mapping[str, Any]) -> dict[st
         except (msgspec.ValidationError, CallerError) as error:
             text = str(error).removeprefix(f"register {name}: ")
             raise CallerError(f"{who}: register {name}: {text}") from None
-    return found
-
-
-def _read_table(who: str, table: str) -> Mapping[str, Any]:
-    folder = files("aces_devices.modbus") / "tables"
-    try:
-        if table.endswith(".toml"):
-            read = tomllib.loads(Path(table).read_text(encoding="utf-8"))
-        else:
-            shipped = {
-                item.name.removesuffix(".toml"): item
-                for item in folder.iterdir()
-                if item.name.endswith(".toml")
-            }
-            if table not in shipped:
-                raise UnknownNameError(
-                    f"table of registers ({who}; a file of your own ends in .toml)", table, shipped
-                )
-            read = tomllib.loads(shipped[table].read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise CallerError(f"{who}: the table {table} cannot be read: {error}") from None
-    found = read.get("registers")
-    if not isinstance(found, dict):
-        raise CallerError(f"{who}: {table} has no [registers]")
     return found
 
 

@@ -59,6 +59,7 @@ class Obd2(Device):
     """Signals: the values in SI units (shares 0 to 1), and codes and lamp of the monitor status."""
 
     protocol = "obd2"
+    one_at_a_time = True
     actions: ClassVar = {
         "vin": "ask for the vehicle's number",
         "supported": "ask which values it has",

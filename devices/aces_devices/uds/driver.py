@@ -1,0 +1,612 @@
+"""An ECU by UDS: values by identifier and trouble codes as signals; sessions, writing and routines only when asked for.
+
+1. An ECU takes one request at a time, and so does its bus here. An answer counts for what it names: a late one
+   passes for no other.
+2. `response_pending` is patience: what was asked for may be answered for so long as the session says.
+3. Nothing is written, reset or started of its own accord. What changes an ECU is sent once: without an answer
+   it is not known whether it was carried out.
+4. A stop ends what was started and goes back to the default session, before all that waits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Annotated, Any, ClassVar
+
+import msgspec
+from msgspec import Meta
+
+from aces_bus.device import Device, Driver, Host, Job, Poll, Signal, Steps
+from aces_bus.device.config import DeviceConfig
+from aces_bus.device.settings import described, settings_of
+from aces_bus.device.ticket import together
+from aces_bus.errors import AcesError, CallerError, DeviceError, UnknownNameError
+from aces_protocols.uds.spec import SERVICE_OF, SESSIONS
+
+from .table import UdsValue, identifiers_of
+from .twin import UdsTwin
+
+#: How often values and codes are asked for (s).
+EVERY_S, CODES_EVERY_S = 0.5, 2.0
+#: How long an answer may take (s): it begins within 50 ms (P2), and has several frames.
+TIMEOUT_S = 0.15
+#: How long after `response_pending` (s), until a session says otherwise: P2* of ISO 14229-2.
+PATIENCE_S = 5.0
+#: A session ends after 5 s without a request (ISO 14229-2); it is kept so often (ns).
+KEEP_NS = 2_000_000_000
+#: One that is busy is asked again, so often and after (ns); it has not done what was asked.
+BUSY_TRIES, BUSY_NS = 5, 50_000_000
+#: So many identifiers fit into a request of one frame.
+AT_ONCE = 3
+#: Of the bytes of a transfer's request these are no data.
+TRANSFER_HEAD = 2
+NO_SESSION = ("service_not_in_this_session", "subfunction_not_in_this_session")
+
+
+class UdsSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """The driver's own keys in a robot file."""
+
+    identifiers: Annotated[
+        dict[str, Any],
+        Meta(description="a table of values: name = { identifier, type, access, unit, scale, offset, … }"),
+    ] = {}
+    table: Annotated[str, Meta(description="the path of a TOML file with [identifiers]")] | None = None
+    every_s: Annotated[
+        float, Meta(gt=0, description=f"how often values are read (s), {EVERY_S} when absent")
+    ] = EVERY_S
+    codes_every_s: Annotated[
+        float, Meta(ge=0, description=f"how often trouble codes are read (s), {CODES_EVERY_S}; 0: never")
+    ] = CODES_EVERY_S
+    at_once: Annotated[
+        int, Meta(ge=1, le=AT_ONCE, description="how many identifiers one request has, 1 when absent")
+    ] = 1
+    timeout_s: Annotated[
+        float, Meta(gt=0, description=f"how long an answer may take (s), {TIMEOUT_S} when absent")
+    ] = TIMEOUT_S
+    session: Annotated[
+        str, Meta(description="the session in which it takes what is written, extended when absent")
+    ] = "extended"
+    level: Annotated[
+        int, Meta(ge=0, le=0x7D, description="the level, an odd number, that enable unlocks; 0: none")
+    ] = 0
+    routines: Annotated[
+        dict[str, int], Meta(description="names of routines and their numbers: { erase = 0xFF00 }")
+    ] = {}
+
+
+class Uds(Device):
+    """Signals: one a value of the table; `codes` and `trouble` of what is confirmed; `session`.
+
+    `key_of(level, seed)` makes the key of a seed, which each maker keeps secret: set it, or declare it in a subclass.
+    """
+
+    protocol = "uds"
+    one_at_a_time = True
+    actions: ClassVar = {
+        "read": "ask for one value: its name",
+        "read_codes": "ask for trouble codes: status=pending, confirmed (default), failed …, or all",
+        "enable": "begin the session of the settings and unlock the level of the settings, to write",
+        "disable": "go back to the default session",
+        "write": "write one value: name and value",
+        "clear_codes": "clear all trouble codes",
+        "reset": "have it boot: kind=hard (default), soft or key_off_on",
+        "start_routine": "start a routine: its name, and its data in hexadecimal",
+        "stop_routine": "stop a routine: its name, and data in hexadecimal",
+        "routine_results": "ask for the results of a routine: its name",
+    }
+    asking: ClassVar = ("read", "read_codes", "routine_results")
+    key_of: Callable[[int, bytes], bytes] | None = None
+    settings: UdsSettings
+
+    def setup(self) -> None:
+        """A signal for each value, and polls. Raises `CallerError` for a wrong table or setting."""
+        self.settings = given = settings_of(self.name, UdsSettings, self.config.settings)
+        if given.session not in SESSIONS or given.session == "default":
+            others = ", ".join(name for name in SESSIONS if name != "default")
+            raise CallerError(f"{self.name}: the setting session = {given.session!r} is none of {others}")
+        if given.level and given.level % 2 == 0:
+            raise CallerError(
+                f"{self.name}: the setting level = {given.level} is even; seeds are asked for with an odd one"
+            )
+        self.table = identifiers_of(self.name, given.table, given.identifiers)
+        self.by_number = {one.number: one for one in self.table.values()}
+        self.session = "default"
+        self.unlocked = 0
+        self.patience_s = PATIENCE_S
+        #: Whether it may be in a session that is not the default, and the routines, by number, that may run.
+        self.is_engaged = False
+        self.started: set[int] = set()
+        self._keeper: Job | None = None
+        self._value_polls: dict[str, Poll] = {}
+        self._declare_values()
+        answers = ("Data", "Codes")
+        self._session = self.add_signal(
+            "session", read_from=answers, stale_s=1e9, doc="the one begun from here"
+        )
+        self.polls = [*{id(poll): poll for poll in self._value_polls.values()}.values()]
+        if given.codes_every_s:
+            self.polls += [self._codes_poll(given.codes_every_s)]
+
+    def _declare_values(self) -> None:
+        given = self.settings
+        periods: dict[float, list[UdsValue]] = {}
+        for one in self.table.values():
+            every = given.every_s if one.entry.every_s is None else one.entry.every_s
+            is_read = one.entry.access != "write"
+            if is_read:
+                periods.setdefault(every, []).append(one)
+            self.add_signal(
+                one.name,
+                unit=one.entry.unit,
+                setter=None if one.entry.access == "read" else partial(self._set, one.name),
+                lower=one.entry.lower,
+                upper=one.entry.upper,
+                read_from=("Data",) if is_read else (),
+                stale_s=max(0.5, 5 * every) if every else 1e9,
+                doc=one.entry.doc,
+                source=one.entry.source,
+            )
+        for every, mine in periods.items():
+            for at in range(0, len(mine) if every else 0, given.at_once):
+                asked = mine[at : at + given.at_once]
+                numbers = {"identifiers": [one.number for one in asked]}
+                poll = Poll(
+                    "ReadData", ("Data", "Refused"), numbers, every_s=every, timeout_s=given.timeout_s
+                )
+                self._value_polls |= dict.fromkeys((one.name for one in asked), poll)
+
+    def _codes_poll(self, every_s: float) -> Poll:
+        known: dict[str, Any] = {
+            "read_from": ("Codes",), "stale_s": max(0.5, 5 * every_s), "source": "ISO 14229-1",
+        }  # fmt: skip
+        self._codes = self.add_signal("codes", doc="how many trouble codes are confirmed", **known)
+        self._trouble = self.add_signal("trouble", doc='confirmed trouble codes, or "none"', **known)
+        asked = {"status": ["confirmed"]}
+        timeout_s = self.settings.timeout_s
+        return Poll("ReadCodes", ("Codes", "Refused"), asked, every_s=every_s, timeout_s=timeout_s)
+
+    def polls_of(self, name: str) -> list[Poll]:
+        """The poll that reads the signal."""
+        own = name.partition(".")[2]
+        found = self._value_polls.get(own)
+        if found is not None:
+            return [poll for poll in self.polls if poll.fields == found.fields]
+        return (
+            [poll for poll in self.polls if poll.message == "ReadCodes"]
+            if own in ("codes", "trouble")
+            else []
+        )
+
+    def start(self) -> Job | None:
+        """Read what is read once."""
+        once = [
+            name
+            for name, one in self.table.items()
+            if one.entry.access != "write" and name not in self._value_polls
+        ]
+        if not once:
+            return None
+
+        def steps(job: Job) -> Steps:
+            for name in once:
+                yield self.read(name)
+
+        return self.job("read what does not change", steps)
+
+    # ------------------------------------------------------------------ up
+
+    def receive(self, record: Any, instant: int) -> None:
+        """A record of this device: patience, an answer to what was asked, or one that is late and answers nothing."""
+        name = type(record).__name__
+        asked = self.awaiting[0] if self.awaiting else None
+        if name == "Refused" and record.reason == "response_pending":
+            self.last_heard = instant
+            self.host.prolong(self, self.patience_s)
+            return
+        if name == "Refused" and asked is not None and SERVICE_OF[asked.message] != record.service:
+            asked = next((one for one in self.awaiting if SERVICE_OF[one.message] == record.service), None)
+            if asked is None:
+                self._is_late(instant, f"{record.service} was refused: {record.reason}")
+                return
+        if name == "Data" and asked is not None and asked.message == "ReadData":
+            if record.meta.raw[1:3] not in _asked_for(asked.word):
+                self._is_late(instant, f"{record.meta.raw[1:3].hex().upper()}, which nothing asks for now")
+                return
+        if name == "Codes" and asked is not None and asked.poll is not None:
+            confirmed = [str(one.code) for one in record.codes]
+            self._codes.update(len(confirmed), instant)
+            self._trouble.update(", ".join(confirmed) or "none", instant)
+        super().receive(record, instant)
+
+    def _is_late(self, instant: int, what: str) -> None:
+        self.last_heard = instant
+        self.tell_event("late reply", what)
+
+    def heard(self, record: Any, instant: int) -> None:
+        """Values by their identifiers; sessions; refusals."""
+        match type(record).__name__:
+            case "Data":
+                self._take(record.meta.raw[1:], instant)
+            case "Session":
+                self._begun(str(record.session))
+                self._is_over(str(record.session) == "default")
+                self.patience_s = max(record.patience, self.settings.timeout_s)
+            case "ResetBegins":
+                self._begun("default")
+                self._is_over(True)
+            case "Refused":
+                self.tell_event("alarm", f"refuses {record.service}: {record.reason}")
+                if record.reason in NO_SESSION and self.session != "default":
+                    self._begun("default")
+                    self.rebooted("the session is over")
+            case _:
+                pass
+        self._session.update(self.session, instant)
+
+    def _take(self, data: bytes, instant: int) -> None:
+        """Identifiers and values, as far as the table knows them."""
+        while len(data) >= 2:
+            one = self.by_number.get(int.from_bytes(data[:2], "big"))
+            if one is None:
+                return
+            inside, data = data[2 : 2 + one.size], data[2 + one.size :]
+            if len(inside) < one.size or (len(data) == 1):
+                self.tell_event(
+                    "malformed", f"{one.name}: {len(inside) + len(data)} bytes, its type has {one.size}"
+                )
+                return
+            self.signals[f"{self.name}.{one.name}"].update(one.value(inside), instant)
+
+    def _begun(self, session: str) -> None:
+        """It is, or may be, in another session: nothing is unlocked any more. One that is not the default is kept."""
+        self.session, self.unlocked = session, 0
+        self.epoch += 1
+        if session != "default" and (self._keeper is None or self._keeper.is_over):
+            self._keeper = self.job("keep the session", self._keep)
+
+    def _is_over(self, is_over: bool) -> None:
+        """The ECU has said whether there is anything to stop."""
+        self.is_engaged = not is_over
+        if is_over:
+            self.started.clear()
+
+    def _keep(self, job: Job) -> Steps:
+        while self.session != "default" and self.host.is_open:
+            yield KEEP_NS
+            if self.session != "default" and self.host.is_open:
+                try:
+                    yield self.tell("TesterPresent", none=0, suppress=1)
+                except AcesError:
+                    pass  # reported as not sent; the session may be over, and refusals will say so
+
+    def no_reply(self, ticket: Any) -> None:
+        """A device that is silent may have rebooted: it must be enabled anew."""
+        if self.misses >= self.silent_after and self.session != "default":
+            self._begun("default")
+
+    def takes(self, signal: Signal) -> bool | None:
+        """Only when it is enabled."""
+        is_unlocked = self.unlocked == self.settings.level
+        return self.session != "default" and is_unlocked and super().takes(signal)
+
+    # ------------------------------------------------------------------ asking
+
+    def _asked(
+        self,
+        doing: str,
+        message: str,
+        reply: str,
+        *,
+        timeout_s: float | None = None,
+        retries: int = 0,
+        **fields: Any,
+    ) -> Steps:
+        """Steps that ask: the answer. They raise `DeviceError` with the reason when it is refused."""
+        for left in reversed(range(BUSY_TRIES)):
+            answer = yield self.ask(
+                message,
+                reply=(reply, "Refused"),
+                timeout_s=self.settings.timeout_s if timeout_s is None else timeout_s,
+                retries=retries,
+                **fields,
+            )
+            if type(answer).__name__ != "Refused":
+                return answer
+            if answer.reason != "busy" or not left:
+                raise DeviceError(f"{self.name}: {doing}: refused: {answer.reason}")
+            yield BUSY_NS
+
+    def _value(self, name: str) -> UdsValue:
+        if name not in self.table:
+            raise UnknownNameError(f"value of {self.name}", name, self.table)
+        return self.table[name]
+
+    def read(self, name: str) -> Job:
+        """Ask for one value. Fails with `DeviceError` when it is refused, `NoReplyError` without an answer.
+
+        Raises `UnknownNameError`.
+        """
+        one = self._value(name)
+
+        def steps(job: Job) -> Steps:
+            answer = yield from self._asked(
+                f"reading {name}", "ReadData", "Data", retries=1, identifiers=[one.number]
+            )
+            data = answer.meta.raw[3:]
+            if len(data) != one.size:
+                raise DeviceError(f"{self.name}: reading {name}: {len(data)} bytes, its type has {one.size}")
+            return one.value(data)
+
+        return self.job(f"read {name}", steps)
+
+    def read_codes(self, status: str = "confirmed") -> Job:
+        """Trouble codes with one of these bits of status, or "all" that it can report: code → bits of its status."""
+        asks = ("ReadKnownCodes", "KnownCodes") if status == "all" else ("ReadCodes", "Codes")
+        fields: dict[str, Any] = {} if status == "all" else {"status": status.replace(",", " ").split()}
+
+        def steps(job: Job) -> Steps:
+            answer = yield from self._asked("reading codes", *asks, retries=1, **fields)
+            return {str(one.code): list(one.status) for one in answer.codes}
+
+        return self.job("read codes", steps)
+
+    # ------------------------------------------------------------------ what changes it
+
+    def change_session(self, session: str) -> Job:
+        """Begin a session by its name. Fails with `DeviceError`, `NoReplyError`."""
+
+        def steps(job: Job) -> Steps:
+            if session != "default":
+                self.is_engaged = True  # before it answers
+            yield from self._asked(f"session {session}", "ChangeSession", "Session", session=session)
+
+        return self.job(f"session {session}", steps)
+
+    def unlock(self, level: int) -> Job:
+        """Ask for a seed with an odd `level`, and send its key. Raises `CallerError` without `key_of`."""
+        if self.key_of is None:
+            raise CallerError(
+                f"{self.name}: level {level} needs key_of(level, seed), which makes the key of a seed: set it, or declare"
+                " it in a subclass of Uds"
+            )
+        make = self.key_of
+
+        def steps(job: Job) -> Steps:
+            doing = f"unlocking level {level}"
+            seed = yield from self._asked(doing, "AccessSecurity", "Security", step=level, data=b"")
+            if any(seed.data):  # zeros: it is unlocked
+                key = make(level, seed.data)
+                yield from self._asked(doing, "AccessSecurity", "Security", step=level + 1, data=key)
+            self.unlocked = level
+
+        return self.job(f"unlock level {level}", steps)
+
+    def enable(self) -> Job:
+        """Begin the session of the settings, and unlock the level of the settings: what is set is written from now on."""
+
+        def steps(job: Job) -> Steps:
+            self.session = "default"  # anew in any case
+            yield from self._ready()
+
+        return self.job("enable", steps)
+
+    def _ready(self) -> Steps:
+        """Be in a session, with the level unlocked, as what changes an ECU needs."""
+        if self.session == "default":
+            yield self.change_session(self.settings.session)
+        if self.unlocked != self.settings.level:
+            yield self.unlock(self.settings.level)
+
+    def disable(self) -> Job:
+        """Go back to the default session."""
+        return self.change_session("default")
+
+    def write(self, name: str, value: Any) -> Job:
+        """Write one value, in a session that is begun where there is none; over when the ECU has confirmed it.
+
+        Fails with `DeviceError`, `NoReplyError`. Raises `UnknownNameError`, and `CallerError` for one that does not fit, or
+        can only be read.
+        """
+        one = self._value(name)
+        if one.entry.access == "read":
+            raise CallerError(f"{self.name}: {name} can only be read")
+        data = one.data(value)
+
+        def steps(job: Job) -> Steps:
+            doing = f"writing {name} = {value!r}"
+            yield from self._ready()
+            yield from self._asked(doing, "WriteData", "DataWritten", identifier=one.number, data=data)
+
+        return self.job(f"write {name}", steps)
+
+    def _set(self, name: str, value: Any) -> None:
+        """A set-point: written now."""
+        if self.host.passive or not self.takes(self[name]):
+            why = "this bus is only listened to" if self.host.passive else f"{self.name} is not enabled"
+            self.tell_event("not sent", f"{name}: {why}")
+            return
+        self.is_driven = True
+
+        def over(job: Job) -> None:
+            if job.error is not None:
+                self.tell_event("not sent", str(job.error))
+
+        self.write(name, value).then(over)
+
+    def clear_codes(self) -> Job:
+        """Clear all trouble codes."""
+
+        def steps(job: Job) -> Steps:
+            yield from self._asked(
+                "clearing codes", "ClearCodes", "CodesCleared", timeout_s=self.patience_s, group=0xFFFFFF
+            )
+
+        return self.job("clear codes", steps)
+
+    def reset(self, kind: str = "hard") -> Job:
+        """Have it boot; over when it says that it begins."""
+
+        def steps(job: Job) -> Steps:
+            yield from self._asked(f"{kind} reset", "Reset", "ResetBegins", kind=kind)
+            self.rebooted(f"{kind} reset")
+
+        return self.job(f"{kind} reset", steps)
+
+    def _routine(self, action: str, name: str, data: bytes | str) -> Job:
+        if name not in self.settings.routines:
+            raise UnknownNameError(f"routine of {self.name}", name, self.settings.routines)
+        number = self.settings.routines[name]
+        given = bytes.fromhex(data) if isinstance(data, str) else data
+
+        def steps(job: Job) -> Steps:
+            if action == "start":
+                yield from self._ready()
+                self.is_driven = True
+                self.is_engaged = True
+                self.started.add(number)  # before it answers: a stop ends it in any case
+            answer = yield from self._asked(
+                f"{action} {name}", "ControlRoutine", "Routine", action=action, routine=number, data=given
+            )
+            if action == "stop":
+                self.started.discard(number)
+            return answer.data
+
+        return self.job(f"{action} {name}", steps)
+
+    def start_routine(self, name: str, data: bytes | str = b"") -> Job:
+        """Start a routine, in a session that is begun where there is none: the bytes of its answer.
+
+        Raises `UnknownNameError`.
+        """
+        return self._routine("start", name, data)
+
+    def stop_routine(self, name: str, data: bytes | str = b"") -> Job:
+        """Stop a routine; the bytes of its answer. Raises `UnknownNameError`."""
+        return self._routine("stop", name, data)
+
+    def routine_results(self, name: str) -> Job:
+        """The bytes of a routine's results. Raises `UnknownNameError`."""
+        return self._routine("results", name, b"")
+
+    def download(self, address: int, data: bytes, method: int = 0) -> Job:
+        """Write `data` into its memory from `address` on; `method` is compression and encryption, 0 for neither.
+
+        Fails with `DeviceError`, `NoReplyError`; `progress` is the share that has arrived.
+        """
+
+        def steps(job: Job) -> Steps:
+            doing = f"downloading {len(data)} bytes to {address:#x}"
+            asked = partial(self._asked, doing, timeout_s=self.patience_s)
+            begun = yield from asked(
+                "BeginDownload", "DownloadBegins", method=method, widths=0x44, address=address, size=len(data)
+            )
+            size = begun.longest - TRANSFER_HEAD
+            if size < 1:
+                raise DeviceError(
+                    f"{self.name}: {doing}: its longest request has {begun.longest} bytes, and no room for data"
+                )
+            for number, at in enumerate(range(0, len(data), size), 1):
+                piece = data[at : at + size]
+                arrived = yield from asked(
+                    "TransferData", "DataTransferred", number=number & 0xFF, data=piece
+                )
+                if arrived.number != number & 0xFF:
+                    raise DeviceError(
+                        f"{self.name}: {doing}: piece {number & 0xFF} was sent, and {arrived.number} confirmed"
+                    )
+                job.progress = at / len(data)
+            yield from asked("EndTransfer", "TransferEnded", data=b"")
+
+        return self.job("download", steps)
+
+    # ------------------------------------------------------------------ stopping
+
+    def stop_motion(self) -> Job | None:
+        """Stop what was started and go back to the default session, before all that waits; nothing where that is so."""
+        if not self.is_engaged:
+            return None
+        timeout_s = self.settings.timeout_s
+        tickets: list[Any] = [
+            self.tell_now(
+                "ControlRoutine",
+                reply="Routine",
+                timeout_s=timeout_s,
+                action="stop",
+                routine=number,
+                data=b"",
+            )
+            for number in sorted(self.started)
+        ]
+        tickets.append(
+            self.tell_now("ChangeSession", reply="Session", timeout_s=timeout_s, session="default")
+        )
+        return together(self.clock, f"{self.name} stop", tickets)
+
+
+def _asked_for(word: Any) -> Iterable[bytes]:
+    """The identifiers that a request of one frame asks for."""
+    data: bytes = (word[0] if isinstance(word, tuple) else word).data
+    body = data[2 : 1 + (data[0] & 0x0F)]
+    return [body[at : at + 2] for at in range(0, len(body), 2)]
+
+
+def _scan(host: Host, job: Job) -> Steps:
+    """Ask each of the eight ECUs whether it is there, which changes nothing."""
+    found: list[DeviceConfig] = []
+    for ecu in range(8):
+        job.progress, job.text = ecu / 8, f"ECU {ecu}, {len(found)} found"
+        who = {"ecu": ecu}
+        answers = ("TesterSeen", "Refused")
+        there = yield from host.answers(
+            "uds", who, "TesterPresent", reply=answers, timeout_s=TIMEOUT_S, retries=0, none=0, suppress=0
+        )
+        if there is not None:
+            found.append(DeviceConfig(name=f"ECU{ecu}", driver="uds", bus=host.name, credentials=who))
+    return found
+
+
+EXAMPLE = """
+name = "uds"
+rate_hz = 20
+
+[buses]
+can = { link = "can", protocol = "uds", bitrate = 500_000 }
+
+[devices.ENGINE]
+driver = "uds"
+bus = "can"
+credentials = { ecu = 0 }
+
+[devices.ENGINE.settings.identifiers]
+vin = { identifier = 0xF190, type = "text", count = 17, every_s = 0 }
+limit = { identifier = 0x0110, type = "u16", access = "read-write", unit = "rpm", scale = 0.25, lower = 0, upper = 8000 }
+oil_pressure = { identifier = 0x0204, type = "s16", unit = "bar", scale = 0.01 }
+mode = { identifier = 0x0301, type = "u8", access = "read-write", names = { eco = 0, sport = 1 } }
+
+[devices.GEARBOX]
+driver = "uds"
+bus = "can"
+credentials = { ecu = 1 }
+
+[devices.GEARBOX.settings]
+at_once = 2
+every_s = 0.2
+routines = { learn = 0x0201 }
+
+[devices.GEARBOX.settings.identifiers]
+gear = { identifier = 0x1000, type = "u8" }
+oil_temperature = { identifier = 0x1001, type = "u8", unit = "°C", offset = -40 }
+clutch = { identifier = 0x1002, type = "float", unit = "N·m", order = "low first" }
+"""
+
+driver = Driver(
+    "uds",
+    device=Uds,
+    twin=UdsTwin,
+    example=EXAMPLE,
+    doc="An ECU by UDS: values by identifier from a table, trouble codes, sessions, seed and key, routines, downloads.",
+    source="ISO 14229-1; ISO 14229-2; ISO 15765-4",
+    scan=_scan,
+    settings=described(UdsSettings),
+)
