@@ -212,8 +212,11 @@ class LiveDecoding(Decoding):
         #: End after so many lines, and how many were shown.
         self.count: int | None = arguments.count
         self.printed = 0
-        self.output = Output(arguments.output, self.files)
+        self.output = self._output(arguments)
         self.writer = self._writer(arguments)
+
+    def _output(self, arguments: argparse.Namespace) -> Output:
+        return Output(arguments.output, self.files)
 
     def _writer(self, arguments: argparse.Namespace) -> Writer:
         form = line_format(arguments.output, arguments.format)

@@ -60,6 +60,8 @@ class FormatOut:
     needs_seek: bool = False
     #: People can read it on a terminal.
     is_text: bool = False
+    #: It reads back while it grows, whenever its writer has settled: it needs no end.
+    grows: bool = False
 
 
 #: All formats by name.
@@ -67,15 +69,26 @@ FORMATS: Mapping[str, FormatOut] = {
     form.name: form
     for form in (
         FormatOut(
-            "candump", (".log", ".candump"), "candump -L", "can", ".candump", "CandumpWriter", is_text=True
+            "candump",
+            (".log", ".candump"),
+            "candump -L",
+            "can",
+            ".candump",
+            "CandumpWriter",
+            is_text=True,
+            grows=True,
         ),
-        FormatOut("asc", (".asc",), "Vector ASC", "can", ".asc", "AscWriter", is_text=True),
-        FormatOut("blf", (".blf",), "Vector BLF", "can", ".blf", "BlfWriter", needs_seek=True),
-        FormatOut("trc", (".trc",), "PEAK TRC 2.1", "can", ".trc", "TrcWriter", is_text=True),
+        FormatOut("asc", (".asc",), "Vector ASC", "can", ".asc", "AscWriter", is_text=True, grows=True),
+        FormatOut("blf", (".blf",), "Vector BLF", "can", ".blf", "BlfWriter", needs_seek=True, grows=True),
+        FormatOut("trc", (".trc",), "PEAK TRC 2.1", "can", ".trc", "TrcWriter", is_text=True, grows=True),
         FormatOut("mf4", (".mf4",), "ASAM MDF 4", "can", ".mf4", "Mf4Writer", needs_seek=True),
-        FormatOut("pcapng", (".pcapng",), "pcapng of SocketCAN", "can", ".pcapng", "PcapngWriter"),
-        FormatOut("slog", (".slog",), "serial log of aces-bus", "serial", ".serial", "SerialLogWriter"),
-        FormatOut("raw", (".bin", ".raw"), "raw serial bytes", "serial", ".serial", "RawWriter"),
+        FormatOut(
+            "pcapng", (".pcapng",), "pcapng of SocketCAN", "can", ".pcapng", "PcapngWriter", grows=True
+        ),
+        FormatOut(
+            "slog", (".slog",), "serial log of aces-bus", "serial", ".serial", "SerialLogWriter", grows=True
+        ),
+        FormatOut("raw", (".bin", ".raw"), "raw serial bytes", "serial", ".serial", "RawWriter", grows=True),
         FormatOut(
             "dxconf",
             (".dxconf.txt", ".txt"),

@@ -50,6 +50,12 @@ class RecordingWriter:
         if count:
             self._lost[kind] = self._lost.get(kind, 0) + int(count)
 
+    def settle(self) -> None:
+        """Bring the file into a state that reads back as it is, with all that was given, though more may follow.
+
+        Only formats that need no end can do so: `FormatOut.grows`.
+        """
+
     def close(self) -> None:
         """Write what was kept back."""
 
