@@ -147,9 +147,7 @@ class SqliteExport(Buffered):
         super()._finish()
         self._base.execute("COMMIT")
         if self.options.live:
-            self._base.execute("PRAGMA busy_timeout = 0")
-            with suppress(sqlite3.OperationalError):  # who still reads it keeps the second file for as long
-                self._base.execute("PRAGMA journal_mode = DELETE").fetchall()
+            _leave_wal(self._base)
         self._base.close()
 
     def _drop(self) -> None:
@@ -193,9 +191,16 @@ class JournaledDatabase:
     def close(self) -> None:
         """Put everything into one file."""
         try:
-            self._database.execute("PRAGMA journal_mode = DELETE").fetchall()
+            _leave_wal(self._database)
         finally:
             self._database.close()
+
+
+def _leave_wal(database: sqlite3.Connection) -> None:
+    """Put everything into one file; who still reads it keeps the second one for as long."""
+    database.execute("PRAGMA busy_timeout = 0")
+    with suppress(sqlite3.OperationalError):
+        database.execute("PRAGMA journal_mode = DELETE").fetchall()
 
 
 def _table(dataset: Dataset) -> str:

@@ -12,7 +12,9 @@ closed; after a kill the log is what there is. Decoded tables are a live export 
 from __future__ import annotations
 
 import glob
+import io
 import os
+import sqlite3
 import time
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -22,12 +24,15 @@ import numpy as np
 
 from aces_bus.errors import AcesError, CallerError
 from aces_bus.export import open_export
-from aces_bus.export.files import AppendFile, telling
+from aces_bus.export.files import AppendFile, size_on_disk, telling
+from aces_bus.export.sqlite import JournaledDatabase
+from aces_bus.frame_table import FrameTable
 from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.scanner import RecordColumns
 from aces_bus.recordings import CanRecording, open_recording
 from aces_bus.recordings.base import Link
 from aces_bus.recordings.write import FORMATS, open_writer, writer_format
+from aces_bus.recordings.write.canlog import CREATE, INSERT, CanlogSqliteWriter
 
 from .console import say
 from .rotation import Rotation, numbered
@@ -125,6 +130,43 @@ class PendingFile:
         self._file.close()
 
 
+class DatabaseFile:
+    """Frames in python-can's table of SQLite, whose write-ahead log survives a kill; as `PendingFile` and its writer."""
+
+    def __init__(self, path: str) -> None:
+        self._base = JournaledDatabase(path)
+        self._writer = CanlogSqliteWriter(io.BytesIO(), path)
+        self._rows: list[Any] = []
+        with self._base.transaction() as database:
+            database.execute(CREATE)
+        self._path = path
+
+    @property
+    def lossy(self) -> dict[str, int]:
+        return self._writer.lossy
+
+    @property
+    def size(self) -> int:
+        return size_on_disk(self._path)
+
+    def write(self, table: FrameTable) -> None:
+        self._rows += self._writer.rows(table)
+
+    def settle(self) -> None:
+        """Rows need nothing."""
+
+    def commit(self) -> None:
+        rows, self._rows = self._rows, []
+        with self._base.transaction() as database:
+            database.executemany(INSERT, rows)
+
+    def sync(self) -> None:
+        self._base.sync()
+
+    def close(self) -> None:
+        self._base.close()
+
+
 class LiveRecording:
     """A recording of frame tables, or of chunks of a serial line. `option` is what messages call the option with its path.
 
@@ -137,7 +179,7 @@ class LiveRecording:
         kept, suffix = KEPT[link]
         has_suffix = bool(os.path.splitext(os.path.basename(path))[1])
         form = FORMATS[self._format(path)] if has_suffix else FORMATS[kept]
-        is_direct = form.grows and not path.lower().endswith(PACKED)
+        is_direct = (form.grows or form.name == "sqlite") and not path.lower().endswith(PACKED)
         #: What is written now, and what it becomes at the end.
         self.journal = path if is_direct else path + suffix
         self.final = None if is_direct else form.name
@@ -145,13 +187,21 @@ class LiveRecording:
         self.is_independent = self._kind.name in INDEPENDENT
         self._check()
         try:
-            self._file = PendingFile(self.journal)
-            kind = getattr(import_module(self._kind.module, "aces_bus.recordings.write"), self._kind.writer)
-            self._writer: Any = kind(self._file, self.journal)
-            self._file.commit()
-        except (OSError, ValueError) as error:
+            self._open()
+        except (OSError, ValueError, sqlite3.Error) as error:
             said = error.strerror if isinstance(error, OSError) else None
             raise CallerError(f"{option} {path}: cannot be written: {said or error}") from error
+
+    def _open(self) -> None:
+        self._file: Any
+        self._writer: Any
+        if self._kind.name == "sqlite":
+            self._file = self._writer = DatabaseFile(self.journal)
+            return
+        self._file = PendingFile(self.journal)
+        kind = getattr(import_module(self._kind.module, "aces_bus.recordings.write"), self._kind.writer)
+        self._writer = kind(self._file, self.journal)
+        self._file.commit()
 
     def _format(self, path: str) -> str:
         form = writer_format(path, self.link)
@@ -179,7 +229,7 @@ class LiveRecording:
     @property
     def size(self) -> int:
         """Bytes so far."""
-        return self._file.size
+        return int(self._file.size)
 
     def write(self, item: Any) -> None:
         """Take a table, or a chunk."""
@@ -207,7 +257,8 @@ class LiveRecording:
     def close(self) -> None:
         """Finish the file. Raises `CallerError` when that fails, and says where the recording is."""
         try:
-            self._writer.close()
+            if self._writer is not self._file:
+                self._writer.close()
             self._file.commit()
         finally:
             self._file.close()

@@ -86,6 +86,34 @@ FORMATS: Mapping[str, FormatOut] = {
             "pcapng", (".pcapng",), "pcapng of SocketCAN", "can", ".pcapng", "PcapngWriter", grows=True
         ),
         FormatOut(
+            "csv",
+            (".csv",),
+            "python-can's CSV",
+            "can",
+            ".canlog",
+            "CanlogCsvWriter",
+            is_text=True,
+            grows=True,
+        ),
+        FormatOut(
+            "sqlite",
+            (".sqlite", ".sqlite3", ".db"),
+            "python-can's SQLite",
+            "can",
+            ".canlog",
+            "CanlogSqliteWriter",
+        ),
+        FormatOut(
+            "gvret",
+            (".gvret.csv", ".gvret", ".csv"),
+            "SavvyCAN's GVRET CSV",
+            "can",
+            ".gvret",
+            "GvretWriter",
+            is_text=True,
+            grows=True,
+        ),
+        FormatOut(
             "slog", (".slog",), "serial log of aces-bus", "serial", ".serial", "SerialLogWriter", grows=True
         ),
         FormatOut("raw", (".bin", ".raw"), "raw serial bytes", "serial", ".serial", "RawWriter", grows=True),
@@ -104,7 +132,7 @@ _PACKED = {".gz": "gzip", ".zst": "zstd"}
 
 
 def writer_format(path: str, link: Link | None = None) -> FormatOut:
-    """The format that a path's suffix means, `.gz` and `.zst` left out of account.
+    """The format that a path's longest known suffix means, `.gz` and `.zst` left out of account.
 
     Raises `CallerError`, with the suffixes that there are, when it means none.
 
@@ -114,9 +142,11 @@ def writer_format(path: str, link: Link | None = None) -> FormatOut:
     name = os.path.basename(path).lower()
     for packed in _PACKED:
         name = name.removesuffix(packed)
-    for form in FORMATS.values():
-        if name.endswith(form.suffixes):
-            return form
+    fits = [
+        (len(suffix), form) for form in FORMATS.values() for suffix in form.suffixes if name.endswith(suffix)
+    ]
+    if fits:  # of equal suffixes the first, and .gvret.csv before .csv
+        return max(fits, key=lambda fit: fit[0])[1]
     known = " ".join(f.suffixes[0] for f in FORMATS.values() if link in (None, f.link))
     raise CallerError(f"{path}: the suffix names no format; there are {known}, each also with .gz or .zst")
 
