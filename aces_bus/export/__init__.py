@@ -21,5 +21,6 @@ from ..protocol.columns.arrow import to_polars as to_polars
 from .base import Export as Export
 from .open import export_format as export_format
 from .open import open_export as open_export
+from .parquet_parts import recover_parts as recover_parts
 
-__all__ = ["Export", "export_format", "open_export", "to_arrow", "to_pandas", "to_polars"]
+__all__ = ["Export", "export_format", "open_export", "recover_parts", "to_arrow", "to_pandas", "to_polars"]

@@ -3,6 +3,7 @@
 1. `write` keeps copies of values and no table. All pieces that wait together are at most about `BUDGET` bytes.
 2. A message's schema is the same in every piece; see `aces_bus.protocol.columns.layout`.
 3. `close` puts the export in its place; leaving the `with` block by an exception, or `abandon`, leaves nothing behind.
+   One that is live grows in its place, and what was committed stays there.
 4. No two datasets have names that differ in case alone: file systems and SQLite may not tell them apart. A name is a file
    name on every system: letters, digits, `_`, `-` and dots, not too long.
 
@@ -34,7 +35,7 @@ from ..protocol.columns.layout import (
 )
 from ..protocol.columns.table import MessageTable
 from ..protocol.declare.protocol import Variant
-from .files import Staging, telling
+from .files import InPlace, Staging, size_on_disk, telling
 
 #: Rows of one message that are written at once: row groups of Parquet are read one at a time.
 ROWS = 131_072
@@ -89,12 +90,13 @@ def safe_name(name: str) -> str:
 class Options:
     """How values are written. `names`: enumerations as texts instead of numbers. `float32`: physical values in half the
     size. `only`: one message, which is then written as a file and not as a folder. `sources`: a column `source` tells
-    the captures apart."""
+    the captures apart. `live`: it grows in its place, from `commit` to `commit`."""
 
     names: bool = False
     float32: bool = False
     only: str | None = None
     sources: bool = False
+    live: bool = False
 
 
 @dataclass
@@ -139,11 +141,15 @@ class Export(ABC):
         self._is_closed = False
         self.makes_folder = self.is_folder and options.only is None
         suffix = self.suffix
-        self._staging = Staging(
-            path,
-            is_folder=self.makes_folder,
-            is_ours=(lambda name: name.endswith(suffix)) if self.is_folder else None,
-        )
+        self._staging: Staging | InPlace
+        if options.live:
+            self._staging = InPlace(path, is_folder=self.is_folder)
+        else:
+            self._staging = Staging(
+                path,
+                is_folder=self.makes_folder,
+                is_ours=(lambda name: name.endswith(suffix)) if self.is_folder else None,
+            )
 
     def _reserved(self) -> Collection[str]:
         """Names that no dataset may have."""
@@ -221,6 +227,20 @@ class Export(ABC):
         self._begin(made)
         return made
 
+    def commit(self) -> None:
+        """Of a live export: when this returns, the system has all that was written, and a program that is killed loses none
+        of it. Raises `CallerError` when the file cannot be written.
+        """
+        if isinstance(self._staging, InPlace) and not self._is_closed:
+            self._staging.is_kept = True
+            with telling(self.path):
+                self._commit()
+
+    @property
+    def size(self) -> int:
+        """Bytes on the disk so far."""
+        return size_on_disk(self.place)
+
     def close(self) -> None:
         """Write what waits, and put the export in its place. A single message that did not occur is a file without rows.
 
@@ -274,6 +294,10 @@ class Export(ABC):
     def _begin(self, dataset: Dataset) -> None:  # noqa: B027 - a format may have nothing to do
         """A message has occurred for the first time."""
 
+    def _commit(self) -> None:
+        """Hand what waits to the system."""
+        raise CallerError(f"{self.path}: {self.format} has its index at its end, and does not grow")
+
     @abstractmethod
     def _finish(self) -> None:
         """Write what waits, and all that is at a file's end."""
@@ -318,6 +342,10 @@ class Buffered(Export):
                 if self._size <= self.budget // 2:
                     break
                 self._flush(dataset)
+
+    def _commit(self) -> None:
+        for dataset in self._all():
+            self._flush(dataset)
 
     def _flush(self, dataset: Dataset) -> None:
         if not dataset.waiting:

@@ -128,6 +128,46 @@ class Staging:
             _remove(self.temporary)
 
 
+class InPlace:
+    """The path itself, for an export that grows; `discard` takes it away, unless `is_kept`.
+
+    Raises `CallerError` when the path cannot be used: what is there already is never written over.
+    """
+
+    def __init__(self, path: str, *, is_folder: bool) -> None:
+        self.path = self.temporary = os.path.abspath(path)
+        #: Something is in it.
+        self.is_kept = False
+        self._is_done = False
+        with telling(path):
+            try:
+                if is_folder:
+                    os.mkdir(self.path)
+                else:
+                    open(self.path, "xb").close()
+            except FileExistsError:
+                raise CallerError(f"{path}: there is such a file already; choose another name") from None
+
+    def commit(self) -> None:
+        """It has its place."""
+        self._is_done = True
+
+    def discard(self) -> None:
+        """Take it away, as long as nothing is in it."""
+        if not (self._is_done or self.is_kept):
+            self._is_done = True
+            _remove(self.path)
+
+
+def size_on_disk(path: str) -> int:
+    """Bytes of a file and of what stands beside it under its name (`-wal`), or of all files of a folder."""
+    if not os.path.isdir(path):
+        return sum(os.path.getsize(one) for one in (path, f"{path}-wal") if os.path.exists(one))
+    return sum(
+        os.path.getsize(os.path.join(folder, name)) for folder, _, names in os.walk(path) for name in names
+    )
+
+
 def _is_table(entry: os.DirEntry[str]) -> bool:
     """A file, or a folder of the parts that several processes have written."""
     if entry.is_file(follow_symlinks=False):
@@ -176,6 +216,12 @@ class FilePool:
         if found is not None:
             with telling(self._name):
                 found.close()
+
+    def flush(self) -> None:
+        """Hand to the system what was written."""
+        with telling(self._name):
+            for file in self._open.values():
+                file.flush()
 
     def close(self) -> None:
         """Close all files."""

@@ -23,6 +23,12 @@ FORMATS: Mapping[str, tuple[str, str]] = {
     "sqlite": ("sqlite", "SqliteExport"),
     "mcap": ("mcap", "McapExport"),
 }
+#: Those that can be written while they grow, and survive a kill.
+GROWING: Mapping[str, tuple[str, str]] = {
+    "parquet": ("parquet_parts", "ParquetParts"),
+    "sqlite": FORMATS["sqlite"],
+    "mcap": FORMATS["mcap"],
+}
 #: Suffix → format; CSV only where the path ends in a slash: `walk.csv/`.
 SUFFIXES: Mapping[str, str] = {
     ".parquet": "parquet",
@@ -61,6 +67,7 @@ def open_export(
     names: bool = False,
     float32: bool = False,
     sources: bool = False,
+    live: bool = False,
 ) -> Export:
     """An export into a file or folder, which is at `path` when it is closed.
 
@@ -69,6 +76,10 @@ def open_export(
     values are JSON texts), and which names need the protocol in front. `only` is a single message: Parquet, Arrow and
     CSV then write a file instead of a folder. `names` writes enumerations as names, `float32` physical values in half
     the size, `sources` a column with the name of the capture.
+
+    With `live` the export grows at `path`, where nothing may be yet, and each `commit` makes what was written safe from a
+    kill: for what does not end. "parquet" is then a folder of parts for each message (see `parquet_parts`), "sqlite" and
+    "mcap" are files that other programs read meanwhile; the others need their end, and are refused.
 
     Raises `CallerError` when the path cannot be written, the suffix says no format or a library is missing,
     `UnknownNameError` for a format that does not exist.
@@ -83,7 +94,11 @@ def open_export(
         raise UnknownNameError("format", chosen, FORMATS)
     if text == "-":
         raise CallerError(f"{chosen} goes to a file or folder and not to standard output; name one")
-    module, name = FORMATS[chosen]
+    if live and chosen not in GROWING:
+        raise CallerError(
+            f"{text}: {chosen} needs its end, and cannot be written while it grows; there are {', '.join(GROWING)}"
+        )
+    module, name = GROWING[chosen] if live else FORMATS[chosen]
     kind: type[Export] = getattr(import_module(f".{module}", __package__), name)
-    options = Options(names=names, float32=float32, only=only, sources=sources)
+    options = Options(names=names, float32=float32, only=only, sources=sources, live=live)
     return kind(text.rstrip("/" + os.sep) or text, options, variants)

@@ -132,19 +132,25 @@ def close_journal(path: str) -> int:
 
     Raises `CallerError` for what is no journal and `OSError` when the file cannot be written; the journal stays then.
     """
+    return parquet_of_journal(journal_of(path), path)
+
+
+def parquet_of_journal(journal: str, path: str) -> int:
+    """As `close_journal`, of a journal with any name."""
     pa = load_parquet()
-    journal, made = journal_of(path), path + ".part"
+    made = path + ".part"
     rows = 0
     try:
         with opened_journal(journal) as reader:
             schema = reader.schema
-            encodings = dict.fromkeys(schema.names, "BYTE_STREAM_SPLIT")
+            labels = [one.name for one in schema if pa.types.is_dictionary(one.type)]
+            encodings = {one.name: "BYTE_STREAM_SPLIT" for one in schema if pa.types.is_floating(one.type)}
             with pa.parquet.ParquetWriter(
-                made, schema, compression="zstd", use_dictionary=False, column_encoding=encodings
+                made, schema, compression="zstd", use_dictionary=labels or False, column_encoding=encodings
             ) as writer:
                 for batches in _grouped(journal_batches(reader)):
-                    table = pa.Table.from_batches(batches, schema=schema).combine_chunks()
-                    writer.write_table(table, row_group_size=GROUP_ROWS)
+                    table = pa.Table.from_batches(batches, schema=schema).unify_dictionaries()
+                    writer.write_table(table.combine_chunks(), row_group_size=GROUP_ROWS)
                     rows += table.num_rows
         os.replace(made, path)
     except BaseException:

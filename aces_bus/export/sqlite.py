@@ -2,7 +2,7 @@
 
 1. Every foreign name is quoted; no value is ever part of a statement.
 2. An export is written without a journal: it has another name until it is whole. What must survive a kill is written with
-   one: `JournaledDatabase`.
+   one: a live export, `JournaledDatabase`.
 
     time_ns    INTEGER: ns since 1970, or as the recording counts (`_messages.time` says which); NULL unknown.
                `datetime(time_ns / 1000000000, 'unixepoch')` is a date
@@ -52,13 +52,16 @@ class SqliteExport(Buffered):
         self._pending = 0
         self._inserts: dict[str, str] = {}
         self._enumerations: dict[str, dict[str, GrowingDictionary]] = {}
+        #: Rows that `_messages` says of a table.
+        self._stated: dict[str, int] = {}
         try:
             with telling(path):
                 self._base = sqlite3.connect(self.place, isolation_level=None)
-                self._base.executescript(
-                    "PRAGMA journal_mode=OFF; PRAGMA synchronous=OFF; PRAGMA locking_mode=EXCLUSIVE;"
-                    + _TABLES
-                )
+                # In WAL mode a commit waits for no disk, and survives the program.
+                safety = "PRAGMA journal_mode=WAL; PRAGMA synchronous=NORMAL;"
+                if not options.live:
+                    safety = "PRAGMA journal_mode=OFF; PRAGMA synchronous=OFF; PRAGMA locking_mode=EXCLUSIVE;"
+                self._base.executescript(safety + _TABLES)
                 self._base.execute("BEGIN")
         except CallerError:
             self.abandon()
@@ -108,10 +111,18 @@ class SqliteExport(Buffered):
         ]
         self._base.executemany(self._inserts[dataset.name], zip(*columns, strict=True))
         self._pending += len(block[0].values)
-        if self._pending >= TRANSACTION:
+        if self._pending >= TRANSACTION and not self.options.live:
             self._base.execute("COMMIT")
             self._base.execute("BEGIN")
             self._pending = 0
+
+    def _commit(self) -> None:
+        super()._commit()
+        for dataset in self._all():
+            if self._stated.get(dataset.name) != dataset.rows:
+                self._end(dataset)
+        self._base.execute("COMMIT")
+        self._base.execute("BEGIN")
 
     def _cells(
         self, slot: DatasetColumn, values: Any, absent: Any, names: GrowingDictionary | None
@@ -127,13 +138,16 @@ class SqliteExport(Buffered):
         known = schema_metadata(dataset.layout, absolute=bool(self.absolute))
         about = [known.get(name) for name in ("protocol", "message", "direction", "doc", "time", "aces_bus")]
         self._base.execute(
-            'INSERT INTO "_messages" VALUES (?, ?, ?, ?, ?, ?, ?, ?)',
+            'INSERT OR REPLACE INTO "_messages" VALUES (?, ?, ?, ?, ?, ?, ?, ?)',
             (_table(dataset), *about, dataset.rows),
         )
+        self._stated[dataset.name] = dataset.rows
 
     def _finish(self) -> None:
         super()._finish()
         self._base.execute("COMMIT")
+        if self.options.live:
+            _leave_wal(self._base)
         self._base.close()
 
     def _drop(self) -> None:
@@ -177,9 +191,16 @@ class JournaledDatabase:
     def close(self) -> None:
         """Put everything into one file."""
         try:
-            self._database.execute("PRAGMA journal_mode = DELETE").fetchall()
+            _leave_wal(self._database)
         finally:
             self._database.close()
+
+
+def _leave_wal(database: sqlite3.Connection) -> None:
+    """Put everything into one file; who still reads it keeps the second one for as long."""
+    database.execute("PRAGMA busy_timeout = 0")
+    with suppress(sqlite3.OperationalError):
+        database.execute("PRAGMA journal_mode = DELETE").fetchall()
 
 
 def _table(dataset: Dataset) -> str:

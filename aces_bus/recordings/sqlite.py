@@ -122,7 +122,9 @@ class SqliteCapture(CanRecording):
             except sqlite3.Error as error:
                 raise CaptureError(f"{self.name}: an SQLite file that cannot be opened: {error}") from error
             with closing(source.database):
-                yield from self._rows(source, os.path.getsize(path) // _ROW_BYTES)
+                parts = (path, f"{path}-wal")  # a log that was not closed
+                room = sum(os.path.getsize(part) for part in parts if os.path.exists(part))
+                yield from self._rows(source, room // _ROW_BYTES)
         self.close()
 
     def _rows(self, source: UntrustedDatabase, room: int) -> Iterator[FrameTable]:

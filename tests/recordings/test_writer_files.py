@@ -36,7 +36,8 @@ FRAMES = FrameTable.from_frames([Frame(1, b"\x01", 1.0, "can0")])
 def test_the_suffix_chooses_the_format(tmp_path: Path) -> None:
     """Each suffix, of either case and with one for packing behind, opens its writer; another is refused with a list."""
     assert [
-        writer_format(f"x.{end}").name for end in ("log", "ASC", "blf.gz", "trc.ZST", "mf4", "pcapng")
+        writer_format(f"x.{end}").name
+        for end in ("log", "ASC", "blf.gz", "trc.ZST", "mf4", "pcapng", "csv", "db", "gvret.csv")
     ] == [form.name for form in FORMATS.values() if form.link == "can"]
     assert writer_format("x.dxconf.txt").name == "dxconf"
     with pytest.raises(CallerError, match=r"names no format; there are \.log"):

@@ -6,9 +6,11 @@
 
 from __future__ import annotations
 
+import csv
 import io
 import random
 import struct
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -31,6 +33,7 @@ from aces_bus.frame_table import (
     TX,
     Channels,
     FrameTable,
+    ns_of,
 )
 from aces_bus.frames import FD_LENGTHS, Frame
 from aces_bus.recordings import formats, open_recording
@@ -277,6 +280,123 @@ def test_an_empty_recording_is_a_file_of_its_format(form: str) -> None:
         assert content == b""  # a log without a line has no header either
     else:
         assert read(form, content) == []
+
+
+# ---- tables of values, which hold less ------------------------------------------------------------------------------
+
+
+def held(form: str, row: Row) -> Row | None:
+    """What CSV and SQLite of python-can, and SavvyCAN's CSV, hold of a row; None where they have no way to say it."""
+    time, channel, identifier, flags, length, data = row
+    is_fd = FD * (len(data) > 8)
+    if form == "gvret":
+        if flags & (REMOTE | ERROR):
+            return None
+        way = flags & TX or RX
+        kept = flags & EXTENDED | way | is_fd
+        return (time + 500) // 1000 * 1000, str(channel).removeprefix("can"), identifier, kept, length, data
+    if form == "sqlite":
+        time = int(ns_of(np.array([time / 1e9]))[0])
+    return time, None, identifier, flags & (EXTENDED | REMOTE | ERROR) | is_fd, length, data
+
+
+def lost_in(form: str, rows: list[Row]) -> dict[str, int]:
+    """The words for what is missing."""
+    kept = [row for row in rows if held(form, row) is not None]
+    found = {
+        "CAN FD flags": sum(
+            bool(row[3] & (BITRATE_SWITCH | ERROR_STATE) or (row[3] & FD and row[4] <= 8)) for row in kept
+        )
+    }
+    if form == "gvret":
+        found["remote frames (left out)"] = sum(bool(row[3] & REMOTE) for row in rows)
+        found["error frames (left out)"] = sum(bool(row[3] & ERROR) for row in rows)
+        found[UNKNOWN] = sum(not row[3] & (RX | TX) for row in kept)
+        found["times finer than 1 µs"] = sum(row[0] % 1000 > 0 for row in kept)
+    else:
+        found["channel names"] = len({row[1] for row in rows})
+        found["directions"] = sum(bool(row[3] & (RX | TX)) for row in rows)
+    if form == "sqlite":
+        found["times finer than a float of seconds"] = sum(held(form, row)[0] != row[0] for row in rows)  # type: ignore[index]
+    return {words: count for words, count in found.items() if count}
+
+
+@pytest.mark.parametrize("form", ["csv", "sqlite", "gvret"])
+@given(rows=captures())
+def test_tables_of_values_read_back_as_far_as_they_hold(form: str, rows: list[Row]) -> None:
+    """Every frame comes back in order; what does not, and what of it does not, is counted."""
+    content, lossy = written(form, table_of(rows))
+    assert read(form, content) == [kept for row in rows if (kept := held(form, row)) is not None]
+    assert lossy == lost_in(form, rows)
+
+
+@pytest.mark.parametrize("form", ["csv", "sqlite"])
+@settings(max_examples=25)
+@given(rows=captures())
+def test_python_can_reads_its_own_formats_from_us(form: str, rows: list[Row]) -> None:
+    """CSVReader and SqliteReader give the frames; that they know no remote frame's missing data is theirs."""
+    content, _ = written(form, table_of(rows))
+    with tempfile.TemporaryDirectory() as folder:
+        path = f"{folder}/log.{'csv' if form == 'csv' else 'db'}"
+        with open(path, "wb") as file:
+            file.write(content)
+        reader = can.LogReader(path)
+        messages = list(reader)
+        reader.stop()
+    assert len(messages) == len(rows)
+    for message, (time, _, identifier, flags, length, data) in zip(messages, rows, strict=True):
+        assert abs(message.timestamp - time / 1e9) < 1e-6
+        assert (message.arbitration_id, message.dlc, bytes(message.data)) == (identifier, length, data)
+        assert message.is_extended_id == bool(flags & EXTENDED)
+        assert message.is_remote_frame == bool(flags & REMOTE)
+        assert message.is_error_frame == bool(flags & ERROR)
+
+
+def test_gvret_has_its_published_columns() -> None:
+    """SavvyCAN's header, and for each frame: microseconds, eight digits, true or false, way, bus from 0, length, bytes."""
+    rows: list[Row] = [
+        (1_436_509_052_249_713_000, "can0", 0x5F4, RX, 8, bytes.fromhex("00091C4600000001")),
+        (1_436_509_052_249_714_000, "can1", 0x18DAF110, EXTENDED | TX, 2, b"\x02\x1a"),
+        (0, "can0", 1, FD | RX, 12, bytes(range(12))),
+    ]
+    content, _ = written("gvret", table_of(rows))
+    header, *lines = csv.reader(io.StringIO(content.decode(), newline=""))
+    assert header == ["Time Stamp", "ID", "Extended", "Dir", "Bus", "LEN", *(f"D{n}" for n in range(1, 9))]
+    assert lines[0] == [
+        "1436509052249713",
+        "000005F4",
+        "false",
+        "Rx",
+        "0",
+        "8",
+        "00",
+        "09",
+        "1C",
+        "46",
+        "00",
+        "00",
+        "00",
+        "01",
+        "",
+    ]
+    assert lines[1] == [
+        "1436509052249714",
+        "18DAF110",
+        "true",
+        "Tx",
+        "1",
+        "2",
+        "02",
+        "1A",
+        "00",
+        "00",
+        "00",
+        "00",
+        "00",
+        "00",
+        "",
+    ]
+    assert lines[2][5:] == ["12", *(f"{n:02X}" for n in range(12)), ""]
 
 
 # ---- python-can reads it -------------------------------------------------------------------------------------------

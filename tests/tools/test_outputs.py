@@ -9,19 +9,30 @@ import pytest
 from tests.tools.conftest import Aces
 
 LIVE = ["sniff", "-i", "aces", "-c", "nobody", "-p", "{arm}", "-o"]
-LINES = (
-    "lines are written as they come, into .jsonl .ndjson .csv .txt .text .log .out; for anything else record"
+LIVE_TABLES = (
+    "with -p there are .jsonl .ndjson .csv .txt .text .log .out .parquet .pq .sqlite .sqlite3 .db .mcap"
 )
 
 
 @pytest.mark.parametrize(
     ("arguments", "name", "said"),
     [
-        *(
-            (LIVE, f"live.{suffix}", LINES)
-            for suffix in ("parquet", "arrow", "npz", "db", "mcap", "blf", "xyz", "csv/")
+        *((LIVE, f"live.{suffix}", LIVE_TABLES) for suffix in ("arrow", "npz", "blf", "xyz", "csv/")),
+        (
+            ["sniff", "-i", "aces", "-o"],
+            "live.parquet",
+            "is for decoded messages; name what is spoken: -p NAME",
         ),
-        ([*LIVE[:-1], "--format", "jsonl", "-o"], "live.parquet", LINES),
+        (
+            ["sniff", "-i", "aces", "-o"],
+            "live.xyz",
+            "no format has the suffix '.xyz'; there are .log .candump",
+        ),
+        (
+            [*LIVE[:-1], "--format", "jsonl", "-o"],
+            "live.parquet",
+            "the suffix says parquet, and --format jsonl",
+        ),
         ([*LIVE[:-1], "--format", "jsonl", "-o"], "live.csv", "the suffix says csv, and --format jsonl"),
         (
             ["decode", "{log}", "-p", "{arm}", "-o"],

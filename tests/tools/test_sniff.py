@@ -502,9 +502,9 @@ def test_a_recording_is_never_written_over(aces: Aces, node: Node, tmp_path: Pat
     found = aces("sniff", *node.options, "--record", record)
     assert found.status == 2
     assert "there is such a file already" in found.err
-    left = tmp_path / "walk.blf.log"
+    left = tmp_path / "walk.mf4.log"
     left.write_text("precious")
-    found = aces("sniff", *node.options, "--record", tmp_path / "walk.blf")
+    found = aces("sniff", *node.options, "--record", tmp_path / "walk.mf4")
     assert found.status == 2
     assert "cut short; convert it first" in found.err
     assert record.read_text() == left.read_text() == "precious"
@@ -774,7 +774,7 @@ def test_kill_9_loses_less_than_a_second(
     running: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
 ) -> None:
     """Of a recording into any format, all but the last second is there after SIGKILL, and can be read."""
-    record = tmp_path / "walk.blf"
+    record = tmp_path / "walk.mf4"
     process = running("--record", record, "--format", "jsonl")
     assert process.stdout is not None
     shown = [json.loads(process.stdout.readline()) for _ in range(1300)]

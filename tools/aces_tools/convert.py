@@ -7,6 +7,8 @@
   candump -L can0 | aces convert - walk.pcapng
   aces convert walk.blf --filter 060:7F0 --from 10 --to 20 --format candump -
   aces convert session.slog session.bin
+  aces convert walk.log walk.gvret.csv           for SavvyCAN
+  aces convert walk.log walk.db                  as python-can's SqliteWriter
 
 The last name is the output, and its suffix the format, also before .gz or
 .zst. Formats of the others are recognised by content. - is standard input, or
@@ -133,11 +135,10 @@ class Conversion:
         if name is not None and name not in FORMATS:
             raise UnknownNameError("format", name, FORMATS)
         form = FORMATS[name] if name is not None else writer_format(self.target)
-        for other in FORMATS.values():
+        bare = self.target.lower().removesuffix(".gz").removesuffix(".zst")
+        for other in FORMATS.values() if not bare.endswith(form.suffixes) else ():
             mine = tuple(suffix for suffix in other.suffixes if suffix not in PLAIN)
-            if other is not form and self.target.lower().removesuffix(".gz").removesuffix(".zst").endswith(
-                mine
-            ):
+            if bare.endswith(mine):
                 raise CallerError(
                     f"{self.target}: the suffix says {other.name}, and --format {form.name}; leave one of them away,"
                     " or give the file another name"

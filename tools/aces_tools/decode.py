@@ -206,8 +206,11 @@ class LiveDecoding(Decoding):
         self.count: int | None = arguments.count
         self.printed = 0
         self.registers = RegisterNotes(variant for variants in self.variants.values() for variant in variants)
-        self.output = Output(arguments.output, self.files)
+        self.output = self._output(arguments)
         self.writer = self._writer(arguments)
+
+    def _output(self, arguments: argparse.Namespace) -> Output:
+        return Output(arguments.output, self.files)
 
     def _writer(self, arguments: argparse.Namespace) -> Writer:
         form = line_format(arguments.output, arguments.format)

@@ -193,6 +193,11 @@ LOOP = argument(
 TX = flag("--tx", help="really send; nothing else makes it")
 ASK = flag("--ask", help="ask the devices; without (and without --tx) only listen to what others ask")
 OUTPUT = argument("-o", "--output", metavar="FILE", help="write there instead of on standard output")
+ROTATE = several(
+    "--rotate",
+    metavar="SIZE|DURATION",
+    help="begin the next file (FILE-00002 …) after so much, such as 100MB, or so long, such as 10min",
+)
 JSON = flag("--json", help="JSON on standard output, for programs")
 #: Every verb takes it: `main` adds it to those that say nothing more about it.
 QUIET = flag("-q", "--quiet", help="no notes, no progress: only results, and what is wrong")

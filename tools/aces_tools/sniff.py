@@ -3,7 +3,9 @@
   aces sniff can0
   aces sniff can0 -p hubo --message Encoder --where board=3
   aces sniff -i slcan -c /dev/ttyACM0 -b 1000000 -t delta --filter 060:7F0
-  aces sniff can0 --record walk.log -q
+  aces sniff can0 -o walk.blf --rotate 100MB
+  aces sniff can0 -p hubo -o walk.parquet
+  aces sniff can0 -p hubo --record walk.log
   aces sniff can0 -b 1000000 -p hubo --screen
   aces sniff /dev/ttyUSB0 -p robotis --direction both
   aces sniff --udp 14550 -p my_spec.py --format jsonl
@@ -20,13 +22,15 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError
+from aces_bus.export.files import telling
+from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
 from aces_bus.protocol import CanScanner, Meta, Scanner, Unknown
 from aces_bus.protocol.counts import ScanCounts
 from aces_bus.recordings import CanFilter, Chunk, parse_filter
 
 from .bus_arg import BUS, BUS_ARGUMENTS, ChosenBus, chosen_bus
-from .console import ENDLESS, abandon_stdout, say, say_note, terminal_width, wants_colour
+from .console import ENDLESS, Output, abandon_stdout, say, say_note, terminal_width, wants_colour
 from .decode import LiveDecoding
 from .decoding import Link, Totals, utf8
 from .live import STEP_S, BusEventLines, LivePatience, heard_frame, losses
@@ -41,6 +45,7 @@ from .options import (
     OUTPUT,
     PROTOCOL,
     QUIET,
+    ROTATE,
     TIME,
     UNKNOWN,
     WHERE,
@@ -48,17 +53,21 @@ from .options import (
     argument,
     flag,
 )
-from .output import Writer, line_format
+from .output import Writer, line_format, live_kind
 from .protocols_arg import parse_protocols
+from .rotation import Rotation
 
 if TYPE_CHECKING:
     from .bus_arg import AnyGate
+    from .live_log import LogSeries
     from .recorder import RecordingFile
 
 #: Frames that come close behind each other are shown together, once in this time (s): less work, and not visible.
 TOGETHER_S = 0.01
 #: The shortest silence that is believed: USB adapters hand over bytes up to 16 ms late.
 LEAST_SILENCE_S = 0.02
+#: Seconds between two times at which a log is handed to the system.
+LOG_S = 0.25
 #: The silence after which nothing goes on, where no protocol declares a gap.
 SILENCE_S = 1.0
 
@@ -70,12 +79,19 @@ with rate, period and jitter, the digits that changed, and decoded values.
 Keys: d details, / filter, s sort, f freeze, ? all of them. The load is a share
 of the bit rate (-b, else the protocol's).
 
-recording (--record FILE, by its suffix; without one a candump log or, of
-serial lines and datagrams, our serial log .slog):
-  Everything received is recorded, whatever is shown, and is on disk within half
-  a second: after kill -9 all but that is there. Formats that have to be
-  finished (.blf .mf4 .asc .gz …) are kept as FILE.log until the end. A file
-  that exists is never overwritten.
+logs (-o FILE, by its suffix; instead of lines on standard output):
+  without -p   .log .blf .asc .trc .csv .db .mf4 …: the frames that --filter lets
+               pass; of serial lines .slog .bin
+  with -p      .parquet .sqlite .db .mcap: tables of the decoded messages;
+               .parquet is a folder of parts for each message
+  either       .txt .jsonl .csv: the lines themselves
+  What was received is in the file within half a second, and is there after
+  kill -9; MF4 and packed files (.gz .zst), which have to be finished, are kept
+  as FILE.log until then. Frames, bytes and tables never overwrite a file.
+
+recording (--record FILE, in the formats of frames and bytes):
+  Everything received is recorded, whatever is shown or filtered.
+--rotate 100MB, --rotate 10min, or both: -o and --record go on in FILE-00002 …
 
 summary (last on stderr): as of 'aces decode', then what was lost:
   dropped         arrived faster than it could be shown
@@ -103,7 +119,8 @@ ARGUMENTS: Arguments = (
     argument(
         "--format", choices=["text", "jsonl", "csv"], help="default: by the suffix of --output, else text"
     ),
-    OUTPUT,
+    OUTPUT.but(help="write there instead of on standard output; see logs below"),
+    ROTATE,
     QUIET.but(help="print no lines, only the summary"),
     argument("--record", metavar="FILE", help="write all that is received there; see below"),
     flag("--screen", help="a table of all that repeats, live; needs 'aces-bus[screen]'"),
@@ -128,11 +145,26 @@ class Sniffing(LiveDecoding):
         for option in ("message", "where"):
             if getattr(arguments, option) and not arguments.protocol:
                 raise CallerError(f"--{option} needs to know the messages; name a protocol: -p NAME")
-        line_format(arguments.output, arguments.format)  # refused before a file is made
+        # Refused before a file is made.
+        self.kind = live_kind(
+            arguments.output, arguments.format, self.link, is_decoded=bool(arguments.protocol)
+        )
+        self.rotation = Rotation.parse(arguments.rotate)
+        if self.rotation and self.kind == "lines" and arguments.record is None:
+            raise CallerError(
+                "--rotate is for files of frames, bytes or tables (-o, --record), and these are lines"
+            )
+        #: What is written instead of lines, and when it was last handed to the system (s).
+        self.log: LogSeries | None = None
+        self._logged = 0.0
         self.times = Times(arguments.time)
         #: Where no protocol is named: candump's lines.
         self.lines: CandumpLines | None = None
         super().__init__(arguments)
+        if self.kind != "lines":
+            self.is_quiet = False  # nothing is printed anyway
+            if self.kind == "tables":
+                self.shows_losses = arguments.unknown in ("show", "only")
         self.name = utf8(self.bus.name)
         self.scanner: Any = self._own_scanner()
         self.scanner.reset()
@@ -153,8 +185,11 @@ class Sniffing(LiveDecoding):
             return self._scanner(self.link, self.direction)
         return CanScanner((), include_unknown=True) if self.link == "can" else Nameless()
 
+    def _output(self, arguments: argparse.Namespace) -> Output:
+        return super()._output(arguments) if self.kind == "lines" else Output(None)
+
     def _writer(self, arguments: argparse.Namespace) -> Writer:
-        if line_format(arguments.output, arguments.format) != "text":
+        if self.kind == "lines" and line_format(arguments.output, arguments.format) != "text":
             return super()._writer(arguments)
         from .output.text import make_paint, no_paint
 
@@ -184,7 +219,7 @@ class Sniffing(LiveDecoding):
             self.open(gate, recorder)
             if self.duration is None and self.count is None:
                 say_note(f"{self.name}: {ENDLESS}")
-            if self.lines is None:
+            if self.lines is None and self.kind == "lines":
                 self.pending = (self.name, self.link)
             try:
                 self._listen(inbox, patience, events, recorder)
@@ -205,19 +240,40 @@ class Sniffing(LiveDecoding):
         return self.status
 
     def open(self, gate: AnyGate, recorder: RecordingFile | None) -> None:
-        """Begin to record, and open the bus; where that fails, no recording is left."""
+        """Begin to record, and open the bus; where that fails, no file is left."""
         try:
+            self.log = self._log()
             if recorder is not None:
                 recorder.start(gate, self.name, self.epoch_ns, self._stated)
             self.bus.start(gate)
         except BaseException:
             if recorder is not None:
                 recorder.abandon()
+            if self.log is not None:
+                self.log.abandon()
             raise
+
+    def _log(self) -> LogSeries | None:
+        """What -o writes, where that is no lines."""
+        if self.kind == "lines":
+            return None
+        from .live_log import LiveFile, LiveRecording, LiveTables, LogSeries
+
+        only = next(iter(self.messages)) if len(self.messages) == 1 and not self.shows_losses else None
+
+        def make(path: str) -> LiveFile:
+            if self.kind == "frames":
+                return LiveRecording(path, self.link, "-o")
+            return LiveTables(
+                path, self.variants[self.link], self.scanner, only=only, shows_losses=self.shows_losses
+            )
+
+        return LogSeries(self.arguments.output, self.rotation, make, option="-o")
 
     def end(self, gate: AnyGate, events: BusEventLines, recorder: RecordingFile | None, dropped: int) -> None:
         """Report the last events, finish the recording, sum up; `dropped` items came faster than they were shown."""
         events.report(last=True)
+        self._close_log()
         self._close(recorder)
         self.total.count(self.scanner.counts)
         self.lost = losses(gate, dropped)
@@ -228,7 +284,7 @@ class Sniffing(LiveDecoding):
             return None
         from .recorder import RecordingFile
 
-        return RecordingFile(self.arguments.record, self.link)
+        return RecordingFile(self.arguments.record, self.link, self.rotation)
 
     @property
     def _stated(self) -> Any:
@@ -260,6 +316,7 @@ class Sniffing(LiveDecoding):
                 self._silence()
                 if inbox.is_closed:
                     return
+            self._commit()
             if recorder is not None and recorder.failure is not None:
                 return
 
@@ -297,7 +354,9 @@ class Sniffing(LiveDecoding):
                 self._reject(item, 1, self.total)
         if kept and self.shows_losses:
             self.printed += len(kept)
-            if not self.is_quiet:
+            if self.log is not None:
+                self.log.write(FrameTable.from_frames(kept), len(kept))
+            elif not self.is_quiet:
                 self.output.write(lines.frames(kept))
 
     def _bytes(self, item: Any) -> None:
@@ -309,10 +368,11 @@ class Sniffing(LiveDecoding):
                 self.times.start = seconds
             if self.shows_losses:
                 self.printed += 1
-                if not self.is_quiet:
-                    self.output.write(
-                        self.lines.chunks([Chunk(item.content, seconds, self._stated)], self.name)
-                    )
+                chunk = Chunk(item.content, seconds, self._stated)
+                if self.log is not None:
+                    self.log.write(chunk, len(chunk.data))
+                elif not self.is_quiet:
+                    self.output.write(self.lines.chunks([chunk], self.name))
             return
         if self.bus.kind == "datagram":
             self._emit(self.scanner.datagram(item.content, seconds), self.total, is_can=False)
@@ -335,6 +395,36 @@ class Sniffing(LiveDecoding):
         self._begin(None)
         if self.link == "serial" and not self.is_done:
             self._emit(self.scanner.close(), self.total, is_can=False)
+
+    def _show(self, items: list[Any]) -> None:
+        if self.log is None:
+            super()._show(items)
+            return
+        if self.count is not None:
+            items = items[: self.count - self.printed]
+        self.printed += len(items)
+        self.log.write(items, len(items))
+
+    def _commit(self) -> None:
+        """Hand to the system what was written to the log, a few times a second."""
+        now = time.monotonic()
+        if self.log is not None and now - self._logged >= LOG_S:
+            self._logged = now
+            with telling(self.log.file.written):
+                self.log.commit()
+
+    def _close_log(self) -> None:
+        if self.log is None:
+            return
+        try:
+            if self.complaint:
+                self.log.leave()
+            else:
+                self.log.close()
+        except CallerError as error:
+            self._complain(str(error))
+        unit = "records" if self.kind == "tables" else "frames" if self.link == "can" else "bytes"
+        say(f"wrote {self.log.committed} {unit} to {self.log.written}")
 
     def _close(self, recorder: RecordingFile | None) -> None:
         if recorder is None:

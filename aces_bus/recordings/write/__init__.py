@@ -60,6 +60,8 @@ class FormatOut:
     needs_seek: bool = False
     #: People can read it on a terminal.
     is_text: bool = False
+    #: It reads back while it grows, whenever its writer has settled: it needs no end.
+    grows: bool = False
 
 
 #: All formats by name.
@@ -67,15 +69,54 @@ FORMATS: Mapping[str, FormatOut] = {
     form.name: form
     for form in (
         FormatOut(
-            "candump", (".log", ".candump"), "candump -L", "can", ".candump", "CandumpWriter", is_text=True
+            "candump",
+            (".log", ".candump"),
+            "candump -L",
+            "can",
+            ".candump",
+            "CandumpWriter",
+            is_text=True,
+            grows=True,
         ),
-        FormatOut("asc", (".asc",), "Vector ASC", "can", ".asc", "AscWriter", is_text=True),
-        FormatOut("blf", (".blf",), "Vector BLF", "can", ".blf", "BlfWriter", needs_seek=True),
-        FormatOut("trc", (".trc",), "PEAK TRC 2.1", "can", ".trc", "TrcWriter", is_text=True),
+        FormatOut("asc", (".asc",), "Vector ASC", "can", ".asc", "AscWriter", is_text=True, grows=True),
+        FormatOut("blf", (".blf",), "Vector BLF", "can", ".blf", "BlfWriter", needs_seek=True, grows=True),
+        FormatOut("trc", (".trc",), "PEAK TRC 2.1", "can", ".trc", "TrcWriter", is_text=True, grows=True),
         FormatOut("mf4", (".mf4",), "ASAM MDF 4", "can", ".mf4", "Mf4Writer", needs_seek=True),
-        FormatOut("pcapng", (".pcapng",), "pcapng of SocketCAN", "can", ".pcapng", "PcapngWriter"),
-        FormatOut("slog", (".slog",), "serial log of aces-bus", "serial", ".serial", "SerialLogWriter"),
-        FormatOut("raw", (".bin", ".raw"), "raw serial bytes", "serial", ".serial", "RawWriter"),
+        FormatOut(
+            "pcapng", (".pcapng",), "pcapng of SocketCAN", "can", ".pcapng", "PcapngWriter", grows=True
+        ),
+        FormatOut(
+            "csv",
+            (".csv",),
+            "python-can's CSV",
+            "can",
+            ".canlog",
+            "CanlogCsvWriter",
+            is_text=True,
+            grows=True,
+        ),
+        FormatOut(
+            "sqlite",
+            (".sqlite", ".sqlite3", ".db"),
+            "python-can's SQLite",
+            "can",
+            ".canlog",
+            "CanlogSqliteWriter",
+        ),
+        FormatOut(
+            "gvret",
+            (".gvret.csv", ".gvret", ".csv"),
+            "SavvyCAN's GVRET CSV",
+            "can",
+            ".gvret",
+            "GvretWriter",
+            is_text=True,
+            grows=True,
+        ),
+        FormatOut(
+            "slog", (".slog",), "serial log of aces-bus", "serial", ".serial", "SerialLogWriter", grows=True
+        ),
+        FormatOut("raw", (".bin", ".raw"), "raw serial bytes", "serial", ".serial", "RawWriter", grows=True),
         FormatOut(
             "dxconf",
             (".dxconf.txt", ".txt"),
@@ -91,7 +132,7 @@ _PACKED = {".gz": "gzip", ".zst": "zstd"}
 
 
 def writer_format(path: str, link: Link | None = None) -> FormatOut:
-    """The format that a path's suffix means, `.gz` and `.zst` left out of account.
+    """The format that a path's longest known suffix means, `.gz` and `.zst` left out of account.
 
     Raises `CallerError`, with the suffixes that there are, when it means none.
 
@@ -101,9 +142,11 @@ def writer_format(path: str, link: Link | None = None) -> FormatOut:
     name = os.path.basename(path).lower()
     for packed in _PACKED:
         name = name.removesuffix(packed)
-    for form in FORMATS.values():
-        if name.endswith(form.suffixes):
-            return form
+    fits = [
+        (len(suffix), form) for form in FORMATS.values() for suffix in form.suffixes if name.endswith(suffix)
+    ]
+    if fits:  # of equal suffixes the first, and .gvret.csv before .csv
+        return max(fits, key=lambda fit: fit[0])[1]
     known = " ".join(f.suffixes[0] for f in FORMATS.values() if link in (None, f.link))
     raise CallerError(f"{path}: the suffix names no format; there are {known}, each also with .gz or .zst")
 

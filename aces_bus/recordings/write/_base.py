@@ -16,7 +16,19 @@ from typing import Any, BinaryIO, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from ...frame_table import ERROR, FD, NO_TIME, REMOTE, RX, TX, Channels, FrameTable, Ints
+from ...frame_table import (
+    BITRATE_SWITCH,
+    ERROR,
+    ERROR_STATE,
+    FD,
+    NO_TIME,
+    REMOTE,
+    RX,
+    TX,
+    Channels,
+    FrameTable,
+    Ints,
+)
 from ...frames import FD_LENGTHS
 from ._text import blocks
 
@@ -50,6 +62,12 @@ class RecordingWriter:
         if count:
             self._lost[kind] = self._lost.get(kind, 0) + int(count)
 
+    def settle(self) -> None:
+        """Bring the file into a state that reads back as it is, with all that was given, though more may follow.
+
+        Only formats that need no end can do so: `FormatOut.grows`.
+        """
+
     def close(self) -> None:
         """Write what was kept back."""
 
@@ -65,6 +83,12 @@ class FrameWriter(RecordingWriter, ABC):
     @abstractmethod
     def _encoded(self, table: FrameTable) -> bytes:
         """Frames as the file has them; some thousand, and at least one."""
+
+    def lose_fd(self, table: FrameTable) -> None:
+        """Count what is lost of CAN FD where a frame is known as one by its more than 8 bytes alone."""
+        flags = table.flags
+        is_hidden = (flags & FD != 0) & (table.length <= 8)
+        self.lose("CAN FD flags", np.count_nonzero(is_hidden | (flags & (BITRATE_SWITCH | ERROR_STATE) != 0)))
 
     def _remote_lengths(self, table: FrameTable) -> Ints:
         """The lengths, for remote frames at most 8; what is more is counted."""

@@ -133,13 +133,17 @@ class BlfWriter(StartedWriter):
         )
         return b"".join(self._packed(_CONTAINER) for _ in range(len(self._kept) // _CONTAINER))
 
-    def close(self) -> None:
+    def settle(self) -> None:
         """Write what is kept, and the header once more."""
         while self._kept:
             self._file.write(self._packed(_CONTAINER))
         self._file.seek(self._begins_at)
         self._file.write(self._header())
         self._file.seek(0, 2)
+
+    def close(self) -> None:
+        """As `settle`; a file to which nothing was written has its header, too."""
+        self.settle()
 
     def _packed(self, count: int) -> bytes:
         """A container of the first bytes that are kept."""

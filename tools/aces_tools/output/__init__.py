@@ -10,8 +10,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Protocol
 
 from aces_bus.errors import CallerError
+from aces_bus.export.open import GROWING, export_format
 from aces_bus.export.open import SUFFIXES as TABLES
-from aces_bus.export.open import export_format
+from aces_bus.recordings.base import Link
+from aces_bus.recordings.write import FORMATS, writer_format
 
 
 class Writer(Protocol):
@@ -74,16 +76,60 @@ def table_format(path: str | None, chosen: str | None) -> str | None:
 
 
 def line_format(path: str | None, chosen: Format | None) -> Format:
-    """The format of lines that are written as they come; raises `CallerError` for anything else."""
-    is_table = path is not None and export_format(path) is not None
-    if is_table or (chosen is None and _said(path) is None):
-        known = " ".join(suffix for suffix in SUFFIXES if suffix)
-        raise CallerError(
-            f"-o {path}: lines are written as they come, into {known}; for anything else record the bus"
-            " (--record FILE.blf) and then convert or decode the recording"
-        )
+    """The format of lines that are written as they come; raises `CallerError` for a path that says another."""
     table_format(path, chosen)
     return chosen or SUFFIXES[_suffix(path)]
+
+
+#: What a live log may be: lines as they are shown, frames or bytes as they came, decoded tables.
+LiveKind = Literal["lines", "frames", "tables"]
+
+
+def live_kind(path: str | None, chosen: Format | None, link: Link, *, is_decoded: bool) -> LiveKind:
+    """What `aces sniff -o` writes: with a protocol (`is_decoded`) lines or tables, without one lines, frames or bytes.
+
+    Raises `CallerError` with what there is for a suffix that says none of these.
+
+    >>> live_kind("walk.parquet", None, "can", is_decoded=True), live_kind("walk.blf", None, "can", is_decoded=False)
+    ('tables', 'frames')
+    """
+    suffix = _suffix(path)
+    table = export_format(path) if path is not None else None
+    if path is None or path == "-" or chosen is not None or (not suffix and table is None):
+        line_format(path, chosen)
+        return "lines"
+    if not suffix:  # a folder: the slash is a part of what it says
+        suffix, table = f"{_suffix(path.rstrip('/'))}/", None
+    if is_decoded:
+        if table in GROWING:
+            return "tables"
+        if table is None and suffix in SUFFIXES:
+            return "lines"
+        tables = [one for one, form in TABLES.items() if form in GROWING]
+        said = "frames as they came, and no messages; leave -p out, or record them beside (--record)"
+        why = said if _is_recording(path, link) else "no format that is written while a bus is listened to"
+        raise CallerError(f"-o {path}: {suffix} is {why}; with -p there are {' '.join((*_LINES, *tables))}")
+    if suffix in SUFFIXES and not (_is_recording(path, link) and suffix in (".log", ".csv")):
+        return "lines"
+    if _is_recording(path, link):
+        return "frames"
+    if table in GROWING:
+        raise CallerError(f"-o {path}: {suffix} is for decoded messages; name what is spoken: -p NAME")
+    frames = dict.fromkeys(one for form in FORMATS.values() if form.link == link for one in form.suffixes)
+    raise CallerError(
+        f"-o {path}: no format has the suffix {suffix!r}; there are {' '.join((*frames, *_LINES))}, and with -p"
+        f" {' '.join(one for one, form in TABLES.items() if form in GROWING)}"
+    )
+
+
+def _is_recording(path: str, link: Link) -> bool:
+    try:
+        return writer_format(path, link).link == link
+    except CallerError:
+        return False
+
+
+_LINES = [suffix for suffix in SUFFIXES if suffix]
 
 
 def _said(path: str | None) -> str | None:
@@ -95,4 +141,4 @@ def _suffix(path: str | None) -> str:
     return os.path.splitext(path or "")[1].lower()
 
 
-__all__ = ["Writer", "line_format", "table_format"]
+__all__ = ["Writer", "line_format", "live_kind", "table_format"]
