@@ -185,9 +185,9 @@ class MotorJoint:
 
     def sync(self, now: int) -> None:
         """Catch up to `now` (ns)."""
-        steps = (now - self.at) // STEP_NS
-        if steps <= 0:
+        if now < self.at + STEP_NS:
             return
+        steps = (now - self.at) // STEP_NS
         mode = self.mode
         if self.v == 0.0 and (
             mode == "free"
