@@ -186,7 +186,9 @@ class BusNode:
             return False
         wire = self.wire
         wire.count += 1
-        heappush(self.waiting, (arbitration(frame), wire.count, frame))
+        is_usual = not frame.is_extended_id and not frame.is_remote_frame
+        key = frame.arbitration_id << 21 if is_usual else arbitration(frame)
+        heappush(self.waiting, (key, wire.count, frame))
         if report is not None:
             number = wire.count
             self.reports[number] = report
@@ -215,6 +217,13 @@ class BusNode:
         self.wire.changed()
         if self.waiting:
             self.wire.wake()
+
+    def report_sent(self) -> None:
+        """The frame on the wire has left."""
+        if self.sending is not None:
+            report = self.reports.pop(self.sending[1], None)
+            if report is not None:
+                report("sent", "")
 
     def abort(self) -> int:
         """Drop what waits to be sent; how many frames that was. The one on the wire is sent."""
@@ -301,6 +310,7 @@ class SimulatedBus:
         self.clock = clock
         self.bitrate, self.data_bitrate = bitrate, data_bitrate
         self.bit_ns = round(1_000_000_000 / bitrate)
+        self._pause = INTERMISSION * self.bit_ns
         self._is_whole = self.bit_ns * bitrate == 1_000_000_000
         self.nodes: list[BusNode] = []
         #: Those that take part, neither unplugged nor bus-off, and how many of them acknowledge; looked up anew when None.
@@ -453,14 +463,12 @@ class SimulatedBus:
             if place is not None:
                 self._destroy(senders, frame, "bit error", place)
                 return False
-        self._senders, self._frame, self._duration = senders, frame, self._duration_of(frame)
-        return True
-
-    def _duration_of(self, frame: Frame) -> int:
-        """How long a frame is on the wire (ns)."""
+        self._senders, self._frame = senders, frame
         if self._is_whole and not frame.is_fd:
-            return classic_bits(frame) * self.bit_ns
-        return self._time_of(frame_bits(frame))
+            self._duration = classic_bits(frame) * self.bit_ns
+        else:
+            self._duration = self._time_of(frame_bits(frame))
+        return True
 
     def _time_of(self, bits: FrameBits) -> int:
         if not bits.data and self._is_whole:
@@ -473,21 +481,19 @@ class SimulatedBus:
         assert frame is not None
         load = self.load
         load.frames += 1
-        pause = INTERMISSION * self.bit_ns
-        load.busy_ns += self._duration + pause
-        self._idle_from = now + pause
+        load.busy_ns += self._duration + self._pause
+        self._idle_from = now + self._pause
         self._is_woken = True  # what is sent from here on takes part in the arbitration behind this frame
         try:
             for node in senders:
-                if node.reports and node.sending is not None:
-                    report = node.reports.pop(node.sending[1], None)
-                    if report is not None:
-                        report("sent", "")
+                if node.reports:
+                    node.report_sent()
                 node.sending = None
-                if node.transmit_errors:
-                    node.count_errors(-1, 0, frame)
-                if node.state == "error-passive":
-                    node.quiet_until = self._idle_from + SUSPEND * self.bit_ns
+                if node.transmit_errors or node.receive_errors:
+                    if node.transmit_errors:
+                        node.count_errors(-1, 0, frame)
+                    if node.state == "error-passive":
+                        node.quiet_until = self._idle_from + SUSPEND * self.bit_ns
             self._is_busy = False
             faults = self._faults
             for node in self._present or self._look():
@@ -524,10 +530,9 @@ class SimulatedBus:
         duration = self._time_of(part) + ERROR_FRAME * self.bit_ns
 
         def end() -> None:
-            pause = INTERMISSION * self.bit_ns
             self.load.errors += 1
-            self.load.busy_ns += duration + pause
-            self._idle_from = self.clock.now() + pause
+            self.load.busy_ns += duration + self._pause
+            self._idle_from = self.clock.now() + self._pause
             self._is_busy = False
             for node in senders:
                 if node.sending is not None and node in self.nodes:
