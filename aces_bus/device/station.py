@@ -210,7 +210,7 @@ class BusEndpoint(Generic[M]):
     def open(self) -> None:
         """Start receiving; what is open stays so."""
         if not self._is_open:
-            self.port.open(self._received)
+            self.port.open(self._receiver() if self._is_can else self._received)
             self._is_open = True  # not before: what is planned already may send from another thread
 
     def close(self) -> None:
@@ -233,9 +233,25 @@ class BusEndpoint(Generic[M]):
                     return True
         return False
 
-    def _received(self, word: Any, instant: int) -> None:
-        """One word of the port."""
-        for record in self._feed((word,) if self._is_can else word):
+    def _receiver(self) -> Callable[[Any, int], None]:
+        """What is called with each frame of a CAN bus: as `_received` and `deliver`, with what it touches in local names."""
+        feed, routes, deliver = self._feed, self._routes, self.deliver
+
+        def received(frame: Any, instant: int) -> None:
+            for record in feed((frame,)):
+                route = routes.get(record.__class__)
+                if route is not None and route[0] is not None:
+                    found = route[1].get(getattr(record, route[0]))
+                    if found is not None and len(found) == 1:  # nearly always
+                        found[0].receive(record, instant)
+                        continue
+                deliver(record, instant)
+
+        return received
+
+    def _received(self, data: bytes, instant: int) -> None:
+        """Some bytes of the port."""
+        for record in self._feed(data):
             self.deliver(record, instant)
         if self._silence_ns:
             self._await_silence()
@@ -257,12 +273,6 @@ class BusEndpoint(Generic[M]):
 
     def deliver(self, record: Any, instant: int) -> None:
         """Give a record to whom it is about."""
-        route = self._routes.get(record.__class__)
-        if route is not None and route[0] is not None:
-            found = route[1].get(getattr(record, route[0]))
-            if found is not None and len(found) == 1:  # nearly always
-                found[0].receive(record, instant)
-                return
         if record.__class__ is UnknownWord:
             self._not_understood(record, instant)
             return

@@ -47,7 +47,8 @@ class Awaited:
         """It is done. What is over stays as it is."""
         if self.state == "waiting":
             self.state, self.result = "done", result
-            self._tell()
+            if self._followers is not None:
+                self._tell()
 
     def fail(self, error: AcesError) -> None:
         """It has failed."""
@@ -103,7 +104,7 @@ class Ticket(Awaited):
         poll: Any = None,
         urgent: bool = False,
     ) -> None:
-        super().__init__(clock)
+        self.clock, self.state, self.result, self.error, self._followers = clock, "waiting", None, None, None
         self.device, self.message, self.word = device, message, word
         self.reply, self.timeout_ns, self.retries, self.poll = reply, timeout_ns, retries, poll
         self.urgent = urgent

@@ -312,11 +312,11 @@ class Twins(BusEndpoint[Twin]):
             self._ears.append(member)
         return super().add(member)
 
-    def _received(self, word: Any, instant: int) -> None:
-        if self._ears and not self._is_can:
-            self._tail = (self._tail + word)[-TAIL:]
-            self._heard += len(word)
-        super()._received(word, instant)
+    def _received(self, data: bytes, instant: int) -> None:
+        if self._ears:
+            self._tail = (self._tail + data)[-TAIL:]
+            self._heard += len(data)
+        super()._received(data, instant)
 
     def _not_understood(self, word: Any, instant: int) -> None:
         self.unknown += 1

@@ -152,7 +152,14 @@ class CanPort(BasePort[Frame]):
         self.node.hears_sent = False
         send, allow = self.node.send, self._allow
 
-        def give(word: Frame, age_ns: int, urgent: bool, topic: object, report: Told | None) -> bool:
+        def give(
+            word: Frame,
+            age_ns: int = 0,
+            *,
+            urgent: bool = False,
+            topic: object = None,
+            report: Told | None = None,
+        ) -> bool:
             if allow is not None and not allow.matches(word):
                 if self._handler is not None:
                     self._handler("not sent", not_allowed(word))
@@ -160,7 +167,8 @@ class CanPort(BasePort[Frame]):
             # Its frames wait in its mailboxes, as in a controller's.
             return send(word) if report is None else send(word, report, age_ns or MAILBOX_AGE_NS)
 
-        self._send = give
+        # As of a gate's port: one call less a frame.
+        self.__dict__["send"] = give
 
     def _take(self, item: Received[Frame], handle: Handler) -> None:
         # Without its channel's name: what is sent has none, and answers belong to requests of the same channel.

@@ -67,9 +67,7 @@ class MotorJoint:
     """
 
     __slots__ = (
-        "_decay",
-        "_friction",
-        "_reach",
+        "_constants",
         "at",
         "current_wanted",
         "damping",
@@ -114,9 +112,18 @@ class MotorJoint:
         #: When it last moved; since when the duty has been at its limit, −1 when it is not.
         self.moved_at = self.at
         self.saturated_since = -1
-        self._decay = math.exp(-STEP / motor.time_constant)
-        self._reach = motor.time_constant * (1 - self._decay)
-        self._friction = motor.friction * motor.speed
+        decay, stall = math.exp(-STEP / motor.time_constant), motor.stall_current
+        #: What a step of the motor needs: decay and reach of its speed, friction, speed, stall current and torque, heating.
+        self._constants = (
+            decay,
+            motor.time_constant * (1 - decay),
+            motor.friction * motor.speed,
+            motor.speed,
+            stall,
+            stall * motor.torque_constant,
+            motor.heating * stall * stall,
+            motor.cooling,
+        )
 
     # ------------------------------------------------------------------ what drives it
 
@@ -178,9 +185,9 @@ class MotorJoint:
 
     def sync(self, now: int) -> None:
         """Catch up to `now` (ns)."""
-        steps = (now - self.at) // STEP_NS
-        if steps <= 0:
+        if now < self.at + STEP_NS:
             return
+        steps = (now - self.at) // STEP_NS
         mode = self.mode
         if self.v == 0.0 and (
             mode == "free"
@@ -200,16 +207,12 @@ class MotorJoint:
     def _run(self, steps: int) -> None:
         """So many milliseconds."""
         q, v = self.q, self.v
-        decay, reach, friction, speed = self._decay, self._reach, self._friction, self.motor.speed
+        decay, reach, friction, speed, stall, most, heating, cooling = self._constants
         stiffness, damping, goal = self.stiffness, self.damping, self.goal
         lower, upper = self.lower, self.upper
         mode, jammed = self.mode, self.jammed
-        motor = self.motor
-        stall, cooling, temperature = motor.stall_current, motor.cooling, self.temperature
-        heating = motor.heating * stall * stall
         wanted, kp, kd, torque = self.impedance
-        most = stall * motor.torque_constant
-        duty = self.duty
+        duty, temperature = self.duty, self.temperature
         at, moved_at, saturated = self.at, self.moved_at, self.saturated_since
         for number in range(steps):
             at += STEP_NS

@@ -22,7 +22,6 @@ import random
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, fields
-from functools import partial
 from heapq import heapify, heappop, heappush
 from typing import Literal
 
@@ -92,6 +91,7 @@ State = Literal["error-active", "error-passive", "bus-off"]
 #: Error counters above these make a node passive, or take it off the bus (12.1.4.3).
 PASSIVE, OFF = 127, 255
 _NOBODY = 1 << 40
+_NEVER = 1 << 62
 #: A node comes back after 128 times 11 recessive bits.
 RECOVERY = 128 * 11
 
@@ -143,7 +143,7 @@ class BusNode:
     ) -> None:
         self.wire, self.name = wire, name
         self.received, self.happened = received, happened
-        self.listen_only, self.fd = listen_only, fd
+        self._listen_only, self.fd = listen_only, fd
         self.mailboxes, self.restart_ns = mailboxes, restart_ns
         self.transmit_errors = self.receive_errors = 0
         self.state: State = "error-active"
@@ -158,6 +158,16 @@ class BusNode:
         self.sending: tuple[int, int, Frame] | None = None
 
     @property
+    def listen_only(self) -> bool:
+        """Whether it never sends, not even an acknowledgement."""
+        return self._listen_only
+
+    @listen_only.setter
+    def listen_only(self, on: bool) -> None:
+        self._listen_only = on
+        self.wire.changed()
+
+    @property
     def pending(self) -> int:
         """How many frames are not sent yet, the one on the wire included."""
         return len(self.waiting) + (self.sending is not None)
@@ -168,7 +178,7 @@ class BusNode:
         `report` is called with "sent", "expired" (it did not leave within `age_ns`) or "unsent" (the node was taken off),
         and why.
         """
-        if self.listen_only:
+        if self._listen_only:
             raise CallerError(f"{self.name} only listens")
         if frame.is_error_frame:
             raise CallerError("an error frame is not sent but made by faults")
@@ -176,7 +186,9 @@ class BusNode:
             return False
         wire = self.wire
         wire.count += 1
-        heappush(self.waiting, (arbitration(frame), wire.count, frame))
+        is_usual = not frame.is_extended_id and not frame.is_remote_frame
+        key = frame.arbitration_id << 21 if is_usual else arbitration(frame)
+        heappush(self.waiting, (key, wire.count, frame))
         if report is not None:
             number = wire.count
             self.reports[number] = report
@@ -197,12 +209,21 @@ class BusNode:
     def disconnect(self) -> None:
         """Pull the plug: nothing arrives and nothing leaves; what waits goes on waiting."""
         self.is_connected = False
+        self.wire.changed()
 
     def connect(self) -> None:
         """Put the plug back."""
         self.is_connected = True
+        self.wire.changed()
         if self.waiting:
             self.wire.wake()
+
+    def report_sent(self) -> None:
+        """The frame on the wire has left."""
+        if self.sending is not None:
+            report = self.reports.pop(self.sending[1], None)
+            if report is not None:
+                report("sent", "")
 
     def abort(self) -> int:
         """Drop what waits to be sent; how many frames that was. The one on the wire is sent."""
@@ -223,6 +244,7 @@ class BusNode:
         if self.state == "bus-off":
             self.transmit_errors = self.receive_errors = 0
             self.state = "error-active"
+            self.wire.changed()
             self.tell("recovered")
             if self.waiting:
                 self.wire.wake()
@@ -240,6 +262,7 @@ class BusNode:
             self.receive_errors = PASSIVE  # back into 119…127 (12.1.4.2 h)
         if self.transmit_errors > OFF:
             self.state = "bus-off"
+            self.wire.changed()
             self.tell("bus-off", frame)
             if self.restart_ns is not None:
                 self.wire.clock.call_in(self.restart_ns, self.restart)
@@ -287,8 +310,16 @@ class SimulatedBus:
         self.clock = clock
         self.bitrate, self.data_bitrate = bitrate, data_bitrate
         self.bit_ns = round(1_000_000_000 / bitrate)
+        self._pause = INTERMISSION * self.bit_ns
         self._is_whole = self.bit_ns * bitrate == 1_000_000_000
         self.nodes: list[BusNode] = []
+        #: Those that take part, neither unplugged nor bus-off, and how many of them acknowledge; looked up anew when None.
+        self._present: tuple[BusNode, ...] | None = None
+        self._acknowledging = 0
+        #: What is on the wire: who sends it, the frame, how long it takes (ns).
+        self._senders: list[BusNode] = []
+        self._frame: Frame | None = None
+        self._duration = 0
         self.load = Load(since=clock.now())
         self.count = 0
         self._faults = faults.start() if faults != NO_FAULTS else None
@@ -319,6 +350,7 @@ class SimulatedBus:
             restart_ns=restart_ns,
         )
         self.nodes.append(node)
+        self.changed()
         return node
 
     def detach(self, node: BusNode) -> None:
@@ -326,6 +358,18 @@ class SimulatedBus:
         node.abort()
         if node in self.nodes:
             self.nodes.remove(node)
+        self.changed()
+
+    def changed(self) -> None:
+        """A node came, went, was plugged in or out, or is bus-off or no more."""
+        self._present = None
+
+    def _look(self) -> tuple[BusNode, ...]:
+        """The nodes that take part."""
+        present = tuple(node for node in self.nodes if node.is_connected and node.state != "bus-off")
+        self._acknowledging = sum(1 for node in present if not node.listen_only)
+        self._present = present
+        return present
 
     # ------------------------------------------------------------------ the bus
 
@@ -341,18 +385,19 @@ class SimulatedBus:
         if self._is_busy:
             return
         clock = self.clock
-        while (next_frame := self._arbitrate()) is not None:
-            senders, frame, duration = next_frame
-            end = clock.now() + duration
+        now = clock.now()
+        while self._arbitrate(now):
+            end = now + self._duration
             if not clock.skip_to(end):
-                clock.post(end, partial(self._carried, senders, frame, duration))
+                clock.post(end, self._carried)
                 return
-            self._deliver(senders, frame, duration)
+            self._deliver(end)
             if not self._goes_on():
                 return
+            now = self._idle_from
 
-    def _carried(self, senders: list[BusNode], frame: Frame, duration: int) -> None:
-        self._deliver(senders, frame, duration)
+    def _carried(self) -> None:
+        self._deliver(self.clock.now())
         if self._goes_on():
             self._carry()
 
@@ -366,95 +411,93 @@ class SimulatedBus:
                 break
         return False
 
-    def _arbitrate(self) -> tuple[list[BusNode], Frame, int] | None:
-        """The lowest arbitration field goes first: its senders, the frame, how long it takes (ns).
+    def _arbitrate(self, now: int) -> bool:
+        """The lowest arbitration field goes first, on the wire from now on.
 
-        None: nobody sends, or it ends in an error frame.
+        False: nobody sends, or it ends in an error frame.
         """
-        now = self.clock.now()
         best = _NOBODY
-        senders: list[BusNode] = []
-        later: int | None = None
-        for node in self.nodes:
+        sender: BusNode | None = None
+        others: list[BusNode] | None = None
+        later = _NEVER
+        for node in self._present or self._look():
             waiting = node.waiting
-            if not waiting or not node.is_connected or node.state == "bus-off":
+            if not waiting:
                 continue
             if node.quiet_until > now:
-                later = node.quiet_until if later is None else min(later, node.quiet_until)
+                later = min(later, node.quiet_until)
                 continue
             key = waiting[0][0]
             if key < best:
-                best, senders = key, [node]
+                best, sender, others = key, node, None
             elif key == best:
-                senders.append(node)
-        if not senders:
-            if later is not None:
+                others = [*(others or ()), node]
+        if sender is None:
+            if later != _NEVER:
                 self._is_woken = True
                 self.clock.call_at(later, self._carry)
-            return None
-        frame = senders[0].waiting[0][2]
+            return False
         self._is_busy = True
-        for node in senders:
-            node.sending = heappop(node.waiting)
-        is_alone = len(senders) == 1
-        if not is_alone and any(node.sending and node.sending[2] != frame for node in senders):
-            self._destroy(senders, frame, "bit error", 20)
-            return None
-        is_heard, is_refused = not is_alone, False
-        for node in self.nodes:
-            if node.listen_only or not node.is_connected or node.state == "bus-off" or node in senders:
-                continue
-            is_heard = True
-            if not node.fd and frame.is_fd:
-                is_refused = True
-        if not is_heard:
+        sender.sending = entry = heappop(sender.waiting)
+        frame = entry[2]
+        senders = [sender]
+        if others is not None:
+            for node in others:
+                node.sending = heappop(node.waiting)
+                if node.sending[2] != frame:
+                    best = _NOBODY
+            senders += others
+            if best == _NOBODY:
+                self._destroy(senders, frame, "bit error", 20)
+                return False
+        elif self._acknowledging < 2:
             self._destroy(senders, frame, "no acknowledge", -8)
-            return None
-        if is_refused:  # a classic controller takes FDF for a fault of form
+            return False
+        if frame.is_fd and any(
+            not node.fd and not node.listen_only and node not in senders for node in self._present or ()
+        ):  # a classic controller takes FDF for a fault of form
             self._destroy(senders, frame, "bit error", 20)
-            return None
+            return False
         if self._faults is not None:
             place = self._faults.corrupts(frame_bits(frame).total)
             if place is not None:
                 self._destroy(senders, frame, "bit error", place)
-                return None
-        return senders, frame, self._duration_of(frame)
-
-    def _duration_of(self, frame: Frame) -> int:
-        """How long a frame is on the wire (ns)."""
+                return False
+        self._senders, self._frame = senders, frame
         if self._is_whole and not frame.is_fd:
-            return classic_bits(frame) * self.bit_ns
-        return self._duration(frame_bits(frame))
+            self._duration = classic_bits(frame) * self.bit_ns
+        else:
+            self._duration = self._time_of(frame_bits(frame))
+        return True
 
-    def _duration(self, bits: FrameBits) -> int:
+    def _time_of(self, bits: FrameBits) -> int:
         if not bits.data and self._is_whole:
             return bits.nominal * self.bit_ns
         return bits.duration_ns(self.bitrate, self.data_bitrate)
 
-    def _deliver(self, senders: list[BusNode], frame: Frame, duration: int) -> None:
+    def _deliver(self, now: int) -> None:
         """The last bit of a good frame."""
-        now = self.clock.now()
+        senders, frame = self._senders, self._frame
+        assert frame is not None
         load = self.load
         load.frames += 1
-        pause = INTERMISSION * self.bit_ns
-        load.busy_ns += duration + pause
-        self._idle_from = now + pause
+        load.busy_ns += self._duration + self._pause
+        self._idle_from = now + self._pause
         self._is_woken = True  # what is sent from here on takes part in the arbitration behind this frame
         try:
             for node in senders:
-                if node.reports and node.sending is not None:
-                    report = node.reports.pop(node.sending[1], None)
-                    if report is not None:
-                        report("sent", "")
+                if node.reports:
+                    node.report_sent()
                 node.sending = None
-                if node.transmit_errors:
-                    node.count_errors(-1, 0, frame)
-                if node.state == "error-passive":
-                    node.quiet_until = self._idle_from + SUSPEND * self.bit_ns
+                if node.transmit_errors or node.receive_errors:
+                    if node.transmit_errors:
+                        node.count_errors(-1, 0, frame)
+                    if node.state == "error-passive":
+                        node.quiet_until = self._idle_from + SUSPEND * self.bit_ns
             self._is_busy = False
             faults = self._faults
-            for node in self.nodes:
-                if not node.is_connected or node.state == "bus-off" or node in senders:
+            for node in self._present or self._look():
+                if node in senders or not node.is_connected:
                     continue
                 if node.receive_errors:
                     node.count_errors(0, -1, frame)
@@ -484,13 +527,12 @@ class SimulatedBus:
         bits = frame_bits(frame)
         place = min(place, bits.total - 1) if place >= 0 else bits.total + place
         part = FrameBits(min(place, bits.nominal), max(0, min(place - bits.nominal, bits.data)))
-        duration = self._duration(part) + ERROR_FRAME * self.bit_ns
+        duration = self._time_of(part) + ERROR_FRAME * self.bit_ns
 
         def end() -> None:
-            pause = INTERMISSION * self.bit_ns
             self.load.errors += 1
-            self.load.busy_ns += duration + pause
-            self._idle_from = self.clock.now() + pause
+            self.load.busy_ns += duration + self._pause
+            self._idle_from = self.clock.now() + self._pause
             self._is_busy = False
             for node in senders:
                 if node.sending is not None and node in self.nodes:

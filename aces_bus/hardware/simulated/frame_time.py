@@ -64,18 +64,28 @@ def frame_bits(frame: Frame) -> FrameBits:
 
 def classic_bits(frame: Frame) -> int:
     """The same of a frame that is not CAN FD, whose bits all have the nominal rate."""
-    if frame.is_error_frame:
-        return ERROR_FRAME
-    if frame.is_remote_frame:
-        return _classic_bits(frame.arbitration_id, frame.is_extended_id, True, frame.dlc or 0, b"")
-    data = frame.data
-    return _classic_bits(frame.arbitration_id, frame.is_extended_id, False, len(data), data)
+    data, key = frame.data, frame.arbitration_id
+    if frame.is_extended_id:
+        key |= _EXTENDED
+    if frame.is_error_frame or frame.is_remote_frame:
+        return ERROR_FRAME if frame.is_error_frame else _classic_bits(key, True, frame.dlc or 0, b"")
+    known = _KNOWN.get((key, data))
+    if known is None:
+        if len(_KNOWN) >= _KEPT:
+            _KNOWN.clear()
+        known = _KNOWN[key, data] = _classic_bits(key, False, len(data), data)
+    return known
 
 
-@lru_cache(maxsize=1 << 14)
-def _classic_bits(identifier: int, extended: bool, remote: bool, code: int, data: bytes) -> int:
-    """Much that is sent on a bus is sent again: the last 16,384 answers are kept."""
-    state, bits, check = _classic_head(identifier, extended, remote, code)
+#: A key has this above its identifier, of 29 bits.
+_EXTENDED = 1 << 29
+#: Much that is sent on a bus is sent again: so many answers are kept, by key and data.
+_KEPT = 1 << 14
+_KNOWN: dict[tuple[int, bytes], int] = {}
+
+
+def _classic_bits(key: int, remote: bool, code: int, data: bytes) -> int:
+    state, bits, check = _classic_head(key, remote, code)
     size = len(data)
     if size:
         check = _crc15()(data, check)
@@ -94,9 +104,9 @@ def _classic_bits(identifier: int, extended: bool, remote: bool, code: int, data
 
 
 @lru_cache(maxsize=1 << 12)
-def _classic_head(identifier: int, extended: bool, remote: bool, code: int) -> tuple[int, int, int]:
+def _classic_head(key: int, remote: bool, code: int) -> tuple[int, int, int]:
     """The stuffing state behind a header, the bits of all but the data and their stuff bits, the header's CRC."""
-    head, width = _head(identifier, extended, remote, code)
+    head, width = _head(key & ~_EXTENDED, key >= _EXTENDED, remote, code)
     state, count = _stuff(head, width, _START)
     return state, width + count + 15 + TRAILER, _crc15()(head.to_bytes((width + 7) // 8, "big"))
 

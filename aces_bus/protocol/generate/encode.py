@@ -93,7 +93,11 @@ class _Encoder(FunctionSetup):
             if field.name == "reserved" and isinstance(node, p.Rest):
                 if any(value is not None for value, _ in node.claimed):
                     raise NoEncoder("its payload depends on its values")
-                raise NoEncoder("bits without a field")
+                out.lines(
+                    f'if fields["{field.name}"]:',
+                    "    raise Unusual",
+                )
+                continue
             if isinstance(node, p.Scalar):
                 scalars.append((node, field.name, f'fields["{field.name}"]'))
             elif isinstance(node, p.Many):
