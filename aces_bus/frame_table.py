@@ -28,6 +28,7 @@ KEY_FD, KEY_REMOTE, KEY_EXTENDED = 1 << 29, 1 << 30, 1 << 31
 
 # Bits of `flags`. RX and TX: neither is set where the capture does not say which way a frame went.
 EXTENDED, REMOTE, FD, ERROR, BITRATE_SWITCH, ERROR_STATE, RX, TX = (1 << bit for bit in range(8))
+_KEY_BITS = ((EXTENDED, KEY_EXTENDED), (REMOTE, KEY_REMOTE), (FD, KEY_FD))
 #: The flags that make a frame anything but a standard data frame.
 UNUSUAL = EXTENDED | REMOTE | FD | ERROR
 
@@ -82,8 +83,12 @@ class FrameTable:
         flags = self.flags
         if not len(flags) or not int(np.bitwise_or.reduce(flags)) & UNUSUAL:
             return self.id
+        if (flags[0] == flags).all():
+            some = int(flags[0])
+            bits = sum(bit for flag, bit in _KEY_BITS if some & flag)
+            return self.id | np.uint32(bits)
         key = self.id.astype(np.uint32)
-        for flag, bit in ((EXTENDED, KEY_EXTENDED), (REMOTE, KEY_REMOTE), (FD, KEY_FD)):
+        for flag, bit in _KEY_BITS:
             key |= (flags & flag).astype(bool) * np.uint32(bit)
         return key
 

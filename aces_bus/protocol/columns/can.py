@@ -29,6 +29,7 @@ from ..declare.protocol import Variant
 from ..declare.transport import Transport
 from ..live.can import CanScanner, ChannelScanners
 from ..live.decide import REMEMBERED
+from .key_numbers import KeyNumbers
 from .reassemble import CarriedTable, ColumnReassembler
 from .rows import PacketRows, RowDecoder
 from .scanner import RecordColumns
@@ -80,8 +81,8 @@ class _KeySlots:
         self._slot = slot_of
         #: Slots of 11-bit data frames; −1 not looked up yet.
         self._standard = np.full(STANDARD, -1, np.int32)
-        #: All other keys that were looked up, sorted, and their slots.
-        self._keys = np.empty(0, np.uint32)
+        #: All other keys that were looked up, and their slots.
+        self._keys = KeyNumbers()
         self._slots = np.empty(0, np.int32)
 
     def of(self, table: FrameTable) -> Array:
@@ -91,6 +92,8 @@ class _KeySlots:
         if not any_flags & UNUSUAL:
             return self._standard_slots(table.id)
         key = table.key
+        if (flags[0] == flags).all() and not any_flags & ERROR:
+            return self._other_slots(key)
         slots = np.empty(len(table), np.int32)
         plain = (flags & UNUSUAL) == 0
         slots[plain] = self._standard_slots(table.id[plain])
@@ -104,29 +107,23 @@ class _KeySlots:
     def _standard_slots(self, identifiers: Array) -> Array:
         if len(identifiers) and int(identifiers.max()) >= STANDARD:
             return self._other_slots(identifiers)  # no frame of a bus, but a table may hold it
-        slots: Array = self._standard[identifiers]
-        if (slots < 0).any():
+        slots: Array = self._standard.take(identifiers)
+        if len(slots) and int(slots.min()) < 0:
             for key in np.unique(identifiers[slots < 0]).tolist():
                 self._standard[key] = self._slot(key)
-            slots = self._standard[identifiers]
+            slots = self._standard.take(identifiers)
         return slots
 
     def _other_slots(self, keys: Array) -> Array:
-        known = self._keys
-        if len(known):
-            places = np.searchsorted(known, keys)
-            places[places == len(known)] = 0
-            if (known[places] == keys).all():
-                found: Array = self._slots[places]
-                return found
+        if len(self._keys) < REMEMBERED:
+            numbers = self._keys.of(keys)
+            if len(new := self._keys.known[len(self._slots) :]):
+                slots = [self._slot(key) for key in new.tolist()]
+                self._slots = np.concatenate([self._slots, np.array(slots, np.int32)])
+            found: Array = self._slots.take(numbers)
+            return found
         unique, inverse = np.unique(keys, return_inverse=True)
-        memory = dict(zip(known.tolist(), self._slots.tolist(), strict=True))
-        new = {key: memory[key] if key in memory else self._slot(key) for key in unique.tolist()}
-        if len(memory) + len(new) <= REMEMBERED:
-            memory.update(new)
-            self._keys = np.array(sorted(memory), np.uint32)
-            self._slots = np.array([memory[key] for key in self._keys.tolist()], np.int32)
-        return np.array([new[key] for key in unique.tolist()], np.int32)[inverse]
+        return np.array([self._slot(key) for key in unique.tolist()], np.int32)[inverse]
 
 
 class _Carrier:
@@ -517,12 +514,18 @@ class _Batch:
         carried: CarriedTable | None = None,
     ) -> None:
         self.table = table
-        self.order = np.argsort(slots.astype(np.uint16) if top < 1 << 16 else slots, kind="stable")
-        ends = np.cumsum(np.bincount(slots, minlength=top)).tolist()
         #: Each slot that occurs, with its part of the sorted columns.
-        self.slices = [
-            (slot, start, end) for slot, (start, end) in enumerate(pairwise([0, *ends])) if end > start
-        ]
+        self.slices: list[tuple[int, int, int]]
+        self._is_sorted = bool((slots[0] == slots).all())
+        if self._is_sorted:
+            self.order = np.arange(len(slots))
+            self.slices = [(int(slots[0]), 0, len(slots))]
+        else:
+            self.order = np.argsort(slots.astype(np.uint16) if top < 1 << 16 else slots, kind="stable")
+            ends = np.cumsum(np.bincount(slots, minlength=top)).tolist()
+            self.slices = [
+                (slot, start, end) for slot, (start, end) in enumerate(pairwise([0, *ends])) if end > start
+            ]
         #: Where the frames are packets: of which transport, and what they are made of.
         self.transport, self.carried = transport, carried
         #: The frames' numbers in the capture, in the table's order.
@@ -532,37 +535,48 @@ class _Batch:
 
     @cached_property
     def _row(self) -> Array:
-        return self.numbers[self.order]
+        return self._in_order(self.numbers)
 
     @cached_property
     def _data(self) -> Array:
-        return rows_at(self.table.data, self.order)
+        return self.table.data if self._is_sorted else rows_at(self.table.data, self.order)
 
     @cached_property
     def _lengths(self) -> Array:
         flags = self.table.flags
+        length = self._in_order(self.table.length)
         if int(np.bitwise_or.reduce(flags)) & REMOTE_FLAG:
             # A remote frame's number is what it asks for; data it has none.
-            return np.where(flags[self.order] & REMOTE_FLAG, 0, _sorted(self.table.length, self.order))
-        return _sorted(self.table.length, self.order)
+            return np.where(flags[self.order] & REMOTE_FLAG, 0, length)
+        return length
 
     @cached_property
     def _keys(self) -> Array:
-        return self.table.key[self.order]
+        return self._in_order(self.table.key)
 
     @cached_property
     def _time(self) -> Array:
-        return self.table.time[self.order]
+        return self._in_order(self.table.time)
 
     @cached_property
     def _channel(self) -> Array:
-        return _sorted(self.table.channel, self.order)
+        return self._in_order(self.table.channel)
 
     @cached_property
     def _rx(self) -> Array:
         flags = self.table.flags
         is_said = int(np.bitwise_or.reduce(flags)) & (RX | TX)
-        return _way(flags)[self.order] if is_said else np.full(len(flags), 2, np.uint8)
+        return self._in_order(_way(flags)) if is_said else np.full(len(flags), 2, np.uint8)
+
+    def _in_order(self, column: Array) -> Array:
+        """A column in the order of slots; one that is the same throughout, as most are, costs little."""
+        if self._is_sorted:
+            return column
+        first = column[0]
+        if first == column[-1] and (column == first).all():
+            return np.broadcast_to(first, column.shape)
+        found: Array = column[self.order]
+        return found
 
     def some(self, start: int, end: int, which: Array | None) -> Array:
         """The places of those of [start, end) that are named (None: all)."""
@@ -631,15 +645,6 @@ def _losses(table: FrameTable, rows: Array, places: Array, reasons: Sequence[str
         row=rows[places],
         rx=_way(some.flags),
     )
-
-
-def _sorted(column: Array, order: Array) -> Array:
-    """A column in another order; one that is the same throughout, as most are, costs nothing."""
-    first = column[0]
-    if first == column[-1] and (column == first).all():
-        return np.broadcast_to(first, column.shape)
-    found: Array = column[order]
-    return found
 
 
 def _way(flags: Array) -> Array:

@@ -20,7 +20,8 @@ class KeyNumbers:
     """Numbers for keys, from 0 on, in the order in which they first came."""
 
     def __init__(self) -> None:
-        self._keys: Array = np.empty(0, np.uint32)
+        #: The keys by their numbers, uint32.
+        self.known: Array = np.empty(0, np.uint32)
         self._multiplier, self._shift = np.uint32(1), np.uint32(31)
         #: By place: the key there and its number; one that is not there has a key that scatters elsewhere.
         self._there: Array = np.empty(0, np.uint32)
@@ -28,28 +29,28 @@ class KeyNumbers:
         self._is_scattered = False
 
     def __len__(self) -> int:
-        return len(self._keys)
+        return len(self.known)
 
     def of(self, keys: Array) -> Array:
         """The numbers of keys, int32 (n,)."""
         keys = keys.astype(np.uint32, copy=False)
         if self._is_scattered:
             places = (keys * self._multiplier) >> self._shift
-            if (self._there[places] == keys).all():
-                found: Array = self._number[places]
+            if (self._there.take(places) == keys).all():
+                found: Array = self._number.take(places)
                 return found
-        new = np.setdiff1d(keys, self._keys)
+        new = np.setdiff1d(keys, self.known)
         if len(new):
-            self._keys = np.concatenate([self._keys, new.astype(np.uint32)])
+            self.known = np.concatenate([self.known, new.astype(np.uint32)])
             self._scatter()
             if self._is_scattered:
                 return self.of(keys)
-        order = np.argsort(self._keys)
-        return order[np.searchsorted(self._keys[order], keys)].astype(np.int32)
+        order = np.argsort(self.known)
+        return order[np.searchsorted(self.known[order], keys)].astype(np.int32)
 
     def _scatter(self) -> None:
         """Look for a multiplier that gives each key a place of its own."""
-        known = self._keys
+        known = self.known
         bits = max(4, (len(known) ** 2 // 2).bit_length()) if len(known) < 256 else 18
         multiplier = 0x9E37_79B1
         for _ in range(_TRIES):

@@ -4,9 +4,8 @@
    together here, in arrays; the frames of anything else go through the live reassembler, run by run.
 2. Pieces may be cut anywhere: frames of packets under way stay, and come in front of the next piece.
 
-Frames are sorted by session. A run is a first or single frame and what follows it in its session; it is a packet when it has
-as many frames as the first one promises, in their places, full and in time. Bytes are gathered from all packets of one shape
-at once.
+What each frame is, `carried` says, and which are whole packets, `runs`. Bytes are gathered from all packets of one shape at
+once.
 """
 
 from __future__ import annotations
@@ -18,11 +17,12 @@ import numpy as np
 
 from ...frame_table import EXTENDED, NO_TIME, RX, TX, FrameTable, rows_at
 from ..declare.transport import Transport
-from ..keys import FD
 from ..live.reassemble import Reassembler
-from .carried import FIRST, NEXT, NO_PART, SINGLE, FrameParts, bare_keys, can_table
-from .key_numbers import KeyNumbers
+from .carried import NEXT, FrameParts, PartReader, bare_keys
+from .runs import AlikePackets, Runs, sorted_places
+from .sessions import part_reader
 from .table import Array
+from .unwrap import without_check
 
 #: Widths of the tables of packets: short packets do not take the room of long ones.
 _WIDTHS = (8, 64, 512)
@@ -31,6 +31,9 @@ _STEP = 1024
 #: The flags of a frame that its packet has, too: those of its identifier and of its way.
 _KEPT = EXTENDED | RX | TX
 
+#: Packets that are alike: their frames' places (m, count), those of their last frames, keys, sizes, bytes.
+_Alike = tuple[Array, Array, Array, Array, Array]
+
 
 @dataclass
 class CarriedTable:
@@ -38,8 +41,8 @@ class CarriedTable:
 
     `packets` is a table like that of frames: `time` is that of the last frame, `length` and `data` are the packet's. `rows`:
     the last frame's number in the capture; `first_time`: the instant of the first one; `counts`: how many frames. Which
-    these are, `frames_of` says: `shapes` has the places of all frames of packets that are alike, `where` the shape of each
-    packet and its row there.
+    these are, `frames_of` says: `shapes` has the places of all frames of packets that are alike (m, count), `where` the
+    shape of each packet and its row there.
     """
 
     packets: FrameTable
@@ -52,7 +55,7 @@ class CarriedTable:
     def frames_of(self, number: int) -> Array:
         """The places of the frames of one packet, in the order in which they came, in the table that was decided."""
         shape, row = self.where
-        frames: Array = np.sort(self.shapes[int(shape[number])][:, int(row[number])])
+        frames: Array = np.sort(self.shapes[int(shape[number])][int(row[number])])
         return frames
 
 
@@ -73,11 +76,10 @@ class ColumnReassembler:
 
     def __init__(self, transport: Transport, extra_of: Callable[[int], bytes]) -> None:
         self.transport, self._extra_of = transport, extra_of
-        self._has_columns = can_table(transport)
+        self._reader: PartReader | None = part_reader(transport)
         #: Frames of packets under way, in the order of the capture, and their numbers.
         self._left = FrameTable.empty()
         self._left_rows: Array = np.empty(0, np.int64)
-        self._keys = KeyNumbers()
         #: Of a transport with acknowledged packets, what goes on from piece to piece: its sessions that are lost.
         self._talks = Reassembler(transport) if transport.has_conversations else None
 
@@ -92,7 +94,8 @@ class ColumnReassembler:
             table = FrameTable.concat([self._left, table])
             rows = np.concatenate([self._left_rows, rows])
         piece = _Piece(self.transport, table, rows, self._extra_of)
-        left = piece.in_columns(self._keys) if self._has_columns else None
+        is_quiet = self._talks is None or self._talks.is_idle
+        left = piece.in_columns(self._reader) if self._reader is not None and is_quiet else None
         if left is None:
             piece = _Piece(self.transport, table, rows, self._extra_of)
             left = piece.one_by_one() if self._talks is None else piece.gone_on(self._talks)
@@ -116,8 +119,9 @@ class _Piece:
     ) -> None:
         self.transport, self.table, self.rows, self._extra_of = transport, table, rows, extra_of
         self._unwraps = type(transport).unwrapped is not Transport.unwrapped
-        #: By width: of packets that are alike, their frames' places (count, m), keys, sizes, bytes.
-        self._packets: dict[int, list[tuple[Array, Array, Array, Array]]] = {}
+        self._check = transport.added_check
+        #: By width.
+        self._packets: dict[int, list[_Alike]] = {}
         self._lost: list[Array] = []
         self._reasons: list[str] = []
 
@@ -127,21 +131,19 @@ class _Piece:
         lost = np.concatenate(self._lost) if self._lost else np.empty(0, np.int64)
         return DecidedTable(self.table, self.rows, packets, lost, self._reasons)
 
-    def _joined(self, some: list[tuple[Array, Array, Array, Array]]) -> CarriedTable:
+    def _joined(self, some: list[_Alike]) -> CarriedTable:
         """Packets of one width, in the order of their last frames."""
         table = self.table
-        in_order = self.transport.any_order
-        shapes = [frames for frames, _, _, _ in some]
-        last = np.concatenate([f.max(axis=0) if in_order else f[-1] for f in shapes])
-        first = np.concatenate([frames[0] for frames in shapes])
-        sizes = [frames.shape[1] for frames in shapes]
+        shapes = [one[0] for one in some]
+        first = np.concatenate([frames[:, 0] for frames in shapes])
+        sizes = [len(frames) for frames in shapes]
         shape = np.repeat(np.arange(len(shapes)), sizes)
         row = np.concatenate([np.arange(n) for n in sizes])
-        keys, length, data = (
-            np.concatenate([one[k] for one in some]) if len(some) > 1 else some[0][k] for k in (1, 2, 3)
+        last, keys, length, data = (
+            np.concatenate([one[k] for one in some]) if len(some) > 1 else some[0][k] for k in (1, 2, 3, 4)
         )
         if (last[1:] < last[:-1]).any():
-            order = _sorted_places(last, len(table))
+            order = sorted_places(last, len(table))
             last, first, shape, row = last[order], first[order], shape[order], row[order]
             keys, length, data = keys[order], length[order], data[order]
         flags = table.flags[last] & np.uint8(_KEPT)
@@ -149,7 +151,7 @@ class _Piece:
         packets = FrameTable(
             table.time[last], table.channel[last], number, flags, length, data, table.channels
         )
-        counts = np.array([len(frames) for frames in shapes])[shape]
+        counts = np.array([frames.shape[1] for frames in shapes])[shape]
         return CarriedTable(packets, self.rows[last], table.time[first], counts, shapes, (shape, row))
 
     def _lose(self, places: Sequence[int] | Array, reason: str) -> None:
@@ -157,26 +159,30 @@ class _Piece:
             self._lost.append(np.asarray(places, np.int64))
             self._reasons += [reason] * len(places)
 
-    def _add(self, frames: Array, keys: Array, length: Array, data: Array) -> None:
+    def _add(self, frames: Array, last: Array, keys: Array, length: Array, data: Array) -> None:
         """Packets of as many frames each."""
-        if self._unwraps and len(frames) > 1:
-            frames, keys, length, data = self._unwrapped(frames, keys, length, data)
-        self._packets.setdefault(data.shape[1], []).append((frames, keys, length, data))
+        if self._unwraps and frames.shape[1] > 1:
+            good, length, data = self._unwrapped(keys, length, data)
+            self._lose(frames[~good].ravel(), "malformed: checksum")
+            frames, last, keys = frames[good], last[good], keys[good]
+            if not len(keys):
+                return
+        self._packets.setdefault(data.shape[1], []).append((frames, last, keys, length, data))
 
-    def _unwrapped(
-        self, frames: Array, keys: Array, length: Array, data: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        """Packets of several frames without the check that their transport has added; those where it is wrong are lost."""
+    def _unwrapped(self, keys: Array, length: Array, data: Array) -> tuple[Array, Array, Array]:
+        """Of packets of several frames: where the check that their transport has added is right, and sizes and bytes of
+        these without it."""
+        if self._check is not None:
+            return without_check(self._check, self._extra_of, keys, length, data)
         width, raw, unwrapped = data.shape[1], data.tobytes(), self.transport.unwrapped
         found = [
             unwrapped(raw[at : at + size], self._extra_of(key))
             for key, at, size in zip(keys.tolist(), range(0, len(raw), width), length.tolist(), strict=True)
         ]
-        good = np.array([one is not None for one in found], bool)
-        self._lose(frames[:, ~good].ravel(), "malformed: checksum")
         kept = [one for one in found if one is not None]
         rows = np.frombuffer(b"".join(one.ljust(width, b"\0") for one in kept), np.uint8).reshape(-1, width)
-        return frames[:, good], keys[good], np.array([len(one) for one in kept], np.int64), rows
+        good = np.array([one is not None for one in found], bool)
+        return good, np.array([len(one) for one in kept], np.int64), rows
 
     # ------------------------------------------------------------------ by the live reassembler
 
@@ -234,8 +240,10 @@ class _Piece:
             shapes.setdefault((_width_of(len(one[1])), len(one[2])), []).append(one)
         for (width, _), some in shapes.items():
             data = np.frombuffer(b"".join(one[1].ljust(width, b"\0") for one in some), np.uint8)
+            frames = np.array([one[2] for one in some], np.int64)
             self._add(
-                np.array([one[2] for one in some], np.int64).T,
+                frames,
+                frames[:, -1],
                 np.array([one[0] for one in some], np.uint32),
                 np.array([len(one[1]) for one in some], np.int64),
                 data.reshape(-1, width),
@@ -262,36 +270,35 @@ class _Piece:
 
     # ------------------------------------------------------------------ in columns
 
-    def in_columns(self, keys: KeyNumbers) -> Array | None:
-        """Decide all frames; the places of those that are under way. None where more packets may be under way than there
-        are senders: which of them is given up, only the rule says."""
-        parts = FrameParts(self.transport, self.table)
+    def in_columns(self, reader: PartReader) -> Array | None:
+        """Decide all frames; the places of those that are under way. None where only the rule can say: of
+        acknowledged packets, and which packet is given up where more may be under way than there are senders."""
+        parts = reader.read(self.table)
+        if parts is None:
+            return None
         for places, reason in parts.reasons:
             self._lose(places, reason)
-        numbers = keys.of(bare_keys(self.table))
-        session = parts.sessions(numbers, len(keys))
-        if parts.reasons:
-            some = np.flatnonzero(parts.role != NO_PART)
-            order = some[np.argsort(session[some], kind="stable")]
-        else:
-            order = np.argsort(session, kind="stable")
-        if not len(order):
-            return order
-        runs = _Runs(parts, order, session[order])
+        runs = Runs(self.transport, self.table, parts)
         if runs.most_open() > self.transport.senders:
             return None
-        self._gather(parts, runs)
-        return self._faulty(runs)
+        for packets in runs.packets:
+            self._gather(parts, packets)
+        under_way = runs.frames_of(np.flatnonzero(runs.under_way))
+        return np.sort(np.concatenate([under_way, self._faulty(runs, parts)]))
 
-    def _faulty(self, runs: _Runs) -> Array:
+    def _faulty(self, runs: Runs, parts: FrameParts) -> Array:
         """Runs that are no whole packet: frames are lost, or under way where the session has nothing behind them."""
-        bad = np.flatnonzero(~runs.good)
-        if not len(bad):
+        bad = np.flatnonzero(~(runs.good | runs.under_way))
+        if not len(bad) and parts.tied is None:
             return np.empty(0, np.int64)
-        starts, ends = runs.starts[bad], runs.starts[bad] + runs.sizes[bad]
         listed: list[tuple[Sequence[int], int | None]] = []
         headless: list[Array] = []
         needed: list[Array] = []
+        if parts.tied is not None:
+            for party in np.unique(parts.tied[parts.tied >= 0]).tolist():
+                needed.append(np.flatnonzero(parts.tied == party))
+                listed.append((needed[-1].tolist(), None))
+        starts, ends = runs.starts[bad], runs.starts[bad] + runs.sizes[bad]
         for start, end, role, is_last in zip(
             starts.tolist(), ends.tolist(), runs.role[bad].tolist(), runs.is_last[bad].tolist(), strict=True
         ):
@@ -302,171 +309,47 @@ class _Piece:
             listed.append((runs.order[start:end].tolist(), None if is_last else int(runs.order[end])))
         if headless:
             self._lose(np.concatenate(headless), "malformed: no first frame")
-        return self._by_rule(listed, np.unique(np.concatenate(needed))) if listed else np.empty(0, np.int64)
+        if not listed:
+            return np.empty(0, np.int64)
+        return self._by_rule(listed, np.unique(np.concatenate(needed)))
 
-    def _gather(self, parts: FrameParts, runs: _Runs) -> None:
-        """The bytes of whole packets, all that are alike at once."""
-        alone = runs.starts[(runs.sizes == 1) & runs.good]
-        if len(alone):
-            places = runs.order[alone]
-            self._alike(parts, places[None, :], parts.size[places])
-        for which, frames in runs.shapes:
-            good = runs.good[which]
-            frames = frames if good.all() else frames[:, good]
-            is_sized = parts.is_sized
-            total = parts.size[frames[0]] if is_sized else parts.piece[frames].sum(axis=0, dtype=np.int64)
-            if frames.shape[1]:
-                self._alike(parts, frames, total)
+    def _gather(self, parts: FrameParts, packets: AlikePackets) -> None:
+        """The bytes of packets that are alike."""
+        for head, some in parts.by_kind(packets.frames[:, 0]):
+            frames, last, size = packets.frames, packets.last, packets.size
+            if some is not None:
+                frames, last, size = frames[some], last[some], size[some]
+            self._add(frames, last, parts.keys[frames[:, 0]], size, self._bytes(parts, head, frames, size))
 
-    def _alike(self, parts: FrameParts, frames: Array, total: Array) -> None:
-        """Packets of as many frames each, with first frames of one length: `frames` are their places (count, m), `total` how
-        many bytes they have, the address aside."""
-        table, address, count = self.table, self.transport.address, len(frames)
-        following = self.transport.following
-        for kind, some in parts.by_kind(frames[0]):
-            mine, size = (frames, total) if some is None else (frames[:, some], total[some])
-            size = size.astype(np.int64) + address
-            least, most = int(size.min()), int(size.max())
-            width = _width_of(most)
-            first = rows_at(table.data, mine[0])
-            begin = address + kind.head
-            data = np.zeros((len(size), width), np.uint8)
-            data[:, :address] = first[:, :address]
-            end = int(table.length[mine[0, 0]]) - kind.tail if count > 1 else first.shape[1]
-            reach = min(width - address, end - begin)
-            data[:, address : address + reach] = first[:, begin : begin + reach]
-            at, step = address + reach, address + following.head
-            for places in mine[1:]:
-                stop = min(end + kind.tail - following.tail, step + width - at)
-                data[:, at : at + stop - step] = rows_at(table.data, places)[:, step:stop]
-                at += stop - step
-            if least == most:
-                data[:, most:] = 0
-            else:
-                data *= np.arange(width) < size[:, None]
-            keys = table.key[mine[0]] & np.uint32(~FD & 0xFFFF_FFFF)
-            self._add(mine, keys, size, data)
-
-
-class _Runs:
-    """Frames in the order of their sessions, in runs: each begins with a first or single frame, or with a session."""
-
-    def __init__(self, parts: FrameParts, order: Array, session: Array) -> None:
-        self.parts, self.order, self._session = parts, order, session
-        n = len(order)
-        role = parts.role[order]
-        self._is_new = np.ones(n + 1, bool)
-        np.not_equal(session[1:], session[:-1], out=self._is_new[1:n])
-        #: Of each run: where it begins in `order`, how many frames it has, what its first frame is.
-        self.starts = np.flatnonzero(self._is_new[:n] | (role != NEXT))
-        self.sizes = np.diff(np.append(self.starts, n))
-        self.role = role[self.starts]
-        #: Whether it is a whole packet without fault.
-        self.good = (self.role == SINGLE) & (self.sizes == 1)
-        #: Runs of several frames that are alike: which, and where their frames are, first to last (count, m).
-        self.shapes: list[tuple[Array, Array]] = []
-        firsts = np.flatnonzero(self.role == FIRST)
-        if len(firsts):
-            self._whole(firsts)
-
-    @property
-    def is_last(self) -> Array:
-        """Whether nothing of a run's session follows it."""
-        found: Array = self._is_new[self.starts + self.sizes]
-        return found
-
-    def most_open(self) -> int:
-        """How many packets are under way at once, or more than that."""
-        senders = self.parts.transport.senders
-        sessions = int(np.count_nonzero(self._is_new)) - 1
-        more = np.flatnonzero((self.role == FIRST) & ((self.sizes > 1) | ~self.good))
-        if min(sessions, len(more)) <= senders:
-            return min(sessions, len(more))
-        n = len(self.parts.role)
-        last = self.starts[more] + self.sizes[more]
-        until = np.where(self.is_last[more], n, self.order[np.minimum(last, len(self.order) - 1)])
-        if not self.parts.transport.any_order:
-            until = np.where(self.good[more], self.order[last - 1], until)
-        begun = np.bincount(self.order[self.starts[more]], minlength=n + 1)
-        return int(np.cumsum(begun - np.bincount(until, minlength=n + 1)).max())
-
-    def _whole(self, firsts: Array) -> None:
-        """Which of the runs that begin with a first frame are whole packets without fault."""
-        parts, transport = self.parts, self.parts.transport
-        begin, sizes = self.starts[firsts], self.sizes[firsts]
-        head = self.order[begin]
-        length = parts.table.length[head].astype(np.int64)
-        following = transport.following
-        room = length - (transport.address + following.head + following.tail)
-        rest = parts.size[head] - parts.piece[head].astype(np.int64)
-        if parts.is_sized:
-            good = np.where(rest > 0, -(-rest // np.maximum(room, 1)), 0) + 1 == sizes
-        else:
-            good = (sizes > 1) | parts.last[head]
-        is_full = length == 8
-        if transport.fd:
-            is_full = np.isin(length, np.array(transport.lengths()))
-        good &= (room > 0) & (is_full | (sizes == 1))
-        self.good[firsts] = good
-        more = np.flatnonzero(good & (sizes > 1))
-        if not len(more):
-            return
-        # In the order of their last frames, as they are wanted in the end.
-        more = more[_sorted_places(self.order[begin[more] + sizes[more] - 1], len(parts.role))]
-        shape = sizes[more] * 128 + length[more]
-        by_shape = np.argsort(shape, kind="stable") if (shape != shape[0]).any() else np.arange(len(shape))
-        for some in np.split(more[by_shape], np.flatnonzero(np.diff(shape[by_shape])) + 1):
-            count = int(sizes[some[0]])
-            frames = self.order[np.arange(count)[:, None] + begin[some]]
-            frames, right = self._right(frames, int(room[some[0]]), rest[some])
-            self.good[firsts[some]] = right
-            self.shapes.append((firsts[some], frames))
-
-    def _right(self, frames: Array, room: int, rest: Array) -> tuple[Array, Array]:
-        """Of runs of as many frames each (count, m): the frames in their places, and which runs are without fault. `rest` is
-        how many bytes there are behind the first frame's."""
-        parts, transport, table = self.parts, self.parts.transport, self.parts.table
-        count = len(frames)
-        is_right = np.ones(frames.shape[1], bool)
-        for step, places in enumerate(frames[1:]):
-            is_right &= parts.number[places] == (transport.first_number + step) % transport.modulo
-        begun, done = table.time[frames[0]], table.time[frames[-1]]
-        slow = done - begun > transport.timeout_s * 1e9 - 1000
-        if slow.any() or not parts.is_in_time_order or int(begun.min()) == NO_TIME:
-            is_right &= ~_late(table.time[frames], transport.timeout_s)
-        if transport.any_order and not is_right.all() and count <= transport.modulo:
-            place = (
-                parts.number[frames[1:]].astype(np.int64) - transport.first_number
-            ) % transport.modulo + 1
-            sort = np.argsort(place, axis=0, kind="stable")
-            is_all = (np.take_along_axis(place, sort, axis=0) == np.arange(1, count)[:, None]).all(axis=0)
-            is_right |= is_all & ~_late(table.time[frames], transport.timeout_s)
-            frames = np.concatenate([frames[:1], np.take_along_axis(frames[1:], sort, axis=0)])
-        if not parts.is_even or not parts.is_sized:
-            piece = parts.piece[frames[1:]]
-            is_right &= (piece[:-1] == room).all(axis=0)
-            if parts.is_sized:
-                is_right &= piece[-1] >= rest - (count - 2) * room
-            else:
-                last = parts.last[frames]
-                is_right &= last[-1] & ~last[:-1].any(axis=0) & (piece[-1] <= room)
-                total = parts.piece[frames].sum(axis=0, dtype=np.int64) + transport.address
-                is_right &= total <= transport.longest + transport.overhead
-        return frames, is_right
-
-
-def _late(time: Array, timeout_s: float) -> Array:
-    """In which columns (count, m) more than the time-out goes by between two frames, as the live reassembler computes it."""
-    seconds = time / 1_000_000_000
-    late = np.greater(np.diff(seconds, axis=0), timeout_s)
-    known = time != NO_TIME
-    found: Array = (late & known[1:] & known[:-1]).any(axis=0)
-    return found
-
-
-def _sorted_places(places: Array, count: int) -> Array:
-    """The order of places in a table of `count` frames: of a small one by their 16 bits, which is much quicker."""
-    return np.argsort(places.astype(np.uint16) if count <= 1 << 16 else places, kind="stable")
+    def _bytes(self, parts: FrameParts, head: tuple[int, int], frames: Array, size: Array) -> Array:
+        """The bytes of packets, uint8 (m, width) with zeros behind each, whose first frames have what is theirs between
+        `head`."""
+        table, address = self.table, self.transport.address
+        m, count = frames.shape
+        least, most = int(size.min()), int(size.max())
+        width = _width_of(most)
+        data = np.zeros((m, width), np.uint8)
+        rows = rows_at(table.data, frames.ravel()).reshape(m, count, -1)
+        length = int(table.length[frames[0, 0]])
+        begin, behind = head
+        end = length - behind if count > 1 else rows.shape[2]
+        at = min(most, address + end - begin)
+        data[:, :address] = rows[:, 0, :address]
+        data[:, address:at] = rows[:, 0, begin : begin + at - address]
+        begin, behind = parts.following
+        room = length - begin - behind
+        if count > 2:
+            # Pieces as single elements are copied much faster than byte for byte.
+            piece, step = f"V{room}", rows.strides
+            source = np.ndarray((m, count - 2), piece, rows, step[1] + begin, step[:2])
+            np.ndarray((m, count - 2), piece, data, at, (width, room))[...] = source
+            at += (count - 2) * room
+        if count > 1:
+            stop = min(most - at, room)
+            data[:, at : at + stop] = rows[:, -1, begin : begin + stop]
+        if least < most:
+            data *= np.arange(width) < size[:, None]
+        return data
 
 
 def _width_of(size: int) -> int:

@@ -19,14 +19,16 @@ from .transport import FrameKind, FrameNumber, FramePart, Transport
 
 #: Everybody: the destination of what is broadcast.
 EVERYBODY = 0xFF
-_CONNECTION, _DATA = 0xEC, 0xEB
-_RTS, _CTS, _END, _BAM, _ABORT = 16, 17, 19, 32, 255
-_STEERING = {_CTS: "clear to send", _END: "end of message"}
+#: PDU formats of what opens and steers sessions, and of their data.
+CONNECTION, DATA = 0xEC, 0xEB
+#: Control bytes of the first one.
+RTS, CTS, END, BAM, ABORT = 16, 17, 19, 32, 255
+STEERING = {CTS: "clear to send", END: "end of message"}
 _ABORTS = {1: "busy", 2: "no resources", 3: "timed out", 4: "clear to send during data"}
 #: Parameter groups below this PDU format are sent to one address.
-_BROADCAST = 0xF0
+BROADCAST = 0xF0
 #: Bytes of a packet; frames of up to 8 are no packets.
-_LEAST, _MOST, _PIECE = 9, 1785, 7
+LEAST, MOST, PIECE = 9, 1785, 7
 #: Priority of data frames (J1939-21).
 _LOWEST = 7
 _OF_CONNECTION, _OF_DATA = (
@@ -34,7 +36,7 @@ _OF_CONNECTION, _OF_DATA = (
     | number << 16
     | IdField("destination", range(256)) << 8
     | IdField("source", range(256))
-    for number in (_CONNECTION, _DATA)
+    for number in (CONNECTION, DATA)
 )
 
 
@@ -56,15 +58,13 @@ class J1939Transport(Transport):
     fd: bool = field(default=False, init=False, repr=False)
     address: int = field(default=0, init=False, repr=False)
     pad: int | None = field(default=None, init=False, repr=False)
-    max_size: int = _MOST
+    max_size: int = MOST
     timeout_s: float = 1.25
     kinds: tuple[FrameKind, ...] = field(
         default=(
-            FrameKind(
-                "first", "broadcast announcement", ((FrameNumber(0), _BAM),), 8, least=_LEAST, most=_MOST
-            ),
-            FrameKind("first", "request to send", ((FrameNumber(0), _RTS),), 8, least=_LEAST, most=_MOST),
-            *(FrameKind("control", name, ((FrameNumber(0), byte),), 8) for byte, name in _STEERING.items()),
+            FrameKind("first", "broadcast announcement", ((FrameNumber(0), BAM),), 8, least=LEAST, most=MOST),
+            FrameKind("first", "request to send", ((FrameNumber(0), RTS),), 8, least=LEAST, most=MOST),
+            *(FrameKind("control", name, ((FrameNumber(0), byte),), 8) for byte, name in STEERING.items()),
             FrameKind("next", "data transfer", (), number=FrameNumber(0)),
         ),
         init=False,
@@ -86,31 +86,31 @@ class J1939Transport(Transport):
         """What a frame is: of a parameter group itself, or of a session."""
         group = key >> 16 & 0x3FF
         source, destination = key & 0xFF, key >> 8 & 0xFF
-        if group == _DATA:
+        if group == DATA:
             if len(data) < 2:
                 return FramePart("bad", reason="malformed: length")
             return FramePart("next", (source, destination), data[1:], number=data[0])
-        if group != _CONNECTION:
+        if group != CONNECTION:
             return FramePart("single", (source, destination, group), data, key)
         if len(data) < 8:
             return FramePart("bad", reason="malformed: length")
-        if data[0] in _STEERING:
-            return FramePart("control", reason=f"control: {_STEERING[data[0]]}")
-        if data[0] == _ABORT:
+        if data[0] in STEERING:
+            return FramePart("control", reason=f"control: {STEERING[data[0]]}")
+        if data[0] == ABORT:
             why = _ABORTS.get(data[1], f"reason {data[1]}")
             # Mostly the receiver aborts: of the session that comes the other way.
             return FramePart(
                 "abort", (destination, source), reason=f"control: abort, {why}", other=(source, destination)
             )
-        if data[0] not in (_RTS, _BAM) or (data[0] == _BAM) != (destination == EVERYBODY):
+        if data[0] not in (RTS, BAM) or (data[0] == BAM) != (destination == EVERYBODY):
             return FramePart("bad", reason=f"malformed: no frame of {self.title}")
         size, count = int.from_bytes(data[1:3], "little"), data[3]
-        if not _LEAST <= size <= _MOST or count != -(-size // _PIECE):
+        if not LEAST <= size <= MOST or count != -(-size // PIECE):
             return FramePart("bad", reason="malformed: length")
         if size > self.max_size:
             return FramePart("bad", reason="malformed: too long")
         number = int.from_bytes(data[5:8], "little")
-        if number >> 8 & 0xFF < _BROADCAST:
+        if number >> 8 & 0xFF < BROADCAST:
             number = number & ~0xFF | destination
         packet = key & (EXTENDED | 7 << 26) | (number & 0x3FFFF) << 8 | source
         return FramePart("first", (source, destination), b"", packet, size)
@@ -119,14 +119,14 @@ class J1939Transport(Transport):
         """The frames of a packet: one, or those of a session without what the receiver says."""
         if len(data) > self.max_size:
             raise FieldError(f"a packet of {len(data)} bytes; {self.title} has {self.max_size} at most")
-        if len(data) < _LEAST:
+        if len(data) < LEAST:
             return [(key, data)]
         number, source = key >> 8 & 0x3FFFF, key & 0xFF
         destination = EVERYBODY
-        if number >> 8 & 0xFF < _BROADCAST:
+        if number >> 8 & 0xFF < BROADCAST:
             number, destination = number & ~0xFF, number & 0xFF
-        pieces = [data[at : at + _PIECE] for at in range(0, len(data), _PIECE)]
-        opening = _BAM if destination == EVERYBODY else _RTS
+        pieces = [data[at : at + PIECE] for at in range(0, len(data), PIECE)]
+        opening = BAM if destination == EVERYBODY else RTS
         head = (
             bytes([opening])
             + len(data).to_bytes(2, "little")
@@ -134,9 +134,9 @@ class J1939Transport(Transport):
             + number.to_bytes(3, "little")
         )
         to = EXTENDED | destination << 8 | source
-        frames = [(to | key & 7 << 26 | _CONNECTION << 16, head)]
+        frames = [(to | key & 7 << 26 | CONNECTION << 16, head)]
         for index, piece in enumerate(pieces, 1):
-            frames.append((to | _LOWEST << 26 | _DATA << 16, bytes([index]) + piece.ljust(_PIECE, b"\xff")))
+            frames.append((to | _LOWEST << 26 | DATA << 16, bytes([index]) + piece.ljust(PIECE, b"\xff")))
         return frames
 
 

@@ -19,16 +19,21 @@ from ...errors import FieldError, SpecError
 from ...frames import FD_LENGTHS
 from .checks import Crc
 from .place import caller
-from .transport import FrameKind, FrameNumber, Transport
+from .transport import AddedCheck, FrameKind, FrameNumber, Transport
 
 _START, _END, _TOGGLE, _NUMBER = (FrameNumber(-1, mask) for mask in (0x80, 0x40, 0x20, 0x1F))
 _CRC_BYTES = 2
 
 
 @cache
-def _crc() -> Callable[[bytes], int]:
+def _added(version: int) -> AddedCheck:
     """CRC-16/CCITT-FALSE, by its other name; made when the first transfer needs it."""
-    return Crc("CRC16-IBM-3740").engine
+    return AddedCheck(Crc("CRC16-IBM-3740", order="big" if version else "little"), is_in_front=not version)
+
+
+@cache
+def _crc() -> Callable[[bytes], int]:
+    return _added(0).crc.engine
 
 
 def _kinds(toggle: int) -> tuple[FrameKind, ...]:
@@ -70,6 +75,10 @@ class TailByte(Transport):
     @property
     def overhead(self) -> int:
         return _CRC_BYTES
+
+    @property
+    def added_check(self) -> AddedCheck:
+        return _added(self.version)
 
     def unwrapped(self, data: bytes, extra: bytes) -> bytes | None:
         """A transfer without its check; None where that is wrong."""

@@ -19,6 +19,7 @@ from typing import ClassVar, Literal, NamedTuple
 from ...errors import FieldError, SpecError
 from ...frames import FD_LENGTHS
 from ..keys import EXTENDED, REMOTE
+from .checks import Crc
 from .pattern import IdPattern
 from .place import caller
 
@@ -133,6 +134,14 @@ class Steering(NamedTuple):
     gap_ns: int = 0
 
 
+class AddedCheck(NamedTuple):
+    """A CRC that a transport adds to packets of several frames: at the front of them, where it begins with the message's
+    `check_extra`, or behind them."""
+
+    crc: Crc
+    is_in_front: bool
+
+
 @dataclass(frozen=True)
 class Transport:
     """How packets are cut into CAN frames, and the rule by which frames are packets again.
@@ -215,6 +224,11 @@ class Transport:
         """How many bytes it adds to a packet of several frames (a check)."""
         return 0
 
+    @property
+    def added_check(self) -> AddedCheck | None:
+        """What `unwrapped` takes away, where it is a CRC and nothing else."""
+        return None
+
     def carries(self, size: int) -> bool:
         """Whether a packet may have so many bytes; `max_size` is asked beside this."""
         return True
@@ -234,7 +248,7 @@ class Transport:
         """What a frame is; `key` is without the flag of CAN FD."""
         address = data[: self.address]
         body = data[self.address :] if self.address else data
-        for kind, is_sure in self._by_telling[body[self._telling]] if body else ():
+        for kind, is_sure in self.by_telling[body[self.telling]] if body else ():
             if (is_sure and len(body) > kind.over) or kind.fits(body):
                 return self._part(kind, key, address, body)
         return FramePart("bad", reason=f"malformed: no frame of {self.title}")
@@ -261,13 +275,13 @@ class Transport:
         return type(self).within is not Transport.within
 
     @cached_property
-    def _telling(self) -> int:
+    def telling(self) -> int:
         """The byte that tells kinds of frames apart: the first one behind the address, or the last one."""
         bytes_asked = {bits.byte for kind in self.kinds for bits, _ in kind.match}
         return -1 if bytes_asked == {-1} else 0
 
     @cached_property
-    def _by_telling(self) -> list[list[tuple[FrameKind, bool]]]:
+    def by_telling(self) -> list[list[tuple[FrameKind, bool]]]:
         """By that byte of a frame, the kinds that it may be, and whether that byte says all."""
         found: list[list[tuple[FrameKind, bool]]] = []
         for byte in range(256):
@@ -282,7 +296,7 @@ class Transport:
 
     def _asks_more(self, bits: FrameNumber) -> bool:
         """Whether a number is in other bytes than the one that tells kinds apart."""
-        return bits.byte != self._telling or bits.size > 1
+        return bits.byte != self.telling or bits.size > 1
 
     def _part(self, kind: FrameKind, key: int, address: bytes, body: bytes) -> FramePart:
         if kind.role == "control":

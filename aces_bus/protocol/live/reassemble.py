@@ -314,6 +314,11 @@ class Reassembler:
         """The frames of packets under way, which are pending for ever."""
         return [packet for who in list(self._open) for packet in self._give_up(who, "pending")]
 
+    @property
+    def is_idle(self) -> bool:
+        """Whether no packet is under way, and no session lost."""
+        return not self._open
+
     def under_way(self) -> list[CarriedFrame]:
         """The frames of packets under way."""
         return [frame for found in self._open.values() for frame in found.frames]

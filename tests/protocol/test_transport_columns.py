@@ -1,0 +1,133 @@
+"""Packets of transports as columns are those of the live scanner, in long and bad recordings."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+
+import pytest
+from construct import Byte, GreedyBytes, Struct
+from msgspec.structs import replace
+
+from aces_bus.frame_table import FrameTable
+from aces_bus.frames import Frame
+from aces_bus.protocol import FastPacket, IdField, IsoTp, J1939Transport, Protocol, SdoTransfer, TailByte
+from aces_bus.protocol.columns import reassemble
+from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.protocol.declare.transport import Transport
+from aces_bus.testing.columns import columns_difference
+from aces_bus.testing.scenes import Scene
+
+WHO = IdField("who", range(4))
+EXTENDED = IdField("priority", range(8)) << 26
+TRANSPORTS: dict[str, tuple[Transport, object, bool]] = {
+    "ISO-TP": (IsoTp(max_size=4095), 0x600 + WHO, False),
+    "ISO-TP, padded": (IsoTp(pad=0xCC, timeout_s=0.3), 0x600 + WHO, False),
+    "ISO-TP, extended addresses": (IsoTp(addressing="extended"), 0x600 + WHO, False),
+    "ISO-TP, CAN FD": (IsoTp(fd=True), 0x600 + WHO, False),
+    "fast packets": (FastPacket(timeout_s=0.3), EXTENDED | 0x1F80100 | WHO, True),
+    "DroneCAN": (TailByte(version=0, max_size=300), EXTENDED | 0x1F80100 | WHO, True),
+    "Cyphal": (TailByte(version=1, max_size=300), EXTENDED | 0x1F80100 | WHO, True),
+    "Cyphal, CAN FD": (TailByte(version=1, fd=True, max_size=300), EXTENDED | 0x1F80100 | WHO, True),
+    "J1939, to all": (J1939Transport(timeout_s=0.3), EXTENDED | 0xFECA << 8 | WHO, True),
+    "J1939, to one": (J1939Transport(), EXTENDED | 0xEF0700 | WHO, True),
+    "SDO": (SdoTransfer(max_size=400), 0x600 + IdField("who", range(1, 5)), False),
+}
+
+
+def protocol_of(name: str) -> Protocol:
+    """A protocol whose one message is any packet, but for SDO, where packets begin with a command."""
+    transport, identifier, is_extended = TRANSPORTS[name]
+    protocol = Protocol("packets", link="can")
+    protocol.message(
+        "Packet",
+        transport=transport,
+        id=identifier,
+        extended=is_extended,
+        payload=Struct("head" / Byte, "data" / GreedyBytes),
+        check_extra=bytes(range(8)) if name == "DroneCAN" else b"",
+    )
+    return protocol
+
+
+def packets(protocol: Protocol, name: str, who: int, source: random.Random) -> Iterator[Frame]:
+    """Frames of a sender, packet behind packet, of many sizes."""
+    transport, encoder = TRANSPORTS[name][0], protocol.variant().encoder
+    most = min(transport.max_size, 250) - 5
+    while True:
+        head, size = 7, source.choice((3, 5, 6, 7, 12, 13, 20, 20, 20, 61, most))
+        if name == "SDO":
+            head, size = source.choice(((0x21, size + 3), (0x20, size + 3), (0x23, 7)))
+        while not transport.carries(size + 1) or (name == "J1939, to one" and size < 8):
+            size += 1
+        data = source.randbytes(size)
+        more = {"priority": 6} if TRANSPORTS[name][2] else {}
+        for frame in encoder.next("Packet", who=who, head=head, data=data, **more):
+            yield Frame(
+                frame.arbitration_id,
+                bytes(frame.data),
+                is_extended_id=frame.is_extended_id,
+                is_fd=frame.is_fd,
+            )
+
+
+def recording(protocol: Protocol, name: str, source: random.Random, faults: float) -> list[Frame]:
+    """Frames of three senders in turn; so many of them are lost, repeated, late, swapped with the next, or broken."""
+    senders = [packets(protocol, name, who, source) for who in (1, 2, 3)]
+    frames: list[Frame] = []
+    time = 0.0
+    while len(frames) < 500:
+        frame = next(source.choice(senders))
+        time += 0.001
+        frames.append(changed(frame, time))
+        fault = source.random() / faults if faults else 6
+        if fault < 1:
+            frames.pop()
+        elif fault < 2:
+            frames.append(frames[-1])
+        elif fault < 3:
+            time += 0.4
+        elif fault < 4 and len(frames) > 1:
+            frames[-2:] = frames[:-3:-1]
+        elif fault < 5:
+            data = bytearray(frame.data)
+            data[source.randrange(len(data))] ^= 1 << source.randrange(8)
+            frames.append(changed(frame, time, bytes(data)))
+        elif fault < 6:
+            frames.append(changed(frame, time, source.randbytes(source.choice((0, 1, 2, 7, 8)))))
+    return frames
+
+
+def changed(frame: Frame, time: float, data: bytes | None = None) -> Frame:
+    return replace(frame, timestamp=time, data=frame.data if data is None else data)
+
+
+@pytest.mark.parametrize("faults", [0, 0.01, 0.1])
+@pytest.mark.parametrize("name", TRANSPORTS)
+def test_columns_are_the_live_packets(name: str, faults: float) -> None:
+    """Whole and broken packets alike, in pieces of any size."""
+    source = random.Random(f"{name} {faults}")
+    protocol = protocol_of(name)
+    frames = recording(protocol, name, source, faults)
+    cuts = sorted(source.randrange(len(frames)) for _ in range(source.randrange(4)))
+    live = protocol.scanner(include_unknown=True)
+    variant = protocol.variant()
+    assert columns_difference(variant, "both", Scene(frames), cuts, live, False, True) == ""
+
+
+@pytest.mark.parametrize("name", TRANSPORTS)
+def test_what_is_without_fault_is_made_in_columns(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not one frame goes through the live reassembler."""
+    source = random.Random(name)
+    protocol = protocol_of(name)
+    frames = recording(protocol, name, source, 0)
+    scanner = make_column_scanner([protocol.variant()])
+    with monkeypatch.context() as patched:
+        patched.setattr(reassemble.Reassembler, "take", None)
+        count = sum(
+            len(table)
+            for half in (frames[:300], frames[300:])
+            for table in scanner.feed(FrameTable.from_frames(half))
+        )
+    assert (scanner.counts.malformed, scanner.counts.unknown) == (0, 0)
+    assert count == len(protocol.scanner().feed(frames)) > 30
