@@ -63,6 +63,8 @@ $(VENV)/.docs: $(VENV)/.dev
 $(VENV)/.oracles: $(VENV)/.dev
 	@echo "installing the programs that tests/oracles holds ours against into $(VENV) (once)"
 	@$(call TWICE,$(PIP) --constraint constraints.txt --editable '.[oracles]')
+	@# Beside the others: it has a package `tests` that would take the place of ours.
+	@$(call TWICE,$(PIP) --no-deps --upgrade --target $(VENV)/pyvesc 'pyvesc-fix==1.0.3')
 	@touch $@
 
 $(VENV)/.bench: $(VENV)/.python pyproject.toml

@@ -28,21 +28,21 @@ class Terminal:
 
 
 @contextmanager
-def a_terminal(robot: Robot, bus: str) -> Generator[Terminal]:
-    """A robot's bus as a terminal, nothing on it yet."""
+def a_terminal(robot: Robot, bus: str, *, whole: bool = False) -> Generator[Terminal]:
+    """A robot's bus as a terminal, nothing on it yet; with `whole` packets arrive at once, as by USB."""
     line: Any = wire_of(
         robot.buses[bus], load_protocol(robot.buses[bus].protocol), VirtualClock(time.monotonic_ns())
     )
     passed: list[bytes] = []
     line.attach("listener", lambda data, instant: passed.append(data), whole=True)
-    with PtyPort(line) as port:
+    with PtyPort(line, whole=whole) as port:
         yield Terminal(line, port, passed)
 
 
 @contextmanager
-def twins_at_a_terminal(robot: Robot, bus: str) -> Generator[Terminal]:
+def twins_at_a_terminal(robot: Robot, bus: str, *, whole: bool = False) -> Generator[Terminal]:
     """The same with the robot's twins on it."""
-    with a_terminal(robot, bus) as made:
+    with a_terminal(robot, bus, whole=whole) as made:
         with made.port.lock:
             simulation = simulate(robot, {bus: SerialPort(made.line, name=bus)})
             simulation.open()

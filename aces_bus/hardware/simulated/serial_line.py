@@ -282,10 +282,11 @@ class PtyPort:
 
     with PtyPort(wire) as port: subprocess.run(["tool", port.path])
 
-    Everything else on the wire runs on this object's thread; use `with port.lock:` to touch it from another.
+    Everything else on the wire runs on this object's thread; use `with port.lock:` to touch it from another. `whole`: the
+    bytes of a packet arrive together, as by USB.
     """
 
-    def __init__(self, wire: SimulatedSerialLine, name: str = "pty") -> None:
+    def __init__(self, wire: SimulatedSerialLine, name: str = "pty", *, whole: bool = False) -> None:
         try:
             import tty
         except ImportError as error:  # Windows
@@ -298,7 +299,7 @@ class PtyPort:
         self.path = os.ttyname(self._slave)
         #: Bytes that the program did not read in time.
         self.dropped = 0
-        self.node: SerialNode = wire.attach(name, self._received, echo=False)
+        self.node: SerialNode = wire.attach(name, self._received, echo=False, whole=whole)
         self._began = time.monotonic_ns() - wire.clock.now()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"{name} {self.path}", daemon=True)

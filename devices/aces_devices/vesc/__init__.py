@@ -1,5 +1,5 @@
-"""VESC motor controllers on CAN, one motor each; their twin."""
+"""VESC motor controllers on CAN and at serial lines, one motor each; their twins."""
 
-from .driver import driver
+from .driver import driver, uart_driver
 
-__all__ = ["driver"]
+__all__ = ["driver", "uart_driver"]

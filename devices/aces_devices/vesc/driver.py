@@ -1,9 +1,9 @@
-"""VESC: one controller, one motor, by duty, current, speed or position.
+"""VESC: one controller, one motor, by duty, current, speed or position; on CAN or at a serial line.
 
 1. A controller has no state "enabled": whoever sends, drives. Nothing is sent before `enable`, and nothing after the device
    has reported a fault or fallen silent, until it is enabled anew.
 2. Set-points are repeated in each tick; the controller's own time-out (1 s from the factory) stops its motor without them.
-3. Each controller answers to a host number of its own: pieces of long answers have no sender, and would mix.
+3. On CAN each controller answers to a host number of its own: pieces of long answers have no sender, and would mix.
 """
 
 from __future__ import annotations
@@ -20,11 +20,10 @@ from aces_bus.device import Device, Driver, Host, Job, Poll, Signal, Steps, Tick
 from aces_bus.device.config import DeviceConfig
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError
-from aces_protocols.vesc.buffers import Buffers
-from aces_protocols.vesc_uart.packets import PacketReader, packet_of
 from aces_protocols.vesc_uart.spec import mask_of
 
-from .twin import VescTwin
+from .twin import VescTwin, VescUartTwin
+from .wires import CanWire, SerialWire
 
 #: The message and field of each kind of set-point.
 SETS = {
@@ -48,15 +47,26 @@ POLLED = (
     "voltage",
 )
 FAULT_S = 0.2
-ANSWERS = ("ShortAnswer", "LongAnswer")
+#: How often it is asked for its version.
+ASKED = 5
 
 
-class VescSettings(msgspec.Struct, frozen=True, kw_only=True):
+class VescUartSettings(msgspec.Struct, frozen=True, kw_only=True):
     """The driver's own keys in a robot file."""
 
     pole_pairs: Annotated[
         int, Meta(gt=0, le=100, description="pole pairs of the motor: turns of the field a turn (default 7)")
     ] = 7
+    stop: Annotated[
+        Literal["release", "brake"],
+        Meta(description='what a stop does: "release" the motor (default), or "brake" it with brake_current'),
+    ] = "release"
+    brake_current: Annotated[float, Meta(gt=0, description="motor current of a brake, A (default 5)")] = 5.0
+
+
+class VescSettings(VescUartSettings, frozen=True, kw_only=True):
+    """On CAN there are some more."""
+
     host: (
         Annotated[
             int,
@@ -74,17 +84,13 @@ class VescSettings(msgspec.Struct, frozen=True, kw_only=True):
             description='"poll": ask for values in each tick (default); "status": it is configured to send them'
         ),
     ] = "poll"
-    stop: Annotated[
-        Literal["release", "brake"],
-        Meta(description='what a stop does: "release" the motor (default), or "brake" it with brake_current'),
-    ] = "release"
-    brake_current: Annotated[float, Meta(gt=0, description="motor current of a brake, A (default 5)")] = 5.0
 
 
 class Vesc(Device):
     """Signals: velocity, position, current and duty of the joint; supply, temperatures and fault of the controller."""
 
     protocol = "vesc"
+    settings: VescUartSettings
     streams = tuple(path.partition(".")[0] for path in SETS.values())
     actions: ClassVar = {
         "enable": "take set-points from now on; by position: hold where it is",
@@ -98,19 +104,13 @@ class Vesc(Device):
 
     def setup(self) -> None:
         """Signals of the motor and of the controller, and what is polled."""
-        settings = self.settings = settings_of(self.name, VescSettings, self.config.settings)
+        settings = self.settings = self._connected()
+        sends_status = isinstance(settings, VescSettings) and settings.values == "status"
         if len(self.joints) > 1:
             names = ", ".join(joint.name for joint in self.joints)
             raise CallerError(f"{self.name}: a VESC has one motor, and moves one joint, not {names}")
         joint = self.joint = self.joints[0] if self.joints else None
         self.command = "duty" if joint is None else joint.command
-        number = self.credentials["id"]
-        usual = number ^ 0x80 if number not in (0x7F, 0xFF) else 0xFE
-        self.host_number = usual if settings.host is None else settings.host
-        if self.host_number == number:
-            raise CallerError(f"{self.name}: the setting host is its own number {number}; give a free one")
-        # Pieces of answers have no sender; that they go to this number makes them this device's.
-        self.credentials["receiver"] = self.host_number
         self.direction = joint.direction if joint else 1
         self.ratio = (joint.ratio if joint else None) or 1.0
         if self.command == "position" and self.ratio != 1.0:
@@ -121,32 +121,34 @@ class Vesc(Device):
         self.zero = (joint.zero or 0.0) if joint else 0.0
         self.enabled = False
         self.alarms: frozenset[str] = frozenset()
-        self.buffers = Buffers(self.host_number)
-        self.reader = PacketReader("from device")
         self.values: dict[str, float] = {}
+        #: Firmware and hardware, when they were asked for.
+        self.version = ""
         angle = "position" if self.command == "position" else "tachometer"
         self.asked = mask_of(*POLLED, angle, "fault")
-        if settings.values == "poll":
-            self.polls = (self._poll(self.asked, None),)
-        else:
+        if sends_status:
             self.polls = (self._poll(mask_of("fault"), FAULT_S),)
-        self._signals(joint.name if joint else self.name, angle)
+        else:
+            self.polls = (self._poll(self.asked, None),)
+        self._signals(joint.name if joint else self.name, angle, 5 * FAULT_S if sends_status else None)
 
-    def _request(self, packet: bytes) -> dict[str, Any]:
-        return {"host": self.host_number, "mode": 0, "packet": packet}
+    def _connected(self) -> VescUartSettings:
+        """Have a wire, and the settings that go with it."""
+        settings = settings_of(self.name, VescSettings, self.config.settings)
+        self.wire: CanWire | SerialWire = CanWire(self.name, self.credentials, settings.host)
+        return settings
 
     def _poll(self, mask: int, every_s: float | None) -> Poll:
-        return Poll(
-            "ShortRequest", ANSWERS, self._request(packet_of("GetSelected", mask=mask)), every_s=every_s
-        )
+        message, fields = self.wire.request("GetSelected", {"mask": mask})
+        return Poll(message, self.wire.answers("GetSelected"), fields, every_s=every_s)
 
-    def _signals(self, owner: str, angle: str) -> None:
+    def _signals(self, owner: str, angle: str, fault_age_s: float | None) -> None:
         joint, direction = self.joint, self.direction
         self.known: dict[str, tuple[Signal, Any]] = {}
         # The field's turns a minute at 1 rad/s of the joint; tachometer counts a rad.
         rpm = direction * 60 / tau * self.ratio * self.settings.pole_pairs
         counts = direction * TACHOMETER * self.settings.pole_pairs * self.ratio / tau
-        heard = (*ANSWERS, "Status", "Status4", "Status5")
+        heard = self.wire.gives
         most = {
             "duty": joint.max_duty if joint else None,
             "current": joint.max_current if joint else None,
@@ -204,8 +206,10 @@ class Vesc(Device):
             ("motor_temperature", "motor_temperature", "°C", "Of the motor, where it has a sensor."),
         ):
             add(name, field, unit=unit, doc=doc)
-        slow = 5 * FAULT_S if self.settings.values == "status" else None
-        made = self.add_signal("fault", read_from=ANSWERS, doc='What has stopped it; "none".', stale_s=slow)
+        answers = self.wire.answers("GetSelected")
+        made = self.add_signal(
+            "fault", read_from=answers, doc='What has stopped it; "none".', stale_s=fault_age_s
+        )
         self.known["fault"] = (made, None)
 
     def _angle(self, angle: float) -> float:
@@ -237,14 +241,15 @@ class Vesc(Device):
             case "Status5":
                 self._know({"tachometer": record.tachometer, "voltage": record.voltage}, instant)
             case _:
-                packet = self.buffers.take(record)
-                if packet is not None:
-                    self._answer(packet, instant)
-                elif type(record).__name__ in ANSWERS:
+                answer, is_broken = self.wire.taken(record)
+                if answer is not None:
+                    self._answer(answer, instant)
+                elif is_broken:
                     self.tell_event("malformed", "an answer in pieces is not whole, or its check is wrong")
 
-    def _answer(self, packet: bytes, instant: int) -> None:
-        answer = self.last_answer = self.reader.read(packet)
+    def _answer(self, answer: Any, instant: int) -> None:
+        if type(answer).__name__ == "Firmware":
+            self.version = f"{answer.major}.{answer.minor} on {answer.hardware}"
         if type(answer).__name__ != "Selected":
             return
         self._know({name: getattr(answer, name) for name in self.known}, instant)
@@ -286,15 +291,16 @@ class Vesc(Device):
         for message in self.streams:
             self.drop(message)
 
-    def _ask(self, packet: bytes) -> Ticket:
-        return self.ask("ShortRequest", reply=ANSWERS, **self._request(packet))
+    def _ask(self, packet: str, **fields: Any) -> Ticket:
+        message, inside = self.wire.request(packet, fields)
+        return self.ask(message, reply=self.wire.answers(packet), **inside)
 
     def enable(self) -> Job:
         """Take set-points. Fails with `DeviceError` when the controller reports a fault."""
 
         def steps(job: Job) -> Steps:
             self._off()
-            yield self._ask(packet_of("GetSelected", mask=self.asked))
+            yield self._ask("GetSelected", mask=self.asked)
             if self.alarms:
                 raise DeviceError(f"{self.name} reports {', '.join(self.alarms)}")
             self.enabled = self.is_driven = True
@@ -328,7 +334,7 @@ class Vesc(Device):
         """Whether no current drives it on: there is none, or it goes against the motion."""
 
         def steps(job: Job) -> Steps:
-            yield self._ask(packet_of("GetSelected", mask=self.asked))
+            yield self._ask("GetSelected", mask=self.asked)
             current, speed = self.values.get("motor_current", 0.0), self.values.get("speed", 0.0)
             if abs(current) > STILL_A and current * speed >= 0:
                 raise DeviceError(f"its motor current is {current:g} A")
@@ -339,13 +345,24 @@ class Vesc(Device):
         """Ask who it is: "6.5 on 60"."""
 
         def steps(job: Job) -> Steps:
-            yield self._ask(packet_of("GetFirmware"))
-            answer = self.last_answer
-            if type(answer).__name__ != "Firmware":
-                raise DeviceError(f"{self.name} answered with {type(answer).__name__}")
-            return f"{answer.major}.{answer.minor} on {answer.hardware}"
+            self.version = ""
+            for _ in range(ASKED):  # on CAN the answer to a poll looks the same from outside
+                yield self._ask("GetFirmware")
+                if self.version:
+                    return self.version
+            raise DeviceError(f"{self.name} does not say its version")
 
         return self.job("firmware", steps)
+
+
+class VescUart(Vesc):
+    """The same at a serial line, which has one controller and no status messages."""
+
+    protocol = "vesc_uart"
+
+    def _connected(self) -> VescUartSettings:
+        self.wire = SerialWire()
+        return settings_of(self.name, VescUartSettings, self.config.settings)
 
 
 #: How long each number is given to answer (s): a controller answers within 10 ms (comm/comm_can.c).
@@ -367,6 +384,16 @@ def _scan(host: Host, job: Job) -> Steps:
                 DeviceConfig(name=f"VESC{number}", driver="vesc", bus=host.name, credentials={"id": number})
             )
     return found
+
+
+def _scan_line(host: Host, job: Job) -> Steps:
+    """Ask for the version."""
+    answer = yield from host.answers("vesc_uart", {}, "GetFirmware", reply="Firmware", timeout_s=0.1)
+    return (
+        []
+        if answer is None
+        else [DeviceConfig(name="VESC", driver="vesc_uart", bus=host.name, credentials={})]
+    )
 
 
 EXAMPLE = """
@@ -394,4 +421,32 @@ driver = Driver(
     source="vedderb/bldc comm/comm_can.c, comm/commands.c, timeout.c",
     scan=_scan,
     settings=described(VescSettings),
+)
+
+UART_EXAMPLE = """
+name = "vesc_uart"
+rate_hz = 20
+
+[buses]
+left = { link = "serial", protocol = "vesc_uart", baud = 115_200 }
+mast = { link = "serial", protocol = "vesc_uart", baud = 115_200 }
+
+[devices]
+LEFT = { driver = "vesc_uart", bus = "left" }
+MAST = { driver = "vesc_uart", bus = "mast", settings = { stop = "brake" } }
+
+[joints]
+WHEEL_LEFT = { device = "LEFT", type = "continuous", command = "speed", gear = [1, 4], max_speed = 30 }
+CAMERA = { device = "MAST", lower = -1.5, upper = 1.5, zero = 0.3, direction = -1, max_speed = 3 }
+"""
+
+uart_driver = Driver(
+    "vesc_uart",
+    device=VescUart,
+    twin=VescUartTwin,
+    example=UART_EXAMPLE,
+    doc="VESC motor controller at a serial line: a motor by duty, current, speed or position.",
+    source="vedderb/bldc comm/packet.c, comm/commands.c, timeout.c",
+    scan=_scan_line,
+    settings=described(VescUartSettings),
 )
