@@ -182,6 +182,49 @@ def chosen_bus(arguments: argparse.Namespace, variants: Sequence[Variant] = ()) 
     return chosen
 
 
+_END = re.compile(r"(?P<name>.*?)(?:@(?P<rate>[0-9]+))?(?:\?(?P<options>[^?]*))?")
+
+
+def chosen_end(text: str, variants: Sequence[Variant] = ()) -> ChosenBus:
+    """A bus that is named in one word: `can0`, `slcan:/dev/ttyACM0@500000?ttyBaudrate=115200`, `/dev/ttyUSB0@57600`,
+    `udp:14550`. Raises `CallerError` as `chosen_bus` does."""
+    from can.interfaces import VALID_INTERFACES
+    from can.util import cast_from_string
+
+    found = _END.fullmatch(text)
+    assert found is not None  # all parts are optional
+    name, rate = found["name"], None if found["rate"] is None else int(found["rate"])
+    options: dict[str, Any] = {}
+    for pair in found["options"].split("&") if found["options"] else ():
+        key, sign, value = pair.partition("=")
+        if not (key and sign):
+            raise CallerError(f"{text!r}: behind ? write option=value, and & between two")
+        options[key] = cast_from_string(value)
+    arguments = argparse.Namespace(bus=None, serial=None, udp=None, baud=None, half_duplex=False)
+    interface, sign, channel = name.partition(":")
+    if sign and interface == "udp":
+        arguments.udp = channel
+    elif sign and interface in VALID_INTERFACES:
+        arguments.interface, arguments.channel = interface, channel
+    else:
+        arguments.bus = name
+        _take_name(arguments)
+        arguments.bus = None
+    if arguments.serial is not None:
+        arguments.baud = rate
+        arguments.half_duplex = bool(options.pop("half_duplex", False))
+    if options and (arguments.serial is not None or arguments.udp is not None):
+        raise CallerError(
+            f"{text!r}: {', '.join(options)}: options are for CAN; a serial line has half_duplex=true"
+        )
+    if arguments.serial is None and arguments.udp is None:
+        if rate is not None:
+            arguments.bitrate = rate
+        if options:
+            arguments.bus_kwargs = options
+    return chosen_bus(arguments, variants)
+
+
 def _take_name(arguments: argparse.Namespace) -> None:
     """A bus that is named without an option, as the option that it stands for; raises `CallerError` for two names."""
     text: str = arguments.bus

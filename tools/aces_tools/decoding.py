@@ -28,7 +28,7 @@ from aces_bus.recordings import (
 from aces_bus.recordings.serial.raw import RawCapture
 
 from .console import Patience, abandon_stdout, report_unreadable, say, say_note
-from .output.shape import plans_of
+from .output.shape import Plans, plans_of
 from .protocols_arg import parse_protocols
 from .window import TimeWindow
 
@@ -165,6 +165,17 @@ def check_direction(variants: Sequence[Variant], direction: Direction | None) ->
             )
 
 
+def named_messages(texts: Sequence[str], plans: Plans) -> frozenset[str]:
+    """The messages of these names, which may be in any case, with `*` and `?`. Raises `UnknownNameError`."""
+    known, found = plans.names, set[str]()
+    for name in (name.strip() for text in texts for name in text.split(",")):
+        fits = [name] if name in known else [k for k in known if fnmatchcase(k.lower(), name.lower())]
+        if not fits:
+            raise UnknownNameError("message", name, known)
+        found.update(fits)
+    return frozenset(found)
+
+
 class Decoding(ABC):
     """One run of `aces decode`."""
 
@@ -203,14 +214,7 @@ class Decoding(ABC):
         return parse_filter(*texts) if texts else None
 
     def _messages(self, texts: list[str]) -> frozenset[str]:
-        """The messages of these names, which may be in any case, with `*` and `?`."""
-        known, found = self.plans.names, set[str]()
-        for name in (name.strip() for text in texts for name in text.split(",")):
-            fits = [name] if name in known else [k for k in known if fnmatchcase(k.lower(), name.lower())]
-            if not fits:
-                raise UnknownNameError("message", name, known)
-            found.update(fits)
-        return frozenset(found)
+        return named_messages(texts, self.plans)
 
     # ------------------------------------------------------------------ what a way does
 

@@ -29,6 +29,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "sniff": ("sniff", "listen to a bus: decoded lines, filters, recordings; cannot send"),
     "send": ("send", "send a message, once or periodically; only with --tx"),
     "play": ("play", "play recordings onto a bus at their pace; only with --tx"),
+    "bridge": ("bridge", "forward between two buses, whole or filtered; only with --tx"),
     "bus": ("bus", "serve virtual buses, list buses, measure the load of a bus"),
     "robot": ("robot", "robots as files: check, show, list; import from other programs"),
     "devices": ("devices", "list the drivers, and what their devices can do"),

@@ -80,8 +80,8 @@ Keys: d details, / filter, s sort, f freeze, ? all of them. The load is a share
 of the bit rate (-b, else the protocol's).
 
 logs (-o FILE, by its suffix; instead of lines on standard output):
-  without -p   .log .blf .asc .trc .csv .db .mf4 …: the frames that --filter lets
-               pass; of serial lines .slog .bin
+  without -p   .log .blf .asc .trc .csv .db .mf4 …: the frames that --filter
+               lets pass; of serial lines .slog .bin
   with -p      .parquet .sqlite .db .mcap: tables of the decoded messages;
                .parquet is a folder of parts for each message
   either       .txt .jsonl .csv: the lines themselves

@@ -77,8 +77,8 @@ class CanlogCsvWriter(_CanlogWriter):
             for whole, ns in zip(seconds.tolist(), rest.tolist(), strict=True)
         )
         return b"".join(
-            b"%b,0x%x,%d,%d,%d,%d,%b" % (time.encode(), *values, b2a_base64(data))
-            for time, (*values, data) in zip(times, self._values(table), strict=True)
+            b"%b,0x%x,%d,%d,%d,%d,%b" % (time.encode(), *values[:5], b2a_base64(values[5]))
+            for time, values in zip(times, self._values(table), strict=True)
         )
 
 
