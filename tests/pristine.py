@@ -25,6 +25,14 @@ ROOT = Path(__file__).resolve().parent.parent
 #: What a user imports, said here again so that a package dropped from pyproject.toml is missed.
 PACKAGES = ("aces_bus", "protocols/aces_protocols", "devices/aces_devices", "tools/aces_tools")
 SHIPPED = {".py", ".pyi", ".typed", ".toml"}
+#: What it puts where shells and man look.
+INSTALLED = {
+    "share/bash-completion/completions/aces",
+    "share/zsh/site-functions/_aces",
+    "share/fish/vendor_completions.d/aces.fish",
+    "share/man/man1/aces.1",
+    "share/man/man1/aces-spec-check.1",
+}
 
 # Runs inside the empty environment: every package comes from there and has its docstring.
 IMPORTS = """
@@ -82,7 +90,10 @@ def check_contents(wheel: Path, sources: list[Path]) -> None:
     step = "look into the wheel"
     print(f"pristine: {step}", flush=True)
     names = set(zipfile.ZipFile(wheel).namelist())
-    top = {name.split("/")[0] for name in names if ".dist-info/" not in name}
+    data = {name.partition(".data/data/")[2] for name in names if ".data/data/" in name}
+    if missing := sorted(INSTALLED - data):
+        fail(step, "the wheel does not install " + ", ".join(missing))
+    top = {name.split("/")[0] for name in names if ".dist-info/" not in name and ".data/" not in name}
     wanted = {source.name for source in sources}
     if top != wanted:
         fail(step, f"top level names are {sorted(top)}, not {sorted(wanted)}")

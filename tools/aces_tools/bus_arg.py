@@ -245,16 +245,21 @@ def served_address(channel: str) -> str | None:
     return channel if is_served(channel) else served_channels().get(channel)
 
 
+def buses_here() -> list[str]:
+    """The names of this machine's CAN buses: those that are served, then network interfaces that are called so."""
+    from aces_bus.hardware.served import served_channels
+
+    return [*served_channels(), *sorted(map(os.path.basename, glob("/sys/class/net/*can*")))]
+
+
 def near_buses(channel: str) -> str:
     """What buses there are on this machine, the one that may have been meant first; for messages about one that is not."""
     from difflib import get_close_matches
 
     from aces_bus.hardware.served import served_channels
 
-    served = [*served_channels()]
-    there = [*served, *sorted(map(os.path.basename, glob("/sys/class/net/*can*")))]
-    near = get_close_matches(channel, there, n=1)
-    return f"served: {first_names(served)}" + (f"; did you mean {near[0]}?" if near else "")
+    near = get_close_matches(channel, buses_here(), n=1)
+    return f"served: {first_names(served_channels())}" + (f"; did you mean {near[0]}?" if near else "")
 
 
 def _named(channel: str) -> Mapping[str, Any]:

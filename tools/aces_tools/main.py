@@ -12,7 +12,7 @@ import sys
 from collections.abc import Sequence
 from importlib import import_module
 from io import TextIOWrapper
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from aces_bus import __version__
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
@@ -42,6 +42,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "fuzz": ("fuzz", "search for a stream that breaks a protocol: laws and coverage"),
     "demo": ("demo", "a simulated robot follows a trajectory, drawn"),
     "bench": ("bench", "measure decoding speed beside other libraries"),
+    "completion": ("shell.completion", "print what completes aces in bash, zsh and fish"),
 }
 
 #: Other names of verbs.
@@ -73,9 +74,10 @@ class Parser(argparse.ArgumentParser):
             message = _unknown_options(message.partition(": ")[2].split(), known)
         self.exit(2, f"aces: {message.removeprefix('argument ')} (see '{self.prog} --help')\n")
 
-    def has(self, option: str) -> bool:
-        """Whether there is an option of this name."""
-        return option in self._option_string_actions
+    @property
+    def arguments(self) -> list[argparse.Action]:
+        """All that it takes, in the order of its help."""
+        return list(self._actions)
 
 
 def _unknown_options(given: list[str], known: list[str]) -> str:
@@ -132,7 +134,6 @@ def _run(arguments: list[str]) -> int:
         raise UnknownNameError("option", verb, ["--help", "--version"])
     if verb not in VERBS:
         raise UnknownNameError("verb", verb, VERBS)
-    name = VERBS[verb][0]
     if actions := ACTIONS.get(verb):
         if len(arguments) < 2:
             raise CallerError(
@@ -144,26 +145,32 @@ def _run(arguments: list[str]) -> int:
             return 0
         if arguments[1] not in actions:
             raise UnknownNameError(f"action of 'aces {verb}'", arguments[1], actions)
-        name = actions[arguments[1]][0]
         verb, arguments = f"{verb} {arguments[1]}", arguments[1:]
+    given = parser_of(verb).parse_intermixed_args(_plain(arguments[1:]))
+    show_notes(not given.quiet)
+    return int(_module(verb).run(given))
+
+
+def parser_of(verb: str, parser: Parser | None = None) -> Parser:
+    """The parser of a verb, or of `spec check` and its like: a new one, or this one with all that the verb takes."""
     from .options import QUIET, add_arguments
 
-    module = import_module(f"{__package__}.{name}")
-    parser = Parser(
-        prog=f"aces {verb}",
-        usage=getattr(module, "USAGE", None),
-        description=module.__doc__,
-        epilog=getattr(module, "EPILOG", None),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
-    )
+    module = _module(verb)
+    if parser is None:
+        parser = Parser(prog=f"aces {verb}", allow_abbrev=False)
+    parser.usage, parser.description = getattr(module, "USAGE", None), module.__doc__
+    parser.epilog = getattr(module, "EPILOG", None)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     add_arguments(parser, module.ARGUMENTS)
-    if not parser.has("-q"):
+    if not any("-q" in one.option_strings for one in parser.arguments):
         add_arguments(parser, [QUIET])
     parser.set_defaults(**getattr(module, "DEFAULTS", {}))
-    given = parser.parse_intermixed_args(_plain(arguments[1:]))
-    show_notes(not given.quiet)
-    return int(module.run(given))
+    return parser
+
+
+def _module(verb: str) -> Any:
+    name, _, action = verb.partition(" ")
+    return import_module(f"{__package__}.{(ACTIONS[name][action] if action else VERBS[name])[0]}")
 
 
 def _plain(arguments: list[str]) -> list[str]:

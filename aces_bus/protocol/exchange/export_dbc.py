@@ -502,16 +502,14 @@ def print_dbc(
     """The text of a DBC file, and what it does not say.
 
     `only` and `expand` are those of `signals.identified`. Raises `CallerError` for a link that is not CAN, for a variant
-    of which nothing can be said, and when cantools is not installed.
+    of which nothing can be said.
     """
     if variant.link != "can":
         raise CallerError(f"{variant.label}: a DBC is for CAN; the link of this protocol is {variant.link}")
-    try:
-        from cantools.database.can import Bus, Node
-        from cantools.database.can.database import Database
-        from cantools.database.can.formats.dbc import DbcAttributeDefinition, DbcSpecifics
-    except ImportError:
-        raise CallerError("DBC files need cantools: pip install 'aces-bus[dbc]'") from None
+    from cantools.database.can import Bus, Node
+    from cantools.database.can.database import Database
+    from cantools.database.can.formats.dbc import DbcAttributeDefinition, DbcSpecifics
+
     messages, losses = identified(variant, only=only, expand=expand)
     if not messages:
         raise CallerError(f"{variant.label}: nothing of it can be said in a DBC")

@@ -102,22 +102,13 @@ def read_text(path: str, kind: str) -> str:
         return data.decode("cp1252", "replace")
 
 
-def _cantools() -> Any:
-    try:
-        import cantools.database
-    except ImportError:
-        raise CallerError(
-            "DBC, KCD, SYM and ARXML files need cantools: pip install 'aces-bus[dbc]'"
-        ) from None
-    return cantools.database
-
-
 def _try(text: str, kind: str) -> Any:
     """The database; raises whatever cantools raises."""
-    cantools = _cantools()
+    import cantools.database
+
     with quiet("cantools"):
         # Not strict: what overlaps or does not fit is for `build` to say, signal by signal.
-        return cantools.load_string(text, database_format=kind, strict=False)
+        return cantools.database.load_string(text, database_format=kind, strict=False)
 
 
 #: What says where and how long signals and messages are, in the formats that are read as a whole.
@@ -153,7 +144,6 @@ _BEGINS = {
 
 
 def _load_whole(path: str, text: str, kind: str) -> Any:
-    _cantools()
     _check_size(path, text, kind)
     try:
         return _try(text, kind)
@@ -196,7 +186,6 @@ def _check_any(path: str, messages: Sequence[Any], problems: Sequence[ImportProb
 
 def _load_dbc(path: str, text: str) -> tuple[Any, list[ImportProblem], int, _Declared]:
     """The database, what is not in it, how many statements and signals there were, and where."""
-    _cantools()
     text = text.replace("\0", " ")
     statements = split_statements(text)
     if not any(one.word for one in statements):

@@ -1,0 +1,206 @@
+"""Completion scripts and manual pages, made of the verbs' tables. Needs shtab (extra `[dev]`).
+
+1. The same tables give the same text on every machine: no dates, no versions, no widths of terminals.
+2. What completes an argument is said by its name here, once for all verbs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+from collections.abc import Iterator
+from typing import Any
+
+from ..main import ACTIONS, VERBS, Parser, parser_of
+from . import SCRIPTS
+
+#: Names of arguments → the kind of names that completes them (see `completion.NAMES`).
+KINDS = {
+    "protocol": "protocols",
+    "protocols": "protocols",
+    "robot": "robots",
+    "robots": "robots",
+    "bus": "buses",
+    "channels": "buses",
+}
+#: The same where an argument's name alone says too little.
+KINDS_OF_VERBS = {
+    ("devices", "driver"): "drivers",
+    ("device", "name"): "devices",
+    ("fuzz", "names"): "protocols",
+    ("spec check", "names"): "protocols",
+}
+#: Kinds beside which files are offered: a name may be that of a file, a bus that of a port.
+OR_FILES = ("protocols", "robots", "buses")
+#: Arguments that are files.
+FILES = ("files", "capture", "captures", "items", "paths", "path", "file")
+
+
+def generated() -> dict[str, str]:
+    """Each file's name and text."""
+    from shtab import complete
+
+    whole = whole_parser()
+    found = {file: complete(whole, shell) for shell, file in SCRIPTS.items()}
+    found["man/aces.1"] = _contents_page()
+    for verb in verbs():
+        parser = parser_of(verb)
+        found[f"man/{parser.prog.replace(' ', '-')}.1"] = _page(verb, parser)
+    return {
+        name: re.sub(r"[ \t]+$", "", text, flags=re.MULTILINE).rstrip("\n") + "\n"
+        for name, text in found.items()
+    }
+
+
+def verbs() -> list[str]:
+    """Every verb, with its action where it has some: `decode`, `spec check`."""
+    return [f"{verb} {action}".strip() for verb in VERBS for action in ACTIONS.get(verb) or [""]]
+
+
+def _purpose(verb: str) -> str:
+    name, _, action = verb.partition(" ")
+    return (ACTIONS[name][action] if action else VERBS[name])[1]
+
+
+# ---------------------------------------------------------------------- completion
+
+
+def whole_parser() -> Parser:
+    """One parser of all verbs."""
+    whole = Parser(prog="aces", allow_abbrev=False)
+    whole.add_argument("-V", "--version", action="store_true", help="print the version")
+    subparsers = whole.add_subparsers(dest="verb")
+    for verb, (_, purpose) in VERBS.items():
+        if verb not in ACTIONS:
+            made = parser_of(verb, subparsers.add_parser(verb, help=purpose, description=purpose))
+            _complete(verb, made)
+            continue
+        actions = subparsers.add_parser(verb, help=purpose, description=purpose).add_subparsers(dest="action")
+        for action, (_, what) in ACTIONS[verb].items():
+            name = f"{verb} {action}"
+            _complete(name, parser_of(name, actions.add_parser(action, help=what, description=what)))
+    return whole
+
+
+def _complete(verb: str, parser: Parser) -> None:
+    """Say what completes each argument that is no choice."""
+    from shtab import FILE
+
+    parser.description = _purpose(verb)
+    for action in parser.arguments:
+        if action.help and action.help is not argparse.SUPPRESS:
+            action.help = _help(action, parser)
+        if action.choices is not None or action.nargs == 0:
+            continue
+        kind = KINDS_OF_VERBS.get((verb, action.dest)) or KINDS.get(action.dest)
+        metavar = action.metavar if isinstance(action.metavar, str) else ""
+        if kind is not None:
+            action.complete = _names(kind)  # type: ignore[attr-defined]
+        elif action.dest in FILES or "FILE" in metavar or "CAPTURE" in metavar:
+            action.complete = FILE  # type: ignore[attr-defined]
+
+
+def _names(kind: str) -> dict[str, Any]:
+    """What completes names of a kind, and files, in each shell."""
+    is_file = kind in OR_FILES
+    name, ask = f"_aces_{kind}", f"aces completion --list {kind} --words"
+    bash = f"""
+{name}() {{
+  compgen -W "$({ask} "$COMP_LINE" 2>/dev/null)" -- "$1"
+{'  _shtab_compgen_files "$1"' if is_file else ""}
+}}
+"""
+    zsh = f"""
+{name}() {{
+  local -a names
+  names=(${{(f)"$({ask} "$BUFFER" 2>/dev/null)"}})
+  compadd -a names
+{"  _files" if is_file else ""}
+}}
+"""
+    more = "; __fish_complete_path (commandline -ct)" if is_file else ""
+    fish = f"({ask} (commandline -p | string collect) 2>/dev/null{more})"
+    return {"bash": name, "zsh": name, "fish": fish, "preamble": {"bash": bash, "zsh": zsh}}
+
+
+# ---------------------------------------------------------------------- manual pages
+
+
+def _contents_page() -> str:
+    lines = [*_head("aces", "devices on CAN and serial lines, from one declared protocol")]
+    lines += [".SH SYNOPSIS", ".B aces", r".I VERB \fR…", ".SH VERBS"]
+    for verb in verbs():
+        lines += [".TP", f".BR aces\\-{_escaped(verb.replace(' ', '-'))} (1)", _escaped(_purpose(verb))]
+    lines += [
+        ".SH ENVIRONMENT",
+        ".TP",
+        ".B ACES_NOTES",
+        _escaped("off: no notes on stderr, only results and what is wrong"),
+    ]
+    lines += [".TP", ".B ACES_ROBOT", "the robot of verbs that take one", ".TP", ".B NO_COLOR", "no colours"]
+    return "\n".join(lines)
+
+
+def _page(verb: str, parser: Parser) -> str:
+    lines = [
+        *_head(parser.prog.replace(" ", "-"), _purpose(verb)),
+        ".SH SYNOPSIS",
+        f".B {_escaped(parser.prog)}",
+    ]
+    positional = [one for one in parser.arguments if not one.option_strings]
+    lines += [_escaped(" ".join(["[options]", *map(_placed, positional)])), ".SH DESCRIPTION"]
+    lines += _prose(parser.description or "")
+    lines.append(".SH ARGUMENTS")
+    for one in parser.arguments:
+        names = ", ".join(one.option_strings) or str(one.metavar or one.dest)
+        value = "" if not one.option_strings or one.nargs == 0 else f" {_value(one)}"
+        lines += [".TP", f".B {_escaped(names + value)}", _escaped(_help(one, parser))]
+    if parser.epilog:
+        lines += [".SH NOTES", ".nf", *map(_escaped, parser.epilog.rstrip().splitlines()), ".fi"]
+    return "\n".join([*lines, ".SH SEE ALSO", ".BR aces (1)"])
+
+
+def _head(name: str, purpose: str) -> list[str]:
+    return [
+        f'.TH "{name.upper()}" 1 "" "aces\\-bus"',
+        ".SH NAME",
+        rf"{_escaped(name)} \- {_escaped(purpose)}",
+    ]
+
+
+def _placed(one: argparse.Action) -> str:
+    """A positional argument as a synopsis has it."""
+    name = (
+        one.metavar
+        if isinstance(one.metavar, str)
+        else "{" + ",".join(map(str, one.choices or [one.dest])) + "}"
+    )
+    return {"?": f"[{name}]", "*": f"[{name} …]", "+": f"{name} …"}.get(str(one.nargs), name)
+
+
+def _value(one: argparse.Action) -> str:
+    if isinstance(one.metavar, tuple):
+        return " ".join(one.metavar)
+    name = one.metavar or ("{" + ",".join(map(str, one.choices)) + "}" if one.choices else one.dest.upper())
+    return f"[{name}]" if one.nargs == "?" else name
+
+
+def _help(one: argparse.Action, parser: Parser) -> str:
+    return (one.help or "") % {**vars(one), "prog": parser.prog}
+
+
+def _prose(text: str) -> Iterator[str]:
+    """Paragraphs as they are; what is indented line by line."""
+    for paragraph in text.strip("\n").split("\n\n"):
+        lines = paragraph.splitlines()
+        is_code = any(line.startswith(" ") for line in lines)
+        yield ".PP"
+        yield from ([".nf"] if is_code else [])
+        yield from map(_escaped, lines)
+        yield from ([".fi"] if is_code else [])
+
+
+def _escaped(line: str) -> str:
+    """A line whose signs mean nothing to roff."""
+    text = line.replace("\\", "\\e").replace("-", "\\-")
+    return f"\\&{text}" if text[:1] in (".", "'") else text
