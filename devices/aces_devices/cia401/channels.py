@@ -14,8 +14,7 @@ from msgspec import Meta
 
 from aces_bus.errors import CallerError
 
-from ..canopen_node.dictionary import OwnFile
-from ..canopen_node.dictionary import dictionary_of as read_dictionary
+from ..canopen_node.dictionary import OwnFile, read_dictionary
 
 Kind = Literal["digital_input", "digital_output", "analog_input", "analog_output"]
 #: Kind → its object, what a channel without a name is called, channels a subindex.
@@ -132,12 +131,12 @@ class IoChannel:
         return min(max(round((value - self.given.offset) / self.given.scale), LEAST), MOST)
 
 
-def dictionary_of(path: str | None, node: int) -> Any:
+def module_dictionary(path: str | None, node: int) -> Any:
     """The dictionary of a module's file (None: our own module's). Raises `CallerError` for a file that is none."""
     return read_dictionary(path, node, OWN)
 
 
-def channels_of(who: str, settings: ModuleSettings, dictionary: Any) -> dict[str, IoChannel]:
+def io_channels(who: str, settings: ModuleSettings, dictionary: Any) -> dict[str, IoChannel]:
     """All channels that a module's file has, by name. Raises `CallerError` for a name of one that it does not have."""
     count = {kind: _count(dictionary, index) * each for kind, (index, _, each) in KINDS.items()}
     named = {(given.kind, given.number): (name, given) for name, given in settings.channels.items()}

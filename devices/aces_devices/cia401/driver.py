@@ -29,8 +29,8 @@ from .channels import (
     USUAL_ERRORS,
     IoChannel,
     ModuleSettings,
-    channels_of,
-    dictionary_of,
+    io_channels,
+    module_dictionary,
 )
 from .twin import ANALOG_EVENTS, error_number
 
@@ -55,8 +55,8 @@ class Cia401(CanopenNode):
         """A signal for each channel that the module's file has."""
         self.settings = settings = settings_of(self.name, ModuleSettings, self.config.settings)
         node = self.credentials["node"]
-        self.dictionary = dictionary_of(settings.eds, node)
-        self.channels = channels_of(self.name, settings, self.dictionary)
+        self.dictionary = module_dictionary(settings.eds, node)
+        self.channels = io_channels(self.name, settings, self.dictionary)
         self.inputs = from_file(self.name, self.dictionary, node, SENT)
         self.outputs = from_file(self.name, self.dictionary, node, RECEIVED)
         #: The numbers of objects, as the module says, and of outputs that were set.

@@ -20,8 +20,8 @@ from .channels import (
     USUAL_ERRORS,
     IoChannel,
     ModuleSettings,
-    channels_of,
-    dictionary_of,
+    io_channels,
+    module_dictionary,
 )
 
 ANALOG_EVENTS = 0x6423
@@ -35,8 +35,8 @@ class Cia401Twin(CanopenTwin):
     def setup(self) -> None:
         """All outputs as the module's file says, all inputs 0."""
         settings = settings_of(self.name, ModuleSettings, self.config.settings)
-        dictionary = dictionary_of(settings.eds, self.credentials["node"])
-        self.channels = channels_of(self.name, settings, dictionary)
+        dictionary = module_dictionary(settings.eds, self.credentials["node"])
+        self.channels = io_channels(self.name, settings, dictionary)
         #: The numbers of all objects of inputs and outputs, by index and subindex.
         self.numbers: dict[tuple[int, int], int] = {one.where: 0 for one in self.channels.values()}
         self.has_lost_host = False
