@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ heater = { kind = "analog_output", number = 2, unit = "V", scale = 0.001, lower 
 
 
 @contextmanager
-def running(channels: str = CHANNELS, settings: str = "") -> Iterator[tuple[VirtualRobot, Any, Any]]:
+def running(channels: str = CHANNELS, settings: str = "") -> Generator[tuple[VirtualRobot, Any, Any]]:
     """A module after a second: the robot, the device, the twin."""
     robot, problems = parse_robot(f"""
 name = "plant"

@@ -18,7 +18,7 @@ from ..canopen_node.dictionary import OwnFile, read_dictionary
 
 Kind = Literal["digital_input", "digital_output", "analog_input", "analog_output"]
 #: Kind → its object, what a channel without a name is called, channels a subindex.
-KINDS: dict[str, tuple[int, str, int]] = {
+KINDS: dict[Kind, tuple[int, str, int]] = {
     "digital_input": (0x6000, "di", 8),
     "digital_output": (0x6200, "do", 8),
     "analog_input": (0x6401, "ai", 1),
@@ -128,7 +128,7 @@ class IoChannel:
         """The object's number with another value of this channel; those that do not fit stop at the end of the range."""
         if self.bit is not None:
             return number & ~(1 << self.bit) | bool(value) << self.bit
-        return min(max(round((value - self.given.offset) / self.given.scale), LEAST), MOST)
+        return min(max(round((float(value) - self.given.offset) / self.given.scale), LEAST), MOST)
 
 
 def module_dictionary(path: str | None, node: int) -> Any:
@@ -152,7 +152,7 @@ def io_channels(who: str, settings: ModuleSettings, dictionary: Any) -> dict[str
     found: dict[str, IoChannel] = {}
     for kind, (index, usual, each) in KINDS.items():
         for number in range(1, count[kind] + 1):
-            plain = ChannelSettings(kind=kind, number=number)  # type: ignore[arg-type]
+            plain = ChannelSettings(kind=kind, number=number)
             name, given = named.get((kind, number), (f"{usual}{number}", plain))
             bit = (number - 1) % each if each > 1 else None
             if name in found:
