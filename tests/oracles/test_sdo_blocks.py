@@ -40,7 +40,7 @@ class Wire:
         self.node = canopen.LocalNode(NODE, dictionary)
         self.client = canopen.sdo.SdoClient(0x600 + NODE, 0x580 + NODE, dictionary)
         self.client.RESPONSE_TIMEOUT = PATIENCE_S
-        server = BlockSdoServer(0x600 + NODE, 0x580 + NODE, self.node)
+        server: Any = BlockSdoServer(0x600 + NODE, 0x580 + NODE, self.node)
         for one, other in ((self.client, server.on_request), (server, self.client.on_response)):
             one.network = _Line(self.sent, is_lost, other)
 

@@ -35,7 +35,7 @@ class OwnFile:
 
 
 @cache
-def dictionary_of(path: str | None, node: int, own: OwnFile) -> Any:
+def read_dictionary(path: str | None, node: int, own: OwnFile) -> Any:
     """canopen's object dictionary of an EDS or DCF file (None: our own device's) for a node.
 
     Raises `CallerError` for a file that is not there or is none. Shared: it must not be changed.

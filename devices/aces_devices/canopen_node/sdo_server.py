@@ -10,7 +10,8 @@ from binascii import crc_hqx
 from dataclasses import dataclass, field
 from typing import Any
 
-from canopen.sdo import SdoAbortedError, SdoServer
+from canopen.sdo.exceptions import SdoAbortedError
+from canopen.sdo.server import SdoServer
 
 #: Segments in a block at most, and bytes in a segment.
 BLOCK, ROOM = 127, 7
@@ -52,8 +53,10 @@ class _Upload:
 class BlockSdoServer(SdoServer):
     """canopen's server with block transfers; in the place of a local node's `sdo`."""
 
-    _download: _Download | None = None
-    _upload: _Upload | None = None
+    def __init__(self, receives: int, sends: int, node: Any) -> None:
+        super().__init__(receives, sends, node)  # type: ignore[no-untyped-call]
+        self._download: _Download | None = None
+        self._upload: _Upload | None = None
 
     def on_request(self, can_id: int, data: Any, timestamp: float) -> None:
         """A frame of the client: while it writes a block nearly all of them are segments."""
@@ -66,12 +69,12 @@ class BlockSdoServer(SdoServer):
             return
         if data[0] >> 5 not in (5, 6) or data[0] & 3 == _BEGIN:
             self._download = self._upload = None
-        super().on_request(can_id, data, timestamp)
+        super().on_request(can_id, data, timestamp)  # type: ignore[no-untyped-call]
 
     def abort(self, abort_code: int = _GENERAL) -> None:
         """Abort the transfer under way."""
         self._download = self._upload = None
-        super().abort(abort_code)
+        super().abort(abort_code)  # type: ignore[no-untyped-call]
 
     def block_download(self, data: Any) -> None:
         """The beginning or the end of a download."""
@@ -144,7 +147,7 @@ class BlockSdoServer(SdoServer):
         self._check_size(request[4])
         data = bytes(self._node.get_data(self._index, self._subindex, check_readable=True))
         if len(data) <= request[5] or not data:
-            self.init_upload(request)  # the client allows that of so few bytes
+            self.init_upload(request)  # type: ignore[no-untyped-call]  # the client allows that of so few bytes
             return
         self._upload = _Upload(data, request[4], bool(request[0] & 4))
         self._say(0xC2 | request[0] & 4, bytes(request[1:4]) + len(data).to_bytes(4, "little"))
@@ -162,4 +165,4 @@ class BlockSdoServer(SdoServer):
             raise SdoAbortedError(_BLOCK_SIZE)
 
     def _say(self, command: int, rest: bytes = b"") -> None:
-        self.send_response(bytes([command]) + rest.ljust(ROOM, b"\0"))
+        self.send_response(bytes([command]) + rest.ljust(ROOM, b"\0"))  # type: ignore[no-untyped-call]

@@ -144,7 +144,7 @@ class CanopenTwin(Twin):
         """How long it waits for a node's heartbeat (ms), in none or one entry of object 1016."""
         if CONSUMER not in self.dictionary:
             return []
-        entries = [self._number(CONSUMER, n) for n in range(1, self._number(CONSUMER, 0) + 1)]
+        entries = [self.number(CONSUMER, n) for n in range(1, self.number(CONSUMER, 0) + 1)]
         return [entry & 0xFFFF for entry in entries if entry >> 16 & 0xFF == node and entry & 0xFFFF][:1]
 
     def _lost(self, node: int) -> None:
@@ -173,11 +173,12 @@ class CanopenTwin(Twin):
 
         def value(index: int, subindex: int) -> int | None:
             known = self.dictionary.get_variable(index, subindex)
-            return None if known is None else self._number(index, subindex)
+            return None if known is None else self.number(index, subindex)
 
         return layouts(self.name, self.dictionary, self.node.id, side, value)
 
-    def _number(self, index: int, subindex: int) -> int:
+    def number(self, index: int, subindex: int) -> int:
+        """An object's number, as SDO reads it."""
         return int.from_bytes(self.node.get_data(index, subindex), "little")
 
     def _process(self, number: int, data: bytes, now: int) -> None:
@@ -227,7 +228,7 @@ class CanopenTwin(Twin):
         for place in layout.places:
             value = self.object_value(place.index, place.subindex, now)
             if value is None:
-                value = self._number(place.index, place.subindex)
+                value = self.number(place.index, place.subindex)
             word = place.put(word, value)
         self.reply(f"Tpdo{number}", data=word.to_bytes(layout.size, "little"))
 

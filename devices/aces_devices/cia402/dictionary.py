@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..canopen_node.dictionary import OwnFile
-from ..canopen_node.dictionary import dictionary_of as read_dictionary
+from ..canopen_node.dictionary import OwnFile, read_dictionary
 
 OWN = OwnFile(
     "aces_devices.cia402",

@@ -1,0 +1,349 @@
+"""The driver `cia401`: a module of digital and analog inputs and outputs on CANopen.
+
+1. Setting it up asks what it is and what its channels say, switches its heartbeat on, and starts it. No output is written
+   before it is set.
+2. Inputs come with PDOs when they change, and all channels are read over SDO now and then: a PDO that was lost is made good.
+3. Outputs go in PDOs, in each tick, where the module takes them at once; else over SDO.
+4. From its first output on the module watches over the host, where it can; a stop sets what was set to its error value, at
+   once and then once more over SDO, reads it back, and ends the watch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import partial
+from typing import Any, ClassVar
+
+from aces_bus.device import Job, Signal, Steps
+from aces_bus.device.settings import settings_of
+from aces_bus.errors import AcesError, DeviceError
+
+from ..canopen_node.node import NMT, CanopenNode
+from ..canopen_node.pdo import RECEIVED, SENT, PdoLayout, from_file, read_layouts
+from ..canopen_node.watchdog import Watchdog
+from .channels import (
+    ERROR_VALUES,
+    LEAST,
+    MOST,
+    OUTPUTS,
+    USUAL_ERRORS,
+    IoChannel,
+    ModuleSettings,
+    io_channels,
+    module_dictionary,
+)
+from .twin import ANALOG_EVENTS, error_number
+
+PROFILE = 401
+_SIGNED = 0x6401, 0x6411
+
+
+class Cia401(CanopenNode):
+    """Signals: each channel by its name, else di1…, do1…, ai1…, ao1…; network (NMT state) and error (the last emergency)."""
+
+    protocol = "canopen"
+    streams = ("Rpdo1", "Rpdo2", "Rpdo3", "Rpdo4")
+    actions: ClassVar = {
+        "stop_motion": "what was set to its error value, confirmed",
+        "nmt": f"a command of network management: {', '.join(NMT)}",
+        "read": "read an object: object=0x6200:1 or its name",
+        "write": "write an object: object= value= confirm=true",
+        "identity": "ask what the module is",
+    }
+
+    def setup(self) -> None:
+        """A signal for each channel that the module's file has."""
+        self.settings = settings = settings_of(self.name, ModuleSettings, self.config.settings)
+        node = self.credentials["node"]
+        self.dictionary = module_dictionary(settings.eds, node)
+        self.channels = io_channels(self.name, settings, self.dictionary)
+        self.inputs = from_file(self.name, self.dictionary, node, SENT)
+        self.outputs = from_file(self.name, self.dictionary, node, RECEIVED)
+        #: The numbers of objects, as the module says, and of outputs that were set.
+        self.numbers: dict[tuple[int, int], int] = {}
+        self.goals: dict[tuple[int, int], int] = {}
+        #: Which bits of these were set.
+        self._driven: dict[tuple[int, int], int] = {}
+        #: Of outputs, the module's own: which take an error value, and that value.
+        self.errors: dict[tuple[int, int], tuple[int, int]] = {}
+        self._by_where: dict[tuple[int, int], list[tuple[IoChannel, Signal]]] = {}
+        for one in self.channels.values():
+            self._by_where.setdefault(one.where, []).append((one, self._add(one)))
+        watchdog = Watchdog(self, settings.watchdog_ms, settings.host_node)
+        self.add_node(settings.heartbeat_ms, settings.sdo_timeout_s, watchdog)
+        self._reading: Job | None = None
+        self._writing: Job | None = None
+        self._unsent: set[tuple[int, int]] = set()
+        #: Set-points that came before the module was set up.
+        self._early: dict[str, Any] = {}
+
+    def _add(self, one: IoChannel) -> Signal:
+        given, setter = one.given, partial(self._set, one) if one.is_output else None
+        ends: list[float | None] = [given.lower, given.upper]
+        if one.bit is None and one.is_output:
+            low, high = sorted((one.value(LEAST), one.value(MOST)))
+            ends = [low if given.lower is None else given.lower, high if given.upper is None else given.upper]
+        return self.add_signal(
+            one.name,
+            unit=given.unit,
+            setter=setter,
+            lower=ends[0],
+            upper=ends[1],
+            stale_s=max(0.5, 5 * self.settings.every_s),
+            read_from=("Tpdo1", "SdoUploaded"),
+            doc=given.kind.replace("_", " ") + f" {given.number}",
+            source=f"CiA 401, object {one.index:04X}:{one.subindex}",
+        )
+
+    # ------------------------------------------------------------------ up
+
+    def set_up_steps(self, job: Job) -> Steps:
+        """What it is, its PDOs, its heartbeat; its start; what its channels say."""
+        job.text = "identity"
+        data: bytes = yield self.sdo.upload(0x1000)
+        profile = int.from_bytes(data[:2], "little")
+        if profile != PROFILE:
+            raise DeviceError(
+                f"{self.name}: node {self.credentials['node']} is of device profile {profile}, not {PROFILE}"
+            )
+        job.progress, job.text = 0.2, "PDOs"
+        self.outputs = yield from read_layouts(self, RECEIVED)
+        self.inputs = yield from read_layouts(self, SENT)
+        job.progress, job.text = 0.6, "settings"
+        if self.heartbeat_ms:
+            yield self.sdo.download(0x1017, 0, self.raw(0x1017, 0, self.heartbeat_ms))
+        if self.dictionary.get_variable(ANALOG_EVENTS, 0) is not None:
+            yield self.sdo.download(ANALOG_EVENTS, 0, b"\x01")
+        job.progress, job.text = 0.8, "channels"
+        for where in self._by_where:
+            if where[0] in OUTPUTS:
+                mode, value = ERROR_VALUES[where[0]]
+                self.errors[where] = (
+                    (yield from self._error_object(mode, where[1])),
+                    (yield from self._error_object(value, where[1])),
+                )
+        yield from self._read_all()
+        yield self.tell("Nmt", command="start")
+        self.is_set_up = True
+        self.error.update("", self.clock.now())
+        if self._reading is None:
+            self._read_again(None)
+        for _ in range(50 if self.heartbeat_ms else 0):
+            if self.network.last == "operational":
+                break
+            yield self.heartbeat_ms * 1_000_000 // 20
+        if not self.is_operational:
+            raise DeviceError(
+                f"{self.name}: it was started, and its heartbeat does not say that it is operational"
+            )
+        early, self._early = self._early, {}
+        for name, value in early.items():
+            self._give(self.channels[name], value)
+
+    def _error_object(self, index: int, subindex: int) -> Steps:
+        if self.dictionary.get_variable(index, subindex) is None:
+            return USUAL_ERRORS[index]
+        data: bytes = yield self.sdo.upload(index, subindex)
+        return int.from_bytes(data, "little", signed=index == ERROR_VALUES[0x6411][1])
+
+    def quiet(self, on: bool) -> None:
+        """It is not operational: what was set is not sent any more, and not once more when it is."""
+        if on:
+            for number in range(1, 5):
+                self.drop(f"Rpdo{number}")
+            self.goals.clear()
+            self._driven.clear()
+            self._unsent.clear()
+
+    def _read_again(self, _: Any) -> None:
+        """All channels over SDO, every now and then, while it is there."""
+        if not self.host.is_open:
+            return
+
+        def steps(job: Job) -> Steps:
+            yield round(self.settings.every_s * 1e9)
+            if self.is_set_up:
+                try:
+                    yield from self._read_all()
+                except AcesError:
+                    pass  # its heartbeat, or that there is none, says more
+
+        self._reading = self.job("read all channels", steps)
+        self._reading.then(self._read_again)
+
+    def _read_all(self) -> Steps:
+        for where in self._by_where:
+            yield from self._read_one(where)
+
+    def _read_one(self, where: tuple[int, int]) -> Steps:
+        data: bytes = yield self.sdo.upload(*where)
+        number = int.from_bytes(data, "little", signed=where[0] in _SIGNED)
+        self._known(where, number, self.clock.now())
+        return number
+
+    def _known(self, where: tuple[int, int], number: int, instant: int) -> None:
+        self.numbers[where] = number
+        for one, signal in self._by_where.get(where, ()):
+            signal.update(one.value(number), instant)
+
+    def heard(self, record: Any, instant: int) -> None:
+        """PDOs; what any node says."""
+        name = type(record).__name__
+        layout = self.inputs.get(int(name[-1])) if name.startswith("Tpdo") else None
+        if layout is None:
+            super().heard(record, instant)
+        elif len(record.data) < layout.size:
+            self.tell_event("malformed", f"{name} has {len(record.data)} bytes, fewer than are mapped")
+        else:
+            word = int.from_bytes(record.data, "little")
+            for place in layout.places:
+                self._known((place.index, place.subindex), place.take(word), instant)
+
+    def forget(self) -> None:
+        """Nothing is known any more, and nothing is set."""
+        super().forget()
+        self.numbers.clear()
+        self._early.clear()
+        self.goals.clear()
+        self._driven.clear()
+        self._unsent.clear()
+
+    # ------------------------------------------------------------------ down
+
+    def takes(self, signal: Signal) -> bool | None:
+        """Outputs are taken by a module that is operational; while nothing is known of it they wait."""
+        if self._is_unknown:
+            return None
+        return super().takes(signal) if self.is_operational else False
+
+    def _set(self, one: IoChannel, value: Any) -> None:
+        if self.host.passive:
+            self.tell_event("not sent", f"{one.name}: this bus is only listened to")
+            return
+        if self._is_unknown:
+            self._early[one.name] = value
+            return
+        self._give(one, value)
+
+    @property
+    def _is_unknown(self) -> bool:
+        """Whether it is being set up, or has never been."""
+        return not self.numbers or (self._set_up is not None and not self._set_up.is_over)
+
+    def _give(self, one: IoChannel, value: Any) -> None:
+        if not self.is_operational or one.where not in self.numbers:
+            self.tell_event(
+                "not sent", f"{one.name}: the module is not operational; the set-point is dropped"
+            )
+            return
+        if self._stop_number(one.where, 0) is None:
+            self.tell_event(
+                "not sent",
+                f"{one.name}: the module's error value (6444) is {self.errors[one.where][1]}, and CiA 401 leaves open"
+                " what that is of 16 bits; say what stops it, as stop = 0.0 of the channel",
+            )
+            return
+        self.is_driven = True
+        before = self.goals.get(one.where, self.numbers[one.where])
+        self.goals[one.where] = one.put(before, value)
+        self._driven[one.where] = self._driven.get(one.where, 0) | (-1 if one.bit is None else 1 << one.bit)
+        self._unsent.add(one.where)
+        if self._writing is None or self._writing.is_over:
+            is_watched = self.watchdog.entry is not None or not self.watchdog.is_possible
+            if is_watched and self._in_pdos(self._unsent):
+                self._send()
+            else:
+                self._writing = self.job("set outputs", self._write)
+
+    def _write(self, job: Job) -> Steps:
+        """The watch over the host first; then what was set."""
+        try:
+            yield from self.watchdog.begin()
+            while self._unsent:
+                self._send()
+                if self._unsent:
+                    where = self._unsent.pop()
+                    yield self.sdo.download(*where, self._bytes(where, self.goals[where]))
+        except AcesError as error:
+            self._unsent.clear()
+            self.tell_event("not sent", str(error))
+            raise
+
+    def _send(self) -> None:
+        """What PDOs take, with the next tick."""
+        for number, layout in self._taking():
+            held = {(place.index, place.subindex) for place in layout.places} & self._unsent
+            if held:
+                self._unsent -= held
+                self.want(f"Rpdo{number}", "data", b"")
+
+    def _taking(self) -> Iterable[tuple[int, PdoLayout]]:
+        """The PDOs whose outputs are taken at once, and of which all objects are known."""
+        for number, layout in self.outputs.items():
+            known = all((place.index, place.subindex) in self.numbers for place in layout.places)
+            if known and not layout.is_synchronous:
+                yield number, layout
+
+    def _in_pdos(self, places: Iterable[tuple[int, int]]) -> bool:
+        held = {(place.index, place.subindex) for _, layout in self._taking() for place in layout.places}
+        return held.issuperset(places)
+
+    def gathered(self, message: str, wants: Any) -> dict[str, Any] | None:
+        """A PDO: its outputs as they were set, else as they are."""
+        layout = self.outputs.get(int(message[-1]))
+        return None if layout is None else {"data": self._content(layout)}
+
+    def _content(self, layout: PdoLayout) -> bytes:
+        word = 0
+        for place in layout.places:
+            where = place.index, place.subindex
+            word = place.put(word, self.goals.get(where, self.numbers.get(where, 0)))
+        return word.to_bytes(layout.size, "little")
+
+    def _bytes(self, where: tuple[int, int], number: int) -> bytes:
+        return number.to_bytes(2 if where[0] in _SIGNED else 1, "little", signed=where[0] in _SIGNED)
+
+    # ------------------------------------------------------------------ stopping
+
+    def stop_motion(self) -> Job | None:
+        """What was set takes its `stop`, else the module's error value: in PDOs at once, then over SDO; read back."""
+        self._unsent.clear()
+        self._early.clear()
+        for job in (self._writing, self._reading):
+            if job is not None and not job.is_over:
+                job.cancel()
+        self._writing = None
+        for number in self.outputs:
+            self.drop(f"Rpdo{number}")
+        driven = self.goals
+        if not driven:
+            return None
+        self.goals = {where: self._stop_number(where, number) or 0 for where, number in driven.items()}
+        wanted = dict(self.goals)
+        for number, layout in list(self._taking()) if self.is_operational else ():
+            self.tell(f"Rpdo{number}", data=self._content(layout))
+
+        def steps(job: Job) -> Steps:
+            for where, goal in wanted.items():
+                yield self.sdo.download(*where, self._bytes(where, goal))
+                number = yield from self._read_one(where)
+                if number != goal:
+                    raise DeviceError(
+                        f"{self.name}: object {where[0]:04X}:{where[1]} stays 0x{number:X}; 0x{goal:X} stops it"
+                    )
+            self.goals.clear()
+            self._driven.clear()
+            yield from self.watchdog.end()
+
+        return self.job("stop", steps)
+
+    def _stop_number(self, where: tuple[int, int], number: int) -> int | None:
+        """What an output's object that is `number` becomes when what was set of it is stopped; None: that is not known."""
+        mode, value = self.errors.get(where, (0xFF, 0))
+        found = error_number(where[0], number, mode, value)
+        stated = [one for one, _ in self._by_where[where] if one.given.stop is not None]
+        for one in stated:
+            found = one.put(found, one.given.stop)
+        is_open = where[0] == 0x6411 and mode and value and not stated
+        driven = self._driven.get(where, 0)
+        return None if is_open else number & ~driven | found & driven
