@@ -192,7 +192,8 @@ class ByteSource:
         self._pushed = head
         if not (kind := packing(head)):
             return
-        self._unpacker = Unpacker(kind, self.name, head, self._stored)
+        again = self._stored_again if self._owned and not self.live and hasattr(os, "pread") else None
+        self._unpacker = Unpacker(kind, self.name, head, self._stored, again)
         self._pushed = inner = b""
         try:
             while len(inner) < MAGIC and (more := self._unpacker.read(BLOCK)):
@@ -222,6 +223,13 @@ class ByteSource:
             self._left -= len(data)
         self._dry = not data
         return data
+
+    def _stored_again(self, place: int, size: int) -> bytes:
+        """Bytes of a file as they are stored, once more."""
+        try:
+            return os.pread(self.fileno(), size, place)
+        except OSError as error:
+            raise CaptureError(f"{self.name}: reading stopped: {_said(error)}") from error
 
     def fileno(self) -> int:
         """The system's number of the file; raises `OSError` where there is none."""

@@ -19,6 +19,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ..errors import CaptureError
+from .inflate import FastMember, fast_member
 
 GZIP, ZSTANDARD = "gzip", "zstandard"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -57,12 +58,22 @@ def may_be_packed(head: bytes) -> bool:
 class Unpacker:
     """Bytes out of packed bytes: `read` as of a file, b"" at the end.
 
-    `head` is what was read to tell the packing, `more` reads on.
+    `head` is what was read to tell the packing, `more` reads on. `again` gives packed bytes once more, by their place and
+    number, where that can be: only then gzip may be read quicker, for damage is looked at with zlib, from the member's
+    first byte.
     """
 
-    def __init__(self, kind: str, name: str, head: bytes, more: Callable[[int], bytes]) -> None:
-        self.kind, self._name, self._more = kind, name, more
-        self._begin = _gzip_member if kind == GZIP else _zstandard_frame(name)
+    def __init__(
+        self,
+        kind: str,
+        name: str,
+        head: bytes,
+        more: Callable[[int], bytes],
+        again: Callable[[int, int], bytes] | None = None,
+    ) -> None:
+        self.kind, self._name, self._more, self._again = kind, name, more, again
+        self._begin = self._gzip_member if kind == GZIP else _zstandard_frame(name)
+        self._begun = 0  # where the member does
         self._member: Any = None
         self._waiting = head
         self._taken = 0  # packed bytes that went into a member or were passed over
@@ -85,6 +96,10 @@ class Unpacker:
             if not self._waiting:
                 if self._member is None:
                     return b""
+                if isinstance(self._member, FastMember) and (out := self._read_again(self._member)):
+                    return out
+                if self._damage:
+                    continue
                 self._damage = f"the {self.kind} data ends too early, after {self._taken:,} bytes; what it holds was read"
                 continue
             if self._member is None and not self._next_member():
@@ -97,7 +112,7 @@ class Unpacker:
         while may_be_packed(self._waiting) and (more := self._more(_INPUT)):
             self._waiting += more
         if packing(self._waiting) == self.kind:
-            self._member = self._begin()
+            self._member, self._begun = self._begin(), self._taken
             return True
         if (
             self.kind == GZIP
@@ -111,6 +126,11 @@ class Unpacker:
 
     def _unpack(self) -> bytes:
         piece = self._waiting[: _PIECES[self.kind]]
+        if isinstance(self._member, FastMember):
+            given = self._member.decompress(piece)
+            if given is None:
+                return self._read_again(self._member)
+            return self._unpacked(piece, given)
         before = self._member.copy() if self.kind == GZIP else None
         try:
             out: bytes = self._member.decompress(piece)
@@ -118,10 +138,36 @@ class Unpacker:
             out, place, said = (b"", 0, str(error)) if before is None else up_to_damage(before, piece)
             self._damage = f"damaged {self.kind} data after {self._taken + place:,} bytes: {said}"
             return out
+        return self._unpacked(piece, out)
+
+    def _unpacked(self, piece: bytes, out: bytes) -> bytes:
         self._took(len(piece) - len(self._member.unused_data))
         if self._member.eof:
             self._member = None
         return out
+
+    def _gzip_member(self) -> Any:
+        fast = fast_member() if self._again is not None else None
+        return fast if fast is not None else zlib.decompressobj(wbits=31)
+
+    def _read_again(self, fast: FastMember) -> bytes:
+        """Go on with zlib, which says where damage is: what it gives of the member so far behind what was given already."""
+        assert self._again is not None
+        self._member = zlib.decompressobj(wbits=31)
+        place, known, rest = self._begun, fast.given, b""
+        while place < self._taken and (piece := self._again(place, min(_PIECES[GZIP], self._taken - place))):
+            before = self._member.copy()
+            try:
+                out = self._member.decompress(piece)
+            except zlib.error:
+                out, inside, said = up_to_damage(before, piece)
+                self._damage = f"damaged {self.kind} data after {place + inside:,} bytes: {said}"
+            rest += out[known:]
+            known = max(0, known - len(out))
+            if self._damage:
+                break
+            place += len(piece)
+        return rest
 
     def _took(self, count: int) -> None:
         self._taken += count
@@ -137,10 +183,6 @@ def up_to_damage(unpacker: Any, packed: bytes | memoryview) -> tuple[bytes, int,
         except zlib.error as error:
             return b"".join(parts), place, str(error)
     return b"".join(parts), len(packed), "it ends too early"
-
-
-def _gzip_member() -> Any:
-    return zlib.decompressobj(wbits=31)
 
 
 def _zstandard_frame(name: str) -> Callable[[], Any]:

@@ -35,6 +35,7 @@ import numpy as np
 from ...errors import CaptureError
 from ...frame_table import FrameTable, Ints
 from ..base import CanRecording, keep_freed_memory
+from ..inflate import inflate_whole
 from ..merge import merge_in_order
 from ..source import ByteSource
 from ..unpack import up_to_damage
@@ -159,7 +160,7 @@ class BlfCapture(CanRecording):
             len(container) <= _SMALL and claimed <= LARGE
         ):  # quicker, and bounded by what so few bytes can hold
             try:
-                whole = zlib.decompress(memoryview(container)[32:], bufsize=max(claimed, 1))
+                whole = inflate_whole(memoryview(container)[32:], max(claimed, 1))
             except zlib.error:
                 pass  # step by step, up to the damage
             else:

@@ -14,6 +14,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ...frame_table import Ints
+from ..inflate import inflate_first
 from .tree import VARIABLE_GROUP, DataGroup, Segment
 
 _PIECE = 1 << 22
@@ -84,7 +85,7 @@ def unpack_segment(file: BinaryIO, segment: Segment) -> bytes:
     file.seek(segment.at)
     size, columns = segment.size, segment.packing
     try:
-        data = zlib.decompressobj().decompress(file.read(segment.stored), size + 1)
+        data = inflate_first(file.read(segment.stored), size + 1)
     except zlib.error as error:
         raise ValueError(f"packed records are damaged: {error}") from None
     if len(data) != size:
