@@ -20,7 +20,7 @@ from .carried_port import CarriedPort
 from .port import Left
 
 
-def _of_others(key: int) -> bool:
+def _of_others(key: int, data: bytes) -> bool:
     return False
 
 
@@ -30,11 +30,11 @@ class PacketSender:
         with CanGate({"interface": "socketcan", "channel": "can0"}) as gate, PacketSender(gate, [uds.variant()]) as sender:
             sender.send(uds.encode("WriteData", ecu=0, identifier=0x123, data=bytes(100)))
 
-    Senders of packets whose key (see `aces_bus.protocol.keys`) `is_ours` are let go on, too.
+    Senders of packets of whose first frame `is_ours(key, data)` holds are let go on, too (`aces_bus.protocol.keys`).
     """
 
     def __init__(
-        self, gate: Any, variants: Sequence[Variant], is_ours: Callable[[int], bool] = _of_others
+        self, gate: Any, variants: Sequence[Variant], is_ours: Callable[[int, bytes], bool] = _of_others
     ) -> None:
         self.gate = gate
         self._loop = Loop(f"{gate.name} packets").start()

@@ -297,8 +297,8 @@ class Sending:
 
         return PacketSender(gate, [self.variant], self._is_answer)
 
-    def _is_answer(self, key: int) -> bool:
-        """Whether packets of a key may be the reply that is waited for."""
+    def _is_answer(self, key: int, data: bytes) -> bool:
+        """Whether the packet that a frame begins may be the reply that is waited for."""
         if self.variant is None or self.reply_ns is None:
             return False
         for name in answers(self.variant, self.message):
