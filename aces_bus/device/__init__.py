@@ -14,6 +14,7 @@ from .events import DeviceEvent, EventLog
 from .host import Host
 from .j1939 import J1939Sender
 from .motor import MotorDevice
+from .packet_sender import PacketSender
 from .port import Port
 from .signals import UNKNOWN, Reading, Signal
 from .single_motor import JointScale, SingleMotor
@@ -42,6 +43,7 @@ __all__ = [
     "JointScale",
     "MotorDevice",
     "OutgoingMessage",
+    "PacketSender",
     "Poll",
     "Port",
     "Reading",

@@ -34,6 +34,7 @@ class _Outgoing:
         self, port: CarriedPort, frames: Sequence[Frame], send: Callable[..., bool], report: Left | None
     ) -> None:
         self.port, self.send, self._report = port, send, report
+        self.opening = frames[0].data
         self.left = deque(frames)
         #: How many frames may still go before the next go-ahead (None: all), and the time between two.
         self.allowed: int | None = 0
@@ -111,9 +112,11 @@ class _Outgoing:
 
 
 class CarriedPort:
-    """A port that knows the transports of some protocols; `is_ours(key)` says whether packets of a key are for us."""
+    """A port that knows the transports of some protocols; `is_ours(key, data)` says whose packet a first frame begins."""
 
-    def __init__(self, port: Port, variants: Sequence[Variant], is_ours: Callable[[int], bool]) -> None:
+    def __init__(
+        self, port: Port, variants: Sequence[Variant], is_ours: Callable[[int, bytes], bool]
+    ) -> None:
         self.port, self._is_ours = port, is_ours
         messages = [m for variant in variants for m in variant.messages.values()]
         self._transports = list(dict.fromkeys(m.transport for m in messages if m.transport is not None))
@@ -234,11 +237,11 @@ class CarriedPort:
         steering = transport.steering(key, frame.data)
         if steering is not None:
             waiting = self._out.get(steering.key)
-            if waiting:
+            if waiting and waiting[0][0].opening.startswith(steering.address):
                 waiting[0][0].steered(steering)
             return
         answer = transport.go_ahead(key, frame.data)
-        if answer is not None and self._is_ours(key):
+        if answer is not None and self._is_ours(key, frame.data):
             number, data = answer
             self.port.send(
                 Frame(number & 0x1FFF_FFFF, data, is_extended_id=bool(number & EXTENDED), is_fd=transport.fd)

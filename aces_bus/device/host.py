@@ -322,8 +322,8 @@ class Host(BusEndpoint[Device]):
         for frame in word if isinstance(word, tuple) else (word,):
             self.scanner.sent(frame)
 
-    def _is_carried_to_us(self, key: int) -> bool:
-        return not self.passive and super()._is_carried_to_us(key)
+    def _is_carried_to_us(self, key: int, data: bytes) -> bool:
+        return not self.passive and super()._is_carried_to_us(key, data)
 
     def tick(self) -> None:
         """One round: set-points, then polls within the budget."""

@@ -221,15 +221,20 @@ class BusEndpoint(Generic[M]):
                 self._silence.cancel()
             self.port.close()
 
-    def _is_carried_to_us(self, key: int) -> bool:
-        """Whether packets of a key are for a member here: their first frames are answered with a go-ahead."""
+    def _is_carried_to_us(self, key: int, data: bytes) -> bool:
+        """Whether the packet that a frame begins is for a member here: it is answered with a go-ahead."""
         identifier, extended = key & 0x1FFF_FFFF, bool(key & EXTENDED)
         for member in self.members.values():
             for message in member.variant.messages_for(self.direction):
                 captures = message.identifier.match(identifier) if message.transport is not None else None
                 if captures is None or message.extended != extended or not member.is_listening:
                     continue
-                if all(captures.get(name, number) == number for name, number in member.credentials.items()):
+                assert message.transport is not None
+                inside = message.transport.addressed(key, data)
+                if inside is None:
+                    continue
+                found = {**captures, **inside}
+                if all(found.get(name, number) == number for name, number in member.credentials.items()):
                     return True
         return False
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
-import pytest
+from typing import Any
 
+import pytest
+from construct import Byte, Const, GreedyBytes, Struct
+
+from aces_bus.device import Device, Driver, Twin, on
 from aces_bus.frames import Frame
 from aces_bus.hardware import ListeningNode
-from aces_bus.robot import VirtualRobot, connect
+from aces_bus.protocol import IdField, IsoTp, Protocol
+from aces_bus.robot import VirtualRobot, connect, parse_robot
 from tests.device.ecu import LOAD, robot_of_ecu
 
 
@@ -92,3 +97,90 @@ def test_a_passive_host_answers_nothing() -> None:
         say(robot, Frame(0x7E9, bytes.fromhex("10 24 62 00 01 00 07 00")))
         robot.advance(0.5)
         assert not [f for f in recorder.frames() if f.arbitration_id == 0x7E1]
+
+
+def behind_one_identifier() -> VirtualRobot:
+    """Two units that are asked by one identifier, and told apart by the address in its frames."""
+    units = Protocol("units", link="can")
+    Unit = IdField("unit", range(0x10, 0x20))
+    carrier = IsoTp(
+        addressing="extended",
+        to_device=0x6F1,
+        device_address=Unit,
+        from_device=0x600 + Unit,
+        tester_address=0xF1,
+    )
+    write = units.message(
+        "Write",
+        transport=carrier,
+        direction="to device",
+        prefix=Struct("unit" / Byte, "service" / Byte),
+        match={"service": 0x2E},
+        payload=Struct("data" / GreedyBytes),
+    )
+    units.message(
+        "Written",
+        transport=carrier,
+        direction="from device",
+        reply_to=write,
+        payload=Struct(Const(b"\xf1\x6e"), "data" / GreedyBytes),
+    )
+
+    class UnitDevice(Device):
+        """Only asked."""
+
+        protocol = units
+
+    class UnitTwin(Twin):
+        """Answers with what was written."""
+
+        protocol = units
+
+        @on("Write")
+        def write(self, request: Any) -> None:
+            self.reply("Written", data=request.data[::-1])
+
+    text = """
+    name = "car"
+    [buses]
+    line = { link = "can", protocol = "units" }
+    [devices]
+    A = { driver = "unit", bus = "line", credentials = { unit = 0x12 } }
+    B = { driver = "unit", bus = "line", credentials = { unit = 0x18 } }
+    """
+    robot, problems = parse_robot(text)
+    assert robot is not None, problems
+    driver = Driver("unit", UnitDevice, UnitTwin, text, doc="a unit", source="invented for tests")
+    return VirtualRobot(robot, load={"unit": driver}.__getitem__, rate_hz=20)
+
+
+def test_extended_addresses_have_flow_control() -> None:
+    """Long packets both ways at once: each go-ahead has the address of who is let go on, and steers no other's packet."""
+    with behind_one_identifier() as robot:
+        recorder = ListeningNode(robot.wires["line"])
+        sent = {"A": bytes(range(40)), "B": bytes(range(100, 140))}
+        asked = {
+            name: robot.devices[name].ask("Write", reply="Written", timeout_s=1.0, data=data)
+            for name, data in sent.items()
+        }
+        robot.advance(1.0)
+        for name, ticket in asked.items():
+            assert ticket.result is not None, ticket.error
+            assert ticket.result.data == sent[name][::-1]
+        steering = [(f.arbitration_id, f.data[0]) for f in recorder.frames() if f.data[1:2] == b"\x30"]
+        assert sorted(steering) == [(0x612, 0xF1), (0x618, 0xF1), (0x6F1, 0x12), (0x6F1, 0x18)]
+
+
+def test_a_go_ahead_of_another_unit_is_none() -> None:
+    """A packet to A does not go on because B says so."""
+    with behind_one_identifier() as robot:
+        robot.twins["A"].power(False)
+        robot.twins["B"].power(False)
+        ticket = robot.devices["A"].tell("Write", data=bytes(40))
+        robot.advance(0.1)
+        recorder = ListeningNode(robot.wires["line"])
+        say(robot, Frame(0x618, bytes.fromhex("F1 30 00 00")))
+        robot.advance(0.1)
+        assert [f.arbitration_id for f in recorder.frames()] == [0x618]
+        robot.advance(2.0)
+        assert "no go-ahead in time" in str(ticket.error)

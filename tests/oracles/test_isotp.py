@@ -8,12 +8,13 @@ from typing import Any
 
 import can
 import pytest
-from construct import GreedyBytes, Struct
+from construct import Const, GreedyBytes, Struct
 
+from aces_bus.device import Device, Driver, Twin, on
 from aces_bus.frames import Frame, message_to_frame
 from aces_bus.hardware import CanGate, port_of
 from aces_bus.protocol import IsoTp, Protocol, Unknown
-from aces_bus.robot import simulate
+from aces_bus.robot import parse_robot, simulate
 from aces_bus.runtime import Loop
 from tests.device.ecu import LOAD, robot_of_ecu
 from tests.oracles.foreign import oracle
@@ -157,3 +158,66 @@ def test_udsoncan_reads_and_writes_our_twin(ecu: tuple[Any, Any]) -> None:
         data = bytes(range(256)) * 2
         assert client.write_data_by_identifier(2, data).positive
     assert twin.written == data
+
+
+#: How our twin and their end are addressed; the twin's first byte, and the answer's.
+ADDRESSED: dict[str, tuple[IsoTp, bytes, bytes, dict[str, Any]]] = {
+    "extended": (
+        IsoTp(addressing="extended", to_device=0x600, device_address=0x55, from_device=0x601, tester_address=0xAA),
+        b"\x55", b"\xaa", KINDS["extended"][3],
+    ),
+    "mixed": (KINDS["mixed"][0], b"\x99", b"\x99", KINDS["mixed"][3]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ADDRESSED)
+def test_addressed_packets_go_both_ways(kind: str) -> None:
+    """Our twin lets their long packets go on, and their flow control ours: with an address in each frame."""
+    carrier, to_us, from_us, near = ADDRESSED[kind]
+    protocol = Protocol(f"{kind}_echo", link="can")
+    ways: tuple[tuple[str, Any, bytes], ...] = (("Say", "to device", to_us), ("Echo", "from device", from_us))
+    for name, direction, address in ways:
+        inside = Struct(Const(address), "data" / GreedyBytes)
+        protocol.message(
+            name, transport=carrier, direction=direction, extended=carrier.extended, payload=inside
+        )
+
+    class Spoken(Device):
+        """Only answered."""
+
+    class Echoing(Twin):
+        """Says it again."""
+
+        @on("Say")
+        def echo(self, request: Any) -> None:
+            self.reply("Echo", data=request.data)
+
+    Spoken.protocol = Echoing.protocol = protocol
+    text = f"""
+    name = "echo"
+    [buses]
+    line = {{ link = "can", protocol = "{protocol.name}" }}
+    [devices]
+    A = {{ driver = "echo", bus = "line" }}
+    """
+    robot, problems = parse_robot(text)
+    assert robot is not None, problems
+    driver = Driver("echo", Spoken, Echoing, text, doc="an echo", source="invented for tests")
+    channel = f"isotp-{uuid.uuid4().hex[:8]}"
+    options: dict[str, Any] = {"interface": "aces", "channel": channel, "physics": False}
+    with (
+        can.Bus(**options) as theirs,
+        Loop("twins") as loop,
+        simulate(robot, {"line": port_of(CanGate(options), loop)}, load={"echo": driver}.__getitem__),
+    ):
+        mode = getattr(isotp.AddressingMode, MODES[kind])
+        params = {"stmin": 0, "blocksize": 3, "rx_flowcontrol_timeout": 30_000}
+        stack = isotp.CanStack(theirs, address=isotp.Address(mode, **near), params=params)
+        stack.start()
+        try:
+            for size in (1, 7, 30, 300):
+                data = bytes(k & 0xFF for k in range(size))
+                stack.send(data)
+                assert stack.recv(block=True, timeout=PATIENCE_S) == data
+        finally:
+            stack.stop()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import runpy
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from aces_tools import decode_jobs
 from aces_tools.screen.model import Model
 from tests.tools.conftest import Aces
 from tests.tools.conftest import aces as aces
+from tests.tools.live import WAIT_S, Node, Opened
 from tests.tools.screening import heard
 
 SPEC = Path(__file__).parents[2] / "examples" / "fast_packet_device.py"
@@ -104,3 +106,86 @@ def test_the_screen_has_rows_of_packets() -> None:
     assert made.rows == {}
     made.feed(heard(last, first, last, last))
     assert sorted((row.name, row.count) for row in made.rows.values()) == [("Position", 2), ("malformed", 1)]
+
+
+ECU = """
+from construct import Byte, Const, GreedyBytes, Struct
+from aces_bus.protocol import IsoTp, Protocol
+
+ecu = Protocol("ecu", link="can")
+carrier = IsoTp(to_device=0x7E0, from_device=0x7E8, timeout_s={timeout_s})
+Write = ecu.message("Write", transport=carrier, direction="to device",
+    payload=Struct(Const(0x2E, Byte), "data" / GreedyBytes))
+ecu.message("Written", transport=carrier, direction="from device", reply_to=Write,
+    payload=Struct(Const(0x6E, Byte), "data" / GreedyBytes))
+"""
+
+
+def spec_of(folder: Path, timeout_s: float) -> Path:
+    """The spec, with so much time between two frames."""
+    path = folder / "ecu.py"
+    path.write_text(ECU.format(timeout_s=timeout_s), encoding="utf-8")
+    return path
+
+
+WRITE = ("send", "Write", "data=" + "AB" * 30)
+
+
+@pytest.fixture
+def node() -> Iterator[Node]:
+    made = Node()
+    yield made
+    made.close()
+
+
+def test_a_packet_waits_for_flow_control_and_obeys_it(
+    aces: Aces, node: Node, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Its first frame; then as many as the receiver says; with --reply a long answer is let go on, and printed."""
+    seen: list[str] = []
+
+    def until(count: int) -> None:
+        while len(seen) < count:
+            seen.extend(bytes(m.data).hex()[:2] for m in node.received(WAIT_S))
+
+    def receive() -> None:
+        until(1)
+        assert node.received(0.2) == []  # it waits
+        node.send(0x7E8, "31 00 00")  # patience
+        node.send(0x7E8, "30 02 00")
+        until(3)
+        assert node.received(0.2) == []
+        node.send(0x7E8, "30 00 00")
+        until(5)
+        node.send(0x7E8, "10 0A 6E 01 02 03 04 05")
+        until(6)
+        node.send(0x7E8, "21 06 07 08 09")
+
+    opened = Opened(monkeypatch)
+    opened.then(receive)
+    result = aces(*WRITE, "-p", spec_of(tmp_path, 60), *node.options, "--tx", "--reply", "60s")
+    opened.join()
+    assert seen == ["10", "21", "22", "23", "24", "30"]
+    assert "data=01 02 03 04 05 06 07 08 09" in result.out
+    assert (result.status, result.summary["sent"], result.summary["replies"]) == (0, 6, 1)
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"), [("", "gave no go-ahead in time"), ("32 00 00", "its receiver cannot take it")]
+)
+def test_a_packet_that_may_not_go_on_is_status_1(
+    aces: Aces, node: Node, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, answer: str, said: str
+) -> None:
+    """Why is said, and nothing but the first frame has left."""
+
+    def receive() -> None:
+        node.received(WAIT_S)
+        if answer:
+            node.send(0x7E8, answer)
+
+    opened = Opened(monkeypatch)
+    opened.then(receive)
+    result = aces(*WRITE, "-p", spec_of(tmp_path, 60 if answer else 0.1), *node.options, "--tx")
+    opened.join()
+    assert (result.status, result.summary["sent"]) == (1, 1)
+    assert any(said in one for one in result.messages)

@@ -29,6 +29,7 @@ from aces_bus.frames import Frame, message_to_frame
 from aces_bus.protocol import CanScanner, J1939Transport, Meta, Unknown, Variant, make_scanner
 from aces_bus.protocol.declare.message import Message
 from aces_bus.protocol.draw import picture
+from aces_bus.protocol.keys import EXTENDED
 from aces_bus.recordings import Chunk
 from aces_bus.recordings.candump.line import read_line
 from aces_bus.recordings.text.rows import UnreadableRow
@@ -60,6 +61,9 @@ bytes of a serial line or a datagram.
 
 --every keeps absolute deadlines: what comes too late is left out and counted
 (late), never made up for. --rate bounds what one call may do to a bus.
+
+A message in several frames waits for its receiver's flow control (ISO-TP), and
+obeys it; with --reply its answer is let go on.
 
 --reply prints the decoded answer: the first message that the protocol says
 answers this one, or, where it says nothing of the kind, the first that comes.
@@ -289,16 +293,28 @@ class Sending:
         return status
 
     def _handshakes(self, gate: Any) -> Any:
-        """What sends packets that take a handshake, or pauses; None where they take neither."""
-        if (
-            self.message is None
-            or not isinstance(self.message.transport, J1939Transport)
-            or len(self.first) == 1
-        ):
+        """What sends packets that take a handshake, or pauses, and lets their answers go on; None where there is neither."""
+        carrier = None if self.message is None else self.message.transport
+        if carrier is None or self.variant is None or (len(self.first) == 1 and self.reply_ns is None):
             return None
-        from aces_bus.device import J1939Sender
+        if isinstance(carrier, J1939Transport):
+            from aces_bus.device import J1939Sender
 
-        return J1939Sender(gate)
+            return J1939Sender(gate) if len(self.first) > 1 else None
+        from aces_bus.device import PacketSender
+
+        return PacketSender(gate, [self.variant], self._is_answer)
+
+    def _is_answer(self, key: int, data: bytes) -> bool:
+        """Whether the packet that a frame begins may be the reply that is waited for."""
+        if self.variant is None or self.reply_ns is None:
+            return False
+        for name in answers(self.variant, self.message):
+            one = self.variant.messages[name]
+            found = one.identifier.match(key & 0x1FFF_FFFF) if one.extended == bool(key & EXTENDED) else None
+            if found is not None and all(self.fields.get(n, number) == number for n, number in found.items()):
+                return True
+        return False
 
     def _replies(self, gate: Any) -> Replies | None:
         if self.reply_ns is None:

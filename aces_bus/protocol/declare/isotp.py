@@ -63,7 +63,9 @@ class IsoTp(Transport):
 
     Give both where long messages are sent: flow control comes back with the other identifier. `addressing`: with "extended"
     and "mixed" the first byte of each frame is an address (of the target; an extension), and so is the first byte of each
-    packet. `fd`: CAN FD, frames of up to 64 bytes. `pad`: fill frames up to 8 bytes with this one.
+    packet. With "extended", flow control needs both addresses: `device_address` begins what is sent to the device,
+    `tester_address` what it sends; numbers, or captures such as identifiers have. `fd`: CAN FD, frames of up to 64 bytes.
+    `pad`: fill frames up to 8 bytes with this one.
 
     Numbers of consecutive frames begin at 1, and behind 15 comes 0. `timeout_s` is N_Cr, 1 s (ISO 15765-2).
     """
@@ -74,6 +76,8 @@ class IsoTp(Transport):
     from_device: Any = None
     extended: bool = False
     addressing: Literal["normal", "extended", "mixed"] = "normal"
+    device_address: Any = None
+    tester_address: Any = None
     address: int = field(default=0, init=False, repr=False)
     kinds: tuple[FrameKind, ...] = field(default=(), init=False, repr=False)
     modulo: int = field(default=16, init=False, repr=False)
@@ -87,41 +91,65 @@ class IsoTp(Transport):
             )
         object.__setattr__(self, "address", 0 if self.addressing == "normal" else 1)
         object.__setattr__(self, "kinds", _kinds(self.address))
-        for name in ("to_device", "from_device"):
+        for name in ("to_device", "from_device", "device_address", "tester_address"):
             given = getattr(self, name)
             if given is not None:
                 object.__setattr__(self, name, as_pattern(given, name))
+                if name.endswith("address") and (
+                    self.addressing != "extended" or getattr(self, name).bits > 0xFF
+                ):
+                    raise SpecError(f"{caller()}: {name} is a byte, of extended addressing")
         super().__post_init__()
 
     @property
     def patterns(self) -> tuple[tuple[IdPattern, bool], ...]:
         return tuple((one, self.extended) for one in (self.to_device, self.from_device) if one is not None)
 
-    def answered_by(self, key: int) -> int | None:
-        """The key of frames that go the other way; None where the transport does not name both identifiers."""
-        ways = (self.to_device, self.from_device)
-        for one, other in (ways, ways[::-1]):
+    def answered_by(self, key: int, address: bytes = b"") -> tuple[int, bytes] | None:
+        """The key and the address of frames that go the other way; None where the transport does not say both."""
+        ways = (self.to_device, self.device_address), (self.from_device, self.tester_address)
+        for (one, its), (other, others) in (ways, ways[::-1]):
             captures = one.match(key & 0x1FFF_FFFF) if one is not None else None
-            if (
-                captures is not None
-                and other is not None
-                and {c.name for c in other.captures} <= set(captures)
-            ):
-                return (key & EXTENDED) | int(other.number(captures))
+            inside = self._within(its, address)
+            if captures is None or inside is None or other is None:
+                continue
+            known = {**captures, **inside}
+            needed = (*other.captures, *(others.captures if others is not None else ()))
+            if not {c.name for c in needed} <= set(known):
+                continue
+            if self.addressing == "extended":
+                if others is None:
+                    continue
+                address = bytes((others.number(known),))
+            return (key & EXTENDED) | int(other.number(known)), address
         return None
 
+    def _within(self, pattern: IdPattern | None, address: bytes) -> dict[str, int] | None:
+        """What the address of a frame captures; None where it is another's."""
+        if self.addressing != "extended" or pattern is None:
+            return {}
+        return pattern.match(address[0]) if address else None
+
+    def addressed(self, key: int, data: bytes) -> dict[str, int] | None:
+        """What the address byte of a frame captures, where that is declared; None where it is not for this way."""
+        ways = (self.to_device, self.device_address), (self.from_device, self.tester_address)
+        for one, its in ways:
+            if one is not None and one.match(key & 0x1FFF_FFFF) is not None:
+                return self._within(its, data[: self.address])
+        return {}
+
     def go_ahead(self, key: int, data: bytes) -> tuple[int, bytes] | None:
-        """Flow control: go on, with all of it, as fast as you like. None with extended addressing, where it has the address
-        of the sender, which its frames do not say."""
-        back = self.answered_by(key)
-        if back is None or self.addressing == "extended" or self.part(key, data).role != "first":
+        """Flow control: go on, with all of it, as fast as you like. None where its identifier or address is not declared."""
+        address = data[: self.address]
+        back = self.answered_by(key, address)
+        if back is None or self.part(key, data).role != "first":
             return None
-        return back, self.padded(data[: self.address] + b"\x30\x00\x00")
+        return back[0], self.padded(back[1] + b"\x30\x00\x00")
 
     def steering(self, key: int, data: bytes) -> Steering | None:
         """What flow control says: status, block size, the least time between frames (ISO 15765-2: up to 127 ms, or 100 µs to
         900 µs; reserved values mean 127 ms)."""
-        body, back = data[self.address :], self.answered_by(key)
+        body, back = data[self.address :], self.answered_by(key, data[: self.address])
         if back is None or len(body) < 3 or body[0] >> 4 != 3:
             return None
         status, block, least = body[0] & 0x0F, body[1], body[2]
@@ -130,7 +158,7 @@ class IsoTp(Transport):
         else:
             gap_ns = min(least, 0x7F) * 1_000_000
         go: Literal["on", "wait", "stop"] = "on" if status == 0 else "wait" if status == 1 else "stop"
-        return Steering(go, back, block, gap_ns)
+        return Steering(go, back[0], block, gap_ns, back[1])
 
     def identifier(self, direction: str | None) -> IdPattern | None:
         """The identifier of packets in a direction, where the transport names it."""

@@ -125,13 +125,14 @@ class FramePart(NamedTuple):
 
 
 class Steering(NamedTuple):
-    """What a receiver tells who sends it a packet of `key`: to go on with `frames` frames (0: all), `gap_ns` from one to the
-    next; to wait; to stop."""
+    """What a receiver tells who sends it a packet of `key` and `address`: to go on with `frames` frames (0: all), `gap_ns`
+    from one to the next; to wait; to stop."""
 
     go: Literal["on", "wait", "stop"]
     key: int
     frames: int = 0
     gap_ns: int = 0
+    address: bytes = b""
 
 
 class AddedCheck(NamedTuple):
@@ -359,6 +360,10 @@ class Transport:
     def steering(self, key: int, data: bytes) -> Steering | None:
         """What a frame tells who sends; None of frames that steer nothing."""
         return None
+
+    def addressed(self, key: int, data: bytes) -> dict[str, int] | None:
+        """What the address in a frame captures beside its identifier; None where it is for nobody."""
+        return {}
 
     # ------------------------------------------------------------------ writing
 

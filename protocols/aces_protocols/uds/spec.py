@@ -62,6 +62,8 @@ SERVICES = {
 }  # fmt: skip
 #: What each request asks for, by the names of messages: what a refusal of it names.
 SERVICE_OF: dict[str, str] = {}
+#: All requests, which an ECU may refuse.
+_ASKED: list[Any] = []
 ROUTINE_ACTIONS = {"start": 1, "stop": 2, "results": 3}
 #: Identifiers whose values are known, by name: number and form (ISO 14229-1, annex C). 0xF400 + PID is a live value.
 IDENTIFIERS: dict[str, tuple[int, Construct]] = {
@@ -93,11 +95,13 @@ def _asks(
     one = uds.family(transport=ONE_ECU, overrides="Other", **known)(
         name, doc=doc, examples=examples, **fields
     )
+    _ASKED.append(one)
     if not to_all:
         return (one,)
     everyone = uds.family(transport=ALL_ECUS, id=ALL, overrides="OtherAll", **known)(
         f"{name}All", doc=f"{name} of all ECUs.", examples=for_all(examples), **fields
     )
+    _ASKED.append(everyone)
     return one, everyone
 
 
@@ -123,7 +127,7 @@ for _name, _carried in (
     ("Other", {"transport": ONE_ECU}),
     ("OtherAll", {"transport": ALL_ECUS, "id": ALL}),
 ):
-    uds.message(
+    _other = uds.message(
         _name,
         direction="to device",
         prefix=Struct("service" / Enumeration(Byte, SERVICES)),
@@ -136,6 +140,7 @@ for _name, _carried in (
         ),
         **_carried,
     )
+    _ASKED.append(_other)
 
 # ---------------------------------------------------------------------- sessions
 
@@ -419,6 +424,7 @@ uds.message(
     "Refused",
     transport=ONE_ECU,
     direction="from device",
+    reply_to=tuple(_ASKED),
     payload=Struct(
         Const(0x7F, Byte), "service" / Enumeration(Byte, SERVICES), "reason" / Enumeration(Byte, REFUSALS)
     ),
