@@ -8,10 +8,13 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 from ..errors import CallerError, UnknownNameError
 from ..protocol.declare.protocol import Variant
-from .base import Export, Options
+
+if TYPE_CHECKING:
+    from .base import Export
 
 #: Format → its module here and its class.
 FORMATS: Mapping[str, tuple[str, str]] = {
@@ -83,6 +86,8 @@ def open_export(
         raise UnknownNameError("format", chosen, FORMATS)
     if text == "-":
         raise CallerError(f"{chosen} goes to a file or folder and not to standard output; name one")
+    from .base import Options
+
     module, name = FORMATS[chosen]
     kind: type[Export] = getattr(import_module(f".{module}", __package__), name)
     options = Options(names=names, float32=float32, only=only, sources=sources)
