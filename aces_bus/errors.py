@@ -22,7 +22,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
 
 
@@ -53,8 +52,10 @@ class UnknownNameError(CallerError):
     """A name that does not exist; the message lists those that do, the nearest first where there are many."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
+        from difflib import get_close_matches
+
         names = sorted(known)
-        near = difflib.get_close_matches(name, names, n=NAMED)
+        near = get_close_matches(name, names, n=NAMED)
         if not near:  # the same in another case, or a part of it
             near = [one for one in names if name and name.lower() in one.lower()][:NAMED]
         hint = f"; did you mean {near[0]!r}?" if near else ""

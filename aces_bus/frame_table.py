@@ -14,12 +14,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
-import numpy as np
-import numpy.typing as npt
-
+from ._lazy import np
 from .frames import Frame
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 #: What `time` holds where the capture gives none.
 NO_TIME = -(1 << 63)
@@ -32,7 +33,7 @@ _KEY_BITS = ((EXTENDED, KEY_EXTENDED), (REMOTE, KEY_REMOTE), (FD, KEY_FD))
 #: The flags that make a frame anything but a standard data frame.
 UNUSUAL = EXTENDED | REMOTE | FD | ERROR
 
-Ints = npt.NDArray[Any]
+Ints: TypeAlias = "npt.NDArray[Any]"
 
 
 class Channels:

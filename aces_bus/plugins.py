@@ -8,10 +8,12 @@
 
 from __future__ import annotations
 
-from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from .errors import AcesError, SpecError, UnknownNameError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 T = TypeVar("T")
 
@@ -27,6 +29,8 @@ class Plugins(Generic[T]):
 
     def points(self) -> dict[str, EntryPoint]:
         """The entry points in order of names, not imported. Raises `SpecError` when two packages claim a name."""
+        from importlib.metadata import entry_points  # a tenth of a second
+
         found: dict[str, EntryPoint] = {}
         for point in sorted([*entry_points(group=self.group), *self._added], key=lambda one: one.name):
             other = found.setdefault(point.name, point)
@@ -41,6 +45,8 @@ class Plugins(Generic[T]):
 
         Raises `SpecError` when the name is another's.
         """
+        from importlib.metadata import EntryPoint
+
         known = self.points().get(name)
         if known is not None and known.value == place:
             return

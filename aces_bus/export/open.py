@@ -8,10 +8,13 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 from ..errors import CallerError, UnknownNameError
 from ..protocol.declare.protocol import Variant
-from .base import Export, Options
+
+if TYPE_CHECKING:
+    from .base import Export
 
 #: Format → its module here and its class.
 FORMATS: Mapping[str, tuple[str, str]] = {
@@ -98,6 +101,8 @@ def open_export(
         raise CallerError(
             f"{text}: {chosen} needs its end, and cannot be written while it grows; there are {', '.join(GROWING)}"
         )
+    from .base import Options
+
     module, name = GROWING[chosen] if live else FORMATS[chosen]
     kind: type[Export] = getattr(import_module(f".{module}", __package__), name)
     options = Options(names=names, float32=float32, only=only, sources=sources, live=live)

@@ -13,8 +13,7 @@ from collections.abc import Iterator
 from types import TracebackType
 from typing import ClassVar, Literal, NamedTuple, Self
 
-import numpy as np
-
+from .._lazy import np
 from ..errors import CaptureError
 from ..frame_table import Channels, FrameTable
 from ..frames import Frame

@@ -19,15 +19,16 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
-import numpy as np
-import numpy.typing as npt
-
+from .._lazy import np
 from ..errors import CallerError
 from ..frame_table import ERROR, EXTENDED, REMOTE, FrameTable
 
-Mask = npt.NDArray[np.bool_]
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+Mask: TypeAlias = "npt.NDArray[np.bool_]"
 
 EFF, RTR, ERR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 _SFF_MASK = 0x7FF

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-import numpy as np
-
+from .._lazy import np
 from ..frame_table import Channels, FrameTable, Ints, widened
 
 

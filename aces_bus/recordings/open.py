@@ -12,44 +12,49 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from importlib import import_module
 from typing import BinaryIO, Literal, NamedTuple, overload
 
 from ..errors import CallerError, CaptureError, UnknownNameError
 from .base import CanRecording, Link, SerialRecording, printable_start
-from .blf.reader import SIGNATURE, BlfCapture
-from .candump.reader import EXAMPLE, CandumpCapture, looks_like_candump
-from .mf4.reader import Mf4Capture
-from .mf4.tree import MAGIC as MDF
-from .pcap.pcapng import PcapngCapture, looks_like_pcapng
-from .pcap.reader import MAGIC as PCAP
-from .pcap.reader import PcapCapture
-from .serial.raw import OPENING, DxconfCapture, RawCapture
+from .beginnings import (
+    BLF,
+    MDF,
+    PCAP,
+    SQLITE,
+    begins,
+    is_asc,
+    is_busmaster,
+    is_crtd,
+    is_gvret,
+    is_id_csv,
+    is_microchip,
+    is_pcapng,
+    is_python_can_csv,
+    is_trc,
+)
+from .candump.reader import EXAMPLE, CandumpCapture, begins_like_candump, looks_like_candump
+from .serial.raw import OPENING, RawCapture
 from .serial.slog import OPENING as SERIAL_LOG
-from .serial.slog import SerialLogCapture, looks_like_serial_log
+from .serial.slog import looks_like_serial_log
 from .source import BLOCK, ByteSource, PathSource, split_lines
-from .sqlite import MAGIC as SQLITE
-from .sqlite import SqliteCapture
-from .text.asc import AscCapture
-from .text.busmaster import BusmasterCapture
-from .text.canlog_csv import CanlogCsvCapture
-from .text.crtd import CrtdCapture
-from .text.gvret import GvretCapture
-from .text.id_csv import IdCsvCapture, looks_like_id_csv
-from .text.microchip import MicrochipCapture
-from .text.trc import TrcCapture
 
 
 class RecordingFormat(NamedTuple):
-    """`matches` gets the first bytes (up to 64 KiB, of a pipe what is there, without a byte order mark)."""
+    """`matches` gets the first bytes (up to 64 KiB, of a pipe what is there, without a byte order mark); `place` is the
+    module here and the class that reads."""
 
     name: str
     words: str
+    link: Link
     matches: Callable[[bytes], bool]
-    reader: type[CanRecording] | type[SerialRecording]
+    place: str
 
-
-def _begins(*beginnings: bytes, after_blanks: bool = False) -> Callable[[bytes], bool]:
-    return lambda head: (head.lstrip() if after_blanks else head).startswith(beginnings)
+    def open(self, source: ByteSource) -> CanRecording | SerialRecording:
+        """The source as a recording of this format."""
+        module, _, name = self.place.partition(" ")
+        reader: type[CanRecording | SerialRecording] = getattr(import_module(module, __package__), name)
+        return reader(source)
 
 
 def _by_name_only(_: bytes) -> bool:
@@ -58,29 +63,38 @@ def _by_name_only(_: bytes) -> bool:
 
 #: Most specific first: magic numbers, then first lines that are one format's own, then what lines look like.
 FORMATS: tuple[RecordingFormat, ...] = (
-    RecordingFormat("blf", "Vector BLF log", _begins(SIGNATURE), BlfCapture),
-    RecordingFormat("mf4", "ASAM MDF 4 bus log", _begins(*MDF), Mf4Capture),
-    RecordingFormat("pcap", "pcap capture", _begins(*PCAP), PcapCapture),
-    RecordingFormat("pcapng", "pcapng capture", looks_like_pcapng, PcapngCapture),
-    RecordingFormat("sqlite", "SQLite log of python-can", _begins(SQLITE), SqliteCapture),
-    RecordingFormat("slog", "serial log of aces-bus", looks_like_serial_log, SerialLogCapture),
+    RecordingFormat("blf", "Vector BLF log", "can", begins(BLF), ".blf.reader BlfCapture"),
+    RecordingFormat("mf4", "ASAM MDF 4 bus log", "can", begins(*MDF), ".mf4.reader Mf4Capture"),
+    RecordingFormat("pcap", "pcap capture", "can", begins(*PCAP), ".pcap.reader PcapCapture"),
+    RecordingFormat("pcapng", "pcapng capture", "can", is_pcapng, ".pcap.pcapng PcapngCapture"),
+    RecordingFormat("sqlite", "SQLite log of python-can", "can", begins(SQLITE), ".sqlite SqliteCapture"),
+    RecordingFormat(
+        "slog", "serial log of aces-bus", "serial", looks_like_serial_log, ".serial.slog SerialLogCapture"
+    ),
     RecordingFormat(
         "dxconf",
         "hex dump of the vendor's serial monitor",
-        _begins(OPENING, after_blanks=True),
-        DxconfCapture,
+        "serial",
+        begins(OPENING, after_blanks=True),
+        ".serial.raw DxconfCapture",
     ),
-    RecordingFormat("trc", "PEAK trace", TrcCapture.is_like, TrcCapture),
-    RecordingFormat("asc", "Vector ASC log", AscCapture.is_like, AscCapture),
-    RecordingFormat("busmaster", "BUSMASTER log", BusmasterCapture.is_like, BusmasterCapture),
-    RecordingFormat("crtd", "CRTD log", CrtdCapture.is_like, CrtdCapture),
-    RecordingFormat("gvret", "SavvyCAN GVRET CSV", GvretCapture.is_like, GvretCapture),
-    RecordingFormat("csv", "python-can CSV", CanlogCsvCapture.is_like, CanlogCsvCapture),
-    RecordingFormat("microchip", "Microchip CAN analyser log", MicrochipCapture.is_like, MicrochipCapture),
-    RecordingFormat("id-csv", "CSV with named columns (time, id, data …)", looks_like_id_csv, IdCsvCapture),
-    RecordingFormat("candump", "candump log", looks_like_candump, CandumpCapture),
-    RecordingFormat("raw", "raw serial bytes", _by_name_only, RawCapture),
+    RecordingFormat("trc", "PEAK trace", "can", is_trc, ".text.trc TrcCapture"),
+    RecordingFormat("asc", "Vector ASC log", "can", is_asc, ".text.asc AscCapture"),
+    RecordingFormat("busmaster", "BUSMASTER log", "can", is_busmaster, ".text.busmaster BusmasterCapture"),
+    RecordingFormat("crtd", "CRTD log", "can", is_crtd, ".text.crtd CrtdCapture"),
+    RecordingFormat("gvret", "SavvyCAN GVRET CSV", "can", is_gvret, ".text.gvret GvretCapture"),
+    RecordingFormat("csv", "python-can CSV", "can", is_python_can_csv, ".text.canlog_csv CanlogCsvCapture"),
+    RecordingFormat(
+        "microchip", "Microchip CAN analyser log", "can", is_microchip, ".text.microchip MicrochipCapture"
+    ),
+    RecordingFormat(
+        "id-csv", "CSV with named columns (time, id, data …)", "can", is_id_csv, ".text.id_csv IdCsvCapture"
+    ),
+    RecordingFormat("candump", "candump log", "can", looks_like_candump, ".candump.reader CandumpCapture"),
+    RecordingFormat("raw", "raw serial bytes", "serial", _by_name_only, ".serial.raw RawCapture"),
 )
+#: Most logs are candump's, and most of these show it at once.
+_AT_ONCE = next(form for form in FORMATS if form.name == "candump")._replace(matches=begins_like_candump)
 
 #: What we know and do not read: beginning, what it is, what to do with it.
 REFUSED: tuple[tuple[bytes, str, str], ...] = (
@@ -153,7 +167,7 @@ def open_recording(
     forced = None if format is None else _named(format, link)
     opened = ByteSource(source, name)
     try:
-        return _tell(opened, link) if forced is None else forced.reader(opened)
+        return _tell(opened, link) if forced is None else forced.open(opened)
     except BaseException:
         opened.close()
         raise
@@ -162,10 +176,8 @@ def open_recording(
 def _named(name: str, link: Link | None) -> RecordingFormat:
     for form in FORMATS:
         if form.name == name:
-            if link not in (None, form.reader.link):
-                raise CallerError(
-                    f"format {name!r} is of a {form.reader.link} link, and the protocol speaks {link}"
-                )
+            if link not in (None, form.link):
+                raise CallerError(f"format {name!r} is of a {form.link} link, and the protocol speaks {link}")
             return form
     raise UnknownNameError("capture format", name, formats())
 
@@ -175,10 +187,10 @@ def _tell(source: ByteSource, link: Link | None) -> CanRecording | SerialRecordi
     while True:
         head = source.head().removeprefix(b"\xef\xbb\xbf")
         half = more and _is_half_a_line(head, link)
-        for form in () if half else FORMATS:
+        for form in () if half else (_AT_ONCE, *FORMATS):
             if form.matches(head):
-                if link in (None, form.reader.link):
-                    return form.reader(source)
+                if link in (None, form.link):
+                    return form.open(source)
                 raise _other_link(source, form)
         if not half and not (more and _may_still_show(head, link)):
             break
@@ -214,7 +226,7 @@ def _only_remarks(text: bytes, *marks: bytes) -> bool:
 
 
 def _other_link(source: ByteSource, form: RecordingFormat) -> CaptureError:
-    if form.reader.link == "can":
+    if form.link == "can":
         return CaptureError(f"{source.name}: {_a(form.words)}, not a serial capture; name a CAN protocol")
     return CaptureError(f"{source.name}: {_a(form.words)}, of a serial line; name a serial protocol")
 
@@ -229,7 +241,7 @@ def _refusal(source: ByteSource, head: bytes, link: Link | None) -> CaptureError
     else:
         first = head.lstrip().split(b"\n", 1)[0]
         what = f"it begins with {printable_start(first)!r}"
-    known = ", ".join(form.words for form in FORMATS if form.reader.link == "can")
+    known = ", ".join(form.words for form in FORMATS if form.link == "can")
     if link is None:
         return CaptureError(
             f"{source.name}: not a format that says what it is: {what}; known are: {known}; say link='serial' for a "

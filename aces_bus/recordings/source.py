@@ -11,14 +11,12 @@
 from __future__ import annotations
 
 import contextlib
-import difflib
 import io
 import os
 import re
 import select
 import stat
 import sys
-import tempfile
 from collections.abc import Callable, Generator, Iterator
 from typing import Any, BinaryIO
 
@@ -267,7 +265,9 @@ def on_disk(source: ByteSource) -> Generator[tuple[str, str]]:
 
     Raises `CaptureError` when the source is longer than `LIMIT` or cannot be written to disk.
     """
-    with tempfile.TemporaryDirectory(prefix="aces-", ignore_cleanup_errors=True) as folder:
+    from tempfile import TemporaryDirectory
+
+    with TemporaryDirectory(prefix="aces-", ignore_cleanup_errors=True) as folder:
         path = source.plain_path()
         if path is None:
             path = os.path.join(folder, "capture")
@@ -350,9 +350,11 @@ def _said(error: Exception) -> str:
 
 def _why(path: str, error: Exception) -> str:
     if isinstance(error, FileNotFoundError):
+        from difflib import get_close_matches
+
         folder, base = os.path.split(path)
         try:
-            near = difflib.get_close_matches(base, os.listdir(folder or "."), n=1)
+            near = get_close_matches(base, os.listdir(folder or "."), n=1)
         except OSError:
             return f"no such file; there is no folder {folder!r} either"
         hint = f"; did you mean {os.path.join(folder, near[0])!r}?" if near else "; check the path"

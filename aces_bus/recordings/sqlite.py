@@ -29,7 +29,6 @@ from ..frames import FD_LENGTHS, Frame
 from .base import REMOTE_AND_ERROR, CanRecording
 from .source import on_disk
 
-MAGIC = b"SQLite format 3\x00"
 COLUMNS = ("ts", "arbitration_id", "extended", "remote", "error", "dlc", "data")
 
 _ROWS = 1 << 14

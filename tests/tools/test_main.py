@@ -88,6 +88,31 @@ def test_nothing_heavy_is_imported_for_help(arguments: list[str]) -> None:
     assert done.stdout.splitlines()[-1] == ""
 
 
+DATABASE = """VERSION ""
+
+BO_ 256 Lamp: 2 ECU
+ SG_ brightness : 0|8@1+ (2,0) [0|0] "%" ECU
+"""
+
+
+def test_a_few_frames_with_a_database_take_neither_numpy_nor_python_can(tmp_path: Path) -> None:
+    """Text of a short candump log is decoded without what only columns, packed files and buses need; cantools is there as
+    a whole for the program, as ever."""
+    (tmp_path / "lamp.dbc").write_text(DATABASE)
+    (tmp_path / "lamp.log").write_text("(1.000000) can0 100#0A00\n")
+    program = (
+        "import sys; from aces_tools.main import main; status = main(['decode', 'lamp.log', '-p', 'lamp.dbc']); "
+        "print(*(n for n in ('numpy', 'can', 'xml.sax', 'sqlite3') if n in sys.modules)); "
+        "import cantools; print(cantools.tester.Tester.__name__, cantools.Error.__name__); sys.exit(status)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    _, frame, loaded, names = done.stdout.splitlines()
+    assert frame.split()[3:] == ["Lamp", "brightness=20", "%"]
+    assert (loaded, names) == ("", "Tester Error")
+
+
 def test_an_unknown_verb_names_those_that_exist(aces: Aces) -> None:
     """A verb that does not exist is one line with the verbs, and status 2."""
     for arguments in (["dcode"], ["help", "dcode"]):

@@ -20,16 +20,13 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from itertools import repeat
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError
 from aces_bus.export.open import FORMATS
 from aces_bus.frame_table import to_ns
 from aces_bus.frames import Frame
 from aces_bus.protocol import Scanner, Unknown, make_scanner
-from aces_bus.protocol.explain import why_unknown
 from aces_bus.protocol.keys import key_of
 from aces_bus.recordings import CanRecording, Recording, SerialRecording
 
@@ -58,7 +55,9 @@ from .options import (
 )
 from .output import LIVE, Writer, line_format, table_format
 from .registers import RegisterNotes
-from .where import Where
+
+if TYPE_CHECKING:
+    from .where import Where
 
 BATCH = 1024
 #: Unknown items that are looked at for one that can be explained.
@@ -190,7 +189,7 @@ class LiveDecoding(Decoding):
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         super().__init__(arguments)
-        self.where = Where(arguments.where, self.plans) if arguments.where else None
+        self.where = self._where(arguments.where)
         self.is_selective = bool(self.messages) or self.where is not None
         show = arguments.unknown or ("hide" if self.is_selective else "show")
         self.shows_records = show != "only"
@@ -211,6 +210,13 @@ class LiveDecoding(Decoding):
 
     def _output(self, arguments: argparse.Namespace) -> Output:
         return Output(arguments.output, self.files)
+
+    def _where(self, texts: list[str]) -> Where | None:
+        if not texts:
+            return None
+        from .where import Where
+
+        return Where(texts, self.plans)
 
     def _writer(self, arguments: argparse.Namespace) -> Writer:
         form = line_format(arguments.output, arguments.format)
@@ -342,6 +348,8 @@ class LiveDecoding(Decoding):
             self.to_explain -= 1
             meta = item.meta
             direction: Any = self.direction or meta.direction
+            from aces_bus.protocol.explain import why_unknown
+
             why = why_unknown(item, self.variants["can" if is_can else "serial"], direction=direction)
             if why:
                 self.to_explain = 0
@@ -373,6 +381,8 @@ class LiveDecoding(Decoding):
         """Which items --from and --to let pass; None: all."""
         if self.window is None or not items:
             return None
+        import numpy as np
+
         instants = (to_ns(i.meta.time if type(i) is Unknown else i._time) for i in items)
         passed: list[bool] = self.window.inside(np.fromiter(instants, np.int64, len(items))).tolist()
         return passed

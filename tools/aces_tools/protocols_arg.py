@@ -32,7 +32,6 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Mapping
-from multiprocessing import parent_process
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -130,9 +129,12 @@ def _of_database(path: str) -> Protocol:
         known = (path, 0, -1)  # loading says what is wrong
     if known not in _databases:
         imported = load_database(path)
-        if imported.problems and parent_process() is None:
+        if imported.problems:
+            from multiprocessing import parent_process
+
             more = f" (all: aces protocols {path})" if len(imported.problems) > 1 else ""
-            say_note(imported.summary + more)
+            if parent_process() is None:
+                say_note(imported.summary + more)
         _databases[known] = imported
     return _databases[known].protocol
 

@@ -15,8 +15,6 @@ from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from typing import Any
 
-import numpy as np
-
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import NO_TIME
 
@@ -69,7 +67,7 @@ class TimeWindow:
             kept = kept & (time >= start)
         if stop is not None:
             kept = kept & (time < stop)
-        self.untimed += int(np.count_nonzero(~known))
+        self.untimed += int((~known).sum())
         return kept
 
     def see(self, time: int) -> None:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 
 import construct as c
+from msgspec.structs import replace
 
 from .. import draw
 from ..declare.bits import BitLayout

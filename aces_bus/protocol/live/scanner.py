@@ -6,9 +6,8 @@ import os
 import typing
 import warnings
 from collections.abc import Callable, Sequence
-from importlib.metadata import EntryPoint
 from threading import Lock, current_thread
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from ...errors import CallerError, UnknownNameError
 from ...plugins import Plugins
@@ -19,6 +18,9 @@ from ..files import protocol_of_file, python_file
 from ..record import Record
 from .can import CanScanner
 from .stream import StreamScanner
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 
 class Scanner(typing.Protocol):

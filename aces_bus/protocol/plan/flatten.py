@@ -6,11 +6,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import lru_cache, reduce
 from typing import Any, Literal
 
 import construct as c
+from msgspec.structs import replace
 
 from ..declare import delimited as d
 from ..declare.bits import BitLayout, Bits, ByteSplit, LayoutSlot, whole_bits

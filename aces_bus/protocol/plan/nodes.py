@@ -11,16 +11,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
+
+import msgspec
+from msgspec.structs import replace
 
 from ..declare.bits import runs_of, whole_bits
 from ..record import EACH, FirstOf, Held, WayStep
 
 
-@dataclass(frozen=True)
-class Scale:
+class Scale(msgspec.Struct, frozen=True):
     """physical = raw × scale + offset; raw values in `unknown` are None, those in `names` their name.
 
     `bounds` (physical) and `raw_bounds` are what may be sent; `rounding` is how a physical value becomes an integer.
@@ -57,22 +58,19 @@ class Scale:
         return low, high
 
 
-@dataclass(frozen=True)
-class ValueNames:
+class ValueNames(msgspec.Struct, frozen=True):
     """Raw number to name."""
 
     values: tuple[tuple[int, str], ...]
 
 
-@dataclass(frozen=True)
-class FlagBits:
+class FlagBits(msgspec.Struct, frozen=True):
     """Flag name to bit number."""
 
     bits: tuple[tuple[str, int], ...]
 
 
-@dataclass(frozen=True)
-class Magnitude:
+class Magnitude(msgspec.Struct, frozen=True):
     """Sign and magnitude of `width` bits: part of the raw value, not of its meaning."""
 
     width: int
@@ -89,14 +87,21 @@ FORMATS: dict[tuple[str, int | None], str] = {
 }
 
 
-class Node:
+class Node(msgspec.Struct, frozen=True):
     """What the value of a field is, and where it comes from.
 
     `steps` lead from the wire to the record. What a kind of node does not have is empty or None.
     """
 
-    unit: str = ""
-    steps: tuple[Step, ...] = ()
+    @property
+    def unit(self) -> str:
+        """The unit of the value."""
+        return ""
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        """What makes the value of what is on the wire."""
+        return ()
 
     @property
     def children(self) -> Sequence[tuple[str | int, PlanField]]:
@@ -175,8 +180,7 @@ class Node:
         return any(isinstance(step, Magnitude) for step in self.steps)
 
 
-@dataclass(frozen=True)
-class Scalar(Node):
+class Scalar(Node, frozen=True):
     """One value in the bytes.
 
     `kind` is "uint", "int" (two's complement), "float", "bytes" or "text". `size` is in bytes, None for "to the end".
@@ -237,15 +241,15 @@ class Scalar(Node):
         return (-(1 << width - 1), (1 << width - 1) - 1) if self.kind == "int" else (0, (1 << width) - 1)
 
 
-@dataclass(frozen=True)
-class Many(Node):
+class Many(Node, frozen=True):
     """Several nodes under one name: a tuple. Its unit is what all items have."""
 
     items: tuple[Node, ...]
 
-    def __post_init__(self) -> None:
+    @property
+    def unit(self) -> str:
         units = {item.unit for item in self.items}
-        object.__setattr__(self, "unit", units.pop() if len(units) == 1 else "")
+        return units.pop() if len(units) == 1 else ""
 
     @property
     def children(self) -> Sequence[tuple[str | int, PlanField]]:
@@ -256,8 +260,7 @@ class Many(Node):
         return False
 
 
-@dataclass(frozen=True)
-class NestedRecord(Node):
+class NestedRecord(Node, frozen=True):
     """A nested record."""
 
     type_name: str
@@ -272,8 +275,7 @@ class NestedRecord(Node):
         return False
 
 
-@dataclass(frozen=True)
-class FromIdentifier(Node):
+class FromIdentifier(Node, frozen=True):
     """A captured part of the CAN identifier, or of a head number.
 
     Alone in it: (number − constant) >> shift; beside others: `width` bits from `shift`. For an identifier `constant`
@@ -300,8 +302,7 @@ class FromIdentifier(Node):
         return 0, (1 << self.width) - 1
 
 
-@dataclass(frozen=True)
-class FromRequest(Node):
+class FromRequest(Node, frozen=True):
     """A field of the request that this message answers, as raw number."""
 
     @property
@@ -309,8 +310,7 @@ class FromRequest(Node):
         return None
 
 
-@dataclass(frozen=True)
-class Selector:
+class Selector(msgspec.Struct, frozen=True):
     """A number that says whether other fields are there. What it is is which number of the packet, and under what
     condition that one is there itself; `name` is for people: two selectors of one name are two.
     """
@@ -320,16 +320,14 @@ class Selector:
     when: When | None = None
 
 
-@dataclass(frozen=True)
-class When:
+class When(msgspec.Struct, frozen=True):
     """The raw values of a selector that make a field present, where the selector is."""
 
     selector: Selector
     values: tuple[int, ...]
 
 
-@dataclass(frozen=True)
-class Rest(Node):
+class Rest(Node, frozen=True):
     """The bits of `size` bytes from `offset` that no field claims; `claimed` as masks of the little-endian word by the
     selector's raw value (None: any other).
 
@@ -348,8 +346,7 @@ class Rest(Node):
         return True
 
 
-@dataclass(frozen=True)
-class ItemKind:
+class ItemKind(msgspec.Struct, frozen=True):
     """A kind of item in a list: its name and number, and the plan of its data alone, positions from their first byte; its
     one field is called `data`. `size` is that of the data where it is fixed, in bytes."""
 
@@ -359,7 +356,7 @@ class ItemKind:
     size: int | None
 
 
-class ListNode(Node):
+class ListNode(Node, frozen=True):
     """Values in any number up to the end of the packet, one tuple in the record."""
 
     @property
@@ -367,8 +364,7 @@ class ListNode(Node):
         return None
 
 
-@dataclass(frozen=True)
-class TaggedItems(ListNode):
+class TaggedItems(ListNode, frozen=True):
     """Items of several kinds from byte `offset` on. `tag` and `size` (None: the kinds have theirs) count from an item's
     first byte, its data begin at `head`, and its size is `counted` more than that of its data. `type_name` is that of the
     items' records: `kind`, `data` and `reason`."""
@@ -401,8 +397,7 @@ class TaggedItems(ListNode):
                 )
 
 
-@dataclass(frozen=True)
-class Repeated(ListNode):
+class Repeated(ListNode, frozen=True):
     """One group after the other from byte `offset` on, each of `width` bytes: as many as `count` says, or up to the end.
     `plan` is that of one group, as an `ItemKind`'s."""
 
@@ -423,14 +418,13 @@ class Repeated(ListNode):
             )
 
 
-@dataclass(frozen=True)
-class Each(Node):
+class Each(Node, frozen=True):
     """A value of every group of a list, in one tuple."""
 
     item: Node
 
     @property
-    def unit(self) -> str:  # type: ignore[override]
+    def unit(self) -> str:
         return self.item.unit
 
     @property
@@ -442,8 +436,7 @@ class Each(Node):
         return self.item.numbers
 
 
-@dataclass(frozen=True)
-class DelimitedField(Node):
+class DelimitedField(Node, frozen=True):
     """A field of a delimited payload, by its number; `conversion` names how text becomes a value."""
 
     index: int
@@ -462,8 +455,7 @@ class DelimitedField(Node):
         return None if self.conversion == "text" else super().known_names
 
 
-@dataclass(frozen=True)
-class MoreCells(Node):
+class MoreCells(Node, frozen=True):
     """The cells beyond the declared ones, as texts."""
 
     start: int
@@ -473,8 +465,7 @@ class MoreCells(Node):
         return None
 
 
-@dataclass(frozen=True)
-class Opaque(Node):
+class Opaque(Node, frozen=True):
     """Decoded by construct, for this reason."""
 
     reason: str
@@ -484,8 +475,7 @@ class Opaque(Node):
         return None
 
 
-@dataclass(frozen=True)
-class NamedValue(Node):
+class NamedValue(Node, frozen=True):
     """A number that construct decodes, of a known unit; `steps` at most its names."""
 
     unit: str = ""
@@ -493,8 +483,7 @@ class NamedValue(Node):
     is_float: bool = False
 
 
-@dataclass(frozen=True)
-class OpaqueItems(Opaque):
+class OpaqueItems(Opaque, frozen=True):
     """Items that construct decodes, whose data hold these values by name: (name, number, what it is) of each."""
 
     values: tuple[tuple[str, int, NamedValue], ...]
@@ -510,8 +499,7 @@ class OpaqueItems(Opaque):
             )
 
 
-@dataclass(frozen=True)
-class PlanField:
+class PlanField(msgspec.Struct, frozen=True):
     """A field of a record, or of the nested record that it is in. `when`: there only then."""
 
     name: str
@@ -520,8 +508,7 @@ class PlanField:
     when: When | None = None
 
 
-@dataclass(frozen=True)
-class NodePath:
+class NodePath(msgspec.Struct, frozen=True):
     """A node and where its value is: `path` as columns and conditions name it (`servos.0.id`), `way` as the steps to the
     value in the record.
 
@@ -543,8 +530,7 @@ class NodePath:
         return self.path.replace(".", "_")
 
 
-@dataclass(frozen=True)
-class ItemPath(NodePath):
+class ItemPath(NodePath, frozen=True):
     """A value inside a list; positions count from the data of its item (of `kind`) or from its group (None)."""
 
     kind: ItemKind | None = None
@@ -590,8 +576,7 @@ def _conditions(
     return (*_conditions(prefix, when.selector.when, known), (prefix + when.selector.name, when))
 
 
-@dataclass(frozen=True)
-class Constant:
+class Constant(msgspec.Struct, frozen=True):
     """Bits that are always the same: (data[offset] & mask) == value."""
 
     offset: int
@@ -599,16 +584,14 @@ class Constant:
     value: int
 
 
-@dataclass(frozen=True)
-class OneOf:
+class OneOf(msgspec.Struct, frozen=True):
     """A whole number that must be among some values."""
 
     number: Scalar
     values: tuple[int, ...] | range
 
 
-@dataclass(frozen=True)
-class DelimitedSplit:
+class DelimitedSplit(msgspec.Struct, frozen=True):
     """How a delimited payload comes apart: bytes [start, end) of the packet, end counted from the packet's end."""
 
     start: int
@@ -619,8 +602,7 @@ class DelimitedSplit:
     most: int | None
 
 
-@dataclass(frozen=True)
-class MessagePlan:
+class MessagePlan(msgspec.Struct, frozen=True, dict=True, weakref=True):
     """Everything about one message."""
 
     name: str

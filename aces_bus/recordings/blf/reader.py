@@ -35,13 +35,13 @@ import numpy as np
 from ...errors import CaptureError
 from ...frame_table import FrameTable, Ints
 from ..base import CanRecording, keep_freed_memory
+from ..beginnings import BLF
 from ..inflate import inflate_whole
 from ..merge import merge_in_order
 from ..source import ByteSource
 from ..unpack import up_to_damage
 from .objects import LOG_CONTAINER, DecodedObjects, decode_objects, is_can
 
-SIGNATURE = b"LOGG"
 _OBJECT = b"LOBJ"
 _OBJECT_WORD = int.from_bytes(_OBJECT, "little")
 _BASE = struct.Struct("<4sHHLL")
@@ -95,14 +95,14 @@ class BlfCapture(CanRecording):
     def _contents(self, stream: _Stream) -> Iterator[bytes | None]:
         """The unpacked bytes of all containers; None where some are missing."""
         file = _File(self._source.blocks(lambda: LARGE))
-        if not file.want(_HEADER // 2) or not file.data.startswith(SIGNATURE):
+        if not file.want(_HEADER // 2) or not file.data.startswith(BLF):
             raise CaptureError(f"{self.name}: no Vector BLF log, or one that ends within its header")
         stream.start_ns = self._header(file)
         while file.want(_BASE.size + _PADDING) or file.data:
             at = file.data.find(_OBJECT, 0, _PADDING + 3)
             if at < 0 or len(file.data) - at < _BASE.size:
                 yield None
-                if file.data.startswith(SIGNATURE) and file.want(_HEADER // 2):
+                if file.data.startswith(BLF) and file.want(_HEADER // 2):
                     stream.end_lost()
                     self._compare()
                     stream.start_ns = self._header(file)
@@ -220,7 +220,7 @@ class BlfCapture(CanRecording):
 
     def _can_begin(self, data: bytearray, place: int) -> bool:
         signature, _, _, long, kind = _BASE.unpack_from(data, place)
-        if signature == SIGNATURE:
+        if signature == BLF:
             return _HEADER // 2 <= int.from_bytes(data[place + 4 : place + 8], "little") <= _LARGEST_HEADER
         return self._can_be(long, kind)
 

@@ -17,14 +17,18 @@ from __future__ import annotations
 import re
 from binascii import unhexlify
 from collections.abc import Iterator
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 from ...errors import CaptureError
 from ...frame_table import NO_TIME, FrameTable, Ints
 from ...frames import Frame
 from ..source import BLOCK, MAX_LINE, ByteSource
 from ..text.rows import PATIENCE, FrameRow, LineCapture, UnreadableRow
-from .columns import CandumpColumns
 from .line import COLOUR, NAME, RECEIVED, ChannelNames, line_time_ns, read_line
+
+if TYPE_CHECKING:
+    from .columns import CandumpColumns
 
 EXAMPLE = "(1436509052.249713) can0 044#2A366C2BBA"
 
@@ -57,10 +61,17 @@ class CandumpCapture(LineCapture):
         super().__init__(source)
         self._names = ChannelNames()
         self._explained = False  # an error frame came, which -e explains on lines that follow
-        self._columns_of = CandumpColumns(self.channels)
+
+    @cached_property
+    def _columns_of(self) -> CandumpColumns:
+        from .columns import CandumpColumns  # NumPy is loaded only where much is read
+
+        return CandumpColumns(self.channels)
 
     def _lists(self) -> Iterator[list[Frame]]:
-        return self._by_line() if self.live else super()._lists()  # as columns first: two thirds of the time
+        if self.live or len(self._source.head()) < SMALL:
+            return self._by_line()
+        return super()._lists()  # as columns first: two thirds of the time
 
     def _by_line(self) -> Iterator[list[Frame]]:
         """Frames of each block, line by line: little work for little blocks, and what the columns are held against."""
@@ -121,6 +132,11 @@ class CandumpCapture(LineCapture):
             f"{self.name}: not a candump log: line {first.line} is {first.excerpt!r}; a line of one reads {EXAMPLE}"
             " (candump -L can0 > walk.log), and a serial capture needs a serial protocol"
         )
+
+
+def begins_like_candump(head: bytes) -> bool:
+    """Whether the first line is a common one of a candump log: no other format has such a line."""
+    return _COMMON.fullmatch(head[:MAX_LINE].partition(b"\n")[0]) is not None
 
 
 def looks_like_candump(head: bytes) -> bool:

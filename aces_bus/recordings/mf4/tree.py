@@ -20,6 +20,7 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
+from ..beginnings import MDF
 from .conversions import ChannelConversion, conversion_of
 
 BLOCK_HEAD = struct.Struct("<4sIQQ")
@@ -39,7 +40,6 @@ _TEXT = 1 << 12
 PACKED_MOST = 1 << 26
 
 #: How a file begins, finished or not.
-MAGIC = (b"MDF     ", b"UnFinMF ")
 #: Bytes that are looked through at once.
 _LOOK = 1 << 22
 
@@ -220,7 +220,7 @@ class Blocks:
         for _ in range(BLOCKS):
             self._file.seek(at)
             head = self._file.read(BLOCK_HEAD.size)
-            if head[:8] in MAGIC:
+            if head[:8] in MDF:
                 return at
             if len(head) == BLOCK_HEAD.size and head[:2] == b"##":
                 at += max(BLOCK_HEAD.size, BLOCK_HEAD.unpack(head)[2])
@@ -237,8 +237,8 @@ class Blocks:
         end = segment.at + segment.size
         for at in range(segment.at, end, _LOOK):
             self._file.seek(at)
-            data = self._file.read(min(_LOOK + len(MAGIC[0]) + 2, end - at))
-            found = [place for magic in MAGIC if (place := data.find(magic + b"4.")) >= 0]
+            data = self._file.read(min(_LOOK + len(MDF[0]) + 2, end - at))
+            found = [place for magic in MDF if (place := data.find(magic + b"4.")) >= 0]
             if found:
                 return at + min(found)
         return 0

@@ -52,11 +52,6 @@ NAME_BYTES = 256
 _INTERFACES = 1 << 16
 
 
-def looks_like_pcapng(head: bytes) -> bool:
-    """Whether these are the first bytes of a pcapng file."""
-    return head[:4] == b"\n\r\r\n" and head[8:12] in (b"\x1a\x2b\x3c\x4d", b"\x4d\x3c\x2b\x1a")
-
-
 def interface_name(raw: bytes, number: int) -> str | None:
     """The channel that an interface is, of its name in the file, if it has one, and its number in the section."""
     raw = raw[:NAME_BYTES].rstrip(b"\0")

@@ -22,6 +22,7 @@ import numpy as np
 from ...errors import CaptureError
 from ...frame_table import FrameTable, Ints
 from ..base import CanRecording
+from ..beginnings import PCAP
 from ..source import ByteSource
 from .socketcan import (
     ERROR_BIT,
@@ -54,12 +55,6 @@ _BATCH = 1 << 20
 #: So many kinds of other things are named apart.
 _KINDS = 64
 
-MAGIC: dict[bytes, tuple[str, int]] = {
-    b"\xa1\xb2\xc3\xd4": (">", 1000),
-    b"\xd4\xc3\xb2\xa1": ("<", 1000),
-    b"\xa1\xb2\x3c\x4d": (">", 1),
-    b"\x4d\x3c\xb2\xa1": ("<", 1),
-}
 _LINK_NAMES = {1: " (Ethernet)", 189: " (USB)", 190: " (CAN 2.0B)", 220: " (USB)", 249: " (USB)"}
 
 
@@ -189,7 +184,7 @@ class PcapCapture(PacketCapture):
         self._link = 0
 
     def _header(self, buffer: bytes) -> None:
-        self._order, self._unit = MAGIC[buffer[:4]]
+        self._order, self._unit = PCAP[buffer[:4]]
         self._link = struct.unpack_from(self._order + "I", buffer, 20)[0] & 0xFFFF
         if self._link not in LINK_TYPES:
             raise CaptureError(
@@ -202,7 +197,7 @@ class PcapCapture(PacketCapture):
         if not self._order:
             if len(buffer) < _HEADER:
                 return [], 0, _HEADER
-            if buffer[:4] not in MAGIC:
+            if buffer[:4] not in PCAP:
                 raise CaptureError(f"{self.name}: not a pcap file: it begins with {buffer[:4].hex()}")
             self._header(buffer)
             position = _HEADER
@@ -244,7 +239,7 @@ class PcapCapture(PacketCapture):
                 limit = f"of {original} in all" if captured > original else "captured"
                 fault = f"a packet of {captured} bytes {limit}"
                 break
-            if not original and buffer[position : position + 4] in MAGIC:
+            if not original and buffer[position : position + 4] in PCAP:
                 fault = _JOINED
                 break
             size = captured + _HEAD

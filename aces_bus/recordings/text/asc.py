@@ -54,8 +54,6 @@ from .rows import (
 )
 from .words import Ints, Mask, Word, Words, channel_numbers
 
-_STAMP = rb"[0-9]{1,9}\.[0-9]{1,9}"
-_ID = rb"[0-9A-Fa-f]{1,8}[xX]?"
 _TIMED = re.compile(rb"([0-9]{1,12}\.[0-9]{1,9})\s+(.*)", re.DOTALL)
 _CLASSIC = re.compile(
     rb"([0-9]{1,5})\s+(\S{1,128})\s+([RT]x|TxRq)\s+([dr])\b\s*(.*)", re.DOTALL | re.IGNORECASE
@@ -71,15 +69,6 @@ _HEADER = re.compile(
 _BASE = re.compile(rb"base\s+(hex|dec)(?:\s+timestamps\s+(absolute|relative))?", re.IGNORECASE)
 _DATED = re.compile(rb"(?:(date)|begin\s+triggerblock)\b\s*(.*)", re.IGNORECASE)
 _START = re.compile(rb"[0-9.]+\s+Start of measurement\b", re.IGNORECASE)
-_LIKE = re.compile(
-    rb"^[ \t]*(?:date\s+\w{2,}.{0,16}?\s\d|base\s+(?:hex|dec)\b|begin\s+triggerblock\b"
-    + rb"|"
-    + _STAMP
-    + rb"[ \t]+(?:[0-9]{1,5}[ \t]+(?:"
-    + _ID
-    + rb"[ \t]+[RT]x[ \t]+[dr]\b|ErrorFrame\b)|CANFD[ \t]+[0-9]+[ \t]+[RT]x[ \t]))",
-    re.IGNORECASE | re.MULTILINE,
-)
 
 #: What the first word behind the time stamp, or behind the channel, is for events that are no frames.
 _EVENTS: tuple[tuple[re.Pattern[bytes], str], ...] = tuple(
@@ -106,7 +95,6 @@ class AscCapture(LineCapture):
     """Frames of a Vector ASC log."""
 
     format = "Vector ASC log"
-    _LIKE = _LIKE
     _TURN = re.compile(
         rb"\s*(?:date|base|begin\s+triggerblock|[0-9.]+\s+Start of measurement)\b", re.IGNORECASE
     )

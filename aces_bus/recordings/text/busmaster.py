@@ -41,11 +41,6 @@ from .rows import (
 
 _SECOND = 1_000_000_000
 _DAY = 86_400 * _SECOND
-_LIKE = re.compile(
-    rb"\A\s*-?\*\*\*BUSMASTER Ver|^[0-9]{1,4}:[0-9]{1,2}:[0-9]{1,2}:[0-9]{3,4} [RT]x [0-9]{1,3} "
-    rb"(?:0x)?[0-9A-Fa-f]{1,8} [sx]r?(?:-fd)? [0-9]{1,2}\b",
-    re.MULTILINE | re.IGNORECASE,
-)
 _TIME = re.compile(rb"([0-9]{1,4}):([0-9]{1,2}):([0-9]{1,2}):([0-9]{1,4})\s+(.*)", re.DOTALL)
 _STARTED = re.compile(
     rb"\*\*\*START DATE AND TIME ([0-9]{1,2}):([0-9]{1,2}):([0-9]{4}) ([0-9]{1,2}):([0-9]{1,2}):([0-9]{1,2}):([0-9]{1,3})\b",
@@ -61,7 +56,6 @@ class BusmasterCapture(LineCapture):
     """Frames of a BUSMASTER log."""
 
     format = "BUSMASTER log"
-    _LIKE = _LIKE
 
     _protocol = b"CAN"
     _mode = b"SYSTEM"

@@ -21,10 +21,10 @@ import numpy as np
 from ...frame_table import EXTENDED, FrameTable
 from ...frames import Frame
 from ..base import printable_start
+from ..beginnings import PYTHON_CAN_CSV
 from .rows import FrameRow, LineCapture, UnreadableRow, check_remote, decimal_ns, integer
 from .words import Mask
 
-HEADER = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
 _BASE64 = re.compile(rb"[A-Za-z0-9+/]*={0,2}")
 _FLAG = {b"1": True, b"0": False}
 _USUAL = re.compile(
@@ -37,10 +37,9 @@ class CanlogCsvCapture(LineCapture):
     """Frames of python-can's CSV."""
 
     format = "python-can CSV"
-    _LIKE = re.compile(rb"\A\s*" + HEADER + rb"\s*(?:\n|\Z)")
 
     def _line(self, text: bytes) -> FrameRow | None:
-        if text == HEADER:
+        if text == PYTHON_CAN_CSV:
             self._comment()
             return None
         cells = text.split(b",")

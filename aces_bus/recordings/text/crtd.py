@@ -24,10 +24,6 @@ from .rows import FrameRow, LineCapture, UnreadableRow, decimal_ns, hex_data, in
 _RECORD = re.compile(
     rb"([0-9]{1,12}\.[0-9]{1,9})\s+([0-9]{0,5})([A-Za-z][0-9A-Za-z]{2})(?:\s+(.*))?", re.DOTALL
 )
-_LIKE = re.compile(
-    rb"^[ \t]*[0-9]{1,12}\.[0-9]{1,9} [0-9]{0,5}(?:[RT](?:11|29) [0-9A-Fa-f]|C(?:XX|VR|EV|ER|ST)\b)",
-    re.MULTILINE,
-)
 _KINDS = {
     b"CER": "error records",
     b"CST": "statistics",
@@ -45,7 +41,6 @@ class CrtdCapture(LineCapture):
     """Frames of a CRTD log."""
 
     format = "CRTD log"
-    _LIKE = _LIKE
 
     def _line(self, text: bytes) -> FrameRow | None:
         found = _RECORD.fullmatch(text)

@@ -22,13 +22,12 @@ import numpy as np
 from ...frame_table import EXTENDED, FD, RX, TX, FrameTable
 from ...frames import Frame
 from ..base import printable_start
+from ..beginnings import GVRET
 from .rows import FrameRow, LineCapture, UnreadableRow, decimal_ns, hex_data, integer, is_received
 from .words import Mask, Words, channel_numbers
 
 _US = 1000
-_HEAD = re.compile(
-    rb"\s*Time ?Stamp,ID,Extended,(Dir,)?Bus,LEN(?:,D[0-9]{1,2})*,?\s*(?:\n|\Z)", re.IGNORECASE
-)
+_HEAD = re.compile(GVRET, re.IGNORECASE)
 _TRUE = {b"true": True, b"1": True, b"false": False, b"0": False}
 
 
@@ -36,7 +35,6 @@ class GvretCapture(LineCapture):
     """Frames of a SavvyCAN GVRET file."""
 
     format = "SavvyCAN GVRET CSV"
-    _LIKE = re.compile(rb"\A" + _HEAD.pattern, re.IGNORECASE)
     _TURN = re.compile(rb"\s*Time", re.IGNORECASE)
 
     _has_way = True

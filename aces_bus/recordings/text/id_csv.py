@@ -112,10 +112,9 @@ class Plan:
     time_unit: int
 
 
-def looks_like_id_csv(head: bytes) -> bool:
-    """Whether the first line is a header that names an identifier and one more thing of a frame."""
-    roles = _roles(*_header(head)[1:])
-    return "id" in roles and len(roles) > 1
+def roles_of_header(head: bytes) -> set[str]:
+    """What of a frame the first line of a file names, as keys of `NAMES`."""
+    return _roles(*_header(head)[1:])
 
 
 class IdCsvCapture(LineCapture):

@@ -26,11 +26,6 @@ from ...frames import Frame
 from ..base import printable_start
 from .rows import FrameRow, LineCapture, UnreadableRow, decimal_ns, hex_data, integer, is_received
 
-_LIKE = re.compile(
-    rb"\A\s*(?://[^\n]*\n\s*)?Microchip Technology|"
-    rb"^[0-9]{1,12}(?:\.[0-9]{1,6})?;[RT]X;(?:0x)?[0-9A-Fa-f]{1,8}x?;[0-9]{1,2};",
-    re.MULTILINE | re.IGNORECASE,
-)
 _RULE = re.compile(rb"//\s*[-=*/_]{3,}|/{5,}")
 
 
@@ -38,7 +33,6 @@ class MicrochipCapture(LineCapture):
     """Frames of a log of Microchip's CAN bus analyser."""
 
     format = "Microchip CAN analyser log"
-    _LIKE = _LIKE
 
     _is_comment = False
 

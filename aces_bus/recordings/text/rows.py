@@ -17,17 +17,18 @@ import re
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import ClassVar, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from ..._lazy import np
 from ...errors import CallerError, CaptureError
 from ...frame_table import NO_TIME, FrameTable
 from ...frames import Frame
 from ..base import REMOTE_AND_ERROR, CanRecording, printable_start
 from ..merge import merge_in_order
 from ..source import MAX_LINE
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 #: Without a line of its format among this many unreadable ones, a file is not of the format.
 PATIENCE = 200
@@ -57,8 +58,6 @@ class LineCapture(CanRecording):
     Reading raises `CaptureError` when the source holds no line of the format at all.
     """
 
-    #: What the first lines of a file have, where that shows the format.
-    _LIKE: ClassVar[re.Pattern[bytes]]
     _TURN: ClassVar[re.Pattern[bytes] | None] = None
 
     #: Tables of a file have at least so many rows, but the last.
@@ -69,11 +68,6 @@ class LineCapture(CanRecording):
     #: Something of the format was seen.
     is_known = False
     _is_last = False  # what comes is a line without its end
-
-    @classmethod
-    def is_like(cls, head: bytes) -> bool:
-        """Whether a file that begins so is of the format."""
-        return cls._LIKE.search(head[: 1 << 14]) is not None
 
     @abstractmethod
     def _line(self, text: bytes) -> FrameRow | None:

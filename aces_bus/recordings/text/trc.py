@@ -73,11 +73,6 @@ _OLD_TYPES = (b"Rx", b"Tx", b"Warng", b"Error")
 _OLD_LINE = re.compile(rb"[0-9]{1,12}\)\s")
 _NEW_LINE = re.compile(rb"[0-9]{1,12}\s")
 _HEADER = re.compile(rb";\$([A-Za-z]+)\s*=\s*(.*)", re.DOTALL)
-_LIKE = re.compile(
-    rb"\A\s*;(?:\$FILEVERSION|#{20})|^[ \t]*[0-9]{1,12}\)[ \t]+[0-9]+(?:\.[0-9]+)?[ \t]+"
-    rb"(?:(?:[0-9][ \t]+)?(?:Rx|Tx|Warng|Error)[ \t]+)?[0-9A-F]{4,8}[ \t]",
-    re.MULTILINE,
-)
 
 #: Columns of the older versions, by the letters of the newer ones; n is a number with a bracket, l a length.
 _OLD_COLUMNS = {"1.0": "nOIlD", "1.1": "nOdIlD", "1.2": "nOBdIlD", "1.3": "nOBdIRlD"}
@@ -87,7 +82,6 @@ class TrcCapture(LineCapture):
     """Frames of a PEAK trace."""
 
     format = "PEAK trace"
-    _LIKE = _LIKE
     _TURN = re.compile(rb"\s*;\$")
 
     _version = "1.0"

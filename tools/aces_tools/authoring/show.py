@@ -22,9 +22,10 @@ A Python file is executed with your rights: name only what you trust.
 from __future__ import annotations
 
 import argparse
-import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import Any
+
+import msgspec
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Message, draw
@@ -180,8 +181,8 @@ def _steps(node: p.Node) -> str:
 
 def _plain(value: Any) -> Any:
     """A plan for JSON: each node says what it is."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        inside = {one.name: _plain(getattr(value, one.name)) for one in dataclasses.fields(value)}
+    if isinstance(value, msgspec.Struct):
+        inside = {name: _plain(getattr(value, name)) for name in value.__struct_fields__}
         return {"is": type(value).__name__, **inside}
     if isinstance(value, range):
         return {"from": value.start, "to": value.stop - 1, "step": value.step}
