@@ -149,6 +149,7 @@ lint: $(VENV)/.dev
 types: $(VENV)/.dev
 	$(BIN)/mypy
 	$(BIN)/pyright --project . --warnings --pythonpath $(BIN)/python
+	PATH=$(abspath $(BIN)):$$PATH $(BIN)/python tests/typed_pages.py $(BIN)/python
 
 pristine: $(VENV)/.dev
 	$(BIN)/python tests/pristine.py

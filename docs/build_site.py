@@ -26,7 +26,7 @@ from typing import Any
 from aces_bus.protocol import list_protocols, load_protocol
 from aces_bus.protocol.draw import picture_svg
 from aces_bus.protocol.exchange.export_markdown import print_markdown
-from aces_tools.main import ACTIONS, VERBS
+from aces_tools.main import ACTIONS, VERBS, parser_of
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Rooms of the reference: packages whose `__all__` users import from.
@@ -71,7 +71,10 @@ _FENCE = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)
 _IMAGES = (".png", ".svg", ".gif")
 #: Pages are as wide as the lines of code in them.
 _STYLE = (
-    ".content { width: 62em; } .highlight pre { font-size: 0.78em; } .content img { background: white; }\n"
+    ".main { min-width: 0; } .sidebar-drawer { width: calc(50% - 37em); }"
+    " .content { width: auto; flex: 0 1 68em; max-width: 68em; min-width: 0; box-sizing: border-box; }"
+    " .highlight pre { font-size: 0.78em; }"
+    " .content img { background: white; max-width: 100%; }\n"
 )
 #: Pictures that commands draw: what is below each, and the command.
 PICTURES = {
@@ -80,12 +83,18 @@ PICTURES = {
         "plot examples/captures/hubo2plus.log -p hubo@hubo2plus"
         " Encoder[board=0].position.* - Encoder[board=8].position.*",
     ),
+    "unasked": (
+        "A plot of a recording of which nothing is asked: the most telling signals by unit",
+        "plot examples/captures/hubo2plus.log -p hubo@hubo2plus",
+    ),
     "layout": ("The layout of a message", "spec show hubo Status"),
     "explain": (
         "Why a frame is decoded as it is, byte by byte",
         "spec explain hubo@hubo2plus 063#78000000FCFFFFFF",
     ),
 }
+#: What the live screen shows in its picture: a recording, and its protocol.
+SCREEN = ("examples/captures/hubo2plus.log", "hubo@hubo2plus")
 
 
 class Site:
@@ -148,7 +157,11 @@ class Site:
             return label[1:-1]
 
         parts = _FENCE.split(text)
-        return "".join(part if part.startswith("```") else _LINK.sub(link, part) for part in parts)
+        # Doctests end with an empty line, which is nothing to look at.
+        return "".join(
+            re.sub(r"\n\n```$", "\n```", part) if part.startswith("```") else _LINK.sub(link, part)
+            for part in parts
+        )
 
     def _copied(self, image: Path, place: str) -> str:
         to = self.folder / "pictures" / image.name
@@ -196,11 +209,10 @@ class Site:
         names = [
             f"{verb} {action}" if action else verb for verb in VERBS for action in (ACTIONS.get(verb) or [""])
         ]
-        environment = {**os.environ, "COLUMNS": "88", "NO_COLOR": "1"}
+        os.environ["COLUMNS"] = "88"
         for name in names:
-            command = [sys.executable, "-m", "aces_tools", *name.split(), "--help"]
-            done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
-            self.write(f"commands/{name.replace(' ', '-')}", f"# aces {name}\n\n```text\n{done.stdout}```\n")
+            text = parser_of(name).format_help()
+            self.write(f"commands/{name.replace(' ', '-')}", f"# aces {name}\n\n```text\n{text}```\n")
         rows = [f"| [`aces {name}`]({name.replace(' ', '-')}.md) | {_purpose(name)} |" for name in names]
         text = ["# Commands", "", "| command | what for |", "| --- | --- |", *rows, ""]
         self.write(
@@ -213,11 +225,24 @@ class Site:
         for name, (title, command) in PICTURES.items():
             path = self.folder / "pictures" / f"{name}.svg"
             path.parent.mkdir(parents=True, exist_ok=True)
-            option = "-o" if name == "plot" else "--svg"
+            option = "-o" if command.startswith("plot ") else "--svg"
             call = [sys.executable, "-m", "aces_tools", *command.split(), option, str(path)]
             subprocess.run(call, check=True, capture_output=True, cwd=ROOT)
             text += [f"## {title}", "", "```console", f"$ aces {command} {option} {name}.svg", "```", ""]
             text += [f"![{title}](pictures/{name}.svg)", ""]
+        capture, protocol = SCREEN
+        path = self.folder / "pictures" / "screen.svg"
+        call = [sys.executable, ROOT / "docs" / "screen_picture.py", capture, protocol, path]
+        subprocess.run(call, check=True, capture_output=True, cwd=ROOT)
+        text += [
+            "## The live screen",
+            "",
+            "```console",
+            f"$ aces sniff can0 -p {protocol} --screen",
+            "```",
+            "",
+        ]
+        text += ["![The live screen](pictures/screen.svg)", ""]
         self.write("pictures", "\n".join(text))
 
     def names(self) -> None:
@@ -332,6 +357,8 @@ def main() -> int:
         [
             "-q",
             "-W",
+            "-j",
+            "auto",
             "--keep-going",
             "-b",
             "html",

@@ -34,3 +34,11 @@ def test_links_between_pages_lead_somewhere(page: str) -> None:
     text = (ROOT / page).read_text(encoding="utf-8")
     for target in re.findall(r"\]\((?!https?:|#)([^)#]+)", text):
         assert ((ROOT / page).parent / target).exists(), target
+
+
+def test_each_job_of_the_python_page_takes_six_lines() -> None:
+    """What is typed, continued lines included."""
+    jobs = re.split(r"^## ", (ROOT / "docs/python.md").read_text(encoding="utf-8"), flags=re.MULTILINE)[1:]
+    typed = {job.partition("\n")[0]: len(re.findall(r"^(?:>>>|\.\.\.) ", job, re.MULTILINE)) for job in jobs}
+    assert len(typed) >= 8
+    assert {job: lines for job, lines in typed.items() if lines > 6} == {}

@@ -35,6 +35,11 @@ class Scanner(typing.Protocol):
         """`can`, `serial` or `datagram`."""
         ...
 
+    @property
+    def variants(self) -> tuple[Variant, ...]:
+        """What it looks for, in order of precedence."""
+        ...
+
     def feed(self, words: Any, /) -> list[Record]:
         """Records of frames (CAN) or of bytes (streams), in order."""
         ...

@@ -208,7 +208,7 @@ def _about(row: RepeatedFrame, model: Model, now_ns: int) -> list[Line]:
     period, jitter = milliseconds(row.period_s).strip(), milliseconds(row.jitter_s).strip()
     bits = row.wire_bits * now
     pace: Line = [
-        StyledText(f"{row.count:,} times, {rate(now)}/s", "plain"),
+        StyledText(f"{row.count:,} time{'' if row.count == 1 else 's'}, {rate(now)}/s", "plain"),
         *_if(row.count > 1, f", every {period} ± {jitter} ms", "plain"),
         *_if(bits, f", {paint_bits(bits)}", "plain"),
         *_if(bits and model.bitrate, f" ({100 * bits / (model.bitrate or 1):.2g} %)", "dim"),
