@@ -60,7 +60,7 @@ class Loop(Device):
     def setup(self) -> None:
         for joint in self.joints:
             self.add_signal(
-                "position",
+                "velocity",  # positions are led: they would not go out as they came
                 owner=joint.name,
                 of="Value.value",
                 set="Set.value",
@@ -89,9 +89,9 @@ D1 = { driver = "loop", bus = "loop", credentials = { node = 1 } }
 D2 = { driver = "loop", bus = "loop", credentials = { node = 2 } }
 D3 = { driver = "loop", bus = "loop", credentials = { node = 3 } }
 [joints]
-X = { device = "D1", type = "prismatic", lower = -1.0, upper = 1.0 }
-Y = { device = "D2", type = "prismatic", lower = 3.0, upper = 4.0 }
-Z = { device = "D3", type = "prismatic", lower = 5.0, upper = 6.0 }
+X = { device = "D1", command = "speed", lower = -1.0, upper = 1.0 }
+Y = { device = "D2", command = "speed", lower = 3.0, upper = 4.0 }
+Z = { device = "D3", command = "speed", lower = 5.0, upper = 6.0 }
 """
 SPINNER = Driver(
     "loop", Loop, LoopTwin, ROBOT, doc="Sends back what it is told", source="acesHubo testsuite.cpp"

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 from ..device.signals import UNKNOWN
 from ..device.stopping import stop_devices
 from ..errors import AcesError, CallerError
-from .guard import NOT_FINITE_TRIPS, Bounds, Clipped
+from .guard import NOT_FINITE_TRIPS, USUAL_SPEED, Bounds, Clipped
 
 if TYPE_CHECKING:
     from ..device.config import Joint, Robot
@@ -109,7 +109,7 @@ class _Line:
 
     def __init__(self, door: Door, device: Device, signal: Signal, active: dict[_Line, None]) -> None:
         self.door, self.device, self.signal, self.active = door, device, signal, active
-        self.bounds = door.bounds.get(signal.name, Bounds())
+        self.bounds = door.bounds.get(signal.name) or _usual_bounds(signal)
         self.is_ticked = device.host.is_ticked
         self.limit_rate(self.bounds.rate)
         self.following = door.following.get(signal.name)
@@ -295,6 +295,12 @@ class _Line:
             self.begin_anew()
             self.door.stop(self.device)
         self.device.tell_event(kind, reason)
+
+
+def _usual_bounds(signal: Signal) -> Bounds:
+    """Those of a signal for which no file states any: a position is led."""
+    is_position = signal.name.endswith(".position")
+    return Bounds(rate=USUAL_SPEED.get(signal.unit, _INFINITY) if is_position else _INFINITY)
 
 
 class _BusLines:

@@ -45,6 +45,8 @@ MOST_PENDING = 1_000
 NOT_FINITE_TRIPS = 5
 #: States of one guard; a controller may make names up for ever.
 MOST_LINES = 10_000
+#: How fast (unit/s) a position is led for which no file states a speed, by its unit: no joint jumps within a frame.
+USUAL_SPEED = {"rad": 1.0, "m": 0.1}
 _INFINITY = math.inf
 
 
@@ -459,6 +461,7 @@ class Guard:
 def bounds_of(robot: Robot, *, nominal: bool = False, acceleration: bool = False) -> dict[str, Bounds]:
     """Bounds of a robot's active joints, as far as its file states them: its largest speeds, or its `nominal` ones.
 
+    A joint that is set by position and has neither is led at `USUAL_SPEED`.
     Set-points are positions, speeds, currents (A) or duties, as each joint's `command` says. Accelerations are limited only
     where that is asked for: a file's are often those of its maker's own motion planner, and recorded walks go beyond them.
     """
@@ -475,6 +478,8 @@ def bounds_of(robot: Robot, *, nominal: bool = False, acceleration: bool = False
         if joint.command == "position":
             lower = -math.inf if joint.lower is None else joint.lower
             upper = math.inf if joint.upper is None else joint.upper
+            if speed == math.inf:
+                speed = USUAL_SPEED["m" if joint.type == "prismatic" else "rad"]
             out[joint.name] = Bounds(lower, upper, speed, change if acceleration else math.inf)
         elif joint.command == "speed":
             out[joint.name] = Bounds(-speed, speed, change if acceleration else math.inf)

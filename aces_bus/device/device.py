@@ -121,6 +121,7 @@ class Device(EndpointMember):
     attributes = EndpointMember.attributes | {
         *("host", "signals", "readable", "last_heard", "is_silent", "is_driven", "misses", "missing_since"),
         *("missed_at", "awaiting", "answered", "timed_out", "second_answers", "epoch", "duplicates"),
+        "takes_set_points",
     }
 
     def __init_subclass__(cls) -> None:
@@ -142,6 +143,8 @@ class Device(EndpointMember):
         self.is_silent = False
         #: Whether it was given set-points or commands to move since it was last stopped.
         self.is_driven = False
+        #: Whether it follows set-points; a driver whose device has to be enabled first says no until it is.
+        self.takes_set_points = True
         #: How often its set-points were dropped: the door then leads a joint anew, from where it is.
         self.epoch = 0
         self.misses = 0
@@ -218,6 +221,8 @@ class Device(EndpointMember):
 
     def takes(self, signal: Signal) -> bool | None:
         """Whether a set-point of this signal would leave now; False: it is refused; None: it waits for a hold-off to end."""
+        if not self.takes_set_points:
+            return False
         return None if self._held and self.is_held else True
 
     def is_followed(self, signal: Signal) -> bool:
@@ -426,7 +431,11 @@ class Device(EndpointMember):
     # ------------------------------------------------------------------ down
 
     def want(self, message: str, path: str, value: Any) -> None:
-        """Have a field of a message sent with the next tick, in the sheet's unit."""
+        """Have a field of a message sent with the next tick, in the sheet's unit; reported where it takes no set-points."""
+        if not self.takes_set_points:
+            given = f"{value:g}" if isinstance(value, float) else value
+            self.tell_event("not sent", f"{self.name} is not enabled: {message}.{path} = {given}")
+            return
         self._given.setdefault(message, {})[path] = value
         self._dirty.add(message)
         if not self.host.is_ticked:

@@ -5,7 +5,7 @@
    What did not fit is first in the next tick.
 3. A missing answer, a duplicate reply, a malformed frame and an unknown device are reported by name, and stop nothing.
 
-On a half-duplex line one speaks at a time: a request is sent when the one before was answered or its time is up.
+On a half-duplex line one speaks at a time (`half_duplex.py`).
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from .coalesce import CoalescingRule, Setpoint, per_device
 from .config import DeviceConfig, Robot
 from .device import DUPLICATES, Device, Poll
 from .events import DeviceEvent, EventLog, Kind
+from .half_duplex import NEVER_NS, HalfDuplexLine, ask_less
 from .poll import HostCounts, PollSlot
 from .port import Left, Port
 from .station import BusEndpoint, shown
@@ -41,14 +42,10 @@ LATE_REPLY_NS = 500_000_000
 HELD_UP_NS, LISTEN_NS = 5_000_000, 10_000_000
 #: The robot of a probe.
 PROBED = Robot(name="probed", buses={}, devices={}, joints={}, sensors={})
-#: On a half-duplex line a silent device's time-outs take one part in so many of the time.
-SILENT_SHARE = 5
 #: A poll without an answer by the next tick, or the one after while others still come, is sent again, so often at most.
 ASKED_AGAIN = 2
 #: A bus on which nothing came for this part of a tick has nothing under way.
 QUIET_SHARE = 5
-#: An instant that does not come (ns).
-NEVER_NS = 1 << 62
 #: So many unknown devices are told apart; a bus may claim millions.
 UNKNOWN_DEVICES = 10_000
 #: Why a passive host sends nothing.
@@ -113,14 +110,12 @@ class Host(BusEndpoint[Device]):
         self._tick_at = 0
         #: When something was last received.
         self._heard_at = 0
-        #: Half duplex: when the next tick is due, and after what instant no poll may end.
+        #: When this tick is over, and after what instant no poll may end.
         self._tick_end, self._polls_end = 0, NEVER_NS
-        #: Whether this tick has had a poll: the first one goes out whatever it costs, or it never would.
-        self._has_polled = False
         self._next_tick: Timer | None = None
         self._woken = False
-        #: Half duplex: what is to be sent, and the request that has the line (None: free).
-        self._half = port.half_duplex
+        #: Who speaks on a half-duplex line; None: both sides may speak at once.
+        self._line = HalfDuplexLine(self) if port.half_duplex else None
         port.on_event(self._bus_event)
         self._note: Callable[[Any], None] = self.scanner.sent
         if isinstance(self.port, CarriedPort):
@@ -134,23 +129,18 @@ class Host(BusEndpoint[Device]):
                 return feed(words)
 
             self._feed = overheard
-        self._line: deque[Ticket] = deque()
-        self._speaking: Ticket | None = None
-        #: Those of a word that asks several who have not been answered yet, and those that such a word is made for now.
-        self._together: list[Ticket] = []
-        self._gathering: list[Ticket] | None = None
-        self._spoke_last: Device | None = None
 
     # ------------------------------------------------------------------ devices
 
     def add(self, member: Device) -> Device:
         """Put a device on the bus; its polls begin with the next tick. Raises `CallerError` as `BusEndpoint.add`."""
         super().add(member)
-        if self.port.link == "serial" and any(
+        # One is asked at a time where only the request tells whose an answer is, or where the device takes no more.
+        needs_request = self.port.link == "serial" and any(
             name in member.credentials for m in member.variant.messages.values() for name in m.request_fields
-        ):
-            self._half = True  # answers that only their request tells whose they are: one asks at a time
-        self._half = self._half or member.one_at_a_time
+        )
+        if needs_request or member.one_at_a_time:
+            self._line = self._line or HalfDuplexLine(self)
         for poll in member.polls:
             for name in poll.replies:
                 if name not in member.variant.protocol.messages:
@@ -170,7 +160,7 @@ class Host(BusEndpoint[Device]):
             slot.reword(word, self._noting(word))
             if slot.every_ns:  # slow polls begin spread over their period, or all would meet in one tick
                 slot.due = self.clock.now() + round(slot.every_ns * (0.618 * len(self.slots) % 1))
-            if self._half and not self._period:
+            if self._line is not None and not self._period:
                 slot.due = NEVER_NS  # asked on request: `poll` or `tick`
             self.slots.append(slot)
             for name, reply in poll.asked_by.items():
@@ -209,9 +199,10 @@ class Host(BusEndpoint[Device]):
         for slot in list(self.slots):
             if slot.device is device and slot.poll in polls and slot.waiting is None:
                 slot.due = now
-                if not self._period and not self._half and self._is_open:
-                    self._take_slot(slot, now)
-        self._pump()
+                if not self._period and self._line is None and self._is_open:
+                    self.take_slot(slot, now)
+        if self._line is not None:
+            self._line.pump()
 
     def probe(self, protocol: str, **credentials: int) -> Device:
         """A bare device with these credentials, to ask whether anybody is there; `remove` it by its name afterwards.
@@ -334,16 +325,18 @@ class Host(BusEndpoint[Device]):
         counts.ticks += 1
         self._tick_end = now + self._period
         self._polls_end = now + round(self._period * self.budget) if self._period else NEVER_NS
-        self._has_polled = False
+        line = self._line
+        if line is not None:
+            line.begin_tick(self._polls_end)
         if self._has_priorities:
             self.slots = deque(sorted(self.slots, key=lambda slot: -slot.priority))
-        if self._half and not self._period:
+        if line is not None and not self._period:
             for slot in self.slots:
                 if not slot.every_ns or now - slot.asked_at >= slot.every_ns:
                     slot.due = now
         used = self._send_set_points(now)
-        if self._half:
-            self._pump()
+        if line is not None:
+            line.pump()
             return
         most = self._polls_end - now
         slots = self.slots
@@ -359,7 +352,7 @@ class Host(BusEndpoint[Device]):
                     break
                 used += slot.cost_ns
                 if slot.waiting is None:
-                    self._take_slot(slot, now)
+                    self.take_slot(slot, now)
                 else:
                     self._ask_again(slot.waiting, now)
             slots.rotate(-1)
@@ -379,7 +372,7 @@ class Host(BusEndpoint[Device]):
         """A poll was not answered within its tick: it is sent once more, and one answer of both may come late."""
         slot: PollSlot | None = ticket.poll
         self._again(ticket, now, ticket.reply if slot is None else slot.replies)
-        self._transmit(ticket.word, ticket.device, ticket.message, ticket.timeout_ns)
+        self.transmit(ticket.word, ticket.device, ticket.message, ticket.timeout_ns)
 
     def _again(self, ticket: Ticket, now: int, reply: frozenset[str]) -> None:
         ticket.tries += 1
@@ -397,22 +390,23 @@ class Host(BusEndpoint[Device]):
         for slot in self.slots:
             if slot.waiting is None:
                 slot.due = now
-                if not self._half:
-                    self._take_slot(slot, now)
-        self._pump()
+                if self._line is None:
+                    self.take_slot(slot, now)
+        if self._line is not None:
+            self._line.pump()
 
-    def _take_slot(self, slot: PollSlot, now: int, reply: frozenset[str] | None = None) -> None:
+    def take_slot(self, slot: PollSlot, now: int, reply: frozenset[str] | None = None) -> None:
         """It is a poll's turn; with `reply` something was sent that is answered so, and stands for it."""
-        if self._half and not self._period:
+        line = self._line
+        if line is not None and not self._period:
             slot.due = NEVER_NS
         elif slot.every_ns:
             slot.due = now + slot.every_ns - self._period // 2
-        elif self._half:
+        elif line is not None:
             slot.due = self._tick_end  # once a tick
         else:
             slot.due = now
         slot.asked_at = now
-        self._has_polled = True
         awaited = slot.replies if reply is None else reply
         ticket = Ticket(
             self.clock, slot.device, slot.poll.message, slot.word, awaited, slot.timeout_ns, 0, slot
@@ -421,23 +415,17 @@ class Host(BusEndpoint[Device]):
         self.counts.polls += 1
         if reply is not None:
             ticket.tries = 1
-            self._await(ticket, now)
+            self.await_answer(ticket, now)
             return
-        if self._gathering is not None:
-            self._gathering.append(ticket)
-            return
-        if self._half and slot.poll.together and not slot.device.misses:
-            self._speak_together(slot, ticket, now)
-            return
-        if self._half:
-            self._speak(ticket)
+        if line is not None:
+            line.poll(slot, ticket, now)
             return
         if not slot.common or self._asked_all.get(slot.word) != now:
             if slot.common:
                 self._asked_all[slot.word] = now
             ticket.tries = 1
-            self._transmit(slot.word, slot.device, ticket.message, slot.timeout_ns, note=slot.note)
-        self._await(ticket, now)
+            self.transmit(slot.word, slot.device, ticket.message, slot.timeout_ns, note=slot.note)
+        self.await_answer(ticket, now)
 
     def _send_set_points(self, now: int) -> int:
         """What is wanted, as few words; how long they occupy the bus (ns)."""
@@ -464,8 +452,8 @@ class Host(BusEndpoint[Device]):
                     used += self._send_fields(device, message, fields, now)
             for out in (rule or per_device)(wants) if wants else ():
                 used += self._send_fields(out.device, out.message, out.fields, now)
-        if self._half and wanted:
-            self._pump()
+        if self._line is not None and wanted:
+            self._line.pump()
         return used
 
     def _group(
@@ -489,17 +477,17 @@ class Host(BusEndpoint[Device]):
             return 0
         self.counts.set_points += 1
         device.is_driven = not self.passive
-        if self._half:
-            self._line.append(Ticket(self.clock, device, message, word, NO_REPLY, 0))
+        if self._line is not None:
+            self._line.put(Ticket(self.clock, device, message, word, NO_REPLY, 0))
             return 0
         used = self.port.wire_ns(word)
-        is_sent = self._transmit(word, device, message)
+        is_sent = self.transmit(word, device, message)
         asked = self._asked_by.get((device.name, message)) if is_sent else None
         if asked is not None and not device.is_silent:  # one that is silent is asked besides
             slot, reply = asked
             used += slot.wire_ns
             if slot.waiting is None:
-                self._take_slot(slot, now, reply)
+                self.take_slot(slot, now, reply)
             else:
                 self._again(slot.waiting, now, reply)
         return used
@@ -514,37 +502,25 @@ class Host(BusEndpoint[Device]):
             )
             return ticket
         self.counts.asked += bool(ticket.reply)
-        if not self._half:
-            self._send(ticket, self.clock.now())
+        line = self._line
+        if line is None:
+            self.send(ticket, self.clock.now())
             return ticket
         if ticket.urgent:
-            device = ticket.device
-            kept: deque[Ticket] = deque()
-            for waiting in self._line:
-                if waiting.device is device and not waiting.urgent and waiting.poll is None:
-                    waiting.fail(DeviceError(f"{waiting.message} to {device.name}: a stop overtook it"))
-                else:
-                    kept.append(waiting)
-            if self._is_can:  # nothing is in its way
-                self._line = kept
-                self._send(ticket, self.clock.now())
-                return ticket
-            kept.insert(sum(1 for waiting in kept if waiting.urgent), ticket)
-            self._line = kept
+            line.overtake(ticket)
         else:
-            self._line.append(ticket)
-        self._pump()
+            line.put(ticket)
+        line.pump()
         return ticket
 
-    def _send(self, ticket: Ticket, now: int) -> None:
+    def send(self, ticket: Ticket, now: int) -> None:
+        """Send a ticket's word, now; it is over when that has left, or is answered."""
         ticket.tries += 1
         ticket.sent_at = now
         if ticket.reply:
             # What is not answered in time is asked again: it must not leave later than that.
-            self._transmit(
-                ticket.word, ticket.device, ticket.message, ticket.timeout_ns, urgent=ticket.urgent
-            )
-            self._await(ticket, now)
+            self.transmit(ticket.word, ticket.device, ticket.message, ticket.timeout_ns, urgent=ticket.urgent)
+            self.await_answer(ticket, now)
             return
 
         def left(fate: str, why: str) -> None:
@@ -555,12 +531,12 @@ class Host(BusEndpoint[Device]):
                     DeviceError(f"{self.name} {ticket.device.name}: {ticket.message} was not sent: {why}")
                 )
 
-        if not self._transmit(
+        if not self.transmit(
             ticket.word, ticket.device, ticket.message, 0, urgent=ticket.urgent, report=left
         ):
             left("dropped", "the bus does not take it")
 
-    def _transmit(
+    def transmit(
         self,
         word: Any,
         device: Device,
@@ -587,7 +563,7 @@ class Host(BusEndpoint[Device]):
             note()
         return True
 
-    def _await(self, ticket: Ticket, now: int, more_ns: int = 0) -> None:
+    def await_answer(self, ticket: Ticket, now: int, more_ns: int = 0) -> None:
         """A ticket's word is on its way: wait for the answer until its time is up, and for those before it."""
         ticket.sent_at = now
         slot: PollSlot | None = ticket.poll
@@ -643,11 +619,10 @@ class Host(BusEndpoint[Device]):
         self.fell_silent()
         if ticket.tries <= ticket.retries:
             self.counts.repeated += 1
-            if self._half:
-                self._line.appendleft(ticket)
-                self._free(ticket)
+            if self._line is not None:
+                self._line.again(ticket)
             else:
-                self._send(ticket, now)
+                self.send(ticket, now)
             return
         if ticket.poll is not None:
             ticket.poll.waiting = None
@@ -666,12 +641,8 @@ class Host(BusEndpoint[Device]):
                 else f"last heard {(now - device.last_heard) / 1e9:.3f} s ago"
             )
             self.tell("silent", device.name, f"{device.misses} requests without an answer, {age}")
-        if self._half and device.is_silent and ticket.poll is not None:
-            # Its time-outs hold up all others: it is asked less often until it answers.
-            due = now + (SILENT_SHARE - 1) * ticket.timeout_ns
-            for slot in self.slots:
-                if slot.device is device:
-                    slot.due = max(slot.due, due)
+        if self._line is not None and device.is_silent and ticket.poll is not None:
+            ask_less(self.slots, ticket, now)
         if ticket.poll is None:
             tries = f"{ticket.tries} tries" if ticket.tries > 1 else "one try"
             error = NoReplyError(
@@ -683,8 +654,8 @@ class Host(BusEndpoint[Device]):
             device.no_reply(ticket)
         else:
             device.no_reply(ticket)
-        if self._half:
-            self._free(ticket)
+        if self._line is not None:
+            self._line.free(ticket)
 
     def answered(self, device: Device, name: str, record: Any, instant: int) -> None:
         """A record of a device: the oldest request that it answers is done. Called by `Device.receive`."""
@@ -717,8 +688,8 @@ class Host(BusEndpoint[Device]):
         if slot is not None:
             slot.waiting = None
             self._learn(slot, record, instant)
-        if self._half:
-            self._free(ticket)
+        if self._line is not None:
+            self._line.free(ticket)
         ticket.finish(record)
 
     def _learn(self, slot: PollSlot, record: Any, instant: int) -> None:
@@ -729,7 +700,7 @@ class Host(BusEndpoint[Device]):
             counts.cycle_ns = cycle
         counts.cycle_sum_ns += cycle
         counts.cycles += 1
-        if self._half:
+        if self._line is not None:
             slot.cost_ns = cycle
 
     def _unasked(self, device: Device, name: str, instant: int) -> None:
@@ -745,79 +716,6 @@ class Host(BusEndpoint[Device]):
         elif before is not None and instant - before < DUPLICATE_REPLY_NS:
             self._duplicate(device, f"{name} came twice", instant)
 
-    # ------------------------------------------------------------------ half duplex: one at a time
-
-    def _pump(self) -> None:
-        """The line is free: let the next one speak."""
-        if not self._half or self._speaking is not None or not self._is_open:
-            return
-        now = self.clock.now()
-        if self._line:
-            self._speak(self._line.popleft())
-            return
-        slots = self.slots
-        for _ in range(len(slots)):
-            slot = slots[0]
-            if slot.due <= now and slot.waiting is None:
-                if self._has_polled and now + slot.cost_ns > self._polls_end:
-                    self.counts.polls_carried += 1
-                    return  # its answer would come after the budget's end
-                slots.rotate(-1)
-                self._take_slot(slot, now)
-                return
-            slots.rotate(-1)
-
-    def _speak(self, ticket: Ticket) -> None:
-        now = self.clock.now()
-        self._speaking = ticket
-        self._spoke_last = ticket.device
-        self._send(ticket, now)
-        if not ticket.reply:
-            self.clock.call_in(self.port.wire_ns(ticket.word), lambda: self._free(ticket))
-
-    def _speak_together(self, first: PollSlot, ticket: Ticket, now: int) -> None:
-        """Ask all that are due for the same in one word; each has a ticket of its own.
-
-        Who did not answer the last time is asked alone: those behind it in a common answer may have waited for it in vain.
-        """
-        poll, variant = first.poll, first.device.variant
-        tickets = self._gathering = [ticket]
-        for slot in self.slots:
-            if slot.due <= now and slot.waiting is None and not slot.device.misses:
-                other = slot.poll
-                if (
-                    other.together == poll.together
-                    and other.fields == poll.fields
-                    and slot.device.variant is variant
-                ):
-                    self._take_slot(slot, now)
-        self._gathering = None
-        if len(tickets) == 1:
-            self._speak(ticket)
-            return
-        order = {name: number for number, name in enumerate(self.members)}
-        tickets.sort(key=lambda one: order[one.device.name])  # the same word each time
-        word = first.device.word_together([one.device for one in tickets], poll)
-        self._speaking, self._together = ticket, tickets[:]
-        self._spoke_last = first.device
-        self._transmit(word, first.device, poll.together, ticket.timeout_ns)
-        answers_ns = 2 * first.wire_ns * len(tickets)
-        for one in tickets:
-            one.tries += 1
-            self._await(one, now, answers_ns)
-
-    def _free(self, ticket: Ticket) -> None:
-        """Who spoke has been answered, or will not be."""
-        together = self._together
-        if ticket in together:
-            together.remove(ticket)
-            if together:
-                return
-        elif self._speaking is not ticket:
-            return
-        self._speaking = None
-        self.clock.call_soon(self._pump)
-
     # ------------------------------------------------------------------ what is wrong
 
     def _not_understood(self, word: UnknownWord, instant: int) -> None:
@@ -825,8 +723,8 @@ class Host(BusEndpoint[Device]):
         for handler in self.unknown_handlers:
             handler(word, instant)
         if not word.reason.startswith("malformed"):
-            if word.reason.startswith("unknown: needs request") and self._half:
-                self._answered_twice(word, instant)
+            if word.reason.startswith("unknown: needs request") and self._line is not None:
+                self._answered_twice(self._line.spoke_last, word, instant)
             return
         device = self._suspect(word)
         raw = word.meta.raw.hex(" ")
@@ -835,13 +733,13 @@ class Host(BusEndpoint[Device]):
         if device is not None:
             device.malformed(word.reason, instant)
 
-    def _answered_twice(self, word: UnknownWord, instant: int) -> None:
-        """An unrequested answer on a half-duplex line: it is late, or two devices answer."""
+    def _answered_twice(self, device: Device | None, word: UnknownWord, instant: int) -> None:
+        """An unrequested answer on a half-duplex line: it is late, or two devices answer to what `device` was asked last."""
         detail = f"{word.meta.raw.hex(' ')}: was not requested"
-        if self._spoke_last is None:
+        if device is None:
             self.tell("duplicate reply", "", detail)
         else:
-            self._duplicate(self._spoke_last, detail, instant)
+            self._duplicate(device, detail, instant)
 
     def _duplicate(self, device: Device, detail: str, instant: int) -> None:
         """A second answer to one request: once it is a fault of the bus, again and again a second device."""
@@ -856,8 +754,7 @@ class Host(BusEndpoint[Device]):
         """The device that may have sent it: by its identifier, or the one that has the line."""
         identifier = word.meta.identifier
         if identifier is None:
-            speaks = self._together[0] if self._together else self._speaking
-            return speaks.device if speaks is not None else None
+            return self._line.speaker if self._line is not None else None
         for variant in self.variants.values():
             for message in variant.messages_for("from device"):
                 captures = message.identifier.match(identifier) or {}

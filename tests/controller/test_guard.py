@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from aces_bus import load_robot
 from aces_bus.controller import Bounds, ControlEvent, Guard, bounds_of
-from aces_bus.controller.guard import NOT_FINITE_TRIPS
+from aces_bus.controller.guard import NOT_FINITE_TRIPS, USUAL_SPEED
 from aces_bus.errors import CallerError
 from tests.controller.fakes import fakes
 
@@ -237,7 +238,7 @@ def test_odd_instants_do_no_harm(values: list[float], gaps: list[int]) -> None:
 
 
 def test_bounds_of_a_robot() -> None:
-    """Limits as the file states them; what it does not state is not limited."""
+    """Limits as the file states them; where it states no speed, a joint is led as no file has to say."""
     robot = load_robot("hubo2plus")
     bounds = bounds_of(robot)
     knee = robot.joint("LKP")
@@ -246,7 +247,9 @@ def test_bounds_of_a_robot() -> None:
     assert (bounds[knee.name].rate, bounds[knee.name].acceleration) == (knee.max_speed, math.inf)
     gentle = bounds_of(robot, nominal=True, acceleration=True)[knee.name]
     assert (gentle.rate, gentle.acceleration) == (knee.nominal_speed, knee.nominal_acceleration)
-    assert bounds_of(load_robot("minihubo_1"))["LKP"] == Bounds()
+    assert bounds_of(load_robot("hubo2"))["LW1"] == Bounds(rate=USUAL_SPEED["rad"])
+    rail = replace(knee, max_speed=None, nominal_speed=None, type="prismatic")
+    assert bounds_of(replace(robot, joints={rail.name: rail}))[rail.name].rate == USUAL_SPEED["m"]
 
 
 @pytest.mark.parametrize(

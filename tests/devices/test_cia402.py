@@ -203,6 +203,7 @@ def test_set_points_of_a_disabled_axis_are_dropped() -> None:
     """Before it is enabled nothing moves, and the dropped set-point is told; enabling holds where it is."""
     with _running(enabled=False) as robot:
         robot["J.position"].set(1.0)
+        robot.advance(0.05)
         assert "J is not enabled but switch on disabled" in robot.events.of("not sent")[0].detail
         robot.devices["D"].enable().wait(5)
         robot.advance(0.5)

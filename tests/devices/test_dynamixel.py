@@ -79,7 +79,7 @@ def test_a_joint_goes_where_it_is_sent() -> None:
         (', command = "speed"', "velocity", -2.0, "goal_velocity", -83),
         (', command = "current", direction = -1', "current", 0.269, "goal_current", -100),
         (', command = "duty"', "duty", 0.5, "goal_pwm", 442),
-        (', type = "continuous"', "position", 20.0, "goal_position", 15086),
+        (', type = "continuous", max_speed = 1000', "position", 20.0, "goal_position", 15086),
     ],
 )
 def test_what_a_joint_is_commanded_by_decides_the_mode(
@@ -180,7 +180,7 @@ def test_a_goal_does_not_switch_the_torque_on() -> None:
         device.enable().wait()
         robot.advance(0.2)
         robot["J1.position"].set(1.0)
-        robot.advance(0.5)
+        robot.advance(1.5)
         assert twin["goal_position"] > 2600
 
 

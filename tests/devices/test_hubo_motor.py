@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -55,6 +56,8 @@ def only(text: str, *boards: str) -> str:
 
 
 LIMB = only(D12, "JMC0")
+#: Set-points go out as they are given, in one frame.
+AT_ONCE = re.sub(r"^(RH[YR] *= {)", r"\1 max_speed = 1000,", LIMB, flags=re.MULTILINE)
 
 
 def made(text: str = LIMB, rate_hz: float | None = 100, **options: Any) -> VirtualRobot:
@@ -123,6 +126,7 @@ def test_what_is_set_while_disabled_is_told_and_never_sent() -> None:
     with made() as robot:
         robot.advance(1.0)
         robot["RHY.position"].set(0.5)
+        robot.advance(0.02)
         assert robot.events.count("not sent", "JMC0") == 1
         up(robot)
         robot.advance(0.5)
@@ -131,7 +135,7 @@ def test_what_is_set_while_disabled_is_told_and_never_sent() -> None:
 
 def test_a_board_can_wait_for_all_its_channels() -> None:
     """With `trigger`, a set-point waits for the other channel's, as acesHubo did; single motors are sent at once."""
-    with made(LIMB.replace("settings = {", "settings = { trigger = true,")) as robot:
+    with made(AT_ONCE.replace("settings = {", "settings = { trigger = true,")) as robot:
         up(robot)
         robot["RHY.position"].set(0.2)
         before = references(robot, lambda: robot.advance(0.1))
@@ -143,7 +147,7 @@ def test_a_board_can_wait_for_all_its_channels() -> None:
 
 def test_the_reference_filter_arrives() -> None:
     """hubo-ach's filter, (39 old + new) ÷ 40, smooths a step and ends exactly at it."""
-    with made(LIMB.replace("settings = {", "settings = { filter = 40,")) as robot:
+    with made(AT_ONCE.replace("settings = {", "settings = { filter = 40,")) as robot:
         up(robot)
         robot["RHY.position"].set(0.2)
         frames = references(robot, lambda: robot.advance(5.0))

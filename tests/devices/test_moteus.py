@@ -121,7 +121,7 @@ def test_a_fault_is_told_and_ends_set_points() -> None:
         robot.twins["M"].fault("trip")
         robot.advance(0.1)
         assert robot.events.of("alarm")[-1].detail == "over_temperature"
-        assert not robot.devices["M"].enabled
+        assert not robot.devices["M"].takes_set_points
         with pytest.raises(DeviceError, match="mode fault, fault over_temperature"):
             robot.rig.each("enable").wait(5)
         robot.twins["M"].fault("trip", on=False)

@@ -58,7 +58,7 @@ def made(robot: Robot | None = None, **options: Any) -> VirtualRobot:
 @pytest.mark.parametrize(("angle", "counts"), [(0.5, 411), (0.0, 508), (-0.5, 606), (9.0, 0), (-9.0, 1023)])
 def test_angles_become_counts_as_on_minihubo(angle: float, counts: int) -> None:
     """Zero 2.605, direction −1: cut to whole counts, clipped at the ends and never wrapped."""
-    with made() as robot:
+    with made(robot_of(joint=", max_speed = 1000", health_s=0.1)) as robot:
         robot.advance(0.1)
         robot["J1.position"].set(angle)
         robot.advance(0.05)
@@ -197,7 +197,7 @@ def test_a_refused_write_names_the_reason() -> None:
 
 def test_the_servos_own_limits_limit_the_joint() -> None:
     """Angle limits of the EEPROM, once read, clip set-points before they are sent."""
-    robot = made(robot_of(servos=1))
+    robot = made(robot_of(servos=1, joint=", max_speed = 1000"))
     robot.twins["S1"]["cw_angle_limit"], robot.twins["S1"]["ccw_angle_limit"] = 400, 600
     with robot:
         robot.advance(0.2)

@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from .robot_arg import Opened
 
 
-#: How fast a position is led whose joint states no speed: rad/s, m/s.
-PACE = 1.0
 #: Seconds in which `get` must receive a signal, and a device must answer before anything is sent to it.
 HEARD_S, ANSWERS_S = 2.0, 1.0
 #: How long `set` keeps it up without --for (ns); how long an action may take at most (ns); a look at what happens (ns).
@@ -240,13 +238,13 @@ class Doing:
             return 1
 
     def _give(self, targets: list[tuple[Signal, Any]]) -> None:
-        """Hand set-points down; positions are led no faster than a person can follow: the joint's nominal speed."""
+        """Hand set-points down; positions are led no faster than the joint's nominal speed, where it has one."""
         door, robot = self.live.rig.door, self.live.robot
         for one, value in targets:
             owner, _, quantity = one.name.partition(".")
             joint = robot.joints.get(owner)
-            if joint is not None and quantity == "position":
-                door.pace(one.name, joint.nominal_speed or joint.max_speed or PACE)
+            if joint is not None and joint.nominal_speed is not None and quantity == "position":
+                door.pace(one.name, joint.nominal_speed)
             try:
                 one.set(value)
             except (TypeError, ValueError, ArithmeticError) as error:

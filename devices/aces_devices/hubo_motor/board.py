@@ -159,7 +159,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         self._by_path = {f"duty.{axis.channel}": axis for axis in self.axes}
         self._by_path.update(zip(found.references, self.axes, strict=False))
         #: Whether set-points go out; whether the board was enabled and nothing has contradicted it.
-        self.is_streaming = self.is_enabled = False
+        self.takes_set_points = self.is_enabled = False
         #: What makes duties of positions while the board is compliant; None: it is rigid.
         self.comply: Callable[[int], None] | None = None
         #: Channels whose home search or new zero is under way.
@@ -457,8 +457,8 @@ class MotorBoard(MotorDevice[MotorAxis]):
 
     def want(self, message: str, path: str, value: Any) -> None:
         """A set-point: kept for the next tick while enabled, else reported as not sent."""
-        if not self.is_streaming:
-            self.tell_event("not sent", f"{self.name} is not enabled: {message}.{path} = {value}")
+        if not self.takes_set_points:
+            super().want(message, path, value)  # which reports it
             return
         axis = self._by_path[path]
         axis.reference, axis.goal = value, None
@@ -479,12 +479,6 @@ class MotorBoard(MotorDevice[MotorAxis]):
             self._awaited.clear()
             return
         super().want(message, path, value)
-
-    def takes(self, signal: Signal) -> bool | None:
-        """Set-points go out while the board is enabled."""
-        if not self.is_streaming:
-            return False
-        return None if self._held and self.is_held else True
 
     def is_followed(self, signal: Signal) -> bool:
         """Not while it is compliant, searches its home, or takes references for currents."""
@@ -580,7 +574,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
 
     def quiet(self) -> None:
         """No set-points any more."""
-        self.is_streaming = self.is_enabled = self._filtering = False
+        self.takes_set_points = self.is_enabled = self._filtering = False
         self.comply = None
         for message in (self.set_message, self.shape.pwm):
             if message is not None:

@@ -78,7 +78,7 @@ class Homing(Switching):
         """Set-points are zero now."""
         self.epoch += 1
         for axis in axes:
-            if self.is_streaming and axis.joint is not None and self.follows:
+            if self.takes_set_points and axis.joint is not None and self.follows:
                 self.give(axis, axis.to_counts(0.0))
 
     # ------------------------------------------------------------------ D12
@@ -245,7 +245,7 @@ class Homing(Switching):
                 self.epoch += 1
                 for axis in axes:
                     if (
-                        self.is_streaming
+                        self.takes_set_points
                         and axis.joint is not None
                         and self.set_message == self.shape.reference
                     ):

@@ -65,7 +65,7 @@ class Switching(MotorBoard):
         job.progress, job.text = 0.3, "position"
         yield from self.reading_positions()
         message = self.set_message
-        self.is_streaming = True
+        self.takes_set_points = True
         if message is not None:
             for axis in self.axes:
                 if axis.joint is not None:
@@ -273,7 +273,7 @@ class Switching(MotorBoard):
         self.set_message = other
         self.drop(old)
         for path, value in given.items():
-            if self.is_streaming:
+            if self.takes_set_points:
                 self.want_raw(other, path, value if path == "position" else 0)
 
     def override_gains(self, first: int, second: int, seconds: float = 0.0) -> Ticket:
@@ -352,14 +352,14 @@ class Switching(MotorBoard):
             if axis.joint is not None and goal is not None:
                 axis.goal = float(goal)
                 self._filtering = True
-        while self._filtering and self.is_streaming:
+        while self._filtering and self.takes_set_points:
             yield self.tick_ns()
             far = [axis for axis in self.axes if axis.goal is not None and not self._is_near(axis)]
             if not far:
                 break
         self.filter_length = length
         for axis in self.axes:
-            if axis.goal is not None and self.is_streaming:
+            if axis.goal is not None and self.takes_set_points:
                 self.give(axis, round(axis.goal))
 
     @staticmethod

@@ -140,7 +140,7 @@ class Moteus(Device):
         rate = self.host.rate_hz
         usual = max(WATCHDOG_S, WATCHDOG_TICKS / rate) if rate else UNTICKED_S
         self.watchdog_s = settings.watchdog_s or usual
-        self.enabled = False
+        self.takes_set_points = False
         self.alarms: frozenset[str] = frozenset()
         queries = [
             {"subframes": [{"kind": kind, "data": names} for kind, names in one]} for one in (STATE, SLOW)
@@ -231,17 +231,6 @@ class Moteus(Device):
             values["command_accel_limit"] = joint.max_acceleration * per_rad
         return [write("i8", mode="position"), *runs(values)]
 
-    def want(self, message: str, path: str, value: Any) -> None:
-        """A set-point: kept for the next tick while it is enabled, else reported as not sent."""
-        if self.enabled:
-            super().want(message, path, value)
-        else:
-            self.tell_event("not sent", f"{self.name} is not enabled: {message}.{path} = {value:g}")
-
-    def takes(self, signal: Signal) -> bool | None:
-        """Only while it is enabled."""
-        return self.enabled and super().takes(signal)
-
     # ------------------------------------------------------------------ up
 
     def heard(self, record: Any, instant: int) -> None:
@@ -260,11 +249,11 @@ class Moteus(Device):
         mode = values.get("mode")
         if mode is None:
             return
-        self.is_enabled.update(self.enabled and mode == "position", instant)
+        self.is_enabled.update(self.takes_set_points and mode == "position", instant)
         fault = str(values.get("fault", "unknown"))
         before, self.alarms = self.alarms, frozenset((fault,)) if mode == "fault" else frozenset()
         self.tell_alarms(self.alarms, before)
-        if not self.enabled or mode == "position":
+        if not self.takes_set_points or mode == "position":
             return
         self._off()
         if mode == "position_timeout":
@@ -275,7 +264,7 @@ class Moteus(Device):
             self.rebooted(f"it was enabled, and its mode is {mode}")
 
     def _off(self) -> None:
-        self.enabled = False
+        self.takes_set_points = False
         self.drop("Command")
 
     def _ask(self, *items: Item, reads: Sequence[str] = ("mode", "fault")) -> Ticket:
@@ -304,7 +293,7 @@ class Moteus(Device):
                         f"{self.name} is in mode {state.get('mode')}, fault {state.get('fault')}"
                     )
                 yield LOOK_NS
-            self.enabled = True
+            self.takes_set_points = True
             if self.turns:
                 self.want("Command", "velocity", 0.0)
             else:
@@ -342,7 +331,7 @@ class Moteus(Device):
 
         def steps(job: Job) -> Steps:
             mode = register_values((yield self._ask()).subframes).get("mode")
-            if self.enabled or mode not in STILL:
+            if self.takes_set_points or mode not in STILL:
                 raise DeviceError(f"{self.name} is in mode {mode}: stop it before its zero is moved")
             yield self._ask(write("f32", set_output_exact=self.zero * self.per_rad))
 

@@ -119,7 +119,7 @@ class Vesc(Device):
                 ' "speed", "current" or "duty"'
             )
         self.zero = (joint.zero or 0.0) if joint else 0.0
-        self.enabled = False
+        self.takes_set_points = False
         self.alarms: frozenset[str] = frozenset()
         self.values: dict[str, float] = {}
         #: Firmware and hardware, when they were asked for.
@@ -256,9 +256,9 @@ class Vesc(Device):
         fault = str(answer.fault)
         before, self.alarms = self.alarms, frozenset() if fault == "none" else frozenset((fault,))
         self.tell_alarms(self.alarms, before)
-        if self.alarms and self.enabled:
+        if self.alarms and self.takes_set_points:
             self._off()
-        self.is_enabled.update(self.enabled, instant)
+        self.is_enabled.update(self.takes_set_points, instant)
 
     def _know(self, values: dict[str, Any], instant: int) -> None:
         self.values.update((name, value) for name, value in values.items() if value is not None)
@@ -266,28 +266,17 @@ class Vesc(Device):
             value = values.get(name)
             if value is not None:
                 target.update(value if to_si is None else to_si(value), instant)
-        self.is_enabled.update(self.enabled, instant)
+        self.is_enabled.update(self.takes_set_points, instant)
 
     def no_reply(self, ticket: Ticket) -> None:
         """A device that is silent may have rebooted: it must be enabled anew."""
-        if self.enabled and self.misses >= self.silent_after:
+        if self.takes_set_points and self.misses >= self.silent_after:
             self._off()
-
-    def want(self, message: str, path: str, value: Any) -> None:
-        """A set-point: kept for the next tick while it is enabled, else reported as not sent."""
-        if self.enabled:
-            super().want(message, path, value)
-        else:
-            self.tell_event("not sent", f"{self.name} is not enabled: {message}.{path} = {value:g}")
-
-    def takes(self, signal: Signal) -> bool | None:
-        """Only while it is enabled."""
-        return self.enabled and super().takes(signal)
 
     # ------------------------------------------------------------------ actions
 
     def _off(self) -> None:
-        self.enabled = False
+        self.takes_set_points = False
         for message in self.streams:
             self.drop(message)
 
@@ -303,7 +292,7 @@ class Vesc(Device):
             yield self._ask("GetSelected", mask=self.asked)
             if self.alarms:
                 raise DeviceError(f"{self.name} reports {', '.join(self.alarms)}")
-            self.enabled = self.is_driven = True
+            self.takes_set_points = self.is_driven = True
             if self.command == "position" and self.joint is not None:
                 self.want("SetPosition", "position", self.values["position"] % 360)
 

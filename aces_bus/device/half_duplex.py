@@ -1,0 +1,171 @@
+"""A half-duplex line: one speaks at a time, and the next one when it was answered or its time is up.
+
+1. What is asked leaves in its order, stops before all others; polls that are due have the line when nothing else waits.
+2. A poll whose answer would come after the budget's end waits for the next tick, unless it is the tick's first.
+3. One word may ask several devices at once: the line is free when all of them have answered.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection
+from typing import TYPE_CHECKING
+
+from ..errors import DeviceError
+from .poll import PollSlot
+from .ticket import Ticket
+
+if TYPE_CHECKING:
+    from .device import Device
+    from .host import Host
+
+#: An instant that does not come (ns).
+NEVER_NS = 1 << 62
+#: A silent device's time-outs take one part in so many of the time.
+SILENT_SHARE = 5
+
+
+class HalfDuplexLine:
+    """Who speaks on a host's line, and who waits for it; made by `Host`."""
+
+    def __init__(self, host: Host) -> None:
+        self.host = host
+        #: What is to be sent, and the request that has the line (None: free).
+        self._waiting: deque[Ticket] = deque()
+        self._speaking: Ticket | None = None
+        #: Those of a word that asks several who have not been answered yet, and those that such a word is made for now.
+        self._together: list[Ticket] = []
+        self._gathering: list[Ticket] | None = None
+        #: Who was asked last.
+        self.spoke_last: Device | None = None
+        #: After what instant no poll of this tick may end, and whether the tick has had one: the first one goes out whatever
+        #: it costs, or it never would.
+        self._polls_end, self._has_polled = NEVER_NS, False
+
+    @property
+    def speaker(self) -> Device | None:
+        """Who has the line."""
+        ticket = self._together[0] if self._together else self._speaking
+        return ticket.device if ticket is not None else None
+
+    def begin_tick(self, polls_end: int) -> None:
+        """A tick has begun; its polls are over by `polls_end` (ns)."""
+        self._polls_end, self._has_polled = polls_end, False
+
+    def put(self, ticket: Ticket) -> None:
+        """A word that is to be sent, behind what waits; `pump` then."""
+        self._waiting.append(ticket)
+
+    def overtake(self, ticket: Ticket) -> None:
+        """A stop: before all that is none, and instead of what waits for its device; `pump` then."""
+        device = ticket.device
+        kept: deque[Ticket] = deque()
+        for waiting in self._waiting:
+            if waiting.device is device and not waiting.urgent and waiting.poll is None:
+                waiting.fail(DeviceError(f"{waiting.message} to {device.name}: a stop overtook it"))
+            else:
+                kept.append(waiting)
+        if (
+            self.host.port.link == "can"
+        ):  # the bus itself is free: only the devices take one request at a time
+            self._waiting = kept
+            self.host.send(ticket, self.host.clock.now())
+            return
+        kept.insert(sum(1 for waiting in kept if waiting.urgent), ticket)
+        self._waiting = kept
+
+    def again(self, ticket: Ticket) -> None:
+        """It was not answered in time, and is asked once more, before what waits."""
+        self._waiting.appendleft(ticket)
+        self.free(ticket)
+
+    def pump(self) -> None:
+        """Where the line is free, let the next one speak."""
+        host = self.host
+        if self._speaking is not None or not host.is_open:
+            return
+        if self._waiting:
+            self._speak(self._waiting.popleft())
+            return
+        now = host.clock.now()
+        slots = host.slots
+        for _ in range(len(slots)):
+            slot = slots[0]
+            if slot.due <= now and slot.waiting is None:
+                if self._has_polled and now + slot.cost_ns > self._polls_end:
+                    host.counts.polls_carried += 1
+                    return  # its answer would come after the budget's end
+                slots.rotate(-1)
+                host.take_slot(slot, now)
+                return
+            slots.rotate(-1)
+
+    def poll(self, slot: PollSlot, ticket: Ticket, now: int) -> None:
+        """It is a poll's turn, alone or with others that ask for the same."""
+        self._has_polled = True
+        if self._gathering is not None:
+            self._gathering.append(ticket)
+        elif slot.poll.together and not slot.device.misses:
+            self._speak_together(slot, ticket, now)
+        else:
+            self._speak(ticket)
+
+    def _speak(self, ticket: Ticket) -> None:
+        host = self.host
+        self._speaking = ticket
+        self.spoke_last = ticket.device
+        host.send(ticket, host.clock.now())
+        if not ticket.reply:
+            host.clock.call_in(host.port.wire_ns(ticket.word), lambda: self.free(ticket))
+
+    def _speak_together(self, first: PollSlot, ticket: Ticket, now: int) -> None:
+        """Ask all that are due for the same in one word; each has a ticket of its own.
+
+        Who did not answer the last time is asked alone: those behind it in a common answer may have waited for it in vain.
+        """
+        host = self.host
+        poll, variant = first.poll, first.device.variant
+        tickets = self._gathering = [ticket]
+        for slot in host.slots:
+            if slot.due <= now and slot.waiting is None and not slot.device.misses:
+                other = slot.poll
+                if (
+                    other.together == poll.together
+                    and other.fields == poll.fields
+                    and slot.device.variant is variant
+                ):
+                    host.take_slot(slot, now)
+        self._gathering = None
+        if len(tickets) == 1:
+            self._speak(ticket)
+            return
+        order = {name: number for number, name in enumerate(host.members)}
+        tickets.sort(key=lambda one: order[one.device.name])  # the same word each time
+        word = first.device.word_together([one.device for one in tickets], poll)
+        self._speaking, self._together = ticket, tickets[:]
+        self.spoke_last = first.device
+        host.transmit(word, first.device, poll.together, ticket.timeout_ns)
+        answers_ns = 2 * first.wire_ns * len(tickets)
+        for one in tickets:
+            one.tries += 1
+            host.await_answer(one, now, answers_ns)
+
+    def free(self, ticket: Ticket) -> None:
+        """Who spoke has been answered, or will not be."""
+        together = self._together
+        if ticket in together:
+            together.remove(ticket)
+            if together:
+                return
+        elif self._speaking is not ticket:
+            return
+        self._speaking = None
+        self.host.clock.call_soon(self.pump)
+
+
+def ask_less(slots: Collection[PollSlot], ticket: Ticket, now: int) -> None:
+    """The time-outs of a silent device hold up all others: it is asked less often until it answers."""
+    due = now + (SILENT_SHARE - 1) * ticket.timeout_ns
+    for slot in slots:
+        if slot.device is ticket.device:
+            slot.due = max(slot.due, due)
