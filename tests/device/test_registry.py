@@ -41,7 +41,7 @@ def test_two_claims_on_a_name_are_refused(monkeypatch: pytest.MonkeyPatch) -> No
     def entry_points(group: str) -> Any:
         return points
 
-    monkeypatch.setattr(registry, "entry_points", entry_points)
+    monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
     points[:] = [
         EntryPoint("fan", "one:driver", DRIVERS.group),
         EntryPoint("fan", "two:driver", DRIVERS.group),

@@ -72,7 +72,7 @@ class _Tables:
         self._asked.pop(getattr(record, "id", -1), None)
         for area in getattr(record, "areas", ()):  # of several devices, an area each
             self._asked[area.id] = area.start, area.count
-        start = getattr(record, "start", None)
+        start: int | None = getattr(record, "start", None)
         if start is None:
             return []
         if (count := getattr(record, "count", None)) is not None:
