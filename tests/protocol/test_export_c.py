@@ -28,7 +28,7 @@ from aces_bus.protocol import (
     load_protocol,
     make_scanner,
 )
-from aces_bus.protocol.exchange.export_c import CMessage, CSource, print_c
+from aces_bus.protocol.exchange.export_c import CMessage, CSource, print_c_source
 from aces_bus.testing.packets import DrawnPacket, UndrawableError, draw_packet
 from aces_bus.testing.source import spread
 from tests.specs.catalogue import SPECS
@@ -228,7 +228,7 @@ def test_a_compiler_agrees_with_the_scanner(tmp_path: Path, name: str) -> None:
     """Drawn frames of every message, whole and corrupted: the same values, the same bytes back, the same refusals."""
     variant = variant_of(name)
     every = 1 if IS_LONG else max(1, len(variant.messages) // MESSAGES)
-    made = print_c(variant, only=list(variant.messages)[::every], name="spec")
+    made = print_c_source(variant, only=list(variant.messages)[::every], name="spec")
     if not made.messages:
         pytest.skip("C says none of its messages")
     program = compiled(tmp_path, made)
@@ -310,7 +310,7 @@ def small() -> Variant:
 
 def test_names_units_and_keywords_are_fit_for_c() -> None:
     """Enumerations are macros, units comments; no word of C is a member, and no comment is left early."""
-    made = print_c(small())
+    made = print_c_source(small())
     (one,) = made.messages
     assert [member.name for member in one.fields] == ["mode", "angle", "double_", "rest"]
     assert "#define PROBE_READING_MODE_TORQUE (2)" in made.header
@@ -333,7 +333,7 @@ def test_what_c_does_not_say_is_named() -> None:
         "canopen": "a remote frame",
     }
     for name, reason in reasons.items():
-        made = print_c(load_protocol(name).variant())
+        made = print_c_source(load_protocol(name).variant())
         lost = [loss for loss in made.losses if reason in loss.reason]
         assert lost
         assert all(str(loss) in made.header for loss in lost)
@@ -343,7 +343,7 @@ def test_what_c_does_not_say_is_named() -> None:
 def test_the_same_spec_gives_the_same_text() -> None:
     """Byte for byte; and of one message, only that."""
     variant = load_protocol("hubo").variant()
-    assert print_c(variant) == print_c(variant)
-    only = print_c(variant, only=["Encoder"])
+    assert print_c_source(variant) == print_c_source(variant)
+    only = print_c_source(variant, only=["Encoder"])
     assert [one.message.name for one in only.messages] == ["Encoder"]
     assert "hubo_status" not in only.header

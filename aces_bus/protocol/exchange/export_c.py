@@ -75,7 +75,7 @@ class CSource:
     losses: list[Loss] = field(default_factory=list)
 
 
-def print_c(variant: Variant, *, only: Collection[str] = (), name: str = "") -> CSource:
+def print_c_source(variant: Variant, *, only: Collection[str] = (), name: str = "") -> CSource:
     """The header and source of a variant; `only` names the messages wanted, `name` is that of the header without `.h`."""
     return _Printer(variant, only).print(name or snake(variant.name))
 

@@ -29,7 +29,7 @@ from collections.abc import Sequence
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Variant
 from aces_bus.protocol.exchange import Loss
-from aces_bus.protocol.exchange.export_c import print_c
+from aces_bus.protocol.exchange.export_c import print_c_source
 from aces_bus.protocol.exchange.export_dbc import print_dbc
 from aces_bus.protocol.exchange.export_markdown import print_markdown
 from aces_bus.protocol.exchange.export_wireshark import Way, print_dissector
@@ -156,7 +156,7 @@ def _c(variant: Variant, arguments: argparse.Namespace) -> tuple[str, str, list[
     if output in (None, "-") and not arguments.json:
         raise CallerError("--format c is two files, a source and its header; name the source: -o FILE.c")
     name = os.path.splitext(os.path.basename(output))[0] if output is not None else ""
-    made = print_c(variant, only=arguments.message, name=name)
+    made = print_c_source(variant, only=arguments.message, name=name)
     if not made.messages:
         first = f"; first: {made.losses[0]}" if made.losses else ""
         raise CallerError(f"{variant.label}: none of its messages can be said in C{first}")
