@@ -13,6 +13,7 @@ import can
 import pytest
 
 from aces_tools.bus_arg import chosen_end
+from aces_tools.live import LivePatience
 from tests.tools.live import WAIT_S, Node, Opened, interrupt
 
 Aces = Callable[..., Any]
@@ -23,6 +24,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gates look up often, and the two ends are not watched for long."""
     for module in ("can", "gate", "serial", "datagram"):
         monkeypatch.setattr(f"aces_bus.hardware.{module}.POLL_S", 0.02)
+    monkeypatch.setattr("aces_tools.bridge.WATCH_S", 0.0)
 
 
 @pytest.fixture
@@ -167,9 +169,21 @@ def test_by_message_and_value(aces: Aces, nodes: tuple[Node, Node], opened: Open
     assert all(balanced(line) for line in lines_of(found))
 
 
-def test_two_names_of_one_wire(aces: Aces, nodes: tuple[Node, Node], opened: Opened) -> None:
+def test_two_names_of_one_wire(
+    aces: Aces, nodes: tuple[Node, Node], opened: Opened, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Where both ends receive the same frames nothing is forwarded: it would come back for ever."""
     one, two = nodes
+
+    def watched(patience: LivePatience, instant: int) -> bool:
+        """The time in which both are watched is over when all frames have come."""
+        until = time.monotonic() + WAIT_S
+        while any(gate.counters.received < 5 for gate in opened.gates):
+            assert time.monotonic() < until
+            time.sleep(0.005)
+        return True
+
+    monkeypatch.setattr(LivePatience, "wait_until", watched)
 
     def work() -> None:
         both_open(opened)

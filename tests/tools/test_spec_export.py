@@ -81,7 +81,10 @@ def test_markdown_is_a_page(arm: str, aces: Aces) -> None:
     [
         (("{line}", "--format", "dbc"), "a DBC is for CAN"),
         (("{arm}", "--format", "dbc", "-m", "Nothing"), "no message of arm:new@two named 'Nothing'"),
-        (("{arm}", "--format", "markdown", "-m", "State"), "-m is for --format dbc"),
+        (("{arm}", "--format", "markdown", "-m", "State"), "-m is for --format dbc and c"),
+        (("{arm}", "--format", "c"), "name the source: -o FILE.c"),
+        (("{arm}", "--format", "c", "-o", "x.h"), "name it .c"),
+        (("obd2", "--format", "c", "-o", "x.c"), "none of its messages can be said in C; first: "),
         (("{arm}", "--format", "wireshark", "--port", "5000"), "for streams"),
         (("{line}", "--format", "wireshark", "--port", "70000"), "ports are 1…65535"),
         (("{arm}", "--format", "xml"), "invalid choice"),
@@ -97,3 +100,21 @@ def test_wrong_calls(arguments: tuple[str, ...], said: str, arm: str, line: str,
     assert result.status == 2
     assert said in result.err
     assert result.out == ""
+
+
+def test_c_is_a_source_and_its_header(arm: str, tmp_path: Path, aces: Aces) -> None:
+    """Two files of one name; what is left out is said, and is in the header."""
+    path = tmp_path / "arm_can.c"
+    result = aces("spec", "export", arm, "--format", "c", "-o", path)
+    assert result.status == 0
+    assert '#include "arm_can.h"' in path.read_text(encoding="utf-8")
+    header = (tmp_path / "arm_can.h").read_text(encoding="utf-8")
+    assert "#ifndef ARM_CAN_H" in header
+    assert "int arm_state_unpack(" in header
+    assert "arm.Gains: shows fields of its request: left out" in result.err
+    assert "arm.Ask: a remote frame: left out" in result.err
+    assert " *   Ask: a remote frame: left out" in header
+    assert aces("spec", "export", arm, "--format", "c", "-o", path, "--strict").status == 1
+    shown = aces("spec", "export", arm, "--format", "c", "--json", "-m", "State")
+    assert "arm_state_pack" in json.loads(shown.out)["text"]
+    assert "arm_pages" not in json.loads(shown.out)["header"]

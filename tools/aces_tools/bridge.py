@@ -148,7 +148,7 @@ class Selection:
         self._requests = any(map(has_requests, variants)) and link != "can"
 
     def _of_streams(self, variants: Sequence[Variant], direction: Any, names: Sequence[str]) -> None:
-        opposite = {"to device": "from device", "from device": "to device", None: None}
+        opposite: dict[Any, Any] = {"to device": "from device", "from device": "to device", None: None}
         if direction not in opposite:
             raise CallerError("--direction both: bytes from A to B go one way; say to or from")
         for name, way in zip(names, (direction, opposite[direction]), strict=True):

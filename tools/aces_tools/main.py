@@ -60,7 +60,7 @@ ACTIONS: dict[str, dict[str, tuple[str, str]]] = {
         "show": ("authoring.show", "show how messages are laid out and decoded; compare specs"),
         "explain": ("authoring.explain", "explain why bytes are decoded as they are"),
         "stubs": ("authoring.stubs", "write the types of records, for editors and type checkers"),
-        "export": ("authoring.export", "write a DBC, a Wireshark dissector, a page in Markdown"),
+        "export": ("authoring.export", "write a DBC, a Wireshark dissector, C source, a page"),
         "import": ("authoring.importing", "turn a DBC, KCD, SYM, ARXML or EDS file into a spec"),
     },
 }

@@ -137,7 +137,7 @@ class _Printer:
 
     def _one_of(self, one: p.OneOf) -> dict[str, Any]:
         bits = one.number.place
-        return {"pieces": _pieces(bits), "last": max(bits) // 8, "values": _values(one.values)}
+        return {"pieces": bit_pieces(bits), "last": max(bits) // 8, "values": _values(one.values)}
 
     def _requests(self, message: Message, table: dict[str, Any]) -> None:
         """What a message answers, and what answers it."""
@@ -180,7 +180,7 @@ class _Printer:
         check = self._check(message.check, message.name, message.check_extra)
         if "kind" not in check:
             return None
-        return {**check, "at": offset, "pieces": _pieces(whole_bits(offset, size, order))}
+        return {**check, "at": offset, "pieces": bit_pieces(whole_bits(offset, size, order))}
 
     def _check(self, check: Check, where: str, extra: bytes = b"") -> dict[str, Any]:
         table: dict[str, Any] = {"size": check.size, "is_big": check.order == "big"}
@@ -202,7 +202,7 @@ class _Printer:
         if isinstance(check, Crc):
             width, poly, init, refin, refout, xorout = check.parameters
             if not poly:  # a name of the catalogue
-                width, poly, init, refin, refout, xorout = _catalogue(check.name)
+                width, poly, init, refin, refout, xorout = catalogue_crc(check.name)
             if width > WIDEST_CRC:
                 self._lose(where, "", f"the check ({check.describe}) is not verified: {width} bits")
                 return table
@@ -229,7 +229,7 @@ class _Printer:
             head = framing.affine.length
             bits = whole_bits(head.offset, head.size, head.order)
             table["length"] = {
-                "pieces": _pieces(bits),
+                "pieces": bit_pieces(bits),
                 "last": head.offset + head.size - 1,
                 "factor": framing.affine.factor,
                 "constant": framing.affine.constant,
@@ -237,12 +237,12 @@ class _Printer:
             }
             wide = framing.affine.wide
             if wide is not None:
-                table["length"]["wide"] = _pieces(whole_bits(wide.offset, wide.size, wide.order))
+                table["length"]["wide"] = bit_pieces(whole_bits(wide.offset, wide.size, wide.order))
                 table["length"]["wide_size"] = wide.size
             flags, mask = framing.affine.flags, framing.affine.mask
             if flags is not None:
                 bit = whole_bits(flags.offset, flags.size, flags.order)[mask.bit_length() - 1]
-                table["length"] |= {"flags": _pieces((bit,)), "more": framing.affine.more}
+                table["length"] |= {"flags": bit_pieces((bit,)), "more": framing.affine.more}
                 table["length"]["last"] = framing.affine.reach - 1
         table["size"] = framing.fixed_size
         table["stop"] = list(framing.end)
@@ -252,7 +252,7 @@ class _Printer:
             table["check"] = self._check(framing.check, "")
         extra = framing.extra_head
         if extra is not None:
-            table["extra"] = _pieces(whole_bits(extra.offset, extra.size, extra.order))
+            table["extra"] = bit_pieces(whole_bits(extra.offset, extra.size, extra.order))
         stuffing = framing.stuffing
         if isinstance(stuffing, Insert):
             table["stuffing"] = {
@@ -340,7 +340,7 @@ class _Printer:
         number = self._field(abbr, leaf.path, "bytes", None, None, leaf.doc)
         table: dict[str, Any] = {"field": number, "start": node.offset, "tail": tail}
         if isinstance(node, p.Repeated):
-            count = None if node.count is None else _pieces(node.count.place)
+            count = None if node.count is None else bit_pieces(node.count.place)
             inside = self._inside(node.plan, message, leaf.path.rpartition(".")[2], f"{abbr}.each")
             return {"kind": "groups", **table, "width": node.width, "count": count, "inside": inside}
         kinds = {
@@ -351,8 +351,8 @@ class _Printer:
             }
             for kind in node.kinds
         }
-        sizes = None if node.size is None else _pieces(node.size.place)
-        more = {"head": node.head, "counted": node.counted, "tag": _pieces(node.tag.place), "sizes": sizes}
+        sizes = None if node.size is None else bit_pieces(node.size.place)
+        more = {"head": node.head, "counted": node.counted, "tag": bit_pieces(node.tag.place), "sizes": sizes}
         return {"kind": "items", **table, **more, "kinds": kinds}
 
     def _inside(self, plan: p.MessagePlan, message: Message, name: str, own: str) -> dict[str, Any]:
@@ -478,7 +478,7 @@ def _program(name: str) -> str:
     return files(__name__.rpartition(".")[0]).joinpath(name).read_text(encoding="utf-8")
 
 
-def _catalogue(name: str) -> tuple[int, int, int, bool, bool, int]:
+def catalogue_crc(name: str) -> tuple[int, int, int, bool, bool, int]:
     import anycrc
 
     model = anycrc.models[name]
@@ -493,7 +493,7 @@ def _covered(part: Any) -> dict[str, Any]:
     return {"bytes": list(part)} if isinstance(part, bytes) else {"extra": True}
 
 
-def _pieces(bits: Sequence[int]) -> list[list[int]]:
+def bit_pieces(bits: Sequence[int]) -> list[list[int]]:
     """Bits as the program reads them: {byte, shift, width, place in the number}."""
     found: list[list[int]] = []
     for first, at, width in runs_of(bits):
@@ -505,7 +505,7 @@ def _pieces(bits: Sequence[int]) -> list[list[int]]:
 
 
 def _placed(bits: Sequence[int]) -> dict[str, Any]:
-    return {"pieces": _pieces(bits), "first": min(bits) // 8, "last": max(bits) // 8}
+    return {"pieces": bit_pieces(bits), "first": min(bits) // 8, "last": max(bits) // 8}
 
 
 def _size(width: int) -> int:

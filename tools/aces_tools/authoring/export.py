@@ -3,6 +3,7 @@
   aces spec export hubo --format dbc -o hubo.dbc       for CAN tools
   aces spec export hubo:D08@hubo2 --format wireshark -o hubo.lua
   aces spec export my_spec.py --format markdown > my_protocol.md
+  aces spec export hubo --format c -o hubo.c           hubo.c and hubo.h
 
 What the other format cannot hold is listed on stderr, field by field with the
 reason, and in comments of the file. The exit status is still 0 (1 with
@@ -12,7 +13,8 @@ A DBC has one message an identifier: captured parts (a board's number) become
 one message each, opcodes a multiplexer. A dissector goes into Wireshark's
 folder of personal Lua plug-ins (Help, About Wireshark, Folders), or
 'tshark -X lua_script:hubo.lua'; CAN frames it knows by their identifiers,
-streams by port, by 'Decode as', or by the link type USER0.
+streams by port, by 'Decode as', or by the link type USER0. C is C99 with a
+struct, pack and unpack for each message, without allocation.
 
 A Python file is executed with your rights: name only what you trust.
 """
@@ -20,12 +22,14 @@ A Python file is executed with your rights: name only what you trust.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Variant
 from aces_bus.protocol.exchange import Loss
+from aces_bus.protocol.exchange.export_c import print_c_source
 from aces_bus.protocol.exchange.export_dbc import print_dbc
 from aces_bus.protocol.exchange.export_markdown import print_markdown
 from aces_bus.protocol.exchange.export_wireshark import Way, print_dissector
@@ -50,12 +54,14 @@ ARGUMENTS: Arguments = (
         metavar="NAME|FILE",
         help="as -p of 'aces decode': NAME, NAME:DIALECT@CONFIGURATION, my_spec.py, car.dbc",
     ),
-    argument("--format", required=True, choices=["dbc", "markdown", "wireshark"], help="what is written"),
+    argument(
+        "--format", required=True, choices=["c", "dbc", "markdown", "wireshark"], help="what is written"
+    ),
     OUTPUT,
     JSON.but(help="text and losses as one JSON object on standard output"),
     STRICT.but(help="exit 1 when the format cannot hold all of the spec"),
     Group(
-        "dbc",
+        "dbc, c",
         (
             MESSAGE,
             argument(
@@ -63,7 +69,7 @@ ARGUMENTS: Arguments = (
                 type=at_least(0),
                 default=256,
                 metavar="N",
-                help="make messages of at most so many identifiers of one (default: %(default)s)",
+                help="dbc: make messages of at most so many identifiers of one (default: %(default)s)",
             ),
         ),
     ),
@@ -87,10 +93,13 @@ def run(arguments: argparse.Namespace) -> int:
     for name in arguments.message:
         if name not in variant.messages:
             raise UnknownNameError(f"message of {variant.label}", name, variant.messages)
-    if arguments.message and arguments.format != "dbc":
-        raise CallerError(f"-m is for --format dbc; --format {arguments.format} has all messages")
+    if arguments.message and arguments.format not in ("dbc", "c"):
+        raise CallerError(f"-m is for --format dbc and c; --format {arguments.format} has all messages")
     losses: Sequence[Loss] = ()
-    if arguments.format == "markdown":
+    header: str | None = None
+    if arguments.format == "c":
+        text, header, losses = _c(variant, arguments)
+    elif arguments.format == "markdown":
         text = print_markdown(variant)
     elif arguments.format == "dbc":
         text, losses = print_dbc(variant, only=arguments.message, expand=arguments.expand)
@@ -99,12 +108,15 @@ def run(arguments: argparse.Namespace) -> int:
     output: str | None = arguments.output
     if output is not None:
         _write(output, text, is_dbc=arguments.format == "dbc")
+        if header is not None:
+            _write(_header_of(output), header, is_dbc=False)
     if arguments.json:
         about = {
             "protocol": variant.label,
             "format": arguments.format,
             "output": output,
             "text": text if output is None else None,
+            **({"header": header if output is None else None} if arguments.format == "c" else {}),
             "losses": [{"message": x.message, "field": x.field, "reason": x.reason} for x in losses],
         }
         print_json(about)
@@ -125,8 +137,30 @@ def _tell(variant: Variant, losses: Sequence[Loss], form: str) -> None:
         )
 
 
-_SUFFIXES = {"dbc": (".dbc",), "wireshark": (".lua",), "markdown": (".md", ".markdown", ".txt")}
-_FORMS = {"dbc": "a DBC", "wireshark": "the dissector", "markdown": "a page"}
+_SUFFIXES = {
+    "c": (".c",),
+    "dbc": (".dbc",),
+    "wireshark": (".lua",),
+    "markdown": (".md", ".markdown", ".txt"),
+}
+_FORMS = {"c": "the C source", "dbc": "a DBC", "wireshark": "the dissector", "markdown": "a page"}
+
+
+def _header_of(path: str) -> str:
+    """The header beside a source file."""
+    return f"{os.path.splitext(path)[0]}.h"
+
+
+def _c(variant: Variant, arguments: argparse.Namespace) -> tuple[str, str, list[Loss]]:
+    output: str | None = arguments.output
+    if output in (None, "-") and not arguments.json:
+        raise CallerError("--format c is two files, a source and its header; name the source: -o FILE.c")
+    name = os.path.splitext(os.path.basename(output))[0] if output is not None else ""
+    made = print_c_source(variant, only=arguments.message, name=name)
+    if not made.messages:
+        first = f"; first: {made.losses[0]}" if made.losses else ""
+        raise CallerError(f"{variant.label}: none of its messages can be said in C{first}")
+    return made.source, made.header, made.losses
 
 
 def _write(path: str, text: str, *, is_dbc: bool) -> None:
