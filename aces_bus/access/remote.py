@@ -198,7 +198,7 @@ class RemoteStates(Mapping[str, State]):
         if not self._known.wait(self.timeout_s):
             self.close()
             raise NoReplyError(
-                f"{self.name}: nobody publishes there (waited {self.timeout_s:g} s); is a Publisher of this robot's name"
+                f"{self.name}: there is no publisher (waited {self.timeout_s:g} s); is a Publisher of this robot's name"
                 " running, and the endpoint its own?"
             )
         return self

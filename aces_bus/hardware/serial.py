@@ -181,7 +181,8 @@ class SerialGate(Gate[bytes]):
                 same += 1
             if same < min(len(data), len(due)):
                 self._tell(
-                    "bad input", f"a collision: {data[same]:#04x} was heard where {due[same]:#04x} was sent"
+                    "bad input",
+                    f"a collision: {data[same]:#04x} was received where {due[same]:#04x} was sent",
                 )
                 self.counters.bad_input += 1
                 due.clear()

@@ -326,7 +326,7 @@ def test_a_runner_publishes_in_virtual_time(endpoint: str) -> None:
 @pytest.mark.slow
 def test_wrong_calls_are_said(endpoint: str) -> None:
     """Nobody there, endpoints and names that cannot be, virtual time, a port that is taken: each is said with what next."""
-    with pytest.raises(NoReplyError, match="nobody publishes there"):
+    with pytest.raises(NoReplyError, match="there is no publisher"):
         RemoteStates(endpoint, timeout_s=0.1).open()
     with pytest.raises(CallerError, match="Endpoints must be of the form"):
         RemoteStates("here").open()

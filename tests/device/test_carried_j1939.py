@@ -26,7 +26,7 @@ class QuietPort:
 def test_long_packets_do_not_leave_and_short_ones_do() -> None:
     """To one and to all; the reason is in the report."""
     below: Any = QuietPort()
-    port = CarriedPort(below, [j1939_long.variant()], lambda key: True)
+    port = CarriedPort(below, [j1939_long.variant()], lambda key, data: True)
     said: list[tuple[str, str]] = []
     for size, destination in ((20, 5), (20, 0xFF), (8, 5)):
         words = j1939_long.encode(

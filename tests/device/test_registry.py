@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import subprocess
 import sys
 from importlib.metadata import EntryPoint
@@ -10,7 +11,6 @@ from typing import Any
 
 import pytest
 
-import aces_bus.plugins as registry
 from aces_bus.device import Driver, list_drivers, load_driver
 from aces_bus.device.drivers import DRIVERS
 from aces_bus.errors import SpecError, UnknownNameError

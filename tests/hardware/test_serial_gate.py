@@ -119,7 +119,7 @@ def test_a_collision_is_told(line: Line) -> None:
         assert os.read(line.master, 3) == b"\x01\x02\x03"
         os.write(line.master, b"\x01\x42\x03")
         assert heard(inbox, 2) == b"\x42\x03"
-        assert "0x42 was heard where 0x2 was sent" in seen.wait("bad input").detail.replace("0x02", "0x2")
+        assert "0x42 was received where 0x2 was sent" in seen.wait("bad input").detail.replace("0x02", "0x2")
 
 
 def test_turnaround(line: Line) -> None:

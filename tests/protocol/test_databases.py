@@ -220,7 +220,7 @@ BO_ 2566833203 FromBody: 8 ECU
     )
     assert not found.losses
     (note,) = found.problems
-    assert "(0FEC4h): FromEngine, FromBody: told apart by" in note.reason
+    assert "(0FEC4h): FromEngine, FromBody: distinguished by" in note.reason
     data = bytes.fromhex("0102030405060708")
     identifiers = (0x18FEC400, 0x18FEC433, 0x0CFEC433, 0x18FEC455)
     names = [

@@ -447,7 +447,7 @@ def test_numbers_that_characters_cannot_say_are_refused(value: Any) -> None:
 def test_names_that_a_scale_makes_equal_to_numbers_are_refused() -> None:
     """Columns know a named number by its scaled value: where a neighbour has the same, the spec is refused."""
     with pytest.raises(
-        SpecError, match=r"'none' \(9223372036854775809\) cannot be told from 9223372036854775808"
+        SpecError, match=r"'none' \(9223372036854775809\) cannot be distinguished from 9223372036854775808"
     ):
         Quantity(c.Int64ul, scale=0.5, names={"none": 2**63 + 1})
     exact = can(Struct("v" / Quantity(c.Int64ul, unit="s", names={"none": 2**63 + 1})))

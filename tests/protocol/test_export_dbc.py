@@ -168,10 +168,10 @@ def test_losses_of_hubo_are_named_field_by_field() -> None:
     text, losses = dbc_of_hubo()
     said = [str(loss) for loss in losses]
     assert "Reference.position.0: sign and magnitude: kept as raw, the top bit is the sign" in said
-    assert "Parameters2: told from Parameters1 by its request alone: left out" in said
-    assert "InitSensor: told from InitBoard by its length alone: left out" in said
+    assert "Parameters2: differs from Parameters1 in its request alone: left out" in said
+    assert "InitSensor: differs from InitBoard in its length alone: left out" in said
     assert "Not as in the spec: position.0: sign and magnitude" in text
-    assert "Not as in the spec: Parameters2: told from Parameters1" in text
+    assert "Not as in the spec: Parameters2: differs from Parameters1" in text
     assert len(said) == len(set(said))
 
 

@@ -115,7 +115,7 @@ def test_transfers_in_segments_are_not_sent(capsys: pytest.CaptureFixture[str]) 
     assert "each of its frames waits for an answer" in capsys.readouterr().err
     sent: list[Frame] = []
     said: list[tuple[str, str]] = []
-    port = CarriedPort(cast("Any", FakePort(sent)), [sdo_like.variant()], lambda key: True)
+    port = CarriedPort(cast("Any", FakePort(sent)), [sdo_like.variant()], lambda key, data: True)
     long = sdo_like.encode("Write", node=5, sized=1, index=0x2000, subindex=0, data=bytes(9))
     assert not port.send(tuple(long), report=lambda fate, why: said.append((fate, why)))
     assert (sent, said[0][0], port.failed) == ([], "dropped", 1)

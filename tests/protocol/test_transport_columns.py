@@ -12,9 +12,9 @@ from msgspec.structs import replace
 from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
 from aces_bus.protocol import FastPacket, IdField, IsoTp, J1939Transport, Protocol, SdoTransfer, TailByte
-from aces_bus.protocol.columns import reassemble
 from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.declare.transport import Transport
+from aces_bus.protocol.live.reassemble import Reassembler
 from aces_bus.testing.columns import columns_difference
 from aces_bus.testing.scenes import Scene
 
@@ -123,7 +123,7 @@ def test_what_is_without_fault_is_made_in_columns(name: str, monkeypatch: pytest
     frames = recording(protocol, name, source, 0)
     scanner = make_column_scanner([protocol.variant()])
     with monkeypatch.context() as patched:
-        patched.setattr(reassemble.Reassembler, "take", None)
+        patched.setattr(Reassembler, "take", None)
         count = sum(
             len(table)
             for half in (frames[:300], frames[300:])

@@ -476,7 +476,7 @@ def test_a_looker_sees_what_another_program_asks(
     assert "is driven by aces run (pid " in refused.err
     alone_again = aces(*command)
     assert alone_again.status == 1
-    assert alone_again.messages == ["nothing was heard of JMC0: no other program asks it; --ask does"]
+    assert alone_again.messages == ["nothing came from JMC0: no other program asks it; --ask does"]
 
 
 def test_on_a_pseudo_terminal(aces: Aces, leg: str, stand: SimulatedRobot) -> None:

@@ -322,7 +322,7 @@ def test_without_tx_and_ask_nothing_is_sent(
             "run", "-r", robot, knee, "-i", "aces", "--bus", f"line={tmp_path}", "--for", "0.2s", "--home"
         )
         assert sum(twin.requests for twin in twins.twins.values()) == 0
-    assert only.messages[0] == "nothing was heard of JMC1, JMC2: no other program asks; --ask does"
+    assert only.messages[0] == "nothing came from JMC1, JMC2: no other program asks; --ask does"
     assert only.status == 1
 
 

@@ -22,7 +22,7 @@ def test_dbc_is_printed_and_losses_are_said(arm: str, aces: Aces) -> None:
         "arm.Pages.split: one number in several places: its pieces are kept as raw" in result.err.splitlines()
     )
     assert "arm.Ask: a remote frame: left out" in result.err.splitlines()
-    assert "arm.Limits: told from Gains by its request alone: left out" in result.err.splitlines()
+    assert "arm.Limits: differs from Gains in its request alone: left out" in result.err.splitlines()
     assert result.messages[-1].startswith("arm:new@two: ")
     assert aces("spec", "export", arm, "--format", "dbc", "--strict").status == 1
 

@@ -154,7 +154,7 @@ class Doing:
                 print(f"{one.name:<{width}}  {reading(one)}")
         missing = any(one.instant is None for one in signals)
         if missing and self.device.host.passive and self.device.last_heard is None:
-            say(f"nothing was heard of {self.device.name}: no other program asks it; --ask does")
+            say(f"nothing came from {self.device.name}: no other program asks it; --ask does")
         return 1 if missing else 0
 
     def watch(self, every: int, duration: int | None) -> int:

@@ -72,17 +72,17 @@ class _Tables:
         self._asked.pop(getattr(record, "id", -1), None)
         for area in getattr(record, "areas", ()):  # of several devices, an area each
             self._asked[area.id] = area.start, area.count
-        start: int | None = getattr(record, "start", None)
-        if start is None:
+        begin: int | None = getattr(record, "start", None)
+        if begin is None:
             return []
         if (count := getattr(record, "count", None)) is not None:
             for number in getattr(record, "ids", None) or (getattr(record, "id", -1),):
-                self._asked[number] = start, count
-            return self._names(start, count)
+                self._asked[number] = begin, count
+            return self._names(begin, count)
         if (servos := getattr(record, "servos", None)) is not None:
-            return self._together(start, {one.id: one.data for one in servos})
+            return self._together(begin, {one.id: one.data for one in servos})
         data = getattr(record, "data", b"")
-        return self._values(start, data)
+        return self._values(begin, data)
 
     def _names(self, start: int, count: int) -> list[PrintedField]:
         """The first and the last of the registers that begin in a stretch."""

@@ -193,7 +193,7 @@ class Quantity(Field):
             for beside in (value - 1, value + 1):
                 if (scale != 1 or offset) and beside * scale + offset == value * scale + offset:
                     raise SpecError(
-                        f"{self.place}: {name!r} ({value}) cannot be told from {beside}:"
+                        f"{self.place}: {name!r} ({value}) cannot be distinguished from {beside}:"
                         " with this scale and offset both are the same number"
                     )
         #: How far from a bound a decoded edge may lie, as floats are not exact.

@@ -243,7 +243,7 @@ class _Group:
             first, *others = names
             for other in others:
                 how = self._told_by(self.messages[first], self.messages[other])
-                self._lose(other, "", f"told from {first} by {how} alone: left out")
+                self._lose(other, "", f"differs from {first} in {how} alone: left out")
             self.kept.append(first)
             self._message(first, when)
             return

@@ -94,7 +94,7 @@ class _Page:
                         _escaped(_first_line(message.doc)),
                     )
                 )
-            return _table(("identifier", "message", "told by", "direction", "bytes", "what"), rows)
+            return _table(("identifier", "message", "recognised by", "direction", "bytes", "what"), rows)
         for message in self.messages:
             rows.append(
                 (
@@ -105,7 +105,7 @@ class _Page:
                     _escaped(_first_line(message.doc)),
                 )
             )
-        return _table(("message", "told by", "direction", "bytes", "what"), rows)
+        return _table(("message", "recognised by", "direction", "bytes", "what"), rows)
 
     @staticmethod
     def _identifier(message: Message) -> str:
@@ -165,7 +165,7 @@ class _Page:
         if message.transport is not None:
             facts.append(f"carried by {message.transport.describe}")
         if told := _told_by(message):
-            facts.append(f"told by {_code(told)}")
+            facts.append(f"recognised by {_code(told)}")
         facts.append(f"{_lengths(message)} bytes")
         if message.direction is not None:
             facts.append(message.direction)

@@ -191,7 +191,7 @@ class _Builder:
                 one.identifier = pattern
             if len(some) > 1:
                 names = ", ".join(clean_text(one.message.name) for one in some)
-                text = f"messages of one parameter group ({group >> 8:05X}h): {names}: told apart by their source addresses"
+                text = f"messages of one parameter group ({group >> 8:05X}h): {names}: distinguished by source address"
                 self._note(some[0].line, text)
 
     def _message(self, taken: _Taken) -> None:

@@ -24,8 +24,8 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ...frame_table import ERROR, EXTENDED, REMOTE, RX, TX, FrameTable, ns_of
+from ..beginnings import PYTHON_CAN_CSV
 from ..sqlite import COLUMNS
-from ..text.canlog_csv import HEADER
 from ._base import FrameWriter
 
 #: SQL that makes the table, and that adds a row.
@@ -68,7 +68,7 @@ class CanlogCsvWriter(_CanlogWriter):
 
     def __init__(self, file: BinaryIO, name: str) -> None:
         super().__init__(file, name)
-        file.write(HEADER + b"\n")
+        file.write(PYTHON_CAN_CSV + b"\n")
 
     def _encoded(self, table: FrameTable) -> bytes:
         seconds, rest = np.divmod(self._epoch_times(table), 1_000_000_000)

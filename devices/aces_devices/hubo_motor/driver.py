@@ -225,7 +225,7 @@ class HuboMotor(Homing):
                 f"{self.name}: the robot's file must list board {number:#04x} (inactive) with kind {self.kind}, or its"
                 " answers will not be understood"
             )
-        self._confirmed(confirm, "two boards with one number cannot be told apart again")
+        self._confirmed(confirm, "two boards with one number cannot be distinguished again")
         self.quiet()
         ticket = self.tell("SetBoardNumber", number=number, period=period_ms)
         self.host.renumber(self, board=number)

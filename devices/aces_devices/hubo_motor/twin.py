@@ -49,7 +49,7 @@ class HuboMotorTwin(Twin):
     faults: ClassVar[Mapping[str, str]] = {
         "jam": "the motor is blocked where it is",
         "no_errors": "the status has no error bits, whatever is wrong: as the older firmware, which reports none",
-        "hot": "the motor is too hot (95 °C is told, temperature error)",
+        "hot": "the motor is too hot (95 °C is reported, temperature error)",
         "saturated": "the PWM counts as saturated",
         "no_switch": "the home switch never closes",
         "no_index": "the encoder's index never comes",

@@ -1510,7 +1510,7 @@ class GainOverride(Record, frozen=True):
     """0…65535 ms"""
 
 class SetBoardNumber(Record, frozen=True):
-    """Give the board another number. Dangerous: two boards with one number cannot be told apart again.
+    """Give the board another number. Dangerous: two boards with one number cannot be distinguished again.
 
     to device; dialect D12; source: hubo-ach (disabled there)
     """

@@ -152,7 +152,7 @@ SetBoardNumber = command(
     opcode=0xF0,
     dialect="D12",
     payload=Struct("number" / Byte, "period" / Milliseconds),
-    doc="Give the board another number. Dangerous: two boards with one number cannot be told apart again.",
+    doc="Give the board another number. Dangerous: two boards with one number cannot be distinguished again.",
     source="hubo-ach (disabled there)",
     examples=[("001#03 F0 07 0A", {"board": 3, "number": 7, "period": 10})],
 )

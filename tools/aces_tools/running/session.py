@@ -169,7 +169,7 @@ class Session:
         """Home and enable what is driven; False when some of it is not there."""
         asked = self.arguments
         if missing and self.is_real and not (asked.ask or asked.tx):
-            say(f"nothing was heard of {', '.join(missing)}: no other program asks; --ask does")
+            say(f"nothing came from {', '.join(missing)}: no other program asks; --ask does")
         elif missing:
             say(f"no answer from {', '.join(missing)}: powered, on this bus, and of this number?")
         if not runner.drives:
