@@ -40,7 +40,7 @@ from .files import InPlace, Staging, size_on_disk, telling
 #: Rows of one message that are written at once: row groups of Parquet are read one at a time.
 ROWS = 131_072
 #: Bytes of values that wait to be written, over all messages.
-BUDGET = 64 << 20
+BUDGET = 48 << 20
 
 
 LOST = "_lost"

@@ -76,6 +76,7 @@ class TableDecoding(Decoding):
                 self._take(tables, totals)
                 first += len(frames)
                 self._after(capture, len(frames))
+                del frames, tables  # or they wait for the next piece to be read and decoded
             self._take([self._part(table, passed.of(table.row), totals) for table in scanner.close()], totals)
         finally:
             totals.count(scanner.counts)
@@ -301,8 +302,11 @@ def pieces_of(tables: Iterable[FrameTable], *, is_live: bool) -> Iterator[FrameT
             waiting.append(table)
             rows += len(table)
             if is_live or rows >= PIECE:
-                yield FrameTable.concat(waiting)
+                whole = FrameTable.concat(waiting)
                 waiting, rows = [], 0
+                del table
+                yield whole
+                del whole  # one piece at a time is in memory
     except CaptureError as error:
         failure = error
     if waiting:

@@ -338,8 +338,9 @@ def _memory(subject: Subject) -> list[BenchRow]:
     base = _peak("import aces_bus.protocol, aces_bus.recordings, numpy")
     out = str(subject.folder / "memory.parquet")
     ours = _peak(
-        "from aces_tools.main import main;"
-        f"main(['decode', {str(subject.log)!r}, '-p', {str(subject.dbc)!r}, '-o', {out!r}])"
+        "import sys; from aces_tools.main import main;"
+        f"sys.argv = ['aces', 'decode', {str(subject.log)!r}, '-p', {str(subject.dbc)!r}, '-o', {out!r}];"
+        "main()"
     )
     rows = [
         BenchRow("peak memory, candump log → Parquet", "aces", ours, "MB"),

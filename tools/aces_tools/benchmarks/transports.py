@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -26,12 +27,12 @@ from aces_bus.protocol import (
 )
 from aces_bus.protocol.columns.scanner import make_column_scanner
 
-from . import BenchRow, fastest
+from . import BenchRow, fastest, optional
 
 #: Senders whose packets are under way at the same time, and packets of each before they repeat.
 SENDERS, PACKETS = 8, 20
-#: Frames a column scanner is given at once, as readers of recordings give them.
-BATCH = 1 << 14
+#: Frames a column scanner is given at once, as `aces decode` joins them.
+BATCH = 1 << 18
 
 
 def isotp() -> tuple[Protocol, list[list[Frame]]]:
@@ -185,6 +186,29 @@ def transfer_loop(frames: list[Frame]) -> list[Any]:
     return out
 
 
+def can_isotp(isotp: Any, frames: list[Frame]) -> int:
+    """ISO-TP by python-can-isotp, one receiver a sender, without unpacking; how many packets."""
+    waiting: dict[int, list[Any]] = {0x7E8 + k: [] for k in range(SENDERS)}
+    receivers = {
+        number: isotp.TransportLayerLogic(
+            rxfn=lambda timeout, mine=mine: mine.pop() if mine else None,
+            txfn=lambda message: None,
+            address=isotp.Address(rxid=number, txid=number - 8),
+            params={"listen_mode": True},
+        )
+        for number, mine in waiting.items()
+    }
+    count, message = 0, isotp.CanMessage
+    for frame in frames:
+        number, receiver = frame.arbitration_id, receivers[frame.arbitration_id]
+        waiting[number].append(message(number, len(frame.data), bytearray(frame.data)))
+        receiver.process()
+        if receiver.available():
+            receiver.recv()
+            count += 1
+    return count
+
+
 def columns(variant: Variant, tables: list[FrameTable]) -> int:
     """Every column of every packet; how many packets."""
     scanner = make_column_scanner([variant])
@@ -207,7 +231,7 @@ def rows(*, quick: bool) -> list[BenchRow]:
         ("DroneCAN transfers → values", transfers(), transfer_loop),
     ):
         block = [frame for together in zip(*senders, strict=True) for frame in together]
-        count = max(1, (120_000 if quick else 480_000) // len(block))
+        count = max(1, (2 if quick else 4) * BATCH // len(block))
         some = block * max(1, count // 8)
         whole = FrameTable.concat([FrameTable.from_frames(block)] * count)
         time = np.arange(len(whole)) * 200_000
@@ -221,16 +245,20 @@ def rows(*, quick: bool) -> list[BenchRow]:
         assert columns(variant, tables) == packets * count
         assert len(scanner.feed(block)) == packets
         # What is slow has a part of the frames.
-        contenders = {
+        contenders: dict[str, tuple[int, Callable[[], object]]] = {
             "columns": (len(whole), lambda v=variant, t=tables: columns(v, t)),
             "a loop in Python": (len(some), lambda run=loop, f=some: run(f)),
             "live scanner": (len(block), lambda s=scanner, f=block: s.feed(f)),
         }
+        library = optional("isotp") if loop is isotp_loop else None
+        if library is not None:
+            contenders["python-can-isotp"] = (len(block), lambda m=library, f=block: can_isotp(m, f))
         best = fastest({name: run for name, (_, run) in contenders.items()}, rounds=3 if quick else 5)
         rates = {name: contenders[name][0] / seconds for name, seconds in best.items()}
         found.append(BenchRow(subject, "columns", rates["columns"], "frames/s"))
         found += [
             BenchRow(subject, name, rates[name], "frames/s", rates["columns"] / rates[name])
-            for name in ("a loop in Python", "live scanner")
+            for name in rates
+            if name != "columns"
         ]
     return found
