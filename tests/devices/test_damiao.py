@@ -12,14 +12,14 @@ from aces_bus.errors import CallerError, DeviceError, UnknownNameError
 from aces_bus.hardware.simulated.bus import ListeningNode, SimulatedBus
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.testing.conformance import driver_tests
-from aces_devices.damiao import driver
+from aces_devices.damiao import driver, fd_driver
 from aces_devices.damiao.driver import Damiao
 from aces_devices.damiao.twin import DamiaoTwin
 from aces_protocols.damiao.spec import damiao
 
-test_damiao = driver_tests(
-    driver, excused={"set: ELBOW.velocity": "it is what damping aims at; stiffness holds"}
-)
+EXCUSED = {"set: ELBOW.velocity": "it is what damping aims at; stiffness holds"}
+test_damiao = driver_tests(driver, excused=EXCUSED)
+test_damiao_fd = driver_tests(fd_driver, excused=EXCUSED)
 
 ROBOT = """
 name = "arm"
@@ -240,3 +240,19 @@ def test_a_model_that_there_is_not() -> None:
     """Named, with those that there are."""
     with pytest.raises(UnknownNameError, match="4310"):
         made(ROBOT.replace('"4340"', '"4341"'))
+
+
+def test_on_can_fd_the_same_frames_are_of_the_other_format() -> None:
+    """A motor is led as on classic CAN; all frames are FD, and none is a message of `damiao`."""
+    with made(ROBOT.replace('"damiao"', '"damiao_fd"')) as arm:
+        wire = arm.wires["arm"]
+        assert isinstance(wire, SimulatedBus)
+        recorder = ListeningNode(wire)
+        arm.advance(0.2)
+        arm.rig.each("enable").wait(5)
+        arm["ELBOW"].set(0.4)
+        arm.advance(1.0)
+        assert arm["ELBOW.position"].value == pytest.approx(0.4, abs=0.03)
+        frames = list(recorder.frames())
+        assert {frame.is_fd for frame in frames} == {True}
+        assert damiao.scanner(direction="from device").feed(frames[:100]) == []

@@ -1,5 +1,5 @@
 """Damiao DM motors: MIT frame, position, velocity and force modes; their twin."""
 
-from .driver import driver
+from .driver import driver, fd_driver
 
-__all__ = ["driver"]
+__all__ = ["driver", "fd_driver"]

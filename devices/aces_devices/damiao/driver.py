@@ -11,6 +11,7 @@ Sources: see the spec.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
@@ -23,7 +24,7 @@ from aces_bus.errors import AcesError, CallerError, DeviceError, UnknownNameErro
 from aces_protocols.damiao.spec import INTEGERS, KD_MAX, KP_MAX, MODELS, READ_ONLY, REGISTERS, SHARE
 
 from ..mit_motor import MitMotor, Ranges
-from .twin import DamiaoTwin
+from .twin import DamiaoFdTwin, DamiaoTwin
 
 #: Units of register 9 (s).
 TIMEOUT_UNIT_S = 50e-6
@@ -296,20 +297,26 @@ class Damiao(MitMotor):
         return self.job("store", steps)
 
 
-def _scan(host: Host, job: Job) -> Steps:
+class DamiaoFd(Damiao):
+    """The same on CAN FD."""
+
+    protocol = "damiao_fd"
+
+
+def _scan(name: str, host: Host, job: Job) -> Steps:
     """Ask numbers 1 to 15 for a feedback."""
     found: list[DeviceConfig] = []
     for motor in range(1, 16):
         job.progress, job.text = motor / 15, f"motor {motor}, {len(found)} found"
         told = yield from host.answers(
-            "damiao", {"motor": motor}, "AskFeedback", reply="Feedback", timeout_s=0.05, retries=2, how=0
+            name, {"motor": motor}, "AskFeedback", reply="Feedback", timeout_s=0.05, retries=2, how=0
         )
         if told is not None:
             settings = {"master": told.master} if told.master else {}
             found.append(
                 DeviceConfig(
                     name=f"DM{motor}",
-                    driver="damiao",
+                    driver=name,
                     bus=host.name,
                     credentials={"motor": motor},
                     settings=settings,
@@ -337,6 +344,8 @@ WRIST = { device = "DM2", lower = -1, upper = 1, nominal_speed = 3 }
 WHEEL = { device = "DM3", type = "continuous", command = "speed", max_speed = 20 }
 """
 
+FD_EXAMPLE = EXAMPLE.replace('"damiao"', '"damiao_fd"')
+
 driver = Driver(
     "damiao",
     device=Damiao,
@@ -344,6 +353,17 @@ driver = Driver(
     example=EXAMPLE,
     doc="Damiao DM motor: a joint with stiffness, damping and torque (MIT), or by position or velocity.",
     source="python-damiao-driver; DM_CAN.py; openarm_can; motorcontrol",
-    scan=_scan,
+    scan=partial(_scan, "damiao"),
+    settings=described(DamiaoSettings),
+)
+
+fd_driver = Driver(
+    "damiao_fd",
+    device=DamiaoFd,
+    twin=DamiaoFdTwin,
+    example=FD_EXAMPLE,
+    doc="Damiao DM motor on CAN FD, as an OpenArm has them: a joint as `damiao` has it.",
+    source="openarm_can; python-damiao-driver; DM_CAN.py; motorcontrol",
+    scan=partial(_scan, "damiao_fd"),
     settings=described(DamiaoSettings),
 )

@@ -11,6 +11,7 @@ enactic/openarm_can `src/openarm/damiao_motor`; jia-xie/python-damiao-driver `do
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 from construct import Byte, Const, Default, Float32l, GreedyBytes, Int8ul, Int16ul, Int32ul, Struct
@@ -30,19 +31,6 @@ KP_MAX, KD_MAX = 500.0, 5.0
 SHARE = "share"
 #: The models that have a dialect: those of arms that are sold with them. Others are read as shares.
 DIALECTS = ("4310", "4340", "8009")
-
-damiao = Protocol(
-    "damiao",
-    link="can",
-    bitrate=1_000_000,
-    dialects={
-        SHARE: "any model: position, velocity and torque as shares of PMAX, VMAX, TMAX",
-        **{name: "±{:g} rad, ±{:g} rad/s, ±{:g} N·m".format(*MODELS[name]) for name in DIALECTS},
-    },
-    dialect=SHARE,
-    doc="Damiao DM motors: MIT frame, position, velocity and force modes, registers.",
-    source="python-damiao-driver docs/concept; DM_CAN.py; motorcontrol can.c",
-)
 
 JX, DC = "python-damiao-driver docs/concept, motor.py", "DM_CAN.py; python-damiao-driver motor.py"
 
@@ -72,114 +60,6 @@ _FEEDBACKS: dict[str, dict[str, float]] = {
     "4340": {"position": -0.500305180, "velocity": 0.998778999, "torque": -2.81025641},
     "8009": {"position": -0.500305180, "velocity": 4.49450549, "torque": -5.41978022},
 }
-
-for model, (position, velocity, torque), units in (
-    (SHARE, (1.0, 1.0, 1.0), ("", "", "")),
-    *((name, MODELS[name], ("rad", "rad/s", "N·m")) for name in DIALECTS),
-):
-    damiao.message(
-        "Command",
-        id=0x000 + Motor,
-        direction="to device",
-        dialect=model,
-        payload=BitLayout(
-            8,
-            "position" / span(16, position, units[0]),
-            "velocity" / span(12, velocity, units[1]),
-            "kp" / span(12, KP_MAX, "N·m/rad", low=0),
-            "kd" / span(12, KD_MAX, "N·m·s/rad", low=0),
-            "torque" / span(12, torque, units[2]),
-            order="msb",
-        ),
-        doc="Torque = kp × (position error) + kd × (velocity error) + torque.",
-        source="motorcontrol can.c, unpack_cmd; python-damiao-driver motor.py",
-        examples=[("001#8A 3C 77 71 99 0F 59 32", {"motor": 1, **_COMMANDS[model]})],
-    )
-    damiao.message(
-        "Feedback",
-        id=0x000 + Master,
-        direction="from device",
-        dialect=model,
-        prefix=Struct("head" / Byte),
-        match={"head": Motor | IdField("status", range(16), names=STATUS) << 4},
-        payload=BitLayout(
-            7,
-            "position" / span(16, position, units[0]),
-            "velocity" / span(12, velocity, units[1]),
-            "torque" / span(12, torque, units[2]),
-            "mos_temperature" / Quantity(bits(8), unit="°C"),
-            "rotor_temperature" / Quantity(bits(8), unit="°C"),
-            order="msb",
-        ),
-        doc="The answer to every command.",
-        source="python-damiao-driver motor.py",
-        examples=[
-            (
-                "011#11 7A E0 8C C7 32 23 29",
-                {"master": 0x11, "motor": 1, "status": "enabled", "mos_temperature": 35, "rotor_temperature": 41}
-                | _FEEDBACKS[model],
-            )
-        ],
-    )  # fmt: skip
-
-for name, last, doc, example in (
-    ("Enable", 0xFC, "Switch the motor on.", "001#FF FF FF FF FF FF FF FC"),
-    ("Disable", 0xFD, "Switch the motor off.", "001#FF FF FF FF FF FF FF FD"),
-    ("SetZero", 0xFE, "The present position becomes zero.", "001#FF FF FF FF FF FF FF FE"),
-    ("ClearError", 0xFB, "Clear the error.", "001#FF FF FF FF FF FF FF FB"),
-):
-    damiao.message(
-        name,
-        id=0x000 + Motor,
-        direction="to device",
-        payload=Struct(Const(b"\xff" * 7 + bytes([last]))),
-        overrides="Command",  # motors test for it first
-        doc=doc,
-        source="motorcontrol main.c; DM_CAN.py",
-        examples=[(example, {"motor": 1})],
-    )
-
-# ---------------------------------------------------------------------- other modes
-
-damiao.message(
-    "PositionVelocity",
-    id=0x100 + Motor,
-    direction="to device",
-    payload=Struct(
-        "position" / Quantity(Float32l, unit="rad"), "velocity_limit" / Quantity(Float32l, unit="rad/s")
-    ),
-    doc="Go to a position, no faster than the limit.",
-    source=DC,
-    examples=[("101#00 00 C0 3F 00 00 00 40", {"motor": 1, "position": 1.5, "velocity_limit": 2.0})],
-)
-damiao.message(
-    "Velocity",
-    id=0x200 + Motor,
-    direction="to device",
-    length=(4, 8),  # openarm_can sends 4 bytes, the others pad with zeros
-    payload=Struct("velocity" / Quantity(Float32l, unit="rad/s"), "padding" / Default(GreedyBytes, b"")),
-    doc="Turn so fast.",
-    source="DM_CAN.py; openarm_can dm_motor_control.cpp",
-    examples=[("201#00 00 40 C0", {"motor": 1, "velocity": -3.0})],
-)
-damiao.message(
-    "ForcePosition",
-    id=0x300 + Motor,
-    direction="to device",
-    payload=Struct(
-        "position" / Quantity(Float32l, unit="rad"),
-        "velocity_limit" / Quantity(Int16ul, scale=0.01, unit="rad/s", range=(0, 100)),
-        "current_limit" / Quantity(Int16ul, scale=0.0001, range=(0, 1)),
-    ),
-    doc="Go to a position with a limited share of the current.",
-    source=DC,
-    examples=[
-        (
-            "301#00 00 C0 3F C8 00 C4 09",
-            {"motor": 1, "position": 1.5, "velocity_limit": 2.0, "current_limit": 0.25},
-        )
-    ],
-)
 
 # ---------------------------------------------------------------------- registers
 
@@ -237,67 +117,211 @@ _EXAMPLES: dict[str, list[Any]] = {
     ],
 }
 
-for name, opcode in (("Read", 0x33), ("Write", 0x55)):
-    access = damiao.family(
-        prefix=Struct("motor" / Int16ul, "opcode" / Byte, "register" / Enumeration(Int8ul, REGISTERS)),
-        source=DC,
+# ---------------------------------------------------------------------- the protocol
+
+
+def declared(name: str, *, fd: bool) -> Protocol:
+    """The protocol under a name: the same frames, as classic CAN or as CAN FD."""
+    made = Protocol(
+        name,
+        link="can",
+        bitrate=1_000_000,
+        dialects={
+            SHARE: "any model: position, velocity and torque as shares of PMAX, VMAX, TMAX",
+            **{name: "±{:g} rad, ±{:g} rad/s, ±{:g} N·m".format(*MODELS[name]) for name in DIALECTS},
+        },
+        dialect=SHARE,
+        doc=f"Damiao DM motors{' on CAN FD' if fd else ''}: MIT frame, position, velocity and force modes, registers.",
+        source="python-damiao-driver docs/concept; DM_CAN.py; motorcontrol can.c",
     )
-    for kind, numbers, value in (("Float", FLOATS, Float32l), ("Integer", INTEGERS, Int32ul)):
-        request = access(
-            f"{name}{kind}",
-            id=0x7FF,
+
+    def shown(examples: list[Any]) -> list[Any]:
+        """Worked examples, in the format of this protocol's frames."""
+        return [
+            tuple(one.replace("#", "##1") if isinstance(one, str) and fd else one for one in example)
+            for example in examples
+        ]
+
+    message = partial(made.message, fd=fd)
+
+    for model, (position, velocity, torque), units in (
+        (SHARE, (1.0, 1.0, 1.0), ("", "", "")),
+        *((name, MODELS[name], ("rad", "rad/s", "N·m")) for name in DIALECTS),
+    ):
+        message(
+            "Command",
+            id=0x000 + Motor,
             direction="to device",
-            motor=Motor,
-            opcode=opcode,
-            register=numbers,
-            payload=Struct("value" / value) if name == "Write" else Struct("padding" / Reserved(4)),
-            doc=f"{name} a register" + (", until the motor is switched off." if name == "Write" else "."),
-            examples=_EXAMPLES[f"{name}{kind}"],
+            dialect=model,
+            payload=BitLayout(
+                8,
+                "position" / span(16, position, units[0]),
+                "velocity" / span(12, velocity, units[1]),
+                "kp" / span(12, KP_MAX, "N·m/rad", low=0),
+                "kd" / span(12, KD_MAX, "N·m·s/rad", low=0),
+                "torque" / span(12, torque, units[2]),
+                order="msb",
+            ),
+            doc="Torque = kp × (position error) + kd × (velocity error) + torque.",
+            source="motorcontrol can.c, unpack_cmd; python-damiao-driver motor.py",
+            examples=shown([("001#8A 3C 77 71 99 0F 59 32", {"motor": 1, **_COMMANDS[model]})]),
         )
-        access(
-            f"{name}{kind}Reply",
+        message(
+            "Feedback",
             id=0x000 + Master,
             direction="from device",
-            motor=Motor,
-            opcode=opcode,
-            register=numbers,
-            reply_to=request,  # a feedback can have the same bytes
-            within=WITHIN,
-            overrides="Feedback",
-            payload=Struct("value" / value),
-            doc="What the register holds.",
-            examples=_EXAMPLES[f"{name}{kind}Reply"],
+            dialect=model,
+            prefix=Struct("head" / Byte),
+            match={"head": Motor | IdField("status", range(16), names=STATUS) << 4},
+            payload=BitLayout(
+                7,
+                "position" / span(16, position, units[0]),
+                "velocity" / span(12, velocity, units[1]),
+                "torque" / span(12, torque, units[2]),
+                "mos_temperature" / Quantity(bits(8), unit="°C"),
+                "rotor_temperature" / Quantity(bits(8), unit="°C"),
+                order="msb",
+            ),
+            doc="The answer to every command.",
+            source="python-damiao-driver motor.py",
+            examples=shown([
+                (
+                    "011#11 7A E0 8C C7 32 23 29",
+                    {"master": 0x11, "motor": 1, "status": "enabled", "mos_temperature": 35, "rotor_temperature": 41}
+                    | _FEEDBACKS[model],
+                )
+            ]),
+        )  # fmt: skip
+
+    for name, last, doc, example in (
+        ("Enable", 0xFC, "Switch the motor on.", "001#FF FF FF FF FF FF FF FC"),
+        ("Disable", 0xFD, "Switch the motor off.", "001#FF FF FF FF FF FF FF FD"),
+        ("SetZero", 0xFE, "The present position becomes zero.", "001#FF FF FF FF FF FF FF FE"),
+        ("ClearError", 0xFB, "Clear the error.", "001#FF FF FF FF FF FF FF FB"),
+    ):
+        message(
+            name,
+            id=0x000 + Motor,
+            direction="to device",
+            payload=Struct(Const(b"\xff" * 7 + bytes([last]))),
+            overrides="Command",  # motors test for it first
+            doc=doc,
+            source="motorcontrol main.c; DM_CAN.py",
+            examples=shown([(example, {"motor": 1})]),
         )
 
-for name, opcode, rest, doc, source, examples in (
-    (
-        "Store",
-        0xAA,
-        (0x00, 0x01),
-        "Keep the registers for good; while the motor is off.",
-        "DM_CAN.py (0), python-damiao-driver (1)",
-        [
-            ("7FF#01 00 AA 00 00 00 00 00", {"motor": 1, "how": 0}),
-            ("7FF#01 00 AA 01 00 00 00 00", {"motor": 1, "how": 1}),
-        ],
-    ),
-    (
-        "AskFeedback",
-        0xCC,
-        (0x00,),
-        "Ask for a feedback.",
-        JX,
-        [("7FF#0F 00 CC 00 00 00 00 00", {"motor": 15})],
-    ),
-):
-    damiao.message(
-        name,
-        id=0x7FF,
+    # ---------------------------------------------------------------------- other modes
+
+    message(
+        "PositionVelocity",
+        id=0x100 + Motor,
         direction="to device",
-        prefix=Struct("motor" / Int16ul, "opcode" / Byte, "how" / Byte),
-        match={"motor": Motor, "opcode": opcode, "how": rest},
-        payload=Struct("padding" / Reserved(4)),
-        doc=doc,
-        source=source,
-        examples=examples,
+        payload=Struct(
+            "position" / Quantity(Float32l, unit="rad"), "velocity_limit" / Quantity(Float32l, unit="rad/s")
+        ),
+        doc="Go to a position, no faster than the limit.",
+        source=DC,
+        examples=shown(
+            [("101#00 00 C0 3F 00 00 00 40", {"motor": 1, "position": 1.5, "velocity_limit": 2.0})]
+        ),
     )
+    message(
+        "Velocity",
+        id=0x200 + Motor,
+        direction="to device",
+        length=(4, 8),  # openarm_can sends 4 bytes, the others pad with zeros
+        payload=Struct("velocity" / Quantity(Float32l, unit="rad/s"), "padding" / Default(GreedyBytes, b"")),
+        doc="Turn so fast.",
+        source="DM_CAN.py; openarm_can dm_motor_control.cpp",
+        examples=shown([("201#00 00 40 C0", {"motor": 1, "velocity": -3.0})]),
+    )
+    message(
+        "ForcePosition",
+        id=0x300 + Motor,
+        direction="to device",
+        payload=Struct(
+            "position" / Quantity(Float32l, unit="rad"),
+            "velocity_limit" / Quantity(Int16ul, scale=0.01, unit="rad/s", range=(0, 100)),
+            "current_limit" / Quantity(Int16ul, scale=0.0001, range=(0, 1)),
+        ),
+        doc="Go to a position with a limited share of the current.",
+        source=DC,
+        examples=shown(
+            [
+                (
+                    "301#00 00 C0 3F C8 00 C4 09",
+                    {"motor": 1, "position": 1.5, "velocity_limit": 2.0, "current_limit": 0.25},
+                )
+            ]
+        ),
+    )
+
+    for name, opcode in (("Read", 0x33), ("Write", 0x55)):
+        access = made.family(
+            fd=fd,
+            prefix=Struct("motor" / Int16ul, "opcode" / Byte, "register" / Enumeration(Int8ul, REGISTERS)),
+            source=DC,
+        )
+        for kind, numbers, value in (("Float", FLOATS, Float32l), ("Integer", INTEGERS, Int32ul)):
+            request = access(
+                f"{name}{kind}",
+                id=0x7FF,
+                direction="to device",
+                motor=Motor,
+                opcode=opcode,
+                register=numbers,
+                payload=Struct("value" / value) if name == "Write" else Struct("padding" / Reserved(4)),
+                doc=f"{name} a register" + (", until the motor is switched off." if name == "Write" else "."),
+                examples=shown(_EXAMPLES[f"{name}{kind}"]),
+            )
+            access(
+                f"{name}{kind}Reply",
+                id=0x000 + Master,
+                direction="from device",
+                motor=Motor,
+                opcode=opcode,
+                register=numbers,
+                reply_to=request,  # a feedback can have the same bytes
+                within=WITHIN,
+                overrides="Feedback",
+                payload=Struct("value" / value),
+                doc="What the register holds.",
+                examples=shown(_EXAMPLES[f"{name}{kind}Reply"]),
+            )
+
+    for name, opcode, rest, doc, source, examples in (
+        (
+            "Store",
+            0xAA,
+            (0x00, 0x01),
+            "Keep the registers for good; while the motor is off.",
+            "DM_CAN.py (0), python-damiao-driver (1)",
+            [
+                ("7FF#01 00 AA 00 00 00 00 00", {"motor": 1, "how": 0}),
+                ("7FF#01 00 AA 01 00 00 00 00", {"motor": 1, "how": 1}),
+            ],
+        ),
+        (
+            "AskFeedback",
+            0xCC,
+            (0x00,),
+            "Ask for a feedback.",
+            JX,
+            [("7FF#0F 00 CC 00 00 00 00 00", {"motor": 15})],
+        ),
+    ):
+        message(
+            name,
+            id=0x7FF,
+            direction="to device",
+            prefix=Struct("motor" / Int16ul, "opcode" / Byte, "how" / Byte),
+            match={"motor": Motor, "opcode": opcode, "how": rest},
+            payload=Struct("padding" / Reserved(4)),
+            doc=doc,
+            source=source,
+            examples=shown(examples),
+        )
+    return made
+
+
+damiao = declared("damiao", fd=False)

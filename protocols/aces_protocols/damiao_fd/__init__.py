@@ -1,0 +1,1 @@
+"""Damiao motors on CAN FD."""
