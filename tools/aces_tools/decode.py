@@ -238,7 +238,7 @@ class LiveDecoding(Decoding):
         return LiveText(
             self.plans,
             stated,
-            notes=self.registers,
+            notes=self.registers if self.registers.has_tables else None,
             times=Times(arguments.time),
             paint=make_paint() if wants_colour(arguments.color, is_terminal) else no_paint,
             width=terminal_width() if is_terminal else None,

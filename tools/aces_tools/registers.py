@@ -38,6 +38,11 @@ class RegisterNotes:
         self._tables = {name: _Tables(one) for name, one in protocols.items() if one.register_maps}
         self._notes: dict[int, list[PrintedField]] = {}
 
+    @property
+    def has_tables(self) -> bool:
+        """Whether there are registers to speak of."""
+        return bool(self._tables)
+
     def see(self, items: Iterable[Any]) -> None:
         """Take records, and remember what they ask for."""
         if not self._tables:
@@ -75,10 +80,11 @@ class _Tables:
         begin: int | None = getattr(record, "start", None)
         if begin is None:
             return []
-        if (count := getattr(record, "count", None)) is not None:
+        wanted: int | None = getattr(record, "count", None)
+        if wanted is not None:
             for number in getattr(record, "ids", None) or (getattr(record, "id", -1),):
-                self._asked[number] = begin, count
-            return self._names(begin, count)
+                self._asked[number] = begin, wanted
+            return self._names(begin, wanted)
         if (servos := getattr(record, "servos", None)) is not None:
             return self._together(begin, {one.id: one.data for one in servos})
         data = getattr(record, "data", b"")

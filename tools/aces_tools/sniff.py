@@ -200,7 +200,7 @@ class Sniffing(LiveDecoding):
         return LiveText(
             self.plans,
             self.direction if self.direction != "both" else None,
-            notes=self.registers,
+            notes=self.registers if self.registers.has_tables else None,
             times=self.times,
             paint=paint,
             width=terminal_width() if is_terminal else None,

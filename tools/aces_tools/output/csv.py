@@ -10,20 +10,37 @@ columns `field`, `value` and `unit`, as pivot tables and data frames take it.
 3. A text that a spreadsheet would take for a formula (it begins with = + - @, a tab or a carriage return, and is no number)
    has an apostrophe in front. Numbers are as they are.
 4. Identifiers are hexadecimal text (0x063), flags are joined by `|`, bytes are hexadecimal; no value is an empty cell.
+5. The values of a record are printed by a function that is generated from its plan, what stands before them by `CsvOutput`.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from aces_bus.plain_text import cell_text
-from aces_bus.protocol import FlagSet, Unknown
+from aces_bus.protocol import FlagSet, Record, Unknown
+from aces_bus.protocol.generate.load import OnDemand
+from aces_bus.protocol.keys import EXTENDED
+from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.record import message_of, protocol_name_of
 
-from .shape import OfKind, Plans, RecordLeaf, flag_names, json_value, record_leaves
+from .printing import HEADS, LinePrinter, Read, decimal, has_few_values, name_of
+from .shape import (
+    OfKind,
+    Plans,
+    RecordLeaf,
+    flag_names,
+    json_value,
+    plain_number,
+    plain_of,
+    record_leaves,
+)
 
+#: JSON writes the multiples of so small a part, as Python does.
+LEAST_USUAL = 10**4
 _SPECIAL = re.compile(r'[",\r\n]').search
 
 
@@ -39,21 +56,22 @@ class CsvOutput:
         links: frozenset[str],
     ) -> None:
         self._direction = direction
-        self._leaves = OfKind(lambda kind: record_leaves(plans[kind]))
         self._is_wide = only is not None
         kinds = plans.named(only) if only is not None else ()
-        columns = self._columns = list(
-            dict.fromkeys(leaf.path for kind in kinds for leaf in self._leaves[kind])
+        columns = list(dict.fromkeys(leaf.path for kind in kinds for leaf in record_leaves(plans[kind])))
+        self._rows = OfKind(
+            lambda kind: RowPrinter(kind, plans[kind], columns if only is not None else None).load()
         )
+        self._places = OnDemand(self._place, most=HEADS)
         taken = {"source", "time", "channel", "direction", "id", "offset", "size", "protocol", "message"}
         self._titles = [f"{only}.{name}" if name in taken else name for name in columns]
         self._has_can = "can" in links
         self._has_streams = not links or any(link != "can" for link in links)
-        self._source = ""
+        self._source = b""
         self._is_begun = False
 
     def begin(self, source: str, link: str, start: float | None = None) -> bytes:
-        self._source = source
+        self._source = f"{_written(source)},".encode("utf-8", "replace")
         if self._is_begun:
             return b""
         self._is_begun = True
@@ -61,48 +79,61 @@ class CsvOutput:
         head += ["id"] if self._has_can else []
         head += ["offset", "size"] if self._has_streams else []
         head += ["protocol", "message"]
-        return self._rows([head + (self._titles if self._is_wide else ["field", "value", "unit"])])
+        return _row([*head, *(self._titles if self._is_wide else ("field", "value", "unit"))])
 
     def items(self, items: Sequence[Any]) -> bytes:
-        rows: list[list[Any]] = []
+        source, places, rows = self._source, self._places, self._rows
+        lines: list[bytes] = []
         for item in items:
-            head = self._head(item)
-            if type(item) is Unknown:
+            kind = type(item)
+            if kind is Unknown:
                 if not self._is_wide:
-                    rows.append([*head, item.reason, item.meta.raw.hex(), ""])
+                    lines += source, self._unknown(item)
                 continue
-            found = self._leaves[type(item)]
-            if self._is_wide:
-                cells = {leaf.path: cell(leaf.get(item)) for leaf in found}
-                rows.append([*head, *(cells.get(name, "") for name in self._columns)])
-            elif found:
-                rows += [
-                    [*head, *self._value(leaf, item)]
-                    for leaf in found
-                    if not leaf.is_inside or leaf.get(item) is not None
-                ]
+            time = item._time
+            head = source + (b"" if time is None else decimal(time))
+            if kind._is_stream:
+                head += places[kind, item._channel, None] + b"%d,%d," % (item._key, len(item._raw))
             else:
-                rows.append([*head, "", "", ""])
-        return self._rows(rows)
+                head += places[kind, item._channel, item._key]
+            lines.append(rows[kind](item, head))
+        return b"".join(lines)
 
-    def _head(self, item: Any) -> list[Any]:
+    def _place(self, of: tuple[type[Record], str | None, int | None]) -> bytes:
+        """What stands between the time and the names of the message; of packets of a stream, up to the offset."""
+        kind, channel, key = of
+        direction = message_of(kind).direction
+        if key is None:
+            return _cells([None, channel, direction or self._direction, *([None] if self._has_can else [])])
+        place = [
+            None,
+            channel,
+            direction,
+            *self._identifier(key & 0x1FFF_FFFF, is_extended=key & EXTENDED != 0),
+        ]
+        return _cells([*place, *([None, None] if self._has_streams else [])])
+
+    def _identifier(self, identifier: int, *, is_extended: bool) -> list[str]:
+        return [f"{identifier:#0{10 if is_extended else 5}x}"] if self._has_can else []
+
+    def _unknown(self, item: Unknown) -> bytes:
         meta = item.meta
-        direction = meta.direction or (self._direction if meta.identifier is None else None)
-        head = [self._source, meta.time, meta.channel, direction]
-        if self._has_can:
-            identifier = meta.identifier
-            head.append(None if identifier is None else f"{identifier:#0{10 if meta.extended else 5}x}")
-        if self._has_streams:
-            head += [meta.offset, meta.size]
-        return [*head, meta.protocol, meta.message]
+        place = [meta.time, meta.channel]
+        if meta.identifier is not None:
+            place += [meta.direction, *self._identifier(meta.identifier, is_extended=meta.extended)]
+        else:
+            place += [meta.direction or self._direction, *([None] if self._has_can else [])]
+        place += [meta.offset, meta.size] if self._has_streams else []
+        return _row([*place, None, None, item.reason, meta.raw.hex(), None])
 
-    @staticmethod
-    def _value(leaf: RecordLeaf, item: Any) -> list[Any]:
-        return [leaf.path, cell(leaf.get(item)), leaf.node.unit]
 
-    @staticmethod
-    def _rows(rows: list[list[Any]]) -> bytes:
-        return "".join([",".join(map(_written, row)) + "\n" for row in rows]).encode("utf-8", "replace")
+def _row(cells: Sequence[Any]) -> bytes:
+    return f"{','.join(map(_written, cells))}\n".encode("utf-8", "replace")
+
+
+def _cells(cells: Sequence[Any]) -> bytes:
+    """Cells with one after them."""
+    return f"{','.join(map(_written, cells))},".encode("utf-8", "replace")
 
 
 def _written(value: Any) -> str:
@@ -113,7 +144,58 @@ def _written(value: Any) -> str:
     return '"' + text.replace('"', '""') + '"' if _SPECIAL(text) else text
 
 
-def cell(value: Any) -> Any:
+# ---------------------------------------------------------------------- values
+
+
+class RowPrinter(LinePrinter):
+    """Prints the function that writes the rows of a message's records: behind `head` one row a value, or (`columns`) one
+    row with these."""
+
+    def __init__(self, kind: type[Record], plan: p.MessagePlan, columns: Sequence[str] | None) -> None:
+        super().__init__(plan, "head")
+        self._names = f"{_written(protocol_name_of(kind))},{_written(kind.__name__)},"
+        leaves = record_leaves(plan)
+        if columns is not None:
+            self._one_row({leaf.path: leaf for leaf in leaves}, columns)
+        elif leaves:
+            self.joined([part for leaf in leaves for part in self._row(leaf)])
+        else:
+            self.joined([Read("head"), f"{self._names},,\n"])
+
+    def _one_row(self, leaves: Mapping[str, RecordLeaf], columns: Sequence[str]) -> None:
+        parts: list[str | Read] = [Read("head"), self._names[:-1]]
+        for column in columns:
+            parts += [",", *([self._cell(leaves[column])] if column in leaves else [])]
+        self.joined([*parts, "\n"])
+
+    def _row(self, leaf: RecordLeaf) -> list[str | Read]:
+        before, after = f"{self._names}{_written(leaf.path)},", f",{_written(leaf.node.unit)}\n"
+        if not leaf.is_inside:
+            return [Read("head"), before, self._cell(leaf), after]
+        cell = self.shown(name_of(leaf), leaf.node, cell_of(leaf.node), "v")
+        names = ", ".join(["head", self.constant(before.encode()), cell, self.constant(after.encode())])
+        return [Read(f'b"" if (v := {self.read(leaf)}) is None else join(({names}))')]
+
+    def _cell(self, leaf: RecordLeaf) -> Read:
+        node, value = leaf.node, self.read(leaf)
+        number = plain_number(node)
+        if number is None or (number.is_inexact and has_few_values(node)):
+            return self.shown(name_of(leaf), node, cell_of(node), value)
+        is_optional = leaf.conditional or number.has_unknown
+        is_usual = not number.is_float or 0 < number.whole <= LEAST_USUAL
+        text = f"{'json' if is_usual else 'decimal'}({number.mended('v' if is_optional else value)})"
+        return Read(f'b"" if (v := {value}) is None else {text}' if is_optional else text)
+
+
+def cell_of(node: p.Node) -> Callable[[Any], bytes]:
+    """A function that writes any value of a node as one cell."""
+    plain, number = plain_of(node), plain_number(node)
+    if number is not None and number.is_inexact:
+        return lambda value: _written(plain(value)).encode()
+    return lambda value: _written(cell(value, plain)).encode("utf-8", "replace")
+
+
+def cell(value: Any, plain: Callable[[Any], Any] = json_value) -> Any:
     """A value as one cell."""
     match value:
         case None | str() | float():
@@ -125,4 +207,4 @@ def cell(value: Any) -> Any:
         case int() | bool():
             return value
         case _:
-            return json.dumps(json_value(value), ensure_ascii=False)
+            return json.dumps(plain(value), ensure_ascii=False)

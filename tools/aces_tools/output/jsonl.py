@@ -6,159 +6,136 @@
 1. Keys stand in this order. Streams have "offset" and "size" instead of "id", "extended" and "fd".
 2. "bus_direction" ("tx", "rx") is there only when the capture says it; "remote" only when it is true.
 3. What is not decoded has "message": null, then "reason" and "raw" instead of "fields".
+4. The fields of a record are printed by a function that is generated from its plan, all before them by `JsonLines`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from operator import attrgetter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
-from msgspec import UNSET, UnsetType
 
 from aces_bus.protocol import Record, Unknown
+from aces_bus.protocol.generate.load import OnDemand
 from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
-from aces_bus.protocol.plan.nodes import MessagePlan
+from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.record import message_of, protocol_name_of
 
-from .shape import OfKind, Plans, is_single_value, json_value
+from .printing import HEADS, LinePrinter, Read, has_few_values
+from .shape import OfKind, Plans, is_single_value, json_bytes, json_text, plain_number, plain_of
 
-
-class CanLine(msgspec.Struct, gc=False):
-    source: str
-    time: float | None
-    channel: str | None
-    direction: str | None
-    bus_direction: str | UnsetType
-    id: int | None
-    extended: bool
-    fd: bool
-    remote: bool | UnsetType
-    protocol: str | None
-    message: str | None
-    fields: dict[str, Any] | UnsetType = UNSET
-    reason: str | UnsetType = UNSET
-    raw: str | UnsetType = UNSET
-
-
-class StreamLine(msgspec.Struct, gc=False):
-    source: str
-    time: float | None
-    channel: str | None
-    direction: str | None
-    offset: int | None
-    size: int | None
-    protocol: str | None
-    message: str | None
-    fields: dict[str, Any] | UnsetType = UNSET
-    reason: str | UnsetType = UNSET
-    raw: str | UnsetType = UNSET
-
-
-BUS: Mapping[bool | None, str | UnsetType] = {True: "rx", False: "tx", None: UNSET}
-
-
-Convert = Callable[[Any], CanLine | StreamLine]
+BUS: Mapping[bool | None, str] = {True: ', "bus_direction": "rx"', False: ', "bus_direction": "tx"', None: ""}
 
 
 class JsonLines:
     """`direction` is what the user stated of raw bytes; on CAN, what a frame is not known to be it is not."""
 
     def __init__(self, plans: Plans, direction: str | None) -> None:
-        self._plans = plans
         self._direction = direction
-        self._encode = msgspec.json.Encoder(enc_hook=json_value).encode
-        self._lines: OfKind[Convert]
+        self._begin = b""
+        self._is_can = True
+        self._fields = OfKind(lambda kind: FieldsPrinter(kind, plans[kind]).load())
+        self._frames = OnDemand(self._frame, most=HEADS)
+        self._packets = OnDemand(self._packet, most=HEADS)
 
     def begin(self, source: str, link: str, start: float | None = None) -> bytes:
-        is_can = link == "can"
-        plans = self._plans
-        self._lines = OfKind(lambda kind: self._line(kind, plans[kind], source, is_can=is_can))
-        self._lines[Unknown] = self._unknown(source, is_can=is_can)
+        self._begin = f'{{"source": {json_text(source)}, "time": '.encode()
+        self._is_can = link == "can"
         return b""
 
     def items(self, items: Sequence[Any]) -> bytes:
-        encode, form, lines = self._encode, msgspec.json.format, self._lines
-        out = [form(encode(lines[type(item)](item)), indent=0) for item in items]
-        out.append(b"")
-        return b"\n".join(out)
+        begin, fields, is_can = self._begin, self._fields, self._is_can
+        frames, packets = self._frames, self._packets
+        lines: list[bytes] = []
+        for item in items:
+            kind = type(item)
+            if kind is Unknown:
+                lines += begin, self._unknown(item)
+            elif is_can:
+                head = frames[kind, item._channel, item._key, item._rx]
+                lines += begin, json_bytes(item._time), head, fields[kind](item)
+            else:
+                place = b'%d, "size": %d' % (item._key, len(item._raw))
+                head = packets[kind, item._channel]
+                lines += begin, json_bytes(item._time), head, place, fields[kind](item)
+        return b"".join(lines)
 
-    def _line(self, kind: type[Record], plan: MessagePlan, source: str, *, is_can: bool) -> Convert:
-        """The line of a record. The transport's fields are read from the record: `meta` costs as much as all else."""
-        names = tuple(field.name for field in plan.fields)
-        special = tuple(field.name for field in plan.fields if not is_single_value(field.node))
-        protocol, message, direction = (
-            protocol_name_of(kind),
-            kind.__name__,
-            message_of(kind).direction or (None if is_can else self._direction),
-        )
-        get = attrgetter("_time", "_channel", "_key", "_raw", "_rx", *names)
+    def _frame(self, of: tuple[type[Record], str | None, int, bool | None]) -> bytes:
+        kind, channel, key, is_rx = of
+        flags = (key & EXTENDED != 0, key & FD != 0, key & REMOTE != 0)
+        return frame_head(channel, message_of(kind).direction, key & 0x1FFF_FFFF, flags, is_rx).encode()
 
-        def fields(values: list[Any]) -> dict[str, Any]:
-            found = dict(zip(names, values, strict=True))
-            for name in special:
-                found[name] = json_value(found[name])
-            return found
+    def _packet(self, of: tuple[type[Record], str | None]) -> bytes:
+        kind, channel = of
+        return packet_head(channel, message_of(kind).direction or self._direction).encode()
 
-        def can(record: Any) -> CanLine:
-            time, channel, key, _, is_rx, *values = get(record)
-            return CanLine(
-                source,
-                time,
-                channel,
-                direction,
-                BUS[is_rx],
-                key & 0x1FFF_FFFF,
-                key & EXTENDED != 0,
-                key & FD != 0,
-                True if key & REMOTE else UNSET,
-                protocol,
-                message,
-                fields(values),
-            )
+    def _unknown(self, item: Unknown) -> bytes:
+        meta = item.meta
+        if self._is_can:
+            flags = (meta.extended, meta.fd, meta.remote)
+            head = frame_head(meta.channel, meta.direction, meta.identifier, flags, meta.is_rx)
+        else:
+            head = packet_head(meta.channel, meta.direction or self._direction)
+            head += f'{json_text(meta.offset)}, "size": {json_text(meta.size)}'
+        reason, raw = json_text(item.reason), meta.raw.hex()
+        lost = f'"protocol": null, "message": null, "reason": {reason}, "raw": "{raw}"'
+        return f"{json_text(meta.time)}{head}, {lost}}}\n".encode()
 
-        def stream(record: Any) -> StreamLine:
-            time, channel, offset, raw, _, *values = get(record)
-            return StreamLine(
-                source, time, channel, direction, offset, len(raw), protocol, message, fields(values)
-            )
 
-        return can if is_can else stream
+def frame_head(
+    channel: str | None,
+    direction: str | None,
+    identifier: int | None,
+    flags: tuple[bool, bool, bool],
+    is_rx: bool | None,
+) -> str:
+    """What CAN says of a frame; `flags`: extended, fd, remote."""
+    extended, fd, _ = map(json_text, flags)
+    head = f', "channel": {json_text(channel)}, "direction": {json_text(direction)}{BUS[is_rx]}'
+    head += f', "id": {json_text(identifier)}, "extended": {extended}, "fd": {fd}'
+    return head + (', "remote": true' if flags[2] else "")
 
-    def _unknown(self, source: str, *, is_can: bool) -> Convert:
-        def can(item: Unknown) -> CanLine:
-            meta = item.meta
-            return CanLine(
-                source,
-                meta.time,
-                meta.channel,
-                meta.direction,
-                BUS[meta.is_rx],
-                meta.identifier,
-                meta.extended,
-                meta.fd,
-                True if meta.remote else UNSET,
-                None,
-                None,
-                reason=item.reason,
-                raw=meta.raw.hex(),
-            )
 
-        def stream(item: Unknown) -> StreamLine:
-            meta = item.meta
-            direction = meta.direction or self._direction
-            return StreamLine(
-                source,
-                meta.time,
-                meta.channel,
-                direction,
-                meta.offset,
-                meta.size,
-                None,
-                None,
-                reason=item.reason,
-                raw=meta.raw.hex(),
-            )
+def packet_head(channel: str | None, direction: str | None) -> str:
+    """What is said of a packet, up to its offset."""
+    return f', "channel": {json_text(channel)}, "direction": {json_text(direction)}, "offset": '
 
-        return can if is_can else stream
+
+# ---------------------------------------------------------------------- fields
+
+
+class FieldsPrinter(LinePrinter):
+    """Prints the function that writes what a message's records hold, behind what is said of the frame or packet."""
+
+    def __init__(self, kind: type[Record], plan: p.MessagePlan) -> None:
+        super().__init__(plan)
+        protocol, message = json_text(protocol_name_of(kind)), json_text(kind.__name__)
+        parts: list[str | Read] = [f', "protocol": {protocol}, "message": {message}, "fields": {{']
+        for number, field in enumerate(plan.fields):
+            parts.append(f"{', ' if number else ''}{json_text(field.name)}: ")
+            parts += self._value(field, field.name, f"r.{field.name}")
+        self.joined([*parts, "}}\n"])
+
+    def _value(self, field: p.PlanField, name: str, value: str) -> list[str | Read]:
+        node, is_optional = field.node, field.when is not None
+        if isinstance(node, (p.Many, p.NestedRecord)) and not is_optional and self.plan.is_flat:
+            is_list = isinstance(node, p.Many)
+            parts: list[str | Read] = ["[" if is_list else "{"]
+            for step, inner in node.children:
+                parts.append(", " if len(parts) > 1 else "")
+                parts.append("" if is_list else f"{json_text(step)}: ")
+                inside = f"{value}[{step}]" if is_list else f"{value}.{step}"
+                parts += self._value(inner, f"{name}_{step}", inside)
+            return [*parts, "]" if is_list else "}"]
+        number = plain_number(node)
+        if number is not None and number.is_inexact and not has_few_values(node):
+            text = number.mended(value)
+            if is_optional or number.has_unknown:
+                text = f"None if (v := {value}) is None else {number.mended('v')}"
+            return [Read(f"json({text})")]
+        if is_single_value(node) and (number is None or not number.is_inexact):
+            return [Read(f"json({value})")]
+        plain = plain_of(node)
+        show = lambda one: msgspec.json.format(json_bytes(plain(one)), indent=0)  # noqa: E731
+        return [self.shown(name, node, show, value)]

@@ -8,15 +8,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from fractions import Fraction
+from itertools import repeat
+from math import lcm
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 
 from aces_bus.protocol import FlagSet, Record, Variant
 from aces_bus.protocol.generate.load import records_of
 from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.record import WayStep, message_of
 from aces_bus.protocol.record import getter as getter
-from aces_bus.protocol.record import message_of
 
 Convert = Callable[[Any], Any]
 T = TypeVar("T")
@@ -107,13 +110,104 @@ def json_value(value: Any) -> Any:
             return None if value is UNKNOWN else str(value)
 
 
+#: A plain value as JSON.
+json_bytes: Callable[[Any], bytes] = msgspec.json.Encoder(enc_hook=json_value).encode
+
+
+def json_text(value: Any) -> str:
+    """The same as text."""
+    return json_bytes(value).decode()
+
+
+# ---------------------------------------------------------------------- numbers as scale and offset mean them
+
+
+#: Whole numbers below this are found again from their float with a scale and an offset, however these are rounded.
+FOUND_AGAIN = 1 << 48
+
+
+class PlainNumber(NamedTuple):
+    """A number without names.
+
+    `whole` times a float is a whole number, as scale and offset mean it; 0 where that is not known. `has_unknown` says that
+    the number may be None although it is there.
+    """
+
+    is_float: bool
+    whole: int
+    has_unknown: bool
+
+    @property
+    def is_inexact(self) -> bool:
+        """Whether the float may be wrong in its last digit: -662 × 0.01 is -6.620000000000001, and -662 / 100 is -6.62."""
+        return self.whole & self.whole - 1 != 0
+
+    def mended(self, value: str) -> str:
+        """The expression of the float that is nearest to what is meant."""
+        return f"round({value} * {self.whole}) / {self.whole}" if self.is_inexact else value
+
+
+def plain_number(node: p.Node) -> PlainNumber | None:
+    """What is known of a node's numbers; None where its values may be something else."""
+    if not isinstance(node, (p.Scalar, p.FromIdentifier)) or node.known_names != []:
+        return None
+    if any(isinstance(step, p.FlagBits) for step in node.steps):
+        return None  # flags without names
+    scales = [step for step in node.steps if isinstance(step, p.Scale) and (step.scale != 1 or step.offset)]
+    is_float = isinstance(node, p.Scalar) and node.kind == "float"
+    is_float = is_float or any(isinstance(n, float) for step in scales for n in (step.scale, step.offset))
+    whole = _whole(scales[0], node.raw_range) if is_float and len(scales) == 1 else 0
+    return PlainNumber(is_float, whole, node.scale is not None and bool(node.scale.unknown))
+
+
+def _whole(scale: p.Scale, raw_range: tuple[int, int] | None) -> int:
+    """What makes scaled integers whole; 0 where they are too great to be found again."""
+    if raw_range is None or not all(type(number) in (int, float) for number in (scale.scale, scale.offset)):
+        return 0
+    whole = lcm(*(Fraction(repr(number)).denominator for number in (scale.scale, scale.offset)))
+    return whole if max(abs(scale.physical(raw)) for raw in raw_range) * whole < FOUND_AGAIN else 0
+
+
+def plain_of(node: p.Node) -> Convert:
+    """A function that makes of a node's values what JSON has for them, scaled integers mended."""
+    match node:
+        case p.Many() | p.Repeated() | p.Each():
+            if isinstance(node, p.Many):
+                inner: Iterable[Convert] = [plain_of(item) for item in node.items]
+            else:
+                item = node.plan.fields[0].node if isinstance(node, p.Repeated) else node.item
+                inner = repeat(plain_of(item))
+            return lambda values: (
+                None if values is None else [one(v) for one, v in zip(inner, values, strict=False)]
+            )
+        case p.NestedRecord():
+            fields = [(field.name, plain_of(field.node)) for field in node.fields]
+            return lambda value: (
+                None if value is None else {name: one(getattr(value, name)) for name, one in fields}
+            )
+        case p.TaggedItems():
+            kinds = {kind.name: plain_of(kind.plan.fields[0].node) for kind in node.kinds}
+            return lambda items: [
+                {
+                    "kind": item.kind,
+                    "data": (json_value if item.reason is not None else kinds[item.kind])(item.data),
+                    "reason": item.reason,
+                }
+                for item in items
+            ]
+        case _:
+            number = plain_number(node)
+            if number is None or not number.is_inexact:
+                return json_value
+            whole = number.whole
+            return lambda value: None if value is None else round(value * whole) / whole
+
+
 def is_single_value(node: p.Node) -> bool:
     """Whether msgspec writes the values of this node as they are."""
     if isinstance(node, p.Scalar):
         return node.kind != "bytes" and not node.flags
-    if not node.is_leaf:
-        return all(is_single_value(field.node) for _, field in node.children)
-    return isinstance(node, (p.FromIdentifier, p.Rest, p.DelimitedField, p.MoreCells))
+    return isinstance(node, (p.FromIdentifier, p.Rest, p.DelimitedField))
 
 
 # ---------------------------------------------------------------------- single values, by path
@@ -121,12 +215,14 @@ def is_single_value(node: p.Node) -> bool:
 
 @dataclass(frozen=True)
 class RecordLeaf:
-    """One value of a record: `path` is as a condition or a column names it (`servos.0.id`), `get` reads it.
+    """One value of a record: `path` is as a condition or a column names it (`servos.0.id`), `get` reads it, in the
+    steps of `way`.
 
     `conditional` says that the value is None while a selector has other values.
     """
 
     path: str
+    way: tuple[WayStep, ...]
     node: p.Node
     get: Callable[[Any], Any]
     conditional: bool = False
@@ -142,6 +238,6 @@ def record_leaves(plan: p.MessagePlan, *, is_split: bool = True) -> list[RecordL
         named = (one for one in plan.walk() if all(isinstance(step, str) for step in one.way))
         nodes = tuple(one for one in named if not isinstance(one.node, p.NestedRecord))
     return [
-        RecordLeaf(one.path, one.node, getter(one.way), bool(one.whens), isinstance(one, p.ItemPath))
+        RecordLeaf(one.path, one.way, one.node, getter(one.way), bool(one.whens), isinstance(one, p.ItemPath))
         for one in nodes
     ]

@@ -6,6 +6,8 @@
 1. Columns are as wide as the widest entry so far: they settle after a few lines, and nothing is held back for them.
 2. A line is cut into several only on a terminal, between fields. Elsewhere one record is one line, without colour.
 3. Nothing that came over a wire reaches the terminal as a control character.
+4. Where lines are neither coloured nor cut, a function that is generated from a message's plan prints its fields; it gives
+   what the way by tokens gives.
 
 Left out, because they would only distract: reserved bits that are zero, bytes up to the end where there are none, and
 fields that a selector says are not there.
@@ -21,10 +23,14 @@ from typing import Any, NamedTuple, Protocol
 
 from aces_bus.plain_text import LOOKALIKES
 from aces_bus.plain_text import printable as printable
-from aces_bus.protocol import FlagSet, Unknown
+from aces_bus.protocol import FlagSet, Record, Unknown
+from aces_bus.protocol.generate.load import OnDemand
+from aces_bus.protocol.keys import EXTENDED
 from aces_bus.protocol.plan import nodes as p
+from aces_bus.protocol.record import message_of
 
-from .shape import OfKind, Plans, flag_names, getter, json_value, record_leaves
+from .printing import HEADS, KEPT, LinePrinter, Read, has_few_values, name_of
+from .shape import OfKind, Plans, RecordLeaf, flag_names, getter, json_value, plain_number, record_leaves
 
 Show = Callable[[Any], str]
 Paint = Callable[[str, str], str]
@@ -70,8 +76,12 @@ PLAIN_ARROWS = {"to device": ">", "from device": "<"}
 BUS: Mapping[bool | None, str] = {True: "rx", False: "tx", None: ""}
 #: Of bytes that were not decoded, so many are shown.
 SHOWN = 16
+GAP = "  "
+LEAST_TIME = 12
 WIDEST_MESSAGE = 24
 WIDEST_FIELD = 40
+#: A field with the gap before it.
+WIDEST_TOKEN = len(GAP) + WIDEST_FIELD
 #: Continued lines begin below the first field, or at `INDENT` where that would leave less than this.
 LEAST_FOR_FIELDS = 36
 INDENT = 8
@@ -119,6 +129,11 @@ class TextOutput:
     ) -> None:
         self._notes = notes
         self._fields = OfKind(lambda kind: _Fields(plans[kind]))
+        self._printed = OfKind(lambda kind: TokenPrinter(plans[kind]).load())
+        self._is_plain = width is None and paint is no_paint
+        #: What stands between the time (of a stream: the offset) and the fields, without fields and with some; as
+        #: long as the columns keep their widths.
+        self._heads = OnDemand(self._head, most=HEADS)
         self._direction = direction
         self._paint = paint
         self._width = width
@@ -136,15 +151,27 @@ class TextOutput:
         self._source, self._is_can = source, link == "can"
         self._start = start if self._is_relative else None
         self._is_titled = False
+        self._heads.clear()
         return b""
 
     def items(self, items: Sequence[Any]) -> bytes:
         lines: list[str] = []
+        if items and not self._is_titled:
+            lines += self._title()
+        notes = self._notes
         for item in items:
-            meta = item.meta
-            if not self._is_titled:
-                lines += self._title()
-            lines += self._line(item, meta)
+            kind = type(item)
+            if kind is Unknown or not self._is_plain or (notes is not None and notes.of(item)):
+                lines += self._line(item)
+                continue
+            fields = self._printed[kind](item)
+            if self._is_can:
+                heads = self._heads[kind, item._channel, item._key, item._rx]
+                lines.append(f"{self._when(item._time)}{heads[1] if fields else heads[0]}{fields}")
+            else:
+                heads = self._heads[kind, None, None, None]
+                place = self._when(item._time) + self._right("offset", str(item._key), 8)
+                lines.append(f"{place}{heads[1] if fields else heads[0]}{fields}")
         lines.append("")
         return "\n".join(lines).encode(self._encoding, LOOKALIKES)
 
@@ -158,52 +185,69 @@ class TextOutput:
         self._is_first = False
         return lines
 
-    def _line(self, item: Any, meta: Any) -> list[str]:
-        paint = self._paint
-        direction = meta.direction or (None if self._is_can else self._direction)
-        place = self._place(meta)
+    def _head(self, of: tuple[type[Record], str | None, int | None, bool | None]) -> tuple[str, str]:
+        kind, channel, key, is_rx = of
+        place = "" if key is None else self._where(channel, is_rx, key & 0x1FFF_FFFF, key & EXTENDED != 0)
+        head = f"{place} {self._arrow(message_of(kind).direction)} {kind.__name__}"
+        width = self._column("message", kind.__name__, WIDEST_MESSAGE)
+        return head, head + " " * (width - len(kind.__name__))
+
+    def _line(self, item: Any) -> list[str]:
+        """The lines of an item, coloured and cut as was asked for."""
+        meta = item.meta
+        place = self._when(meta.time)
+        if self._is_can:
+            place += self._where(meta.channel, meta.is_rx, meta.identifier, meta.extended)
+        else:
+            place += self._right("offset", str(meta.offset), 8)
         if type(item) is Unknown:
             style, name, tokens = item.kind, item.reason.partition(": ")[0], self._lost(item, meta)
         else:
             style, name, tokens = "message", meta.message, self._fields[type(item)].tokens(item)
             if self._notes is not None:
                 tokens += self._notes.of(item)
-        arrow = self._arrows.get(direction or "", " ")
-        if direction is not None:
-            arrow = paint(direction, arrow)
-        head = f"{paint('place', place)} {arrow} {paint(style, name)}"
+        head = f"{self._paint('place', place)} {self._arrow(meta.direction)} {self._paint(style, name)}"
         width = self._column("message", name, WIDEST_MESSAGE)
         if not tokens:
             return [head]
         size = len(place) + 3 + max(width, len(name))
         return self._wrapped(head + " " * (width - len(name)), size, tokens)
 
-    def _place(self, meta: Any) -> str:
-        """Where and when: the columns in front."""
+    def _arrow(self, direction: str | None) -> str:
+        direction = direction or (None if self._is_can else self._direction)
+        arrow = self._arrows.get(direction or "", " ")
+        return arrow if direction is None else self._paint(direction, arrow)
+
+    def _when(self, time: float | None) -> str:
+        """The column of the time, with the gap behind it."""
+        widest = self._widths["time"]
+        if time is None:
+            return " " * max(widest, LEAST_TIME) + GAP if widest else ""
+        text = f"{time - self._start:.6f}" if self._start is not None else self._stamp(time)
+        if len(text) > widest:
+            widest = self._column("time", text)
+        return text.rjust(widest if widest > LEAST_TIME else LEAST_TIME) + GAP
+
+    def _where(self, channel: Any, is_rx: bool | None, identifier: int | None, is_extended: bool) -> str:
+        """The columns that CAN says of a frame."""
         columns: list[str] = []
-        if meta.time is not None:
-            columns.append(self._right("time", self._stamp(meta.time), 12))
-        elif self._widths["time"]:
-            columns.append(self._right("time", "", 12))
-        if self._is_can:
-            channel = "" if meta.channel is None else printable(str(meta.channel))
-            if width := self._column("channel", channel):
-                columns.append(channel.ljust(width))
-            bus = BUS[meta.is_rx]
-            if width := self._column("bus", bus):
-                columns.append(bus.ljust(width))
-            columns.append(self._right("id", f"{meta.identifier:0{8 if meta.extended else 3}X}", 3))
-        else:
-            columns.append(self._right("offset", str(meta.offset), 8))
-        return "  ".join(columns)
+        name = "" if channel is None else printable(str(channel))
+        if width := self._column("channel", name):
+            columns.append(name.ljust(width))
+        bus = BUS[is_rx]
+        if width := self._column("bus", bus):
+            columns.append(bus.ljust(width))
+        columns.append(self._right("id", f"{identifier:0{8 if is_extended else 3}X}", 3))
+        return GAP.join(columns)
 
     def _stamp(self, time: float) -> str:
-        return f"{time - (self._start or 0):.6f}"
+        return f"{time:.6f}"
 
     def _column(self, column: str, text: str, most: int = 1000) -> int:
         width = self._widths[column]
         if len(text) > width:
             width = self._widths[column] = min(len(text), most)
+            self._heads.clear()
         return width
 
     def _right(self, column: str, text: str, least: int) -> str:
@@ -292,6 +336,131 @@ class _Fields:
             style = "flags" if isinstance(value, FlagSet) and value else "value"
             out.append(PrintedField(label, text, mark, style, width.pad(len(label) + len(text) + len(mark))))
         return out
+
+
+class TokenPrinter(LinePrinter):
+    """Prints the function that gives the fields of a message's records as text, each behind a gap: what `_Fields` gives, in
+    columns. The widest token of each field so far is a variable of the function's module."""
+
+    def __init__(self, plan: p.MessagePlan) -> None:
+        super().__init__(plan)
+        leaves = record_leaves(plan, is_split=False)
+        #: The local name of each token.
+        self._tokens = [self.names.new(name_of(leaf)) for leaf in leaves]
+        self._most = [self.names.new(f"most_{name_of(leaf)}") for leaf in leaves]
+        sure = [number for number, leaf in enumerate(leaves) if not self._absent(leaf)]
+        last = sure[-1] if sure else -1
+        more = len(leaves) - last - 1
+        if widths := self._most[: len(leaves) if more else max(last, 0)]:
+            self.setup.append(f"{' = '.join(widths)} = 0")
+            self.body.line(f"global {', '.join(widths)}")
+        for number, leaf in enumerate(leaves[: last + 1]):
+            self._before_sure(number, leaf, is_last=number == last)
+        line = f"f'{''.join(f'{{{name}}}' for name in self._tokens[: last + 1])}'"
+        if not more:
+            self.body.line(f"return {line}")
+            return
+        self.body.lines(f"line = {line}", "pad = 0")
+        if last >= 0:
+            self._widen(last)
+            self.body.line(f"pad = {self._most[last]} - n")
+        for number, leaf in enumerate(leaves[last + 1 :], last + 1):
+            self._behind(number, leaf)
+        self.body.line("return line")
+
+    def _absent(self, leaf: RecordLeaf) -> str:
+        """The test for a value that is left out, which is `v` then; empty where it never is."""
+        if leaf.node.is_quiet:
+            return f"not (v := {self.read(leaf)})"
+        is_optional = leaf.conditional or isinstance(leaf.node, p.FromRequest)
+        return f"(v := {self.read(leaf)}) is None" if is_optional else ""
+
+    def _before_sure(self, number: int, leaf: RecordLeaf, *, is_last: bool) -> None:
+        """A token that others follow, or the last sure one."""
+        body, name, most = self.body, self._tokens[number], self._most[number]
+        absent = self._absent(leaf)
+        value = "v" if absent else self.read(leaf)
+        if absent:
+            body.lines(f"if {absent}:", f"    {name} = ''", "else:")
+            body.depth += 1
+        if not is_last and has_few_values(leaf.node):
+            texts = self._bound(f"padded_{name_of(leaf)}", Padded(token_of(leaf)), shown=leaf.path)
+            body.line(f"{name} = {texts}[{value}]")
+        else:
+            body.line(f"{name} = {self._token(leaf, value)}")
+            if not is_last:
+                body.line(f"if (n := len({name})) < {most}: {name} = {name}.ljust({most})")
+                body.line(f"elif n > {most}: {most} = min(n, {WIDEST_TOKEN})")
+        if absent:
+            body.depth -= 1
+
+    def _behind(self, number: int, leaf: RecordLeaf) -> None:
+        """A token behind the last sure one: what keeps it in its column is added only where it is there."""
+        body, name = self.body, self._tokens[number]
+        body.line(f"if not ({self._absent(leaf)}):")
+        body.depth += 1
+        body.line(f"{name} = {self._token(leaf, 'v')}")
+        self._widen(number)
+        body.lines(f"line += ' ' * pad + {name}", f"pad = {self._most[number]} - n")
+        body.depth -= 1
+
+    def _widen(self, number: int) -> None:
+        most = self._most[number]
+        self.body.line(f"if (n := len({self._tokens[number]})) > {most}: {most} = min(n, {WIDEST_TOKEN})")
+
+    def _token(self, leaf: RecordLeaf, value: str) -> str:
+        """The expression of a token."""
+        node = leaf.node
+        label, unit = _label(leaf), _unit(node)
+        parts = None if has_few_values(node) else self._numbers(node, value)
+        if parts is not None:
+            return self.literal([label, *parts, unit])
+        number = plain_number(node)
+        if number is None or has_few_values(node):
+            return self.shown(name_of(leaf), node, token_of(leaf), value)
+        text = self.literal([label, Read(f"v:{_format(node)}"), unit])
+        return f"{text} if (v := {value}) is not None else {self.constant(token_of(leaf)(None))}"
+
+    def _numbers(self, node: p.Node, value: str) -> list[str | Read] | None:
+        """The text of a number, or of a list of numbers; None where it may be something else."""
+        if isinstance(node, p.Many):
+            found: list[str | Read] = []
+            for number, item in enumerate(node.items):
+                parts = self._numbers(item, f"{value}[{number}]")
+                if parts is None:
+                    return None
+                found += [", " if number else "[", *parts, "" if node.unit else _unit(item)]
+            return [*found, "]"] if found else None
+        form = number_format(node)
+        return None if form is None else [Read(f"{value}:{form}")]
+
+
+class Padded(dict[Any, str]):
+    """The tokens of a field with few values, as wide as the widest so far."""
+
+    def __init__(self, token: Show) -> None:
+        super().__init__()
+        self._token, self._most = token, 0
+
+    def __missing__(self, value: Any) -> str:
+        text = self._token(value)
+        if len(text) > self._most:
+            self.clear()
+            self._most = min(len(text), WIDEST_TOKEN)
+        if len(self) >= KEPT:
+            return text.ljust(self._most)
+        text = self[value] = text.ljust(self._most)
+        return text
+
+
+def token_of(leaf: RecordLeaf) -> Show:
+    """A function that gives any value's token, behind a gap."""
+    label, shown, unit = _label(leaf), value_printer(leaf.node), _unit(leaf.node)
+    return lambda value: label + ("unknown" if value is None else shown(value) + unit)
+
+
+def _label(leaf: RecordLeaf) -> str:
+    return f"{GAP}{leaf.path}="
 
 
 class _Width:
@@ -394,30 +563,28 @@ def _named_values(data: Any, units: Mapping[str, str]) -> str:
 def _show_number(node: p.Scalar | p.FromIdentifier) -> Show:
     if node.flags:
         return lambda value: "{" + ", ".join(flag_names(value)) + "}"
-    if any(isinstance(step, p.ValueNames) for step in node.steps):
-        return _name
+    form = _format(node)
+    if not node.value_names:
+        return lambda value: format(value, form)
+    return lambda value: printable(value) if isinstance(value, str) else format(value, form)
+
+
+def number_format(node: p.Node) -> str | None:
+    """How the numbers of a node are formatted; None where a value may be something else, or None."""
+    number = plain_number(node)
+    return None if number is None or number.has_unknown else _format(node)
+
+
+def _format(node: p.Node) -> str:
+    """How the numbers of a node are formatted, as many decimals as one raw step has."""
     if isinstance(node, p.Scalar) and node.kind == "float":
-        digits = {2: 4, 4: 7}.get(node.size or 0, 15)
-        return lambda value: f"{value:.{digits}g}"
+        return f".{ {2: 4, 4: 7}.get(node.size or 0, 15) }g"
     scales = [step for step in node.steps if isinstance(step, p.Scale)]
-    if any(step.names for step in scales):
-        number = _show_scaled(scales)
-        return lambda value: printable(value) if isinstance(value, str) else number(value)
-    return _show_scaled(scales)
-
-
-def _name(value: Any) -> str:
-    """A name, or a number that has none."""
-    return printable(str(value))
-
-
-def _show_scaled(scales: Sequence[p.Scale]) -> Show:
     if scales and not all(float(s.scale).is_integer() and float(s.offset).is_integer() for s in scales):
-        digits = max(decimals(s.scale, s.offset) for s in scales)
-        return lambda value: f"{value:.{digits}f}" if isinstance(value, float) else str(value)
+        return f".{max(decimals(s.scale, s.offset) for s in scales)}f"
     if scales and any(isinstance(s.scale, float) or isinstance(s.offset, float) for s in scales):
-        return lambda value: f"{value:.0f}"
-    return str
+        return ".0f"
+    return ""
 
 
 def decimals(scale: float, offset: float) -> int:
