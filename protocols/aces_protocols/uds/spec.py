@@ -123,10 +123,11 @@ def sub(name: str, names: dict[str, int] | None = None, **more: Any) -> BitLayou
 
 #: Numbers of requests (ISO 14229-1, table 2): those of the standard, and those of suppliers.
 REQUESTS = (*range(0x10, 0x3F), *range(0x83, 0x89), *range(0xBA, 0xBF))
-for _name, _carried in (
+_ways: tuple[tuple[str, dict[str, Any]], ...] = (
     ("Other", {"transport": ONE_ECU}),
     ("OtherAll", {"transport": ALL_ECUS, "id": ALL}),
-):
+)
+for _name, _carried in _ways:
     _other = uds.message(
         _name,
         direction="to device",
