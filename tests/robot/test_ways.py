@@ -146,6 +146,32 @@ def test_a_bus_without_ticks_leads_there_too() -> None:
     assert -sent[-1] - 0.1 + 0.2 == pytest.approx(0.5 + 0.1, abs=0.11)
 
 
+@pytest.mark.parametrize("joint", ["J", ""], ids=["a joint", "no joint"])
+def test_where_no_file_states_a_speed_it_is_led_all_the_same(joint: str) -> None:
+    """1 rad/s, for a joint without `max_speed` and for a servo that is no joint: half a second on, half a radian is left."""
+    text = """
+name = "bench"
+rate_hz = 50
+[buses]
+line = { link = "serial", protocol = "robotis" }
+[devices]
+S1 = { driver = "robotis_rx", bus = "line", credentials = { id = 1 } }
+"""
+    robot, _ = parse_robot(text + ('[joints]\nJ = { device = "S1" }\n' if joint else ""))
+    assert robot is not None
+    with VirtualRobot(robot, rate_hz=50) as world:
+        world.advance(0.3)
+        world.devices["S1"].enable().wait()
+        world.advance(0.1)
+        servo = world[f"{joint or 'S1'}.position"]
+        before = servo.value
+        servo.set(before + 1.0)
+        world.advance(0.02)
+        assert abs(world.rig.door.goals[servo.name] - before) == pytest.approx(1.0)
+        world.advance(0.48)
+        assert servo.value - before == pytest.approx(0.5, abs=0.1)
+
+
 # ---------------------------------------------------------------------- following
 
 
