@@ -20,6 +20,7 @@ from aces_bus.hardware import CanGate, Received
 from aces_bus.hardware.queues import Inbox
 from aces_tools.main import main
 from tests.oracles.foreign import oracle
+from tests.oracles.served import wait_until
 from tests.specs.j1939_long import j1939_long
 
 j1939 = oracle("j1939", "can-j1939")
@@ -76,6 +77,11 @@ def text(size: int) -> bytes:
     return bytes((11 * place + size) & 0xFF for place in range(size))
 
 
+def say(unit: Unit, *packet: Any) -> None:
+    """Have a unit send a packet: as soon as the one before is over for it, which its own thread finds."""
+    wait_until(lambda: unit.unit.send_pgn(*packet))
+
+
 def records_until(bus: can.BusABC, count: int) -> tuple[list[Any], Any]:
     """The first `count` records of what comes, with all that is lost, and the counts."""
     scanner = j1939_long.scanner(include_unknown=True)
@@ -90,7 +96,7 @@ def records_until(bus: can.BusABC, count: int) -> tuple[list[Any], Any]:
 def test_a_broadcast_is_read(units: tuple[Unit, Unit], bus: can.BusABC) -> None:
     """BAM: our record has its bytes; another unit of its own reads the same."""
     data = text(18)
-    assert units[0].unit.send_pgn(0, 0xFE, 0xEC, 6, ONE, list(data))
+    say(units[0], 0, 0xFE, 0xEC, 6, ONE, list(data))
     (record,), counts = records_until(bus, 1)
     assert (type(record).__name__, record.source, record.number) == ("VehicleIdentification", ONE, data)
     assert (counts.decoded, counts.records) == (4, 1)
@@ -101,7 +107,7 @@ def test_a_broadcast_is_read(units: tuple[Unit, Unit], bus: can.BusABC) -> None:
 def test_a_packet_to_one_address_is_read(units: tuple[Unit, Unit], bus: can.BusABC, size: int) -> None:
     """RTS/CTS between two of its units: we read the packet, and count what steers it."""
     data = text(size)
-    assert units[0].unit.send_pgn(0, 0xEF, OTHER, 6, ONE, list(data))
+    say(units[0], 0, 0xEF, OTHER, 6, ONE, list(data))
     found, counts = records_until(bus, 1)
     record = found[-1]
     assert (type(record).__name__, record.source, record.destination, record.data) == (
@@ -120,8 +126,8 @@ def test_a_packet_to_one_address_is_read(units: tuple[Unit, Unit], bus: can.BusA
 def test_packets_of_several_senders_at_once(units: tuple[Unit, Unit], bus: can.BusABC) -> None:
     """Both units send to each other and to all at the same time: four packets, each whole."""
     for (unit, address), other in (((units[0], ONE), OTHER), ((units[1], OTHER), ONE)):
-        assert unit.unit.send_pgn(0, 0xFE, 0xEC, 6, address, list(text(20 + address)))
-        assert unit.unit.send_pgn(0, 0xEF, other, 6, address, list(text(30 + address)))
+        say(unit, 0, 0xFE, 0xEC, 6, address, list(text(20 + address)))
+        say(unit, 0, 0xEF, other, 6, address, list(text(30 + address)))
     found, counts = records_until(bus, 4)
     records = [one for one in found if not hasattr(one, "reason")]
     assert {getattr(one, "data", None) or one.number for one in records} == {

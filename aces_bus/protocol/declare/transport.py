@@ -261,7 +261,7 @@ class Transport:
     def within(self, so_far: Sequence[FramePart], key: int, data: bytes) -> FramePart | None:
         """What a frame is while an acknowledged packet is open, whose frames are the parts `so_far`; None: what `part` says.
 
-        Of a lost session `so_far` is one part that is *ready*.
+        Of blocks before the last one parts may be left out. Of a lost session `so_far` is one part that is *ready*.
         """
         return None
 

@@ -107,6 +107,8 @@ class _Conversation:
     def fault(self, part: FramePart, transport: Transport) -> str:
         """Take one more frame's part; what is wrong with the packet then."""
         role, block = part.role, self.block
+        if role == "next" and self.parts[-1].role == "taken":
+            del self.parts[1:]  # of the block before nothing is asked any more
         self.parts.append(part)
         if role == "ready":
             return "restarted" if block or self.count else ""

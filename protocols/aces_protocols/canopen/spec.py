@@ -50,7 +50,6 @@ Left = IdField("unused", range(8), doc="how many of the seven bytes are not data
 Toggle = IdField("toggle", range(2), doc="alternates from segment to segment")
 Last = IdField("last", range(2), doc="whether this is the last segment")
 Checked = IdField("checked", range(2), doc="whether the sender knows CRCs")
-Number = IdField("number", range(1, 128), doc="which segment of the block it is")
 
 #: NMT states; 80 and 96 are the library's own.
 STATES = {
@@ -263,9 +262,7 @@ _FRAMES, _CARRIED = (
     {"dialect": "transfers", "transport": SdoTransfer(max_size=1 << 16)},
 )
 
-ask_frame, ask_segment = (
-    canopen.family(prefix, **_TO, **_FRAMES, overrides="SdoBlockSegment") for prefix in (_OBJECT, _SEGMENT)
-)
+ask_frame, ask_segment = (canopen.family(prefix, **_TO, **_FRAMES) for prefix in (_OBJECT, _SEGMENT))
 ask_carried = canopen.family(_OBJECT, **_TO, **_CARRIED)
 
 SdoUpload, _ = (
@@ -335,7 +332,6 @@ SdoDownloadSegment = ask_segment(
         )
     ],
 )
-abort_frame, abort_answer = (canopen.family(_OBJECT, **way, **_FRAMES) for way in (_TO, _FROM))
 SdoAbort, _ = (
     declare(
         "SdoAbort",
@@ -345,7 +341,7 @@ SdoAbort, _ = (
         source=CIA301,
         examples=[("605#80 00 00 00 00 00 04 05", {"node": 5, "index": 0, "subindex": 0, "code": "timeout"})],
     )
-    for declare in (abort_frame, ask_carried)
+    for declare in (ask_frame, ask_carried)
 )
 
 SdoDownloadTransfer = ask_carried(
@@ -364,10 +360,7 @@ SdoDownloadTransfer = ask_carried(
 
 # ---------------------------------------------------------------------- service data: from the device
 
-answer_frame, answer_segment = (
-    canopen.family(prefix, **_FROM, **_FRAMES, overrides="SdoBlockUploadedSegment")
-    for prefix in (_OBJECT, _SEGMENT)
-)
+answer_frame, answer_segment = (canopen.family(prefix, **_FROM, **_FRAMES) for prefix in (_OBJECT, _SEGMENT))
 answer_carried = canopen.family(_OBJECT, **_FROM, **_CARRIED)
 
 SdoUploaded, _ = (
@@ -449,7 +442,7 @@ SdoAborted, _ = (
             )
         ],
     )
-    for declare in (abort_answer, answer_carried)
+    for declare in (answer_frame, answer_carried)
 )
 SdoUploadTransfer = answer_carried(
     "SdoUploadTransfer",
@@ -522,19 +515,22 @@ for _declare, _name, _command, _payload, _doc, _bytes, _values in (
         source=CIA301,
         examples=[(_bytes, {"node": 5, **_values})],
     )
-for _way, _name, _key in ((_TO, "SdoBlockSegment", 605), (_FROM, "SdoBlockUploadedSegment", 585)):
+#: First bytes of what is declared above, of both ways: a block's segment may have any of them, too.
+_BEGINNINGS = {0x80, 0xA0, 0xA1, 0xA2, 0xA4, *range(0x20), *range(0xC0, 0xC8, 2), *range(0xC1, 0xE0, 4)}
+_TO_BEGINNINGS = {0x20, 0x21, 0x40, 0x60, 0x70, 0xA3, *(0x22 | n for n in (0, 1, 4, 5, 8, 9, 12, 13))}
+_FROM_BEGINNINGS = {0x20, 0x30, 0x40, 0x41, 0x60, *(0x42 | n for n in (0, 1, 4, 5, 8, 9, 12, 13))}
+for _way, _name, _key, _others in (
+    (_TO, "SdoBlockSegment", 605, _TO_BEGINNINGS),
+    (_FROM, "SdoBlockUploadedSegment", 585, _FROM_BEGINNINGS),
+):
+    _segments = sorted({*range(1, 128), *range(0x81, 0x100)} - _BEGINNINGS - _others)
     canopen.family(_SEGMENT, **_way, **_FRAMES)(
         _name,
-        command=Number | Last << 7,
+        command=IdField("segment", _segments, doc="its number in the block, and 128 more in the last one"),
         payload=Struct("data" / Bytes(7)),
         doc="Seven bytes of a block, where the first byte is no other frame's.",
         source=CIA301,
-        examples=[
-            (
-                f"{_key}#81 61 62 63 00 00 00 00",
-                {"node": 5, "number": 1, "last": 1, "data": b"abc\0\0\0\0"},
-            )
-        ],
+        examples=[(f"{_key}#81 61 62 63 00 00 00 00", {"node": 5, "segment": 0x81, "data": b"abc\0\0\0\0"})],
     )
 for _declare, _name, _key, _back, _go, _doc in (
     (ask_carried, "SdoBlockDownloadTransfer", 605, 585, "A4 08 10 00 7F 00 00 00", "written"),
