@@ -54,6 +54,7 @@ class ParquetExport(Folder):
     suffix = ".parquet"
 
     def _open(self, arrow: ArrowLayout, sink: ExportFile) -> Any:
+        import pyarrow as pa
         import pyarrow.parquet as pq
 
         slots = arrow.layout.slots
@@ -63,6 +64,8 @@ class ParquetExport(Folder):
             compression="zstd",
             use_dictionary=[slot.name for slot in slots if _is_repetitive(slot)],
             column_encoding={slot.name: _ENCODINGS[kind] for slot in slots if (kind := _kind(slot))},
+            # Many writers, each with little: Arrow's own pool keeps 18 MB more of a car's 60 messages, and is no faster.
+            memory_pool=pa.system_memory_pool(),
         )
 
     def _put(self, writer: Any, arrow: ArrowLayout, block: Block) -> None:
