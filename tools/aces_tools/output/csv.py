@@ -27,14 +27,14 @@ from aces_bus.protocol.keys import EXTENDED
 from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.record import message_of, protocol_name_of
 
-from .printing import HEADS, LinePrinter, Read, decimal, has_few_values, name_of
+from .printing import HEADS, LinePrinter, Read, decimal, has_few_values
 from .shape import (
     OfKind,
     Plans,
     RecordLeaf,
     flag_names,
     json_value,
-    plain_number,
+    nameless_number,
     plain_of,
     record_leaves,
 )
@@ -172,15 +172,15 @@ class RowPrinter(LinePrinter):
         before, after = f"{self._names}{_written(leaf.path)},", f",{_written(leaf.node.unit)}\n"
         if not leaf.is_inside:
             return [Read("head"), before, self._cell(leaf), after]
-        cell = self.shown(name_of(leaf), leaf.node, cell_of(leaf.node), "v")
+        cell = self.shown(leaf.identifier, leaf.node, cell_of(leaf.node), "v")
         names = ", ".join(["head", self.constant(before.encode()), cell, self.constant(after.encode())])
         return [Read(f'b"" if (v := {self.read(leaf)}) is None else join(({names}))')]
 
     def _cell(self, leaf: RecordLeaf) -> Read:
         node, value = leaf.node, self.read(leaf)
-        number = plain_number(node)
+        number = nameless_number(node)
         if number is None or (number.is_inexact and has_few_values(node)):
-            return self.shown(name_of(leaf), node, cell_of(node), value)
+            return self.shown(leaf.identifier, node, cell_of(node), value)
         is_optional = leaf.conditional or number.has_unknown
         is_usual = not number.is_float or 0 < number.whole <= LEAST_USUAL
         text = f"{'json' if is_usual else 'decimal'}({number.mended('v' if is_optional else value)})"
@@ -189,7 +189,7 @@ class RowPrinter(LinePrinter):
 
 def cell_of(node: p.Node) -> Callable[[Any], bytes]:
     """A function that writes any value of a node as one cell."""
-    plain, number = plain_of(node), plain_number(node)
+    plain, number = plain_of(node), nameless_number(node)
     if number is not None and number.is_inexact:
         return lambda value: _written(plain(value)).encode()
     return lambda value: _written(cell(value, plain)).encode("utf-8", "replace")

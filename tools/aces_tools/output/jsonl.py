@@ -23,7 +23,7 @@ from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.record import message_of, protocol_name_of
 
 from .printing import HEADS, LinePrinter, Read, has_few_values
-from .shape import OfKind, Plans, is_single_value, json_bytes, json_text, plain_number, plain_of
+from .shape import OfKind, Plans, is_single_value, json_bytes, json_string, nameless_number, plain_of
 
 BUS: Mapping[bool | None, str] = {True: ', "bus_direction": "rx"', False: ', "bus_direction": "tx"', None: ""}
 
@@ -40,7 +40,7 @@ class JsonLines:
         self._packets = OnDemand(self._packet, most=HEADS)
 
     def begin(self, source: str, link: str, start: float | None = None) -> bytes:
-        self._begin = f'{{"source": {json_text(source)}, "time": '.encode()
+        self._begin = f'{{"source": {json_string(source)}, "time": '.encode()
         self._is_can = link == "can"
         return b""
 
@@ -77,10 +77,10 @@ class JsonLines:
             head = frame_head(meta.channel, meta.direction, meta.identifier, flags, meta.is_rx)
         else:
             head = packet_head(meta.channel, meta.direction or self._direction)
-            head += f'{json_text(meta.offset)}, "size": {json_text(meta.size)}'
-        reason, raw = json_text(item.reason), meta.raw.hex()
+            head += f'{json_string(meta.offset)}, "size": {json_string(meta.size)}'
+        reason, raw = json_string(item.reason), meta.raw.hex()
         lost = f'"protocol": null, "message": null, "reason": {reason}, "raw": "{raw}"'
-        return f"{json_text(meta.time)}{head}, {lost}}}\n".encode()
+        return f"{json_string(meta.time)}{head}, {lost}}}\n".encode()
 
 
 def frame_head(
@@ -91,15 +91,15 @@ def frame_head(
     is_rx: bool | None,
 ) -> str:
     """What CAN says of a frame; `flags`: extended, fd, remote."""
-    extended, fd, _ = map(json_text, flags)
-    head = f', "channel": {json_text(channel)}, "direction": {json_text(direction)}{BUS[is_rx]}'
-    head += f', "id": {json_text(identifier)}, "extended": {extended}, "fd": {fd}'
+    extended, fd, _ = map(json_string, flags)
+    head = f', "channel": {json_string(channel)}, "direction": {json_string(direction)}{BUS[is_rx]}'
+    head += f', "id": {json_string(identifier)}, "extended": {extended}, "fd": {fd}'
     return head + (', "remote": true' if flags[2] else "")
 
 
 def packet_head(channel: str | None, direction: str | None) -> str:
     """What is said of a packet, up to its offset."""
-    return f', "channel": {json_text(channel)}, "direction": {json_text(direction)}, "offset": '
+    return f', "channel": {json_string(channel)}, "direction": {json_string(direction)}, "offset": '
 
 
 # ---------------------------------------------------------------------- fields
@@ -110,10 +110,10 @@ class FieldsPrinter(LinePrinter):
 
     def __init__(self, kind: type[Record], plan: p.MessagePlan) -> None:
         super().__init__(plan)
-        protocol, message = json_text(protocol_name_of(kind)), json_text(kind.__name__)
+        protocol, message = json_string(protocol_name_of(kind)), json_string(kind.__name__)
         parts: list[str | Read] = [f', "protocol": {protocol}, "message": {message}, "fields": {{']
         for number, field in enumerate(plan.fields):
-            parts.append(f"{', ' if number else ''}{json_text(field.name)}: ")
+            parts.append(f"{', ' if number else ''}{json_string(field.name)}: ")
             parts += self._value(field, field.name, f"r.{field.name}")
         self.joined([*parts, "}}\n"])
 
@@ -124,11 +124,11 @@ class FieldsPrinter(LinePrinter):
             parts: list[str | Read] = ["[" if is_list else "{"]
             for step, inner in node.children:
                 parts.append(", " if len(parts) > 1 else "")
-                parts.append("" if is_list else f"{json_text(step)}: ")
+                parts.append("" if is_list else f"{json_string(step)}: ")
                 inside = f"{value}[{step}]" if is_list else f"{value}.{step}"
                 parts += self._value(inner, f"{name}_{step}", inside)
             return [*parts, "]" if is_list else "}"]
-        number = plain_number(node)
+        number = nameless_number(node)
         if number is not None and number.is_inexact and not has_few_values(node):
             text = number.mended(value)
             if is_optional or number.has_unknown:

@@ -66,7 +66,7 @@ class LinePrinter(FunctionSetup):
         is_there = self.plan.is_flat and not leaf.conditional
         if len(leaf.way) == 1 or (is_there and all(isinstance(step, (str, int)) for step in leaf.way)):
             return "r" + "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in leaf.way)
-        return f"{self._bound(f'get_{name_of(leaf)}', leaf.get)}(r)"
+        return f"{self._bound(f'get_{leaf.identifier}', leaf.get)}(r)"
 
     def shown(self, name: str, node: p.Node, show: Callable[[Any], str | bytes], value: str) -> Read:
         """What a function makes of a value."""
@@ -99,11 +99,6 @@ class LinePrinter(FunctionSetup):
         self.body.line("))")
 
 
-def name_of(leaf: RecordLeaf) -> str:
-    """The path of a value as one name."""
-    return leaf.path.replace(".", "_")
-
-
 def has_few_values(node: p.Node) -> bool:
     """Whether it pays to keep the texts of a node's values."""
     if any(isinstance(step, (p.FlagBits, p.ValueNames)) for step in node.steps):
@@ -112,4 +107,4 @@ def has_few_values(node: p.Node) -> bool:
     return high - low < FEW
 
 
-__all__ = ["LinePrinter", "Read", "has_few_values", "name_of"]
+__all__ = ["LinePrinter", "Read", "has_few_values"]

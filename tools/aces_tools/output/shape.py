@@ -114,7 +114,7 @@ def json_value(value: Any) -> Any:
 json_bytes: Callable[[Any], bytes] = msgspec.json.Encoder(enc_hook=json_value).encode
 
 
-def json_text(value: Any) -> str:
+def json_string(value: Any) -> str:
     """The same as text."""
     return json_bytes(value).decode()
 
@@ -147,7 +147,7 @@ class PlainNumber(NamedTuple):
         return f"round({value} * {self.whole}) / {self.whole}" if self.is_inexact else value
 
 
-def plain_number(node: p.Node) -> PlainNumber | None:
+def nameless_number(node: p.Node) -> PlainNumber | None:
     """What is known of a node's numbers; None where its values may be something else."""
     if not isinstance(node, (p.Scalar, p.FromIdentifier)) or node.known_names != []:
         return None
@@ -196,7 +196,7 @@ def plain_of(node: p.Node) -> Convert:
                 for item in items
             ]
         case _:
-            number = plain_number(node)
+            number = nameless_number(node)
             if number is None or not number.is_inexact:
                 return json_value
             whole = number.whole
@@ -228,6 +228,11 @@ class RecordLeaf:
     conditional: bool = False
     #: Whether it is inside a list of items, which may be without it.
     is_inside: bool = False
+
+    @property
+    def identifier(self) -> str:
+        """The path as one name: `servos_0_id`."""
+        return self.path.replace(".", "_")
 
 
 def record_leaves(plan: p.MessagePlan, *, is_split: bool = True) -> list[RecordLeaf]:

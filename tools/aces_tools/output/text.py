@@ -29,8 +29,8 @@ from aces_bus.protocol.keys import EXTENDED
 from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.record import message_of
 
-from .printing import HEADS, KEPT, LinePrinter, Read, has_few_values, name_of
-from .shape import OfKind, Plans, RecordLeaf, flag_names, getter, json_value, plain_number, record_leaves
+from .printing import HEADS, KEPT, LinePrinter, Read, has_few_values
+from .shape import OfKind, Plans, RecordLeaf, flag_names, getter, json_value, nameless_number, record_leaves
 
 Show = Callable[[Any], str]
 Paint = Callable[[str, str], str]
@@ -346,8 +346,8 @@ class TokenPrinter(LinePrinter):
         super().__init__(plan)
         leaves = record_leaves(plan, is_split=False)
         #: The local name of each token.
-        self._tokens = [self.names.new(name_of(leaf)) for leaf in leaves]
-        self._most = [self.names.new(f"most_{name_of(leaf)}") for leaf in leaves]
+        self._tokens = [self.names.new(leaf.identifier) for leaf in leaves]
+        self._most = [self.names.new(f"most_{leaf.identifier}") for leaf in leaves]
         sure = [number for number, leaf in enumerate(leaves) if not self._absent(leaf)]
         last = sure[-1] if sure else -1
         more = len(leaves) - last - 1
@@ -384,7 +384,7 @@ class TokenPrinter(LinePrinter):
             body.lines(f"if {absent}:", f"    {name} = ''", "else:")
             body.depth += 1
         if not is_last and has_few_values(leaf.node):
-            texts = self._bound(f"padded_{name_of(leaf)}", Padded(token_of(leaf)), shown=leaf.path)
+            texts = self._bound(f"padded_{leaf.identifier}", Padded(token_of(leaf)), shown=leaf.path)
             body.line(f"{name} = {texts}[{value}]")
         else:
             body.line(f"{name} = {self._token(leaf, value)}")
@@ -415,9 +415,9 @@ class TokenPrinter(LinePrinter):
         parts = None if has_few_values(node) else self._numbers(node, value)
         if parts is not None:
             return self.literal([label, *parts, unit])
-        number = plain_number(node)
+        number = nameless_number(node)
         if number is None or has_few_values(node):
-            return self.shown(name_of(leaf), node, token_of(leaf), value)
+            return self.shown(leaf.identifier, node, token_of(leaf), value)
         text = self.literal([label, Read(f"v:{_format(node)}"), unit])
         return f"{text} if (v := {value}) is not None else {self.constant(token_of(leaf)(None))}"
 
@@ -571,7 +571,7 @@ def _show_number(node: p.Scalar | p.FromIdentifier) -> Show:
 
 def number_format(node: p.Node) -> str | None:
     """How the numbers of a node are formatted; None where a value may be something else, or None."""
-    number = plain_number(node)
+    number = nameless_number(node)
     return None if number is None or number.has_unknown else _format(node)
 
 
