@@ -528,7 +528,8 @@ def draw(seed: int) -> Drawn:
 
 def built(source: str) -> Protocol:
     """The protocol that a spec's source declares."""
-    space: dict[str, Any] = {**vars(construct), **vars(words), "math": __import__("math")}
+    ours = {name: getattr(words, name) for name in words.__all__}
+    space: dict[str, Any] = {**vars(construct), **ours, "math": __import__("math")}
     exec(compile(source, "<drawn spec>", "exec"), space)
     protocol: Protocol = space["p"]
     return protocol

@@ -87,21 +87,15 @@ FORMATS: dict[tuple[str, int | None], str] = {
 }
 
 
-class Node(msgspec.Struct, frozen=True):
+class Node:
     """What the value of a field is, and where it comes from.
 
     `steps` lead from the wire to the record. What a kind of node does not have is empty or None.
     """
 
-    @property
-    def unit(self) -> str:
-        """The unit of the value."""
-        return ""
-
-    @property
-    def steps(self) -> tuple[Step, ...]:
-        """What makes the value of what is on the wire."""
-        return ()
+    __slots__ = ()
+    unit: str = ""
+    steps: tuple[Step, ...] = ()
 
     @property
     def children(self) -> Sequence[tuple[str | int, PlanField]]:
@@ -180,7 +174,7 @@ class Node(msgspec.Struct, frozen=True):
         return any(isinstance(step, Magnitude) for step in self.steps)
 
 
-class Scalar(Node, frozen=True):
+class Scalar(Node, msgspec.Struct, frozen=True):
     """One value in the bytes.
 
     `kind` is "uint", "int" (two's complement), "float", "bytes" or "text". `size` is in bytes, None for "to the end".
@@ -241,13 +235,13 @@ class Scalar(Node, frozen=True):
         return (-(1 << width - 1), (1 << width - 1) - 1) if self.kind == "int" else (0, (1 << width) - 1)
 
 
-class Many(Node, frozen=True):
+class Many(Node, msgspec.Struct, frozen=True):
     """Several nodes under one name: a tuple. Its unit is what all items have."""
 
     items: tuple[Node, ...]
 
     @property
-    def unit(self) -> str:
+    def unit(self) -> str:  # type: ignore[override]
         units = {item.unit for item in self.items}
         return units.pop() if len(units) == 1 else ""
 
@@ -260,7 +254,7 @@ class Many(Node, frozen=True):
         return False
 
 
-class NestedRecord(Node, frozen=True):
+class NestedRecord(Node, msgspec.Struct, frozen=True):
     """A nested record."""
 
     type_name: str
@@ -275,7 +269,7 @@ class NestedRecord(Node, frozen=True):
         return False
 
 
-class FromIdentifier(Node, frozen=True):
+class FromIdentifier(Node, msgspec.Struct, frozen=True):
     """A captured part of the CAN identifier, or of a head number.
 
     Alone in it: (number − constant) >> shift; beside others: `width` bits from `shift`. For an identifier `constant`
@@ -302,7 +296,7 @@ class FromIdentifier(Node, frozen=True):
         return 0, (1 << self.width) - 1
 
 
-class FromRequest(Node, frozen=True):
+class FromRequest(Node, msgspec.Struct, frozen=True):
     """A field of the request that this message answers, as raw number."""
 
     @property
@@ -327,7 +321,7 @@ class When(msgspec.Struct, frozen=True):
     values: tuple[int, ...]
 
 
-class Rest(Node, frozen=True):
+class Rest(Node, msgspec.Struct, frozen=True):
     """The bits of `size` bytes from `offset` that no field claims; `claimed` as masks of the little-endian word by the
     selector's raw value (None: any other).
 
@@ -356,15 +350,17 @@ class ItemKind(msgspec.Struct, frozen=True):
     size: int | None
 
 
-class ListNode(Node, frozen=True):
+class ListNode(Node):
     """Values in any number up to the end of the packet, one tuple in the record."""
+
+    __slots__ = ()
 
     @property
     def known_names(self) -> list[str] | None:
         return None
 
 
-class TaggedItems(ListNode, frozen=True):
+class TaggedItems(ListNode, msgspec.Struct, frozen=True):
     """Items of several kinds from byte `offset` on. `tag` and `size` (None: the kinds have theirs) count from an item's
     first byte, its data begin at `head`, and its size is `counted` more than that of its data. `type_name` is that of the
     items' records: `kind`, `data` and `reason`."""
@@ -397,7 +393,7 @@ class TaggedItems(ListNode, frozen=True):
                 )
 
 
-class Repeated(ListNode, frozen=True):
+class Repeated(ListNode, msgspec.Struct, frozen=True):
     """One group after the other from byte `offset` on, each of `width` bytes: as many as `count` says, or up to the end.
     `plan` is that of one group, as an `ItemKind`'s."""
 
@@ -418,13 +414,13 @@ class Repeated(ListNode, frozen=True):
             )
 
 
-class Each(Node, frozen=True):
+class Each(Node, msgspec.Struct, frozen=True):
     """A value of every group of a list, in one tuple."""
 
     item: Node
 
     @property
-    def unit(self) -> str:
+    def unit(self) -> str:  # type: ignore[override]
         return self.item.unit
 
     @property
@@ -436,7 +432,7 @@ class Each(Node, frozen=True):
         return self.item.numbers
 
 
-class DelimitedField(Node, frozen=True):
+class DelimitedField(Node, msgspec.Struct, frozen=True):
     """A field of a delimited payload, by its number; `conversion` names how text becomes a value."""
 
     index: int
@@ -455,7 +451,7 @@ class DelimitedField(Node, frozen=True):
         return None if self.conversion == "text" else super().known_names
 
 
-class MoreCells(Node, frozen=True):
+class MoreCells(Node, msgspec.Struct, frozen=True):
     """The cells beyond the declared ones, as texts."""
 
     start: int
@@ -465,7 +461,7 @@ class MoreCells(Node, frozen=True):
         return None
 
 
-class Opaque(Node, frozen=True):
+class Opaque(Node, msgspec.Struct, frozen=True):
     """Decoded by construct, for this reason."""
 
     reason: str
@@ -475,7 +471,7 @@ class Opaque(Node, frozen=True):
         return None
 
 
-class NamedValue(Node, frozen=True):
+class NamedValue(Node, msgspec.Struct, frozen=True):
     """A number that construct decodes, of a known unit; `steps` at most its names."""
 
     unit: str = ""
