@@ -72,17 +72,17 @@ class _Tables:
         self._asked.pop(getattr(record, "id", -1), None)
         for area in getattr(record, "areas", ()):  # of several devices, an area each
             self._asked[area.id] = area.start, area.count
-        start = getattr(record, "start", None)
-        if start is None:
+        address: int | None = getattr(record, "start", None)
+        if address is None:
             return []
-        if (count := getattr(record, "count", None)) is not None:
-            for number in getattr(record, "ids", None) or (getattr(record, "id", -1),):
-                self._asked[number] = start, count
-            return self._names(start, count)
+        number: int | None = getattr(record, "count", None)
+        if number is not None:
+            for device in getattr(record, "ids", None) or (getattr(record, "id", -1),):
+                self._asked[device] = address, number
+            return self._names(address, number)
         if (servos := getattr(record, "servos", None)) is not None:
-            return self._together(start, {one.id: one.data for one in servos})
-        data = getattr(record, "data", b"")
-        return self._values(start, data)
+            return self._together(address, {one.id: one.data for one in servos})
+        return self._values(address, getattr(record, "data", b""))
 
     def _names(self, start: int, count: int) -> list[PrintedField]:
         """The first and the last of the registers that begin in a stretch."""
