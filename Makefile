@@ -26,7 +26,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 TWICE = $(1) || { echo "once more, in 10 s" >&2; sleep 10; $(1); }
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-slow test-oracles test-lerobot test-long test-steady constraints test-socketcan docs soak stops teleoperation compiled test-compiled check lint types pristine format bench bench-framings golden clean
+.PHONY: help venv demo test test-slow test-oracles test-lerobot test-long test-steady constraints test-socketcan docs first-hour soak stops teleoperation compiled test-compiled check lint types pristine format bench bench-framings golden clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -117,6 +117,9 @@ test-long: $(VENV)/.dev ## run the tests with ACES_EXAMPLES (2000) examples per 
 
 test-steady: $(VENV)/.dev ## run the tests RUNS (20) times under other hash seeds, every third beside a busy machine
 	$(BIN)/python tests/steady.py --runs $(RUNS) --jobs $(JOBS) -- $(ARGS)
+
+first-hour: ## what the first three pages say, typed in a fresh environment, and compared (minutes: it installs)
+	PYTHON=$(PYTHON) tests/tools/first_hour.sh
 
 docs: $(VENV)/.docs ## the documentation site, in build/site/html; a warning is an error
 	$(BIN)/python docs/build_site.py

@@ -211,8 +211,8 @@ class Site:
         ]
         os.environ["COLUMNS"] = "88"
         for name in names:
-            text = parser_of(name).format_help()
-            self.write(f"commands/{name.replace(' ', '-')}", f"# aces {name}\n\n```text\n{text}```\n")
+            help_text = parser_of(name).format_help()
+            self.write(f"commands/{name.replace(' ', '-')}", f"# aces {name}\n\n```text\n{help_text}```\n")
         rows = [f"| [`aces {name}`]({name.replace(' ', '-')}.md) | {_purpose(name)} |" for name in names]
         text = ["# Commands", "", "| command | what for |", "| --- | --- |", *rows, ""]
         self.write(
@@ -232,7 +232,7 @@ class Site:
             text += [f"![{title}](pictures/{name}.svg)", ""]
         capture, protocol = SCREEN
         path = self.folder / "pictures" / "screen.svg"
-        call = [sys.executable, ROOT / "docs" / "screen_picture.py", capture, protocol, path]
+        call = [sys.executable, str(ROOT / "docs" / "screen_picture.py"), capture, protocol, str(path)]
         subprocess.run(call, check=True, capture_output=True, cwd=ROOT)
         text += [
             "## The live screen",

@@ -32,14 +32,15 @@ async def picture(frames: list[Frame], protocol: str) -> str:
     player.start()
     try:
         async with app.run_test(size=SIZE) as pilot:
-            last = frames[0].timestamp
+            last = frames[0].timestamp or 0.0
             for number, frame in enumerate(frames):
                 if number == len(frames) * 3 // 4:
                     for key in KEYS:
                         await pilot.press(key)
-                if frame.timestamp - last > 0.01:
-                    await asyncio.sleep(frame.timestamp - last)
-                    last = frame.timestamp
+                now = frame.timestamp or last
+                if now - last > 0.01:
+                    await asyncio.sleep(now - last)
+                    last = now
                 if not frame.is_error_frame:
                     player.send(frame)
             await app.turn()

@@ -42,7 +42,7 @@ _BEACON_NS = 3_500_000_000
 
 
 ARGUMENTS: Arguments = (
-    argument("what", choices=["serve", "load", "list"], help="what to do"),
+    argument("what", choices=["serve", "load", "list"], metavar="{serve,load,list}", help="what to do"),
     argument(
         "channels", nargs="*", metavar="CHANNEL", help="names (default: can0); load: one, or an address"
     ),

@@ -73,6 +73,8 @@ class Parser(argparse.ArgumentParser):
         if message.startswith("unrecognized arguments: "):
             known = [name for action in self._actions for name in action.option_strings]
             message = _unknown_options(message.partition(": ")[2].split(), known)
+        if message.startswith("the following arguments are required: -p/--protocol"):
+            message = "what is spoken? -p NAME; 'aces decode FILE' says what fits a recording"
         self.exit(2, f"aces: {message.removeprefix('argument ')} (see '{self.prog} --help')\n")
 
     @property

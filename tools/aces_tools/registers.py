@@ -77,18 +77,17 @@ class _Tables:
         self._asked.pop(getattr(record, "id", -1), None)
         for area in getattr(record, "areas", ()):  # of several devices, an area each
             self._asked[area.id] = area.start, area.count
-        begin: int | None = getattr(record, "start", None)
-        if begin is None:
+        address: int | None = getattr(record, "start", None)
+        if address is None:
             return []
-        wanted: int | None = getattr(record, "count", None)
-        if wanted is not None:
-            for number in getattr(record, "ids", None) or (getattr(record, "id", -1),):
-                self._asked[number] = begin, wanted
-            return self._names(begin, wanted)
+        number: int | None = getattr(record, "count", None)
+        if number is not None:
+            for device in getattr(record, "ids", None) or (getattr(record, "id", -1),):
+                self._asked[device] = address, number
+            return self._names(address, number)
         if (servos := getattr(record, "servos", None)) is not None:
-            return self._together(begin, {one.id: one.data for one in servos})
-        data = getattr(record, "data", b"")
-        return self._values(begin, data)
+            return self._together(address, {one.id: one.data for one in servos})
+        return self._values(address, getattr(record, "data", b""))
 
     def _names(self, start: int, count: int) -> list[PrintedField]:
         """The first and the last of the registers that begin in a stretch."""

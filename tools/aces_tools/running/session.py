@@ -135,7 +135,7 @@ class Session:
                 if ready:
                     self._start_showing(runner, watch)
                     seconds = None if self.duration is None else self.duration / 1e9
-                    if seconds is None and self.is_real:
+                    if seconds is None and not self.arguments.replay:
                         say_note("runs until its controllers are done, or until Ctrl-C; --for says how long")
                     self._end = runner.run(seconds, until=lambda: self._look(runner, watch))
                 else:
