@@ -6,14 +6,15 @@
 # See also: https://github.com/scop/bash-completion/blob/main/doc/configuration.md
 
 _shtab_aces_spec_subparsers=(new check show explain stubs export import)
-_shtab_aces_subparsers=(decode plot convert sniff send play bus robot devices device discover sim run protocols spec fuzz demo bench completion)
+_shtab_aces_subparsers=(decode plot convert sniff send play bridge bus robot devices device discover sim run protocols spec fuzz demo bench completion)
 
 _shtab_aces_decode_option_strings=(-h --help -p --protocol --direction --format -o --output --filter -m --message --where --signals --from --to --unknown -q --quiet --strict --names --float32 --jobs -t --time -n --count --color --no-color)
 _shtab_aces_plot_option_strings=(-h --help -p --protocol --direction --list -o --output --terminal --show --from --to -t --time --break-time --step --title --xlabel --ylabel --ylim --ymin --ymax --style --color --no-color -q --quiet)
 _shtab_aces_convert_option_strings=(-h --help --format --input-format --merge --from --to --filter --map --strict -q --quiet)
-_shtab_aces_sniff_option_strings=(-h --help -p --protocol --direction --filter -m --message --where --unknown -t --time -n --count --for --format -o --output -q --quiet --record --screen --color --no-color -c --channel -i --interface -b --bitrate --fd --data-bitrate --timing --bus-kwargs --serial --baud --half-duplex --udp)
+_shtab_aces_sniff_option_strings=(-h --help -p --protocol --direction --filter -m --message --where --unknown -t --time -n --count --for --format -o --output --rotate -q --quiet --record --screen --color --no-color -c --channel -i --interface -b --bitrate --fd --data-bitrate --timing --bus-kwargs --serial --baud --half-duplex --udp)
 _shtab_aces_send_option_strings=(-h --help -p --protocol --tx --every -n --count --for --rate --reply --bits --format --color --no-color -c --channel -i --interface -b --bitrate --fd --data-bitrate --timing --bus-kwargs --serial --baud --half-duplex --udp -q --quiet)
 _shtab_aces_play_option_strings=(-h --help --tx --speed --loop --gap --rate --filter --map --direction -c --channel -i --interface -b --bitrate --fd --data-bitrate --timing --bus-kwargs --serial --baud --half-duplex --udp -q --quiet)
+_shtab_aces_bridge_option_strings=(-h --help --tx --one-way --filter -p --protocol -m --message --where --direction --rate --for -q --quiet)
 _shtab_aces_bus_option_strings=(-h --help -c --channel -i --interface -b --bitrate --fd --data-bitrate --timing --bus-kwargs --unix --tcp --socketcand --bind-anywhere --faults --seed --no-ack --no-physics --once --json --for -q --quiet)
 _shtab_aces_robot_option_strings=(-h --help --json --strict -o --output --base --name --color --no-color -q --quiet)
 _shtab_aces_devices_option_strings=(-h --help --json -q --quiet)
@@ -32,7 +33,7 @@ _shtab_aces_spec_import_option_strings=(-h --help -o --output --force --json --s
 _shtab_aces_spec_option_strings=(-h --help)
 _shtab_aces_fuzz_option_strings=(-h --help --law --examples --for --seed --corpus --replay --failures --most --jobs --json -q --quiet)
 _shtab_aces_demo_option_strings=(-h --help -o --output --seed -q --quiet)
-_shtab_aces_bench_option_strings=(-h --help --quick --frames --json -q --quiet)
+_shtab_aces_bench_option_strings=(-h --help --quick --frames --save --compare --json -q --quiet)
 _shtab_aces_completion_option_strings=(-h --help --list --words -q --quiet)
 _shtab_aces_option_strings=(-h --help -V --version)
 
@@ -56,6 +57,8 @@ _shtab_aces_sniff___record_COMPGEN=_shtab_compgen_files
 _shtab_aces_send__p_COMPGEN=_aces_protocols
 _shtab_aces_send___protocol_COMPGEN=_aces_protocols
 _shtab_aces_play_pos_0_COMPGEN=_shtab_compgen_files
+_shtab_aces_bridge__p_COMPGEN=_aces_protocols
+_shtab_aces_bridge___protocol_COMPGEN=_aces_protocols
 _shtab_aces_bus_pos_1_COMPGEN=_aces_buses
 _shtab_aces_robot_pos_1_COMPGEN=_aces_robots
 _shtab_aces_robot__o_COMPGEN=_shtab_compgen_files
@@ -107,6 +110,8 @@ _shtab_aces_fuzz_pos_0_COMPGEN=_aces_protocols
 _shtab_aces_fuzz___replay_COMPGEN=_shtab_compgen_files
 _shtab_aces_demo__o_COMPGEN=_shtab_compgen_files
 _shtab_aces_demo___output_COMPGEN=_shtab_compgen_files
+_shtab_aces_bench___save_COMPGEN=_shtab_compgen_files
+_shtab_aces_bench___compare_COMPGEN=_shtab_compgen_files
 
 _shtab_aces_decode___format_choices=(text jsonl csv parquet arrow feather npz sqlite mcap)
 _shtab_aces_decode___unknown_choices=(show hide only)
@@ -131,12 +136,12 @@ _shtab_aces_bus___interface_choices=(aces aces-replay canalystii cantact etas gs
 _shtab_aces_robot_pos_0_choices=(check list show import)
 _shtab_aces_run___at_end_choices=(disable hold)
 _shtab_aces_spec_new___link_choices=(can serial datagram)
-_shtab_aces_spec_export___format_choices=(dbc markdown wireshark)
+_shtab_aces_spec_export___format_choices=(c dbc markdown wireshark)
 _shtab_aces_spec_pos_0_choices=(new check show explain stubs export import)
-_shtab_aces_bench_pos_0_choices=(live columns bus control robot)
+_shtab_aces_bench_pos_0_choices=(live columns text bus control robot)
 _shtab_aces_completion_pos_0_choices=(bash zsh fish)
 _shtab_aces_completion___list_choices=(protocols drivers robots devices buses)
-_shtab_aces_pos_0_choices=(decode plot convert sniff send play bus robot devices device discover sim run protocols spec fuzz demo bench completion)
+_shtab_aces_pos_0_choices=(decode plot convert sniff send play bridge bus robot devices device discover sim run protocols spec fuzz demo bench completion)
 
 _shtab_aces_decode_pos_0_nargs='*'
 _shtab_aces_decode__h_nargs=0
@@ -201,6 +206,12 @@ _shtab_aces_play___bus_kwargs_nargs=+
 _shtab_aces_play___half_duplex_nargs=0
 _shtab_aces_play__q_nargs=0
 _shtab_aces_play___quiet_nargs=0
+_shtab_aces_bridge__h_nargs=0
+_shtab_aces_bridge___help_nargs=0
+_shtab_aces_bridge___tx_nargs=0
+_shtab_aces_bridge___one_way_nargs=0
+_shtab_aces_bridge__q_nargs=0
+_shtab_aces_bridge___quiet_nargs=0
 _shtab_aces_bus_pos_1_nargs='*'
 _shtab_aces_bus__h_nargs=0
 _shtab_aces_bus___help_nargs=0

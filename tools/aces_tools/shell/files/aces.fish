@@ -50,8 +50,8 @@ function _shtab_aces_using
   test "$_shtab_aces_cmdpath" = "$argv"
 end
 
-set -g _shtab_aces_commands decode plot convert sniff send play bus robot devices device discover sim run protocols spec 'spec new' 'spec check' 'spec show' 'spec explain' 'spec stubs' 'spec export' 'spec import' fuzz demo bench completion
-set -g _shtab_aces_opts_with_value --against --at --at-end --base --baud --bitrate --break-time --bus --bus-kwargs --channel --corpus --count --data-bitrate --diff --direction --driver --every --examples --expand --failures --fault --faults --filter --for --format --frames --from --gap --hold-for --input-format --interface --jobs --law --link --list --log --loop --map --message --most --name --on-trip --output --port --pose --protocol --rate --record --rename --replay --reply --robot --rows-hz --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --time --timing --title --to --udp --unix --unknown --where --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
+set -g _shtab_aces_commands decode plot convert sniff send play bridge bus robot devices device discover sim run protocols spec 'spec new' 'spec check' 'spec show' 'spec explain' 'spec stubs' 'spec export' 'spec import' fuzz demo bench completion
+set -g _shtab_aces_opts_with_value --against --at --at-end --base --baud --bitrate --break-time --bus --bus-kwargs --channel --compare --corpus --count --data-bitrate --diff --direction --driver --every --examples --expand --failures --fault --faults --filter --for --format --frames --from --gap --hold-for --input-format --interface --jobs --law --link --list --log --loop --map --message --most --name --on-trip --output --port --pose --protocol --rate --record --rename --replay --reply --robot --rotate --rows-hz --save --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --time --timing --title --to --udp --unix --unknown --where --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
 
 complete -c aces -e
 complete -c aces -f
@@ -127,7 +127,8 @@ complete -c aces -n '_shtab_aces_using sniff' -s t -l time -xka "relative absolu
 complete -c aces -n '_shtab_aces_using sniff' -s n -l count -x -d 'end after so many lines (with -q: that would be)'
 complete -c aces -n '_shtab_aces_using sniff' -l for -x -d 'end after so long: 10s, 500ms, 2min'
 complete -c aces -n '_shtab_aces_using sniff' -l format -xka "text jsonl csv" -d 'default: by the suffix of --output, else text'
-complete -c aces -n '_shtab_aces_using sniff' -s o -l output -xka "(__fish_complete_path (commandline -ct))" -d 'write there instead of on standard output'
+complete -c aces -n '_shtab_aces_using sniff' -s o -l output -xka "(__fish_complete_path (commandline -ct))" -d 'write there instead of on standard output; see logs below'
+complete -c aces -n '_shtab_aces_using sniff' -l rotate -x -d 'begin the next file (FILE-00002 …) after so much, such as 100MB, or so long, such as 10min'
 complete -c aces -n '_shtab_aces_using sniff' -s q -l quiet -d 'print no lines, only the summary'
 complete -c aces -n '_shtab_aces_using sniff' -l record -xka "(__fish_complete_path (commandline -ct))" -d 'write all that is received there; see below'
 complete -c aces -n '_shtab_aces_using sniff' -l screen -d 'a table of all that repeats, live; needs '"'"'aces-bus[screen]'"'"''
@@ -191,6 +192,18 @@ complete -c aces -n '_shtab_aces_using play' -l half-duplex -d 'one pair of wire
 complete -c aces -n '_shtab_aces_using play' -l udp -x -d 'UDP datagrams, by default of this machine only'
 complete -c aces -n '_shtab_aces_using play' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using play; and test $_shtab_aces_npos -ge 0' -ka "(__fish_complete_path (commandline -ct))" -d 'recordings, played one after another; - is standard input'
+complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a bridge -d 'forward between two buses, whole or filtered; only with --tx'
+complete -c aces -n '_shtab_aces_using bridge' -s h -l help -d 'show this help message and exit'
+complete -c aces -n '_shtab_aces_using bridge' -l tx -d 'really forward; nothing else makes it'
+complete -c aces -n '_shtab_aces_using bridge' -l one-way -d 'only from A to B; A is only listened to'
+complete -c aces -n '_shtab_aces_using bridge' -l filter -x -d 'CAN: only what candump'"'"'s filters pass, such as 060:7F0 or can0,150~7FF'
+complete -c aces -n '_shtab_aces_using bridge' -s p -l protocol -xka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'what is spoken, for --message and --where, and to forward whole packets of a stream'
+complete -c aces -n '_shtab_aces_using bridge' -s m -l message -x -d 'only this message, in any case, also Motor*; may be given several times'
+complete -c aces -n '_shtab_aces_using bridge' -l where -x -d 'only records such as field=value, as of '"'"'aces decode'"'"''
+complete -c aces -n '_shtab_aces_using bridge' -l direction -x -d 'streams: which way the bytes from A to B go'
+complete -c aces -n '_shtab_aces_using bridge' -l rate -x -d 'CAN: send at most N frames a second on either bus'
+complete -c aces -n '_shtab_aces_using bridge' -l for -x -d 'end after so long: 10s, 500ms, 2min'
+complete -c aces -n '_shtab_aces_using bridge' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a bus -d 'serve virtual buses, list buses, measure the load of a bus'
 complete -c aces -n '_shtab_aces_using bus' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using bus' -s c -l channel -x -d 'Most backend interfaces require some sort of channel. For example with the serial interface the channel might be a rfcomm device: "/dev/rfcomm0". With the socketcan interface valid channel examples include: "can0", "vcan0".'
@@ -360,14 +373,14 @@ complete -c aces -n '_shtab_aces_using spec stubs' -s o -l output -xka "(__fish_
 complete -c aces -n '_shtab_aces_using spec stubs' -l check -d 'only compare with the files that exist'
 complete -c aces -n '_shtab_aces_using spec stubs' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using spec stubs; and test $_shtab_aces_npos -eq 0' -ka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'an installed protocol, or a Python file that declares one'
-complete -c aces -n '_shtab_aces_using spec; and test $_shtab_aces_npos -eq 0' -a export -d 'write a DBC, a Wireshark dissector, a page in Markdown'
+complete -c aces -n '_shtab_aces_using spec; and test $_shtab_aces_npos -eq 0' -a export -d 'write a DBC, a Wireshark dissector, C source, a page'
 complete -c aces -n '_shtab_aces_using spec export' -s h -l help -d 'show this help message and exit'
-complete -c aces -n '_shtab_aces_using spec export' -l format -xka "dbc markdown wireshark" -d 'what is written'
+complete -c aces -n '_shtab_aces_using spec export' -l format -xka "c dbc markdown wireshark" -d 'what is written'
 complete -c aces -n '_shtab_aces_using spec export' -s o -l output -xka "(__fish_complete_path (commandline -ct))" -d 'write there instead of on standard output'
 complete -c aces -n '_shtab_aces_using spec export' -l json -d 'text and losses as one JSON object on standard output'
 complete -c aces -n '_shtab_aces_using spec export' -l strict -d 'exit 1 when the format cannot hold all of the spec'
 complete -c aces -n '_shtab_aces_using spec export' -s m -l message -x -d 'only this message, in any case, also Motor*; may be given several times'
-complete -c aces -n '_shtab_aces_using spec export' -l expand -x -d 'make messages of at most so many identifiers of one (default: 256)'
+complete -c aces -n '_shtab_aces_using spec export' -l expand -x -d 'dbc: make messages of at most so many identifiers of one (default: 256)'
 complete -c aces -n '_shtab_aces_using spec export' -l port -x -d 'TCP and UDP port of a serial server'
 complete -c aces -n '_shtab_aces_using spec export' -l direction -x -d 'which way the bytes go (default: what comes from the port is from the device)'
 complete -c aces -n '_shtab_aces_using spec export' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
@@ -402,10 +415,12 @@ complete -c aces -n '_shtab_aces_using demo' -s q -l quiet -d 'no notes, no prog
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a bench -d 'measure decoding speed beside other libraries'
 complete -c aces -n '_shtab_aces_using bench' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using bench' -l quick -d 'a few seconds instead of a minute; rougher figures'
-complete -c aces -n '_shtab_aces_using bench' -l frames -x -d 'columns: frames of the log (default: 1,000,000)'
+complete -c aces -n '_shtab_aces_using bench' -l frames -x -d 'columns, text: frames of the log (default: 1,000,000)'
+complete -c aces -n '_shtab_aces_using bench' -l save -xka "(__fish_complete_path (commandline -ct))" -d 'write the figures there, for --compare'
+complete -c aces -n '_shtab_aces_using bench' -l compare -xka "(__fish_complete_path (commandline -ct))" -d 'show what has changed since figures that --save has written'
 complete -c aces -n '_shtab_aces_using bench' -l json -d 'one JSON object a row instead of the table'
 complete -c aces -n '_shtab_aces_using bench' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
-complete -c aces -n '_shtab_aces_using bench; and test $_shtab_aces_npos -eq 0' -ka "live columns bus control robot" -d 'live: one frame or chunk at a time, beside cantools and dynamixel_sdk; columns: whole recordings, beside cantools, python-can, polars, asammdf and C; bus: the virtual bus, beside python-can'"'"'s; control: states, filters and controllers of a control loop, beside deque, np.interp and scipy; robot: a complete robot on served buses in real time, beside the same with threads'
+complete -c aces -n '_shtab_aces_using bench; and test $_shtab_aces_npos -eq 0' -ka "live columns text bus control robot" -d 'live: one frame or chunk at a time, beside cantools and dynamixel_sdk; columns: whole recordings, beside cantools, python-can, polars, asammdf and C; text: whole recordings to lines, beside cantools decode; bus: the virtual bus, beside python-can'"'"'s; control: states, filters and controllers of a control loop, beside deque, np.interp and scipy; robot: a complete robot on served buses in real time, beside the same with threads'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a completion -d 'print what completes aces in bash, zsh and fish'
 complete -c aces -n '_shtab_aces_using completion' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using completion' -l list -xka "protocols drivers robots devices buses" -d 'names, as the scripts ask: protocols, drivers, robots, devices, buses'
