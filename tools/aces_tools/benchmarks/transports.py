@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -246,13 +247,13 @@ def rows(*, quick: bool) -> list[BenchRow]:
         assert len(scanner.feed(block)) == packets
         # What is slow has a part of the frames.
         contenders: dict[str, tuple[int, Callable[[], object]]] = {
-            "columns": (len(whole), lambda v=variant, t=tables: columns(v, t)),
-            "a loop in Python": (len(some), lambda run=loop, f=some: run(f)),
-            "live scanner": (len(block), lambda s=scanner, f=block: s.feed(f)),
+            "columns": (len(whole), partial(columns, variant, tables)),
+            "a loop in Python": (len(some), partial(loop, some)),
+            "live scanner": (len(block), partial(scanner.feed, block)),
         }
         library = optional("isotp") if loop is isotp_loop else None
         if library is not None:
-            contenders["python-can-isotp"] = (len(block), lambda m=library, f=block: can_isotp(m, f))
+            contenders["python-can-isotp"] = (len(block), partial(can_isotp, library, block))
         best = fastest({name: run for name, (_, run) in contenders.items()}, rounds=3 if quick else 5)
         rates = {name: contenders[name][0] / seconds for name, seconds in best.items()}
         found.append(BenchRow(subject, "columns", rates["columns"], "frames/s"))
