@@ -225,6 +225,8 @@ class _Line:
             present = self.signal.value
             if present is UNKNOWN:
                 device.tell_event("limited", f"{self.signal.name}: waits until it is known where it is")
+                if not self.is_ticked:
+                    device.refresh(self.signal.name)  # nothing else asks
                 return False
             before = present
             self.recent.clear()

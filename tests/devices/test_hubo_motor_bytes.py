@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from contextlib import contextmanager
 from functools import cache
+from math import pi
 from typing import Any
 
 import msgspec
@@ -184,11 +185,13 @@ def test_the_examples_are_there() -> None:
     assert known <= told
 
 
-LIMB = """
-RHY = { device = "B", channel = 0, gear = [10, 25], harmonic = 100, encoder = 4000, lower = -1.92, upper = 1.92 }
-RHR = { device = "B", channel = 1, gear = [324, 1024], harmonic = 160, encoder = 4000, lower = -0.52, upper = 0.52 }
+#: Speeds that lead no set-point: each leaves as it was set.
+FAST = "max_speed = 1000"
+LIMB = f"""
+RHY = {{ device = "B", channel = 0, gear = [10, 25], harmonic = 100, encoder = 4000, {FAST}, lower = -1.92, upper = 1.92 }}
+RHR = {{ device = "B", channel = 1, gear = [324, 1024], harmonic = 160, encoder = 4000, lower = -0.52, {FAST} }}
 """
-HIP = 'RHP = { device = "B", channel = 0, gear = [16, 20], harmonic = 160, encoder = 4000 }'
+HIP = f'RHP = {{ device = "B", channel = 0, gear = [16, 20], harmonic = 160, encoder = 4000, {FAST} }}'
 
 
 def enabled(b: Bench) -> None:
@@ -203,7 +206,7 @@ def test_references_of_two_motors_are_one_frame() -> None:
         enabled(b)
         b.robot["RHY.position"].set(0.2)
         b.robot["RHR.position"].set(-0.05)
-        assert b.sent() == ["010#56 7C 00 E0 3E 80"]
+        assert set(b.sent()) == {"010#56 7C 00 E0 3E 80"}
 
 
 def test_a_board_of_one_motor_repeats_its_reference() -> None:
@@ -211,7 +214,7 @@ def test_a_board_of_one_motor_repeats_its_reference() -> None:
     with bench(one_board(1, 1, "D12", HIP)) as b:
         enabled(b)
         b.robot["RHP.position"].set(-0.1)
-        assert b.sent() == ["011#BC 31 80 BC 31 80"]
+        assert set(b.sent()) == {"011#BC 31 80 BC 31 80"}
 
 
 @pytest.mark.parametrize(
@@ -241,7 +244,7 @@ def test_counts_of_a_reference(count: int, data: str) -> None:
 def test_a_neck_with_the_old_scale(position: float, code: int) -> None:
     """hubo-ach divides a servo's turn by 4095: 0 is 2047, +0.5 rad 2373, −0.5 rad 1721 (facts, section 4)."""
     neck = "\n".join(
-        f"{name} = {{ device = 'B', channel = {n}, gear = [1, 1], harmonic = 1, encoder = 4096, zero = 3.141592653589793 }}"
+        f"{name} = {{ device = 'B', channel = {n}, gear = [1, 1], harmonic = 1, encoder = 4096, zero = {pi}, {FAST} }}"
         for n, name in enumerate(("NKY", "NK1", "NK2"))
     )
     with bench(

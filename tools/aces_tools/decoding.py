@@ -393,7 +393,7 @@ class Decoding(ABC):
     def _warn(self, contested: Mapping[int, tuple[str, str]], key: int, identifier: int) -> None:
         """Two protocols claim a frame that has come: say so, once."""
         first, other = contested[key]
-        say_note(
+        say(
             f"{first} and {other} both claim identifier {identifier:#05x}"
             f" ({len(contested)} in all); the one that -p names first is tried first"
         )
@@ -417,11 +417,9 @@ class Decoding(ABC):
             if not self.plans or not total["total"] or total["decoded"]:
                 continue
             if not total["filtered"]:
-                say_note(
-                    "nothing was decoded: is this the right protocol, dialect, configuration and direction?"
-                )
+                say("nothing was decoded: is this the right protocol, dialect, configuration and direction?")
             elif given := [option for name, option in FILTERS if getattr(self.arguments, name, None)]:
-                say_note(f"nothing that was decoded passed {', '.join(given)}")
+                say(f"nothing that was decoded passed {', '.join(given)}")
         faults = [fault for total in totals.values() for fault in total.faults]
         if self.arguments.strict and faults:
             say(f"--strict: {', '.join(faults)}")

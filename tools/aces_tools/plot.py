@@ -29,7 +29,7 @@ from .decode_columns import TableDecoding
 from .decoding import Totals
 from .options import COLOR, DIRECTION, FROM, OUTPUT, PROTOCOL, TIME, TO, Arguments, argument, flag, several
 from .plotting.picture import LARGEST, Limits, LineNames, Picture, PlotPanel, panels_of
-from .plotting.select import Wanted, declared, parse_groups, parse_pattern, select
+from .plotting.select import Wanted, declared_signals, parse_groups, parse_pattern, select
 from .plotting.series import Collector, Series, TimeAxis
 from .plotting.telling import telling_signals
 
@@ -130,7 +130,9 @@ class Plotting(TableDecoding):
     def __init__(self, arguments: argparse.Namespace) -> None:
         arguments.files, texts = split_arguments(arguments.items)
         super().__init__(arguments)
-        self.declared = declared([variant for variants in self.variants.values() for variant in variants])
+        self.declared = declared_signals(
+            [variant for variants in self.variants.values() for variant in variants]
+        )
         self.groups = parse_groups(texts)
         self.limits = [parse_limits(text) for text in arguments.ylim]
         low, high = arguments.ymin, arguments.ymax

@@ -242,7 +242,7 @@ class SdoAbort(Record, frozen=True):
     """node id"""
     index: int
     subindex: int
-    code: Literal["toggle", "timeout", "command", "access", "write_only", "read_only", "no_object", "not_mappable", "pdo_length", "parameter", "internal", "hardware", "length", "too_long", "too_short", "no_subindex", "value_range", "value_high", "value_low", "max_below_min", "resource", "general", "cannot_store", "local_control", "device_state", "no_dictionary", "no_data"] | int
+    code: Literal["toggle", "timeout", "command", "block_size", "sequence", "crc", "access", "write_only", "read_only", "no_object", "not_mappable", "pdo_length", "parameter", "internal", "hardware", "length", "too_long", "too_short", "no_subindex", "value_range", "value_high", "value_low", "max_below_min", "resource", "general", "cannot_store", "local_control", "device_state", "no_dictionary", "no_data"] | int
 
 class SdoDownloadTransfer(Record, frozen=True):
     """An object that was written in segments; the time is that of the last one.
@@ -332,7 +332,7 @@ class SdoAborted(Record, frozen=True):
     """node id"""
     index: int
     subindex: int
-    code: Literal["toggle", "timeout", "command", "access", "write_only", "read_only", "no_object", "not_mappable", "pdo_length", "parameter", "internal", "hardware", "length", "too_long", "too_short", "no_subindex", "value_range", "value_high", "value_low", "max_below_min", "resource", "general", "cannot_store", "local_control", "device_state", "no_dictionary", "no_data"] | int
+    code: Literal["toggle", "timeout", "command", "block_size", "sequence", "crc", "access", "write_only", "read_only", "no_object", "not_mappable", "pdo_length", "parameter", "internal", "hardware", "length", "too_long", "too_short", "no_subindex", "value_range", "value_high", "value_low", "max_below_min", "resource", "general", "cannot_store", "local_control", "device_state", "no_dictionary", "no_data"] | int
 
 class SdoUploadTransfer(Record, frozen=True):
     """An object that was read in segments; the time is that of the last one.
@@ -341,6 +341,192 @@ class SdoUploadTransfer(Record, frozen=True):
     """
     node: int
     """node id"""
+    sized: int
+    """whether a size is given"""
+    index: int
+    subindex: int
+    data: bytes
+
+class SdoBlockUpload(Record, frozen=True):
+    """Read an object in blocks of so many segments; one of up to `switch` bytes may come otherwise.
+
+    to device; dialects frames, transfers; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    checked: int
+    """whether the sender knows CRCs"""
+    index: int
+    subindex: int
+    block_size: int
+    switch: int
+    reserved: bytes
+
+class SdoBlockDownload(Record, frozen=True):
+    """Write an object in blocks.
+
+    to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    checked: int
+    """whether the sender knows CRCs"""
+    sized: int
+    """whether a size is given"""
+    index: int
+    subindex: int
+    size: int
+    """0…4294967295 B"""
+
+class SdoBlockDownloadEnd(Record, frozen=True):
+    """All is written; so many bytes of the last segment are none.
+
+    to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    unused: int
+    """how many of the seven bytes are not data"""
+    crc: int
+    reserved: bytes
+
+class SdoBlockUploadGo(Record, frozen=True):
+    """Segments of what is read, please.
+
+    to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    reserved: bytes
+
+class SdoBlockUploadTaken(Record, frozen=True):
+    """Segments up to this one are taken; how many may follow.
+
+    to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    number: int
+    block_size: int
+    reserved: bytes
+
+class SdoBlockUploaded(Record, frozen=True):
+    """The object has been read.
+
+    to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    reserved: bytes
+
+class SdoBlockDownloadStarted(Record, frozen=True):
+    """The object may be sent in blocks of so many segments.
+
+    from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    checked: int
+    """whether the sender knows CRCs"""
+    index: int
+    subindex: int
+    block_size: int
+    reserved: bytes
+
+class SdoBlockDownloadTaken(Record, frozen=True):
+    """Segments up to this one are taken; how many may follow.
+
+    from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    number: int
+    block_size: int
+    reserved: bytes
+
+class SdoBlockDownloaded(Record, frozen=True):
+    """The object has been written.
+
+    from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    reserved: bytes
+
+class SdoBlockUploadStarted(Record, frozen=True):
+    """The object comes in blocks.
+
+    from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    checked: int
+    """whether the sender knows CRCs"""
+    sized: int
+    """whether a size is given"""
+    index: int
+    subindex: int
+    size: int
+    """0…4294967295 B"""
+
+class SdoBlockUploadEnd(Record, frozen=True):
+    """All is read; so many bytes of the last segment are none.
+
+    from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    unused: int
+    """how many of the seven bytes are not data"""
+    crc: int
+    reserved: bytes
+
+class SdoBlockSegment(Record, frozen=True):
+    """Seven bytes of a block, where the first byte is no other frame's.
+
+    to device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    segment: int
+    """its number in the block, and 128 more in the last one"""
+    data: bytes
+
+class SdoBlockUploadedSegment(Record, frozen=True):
+    """Seven bytes of a block, where the first byte is no other frame's.
+
+    from device; dialect frames; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    segment: int
+    """its number in the block, and 128 more in the last one"""
+    data: bytes
+
+class SdoBlockDownloadTransfer(Record, frozen=True):
+    """An object that was written in blocks; the time is that of the last frame.
+
+    to device; dialect transfers; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    checked: int
+    """whether the sender knows CRCs"""
+    sized: int
+    """whether a size is given"""
+    index: int
+    subindex: int
+    data: bytes
+
+class SdoBlockUploadTransfer(Record, frozen=True):
+    """An object that was read in blocks; the time is that of the last frame.
+
+    from device; dialect transfers; source: CiA 301 (canopen; ros2_canopen)
+    """
+    node: int
+    """node id"""
+    checked: int
+    """whether the sender knows CRCs"""
     sized: int
     """whether a size is given"""
     index: int

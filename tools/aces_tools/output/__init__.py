@@ -13,7 +13,6 @@ from aces_bus.errors import CallerError
 from aces_bus.export.open import GROWING, export_format
 from aces_bus.export.open import SUFFIXES as TABLES
 from aces_bus.recordings.base import Link
-from aces_bus.recordings.write import FORMATS, writer_format
 
 
 class Writer(Protocol):
@@ -115,6 +114,8 @@ def live_kind(path: str | None, chosen: Format | None, link: Link, *, is_decoded
         return "frames"
     if table in GROWING:
         raise CallerError(f"-o {path}: {suffix} is for decoded messages; name what is spoken: -p NAME")
+    from aces_bus.recordings.write import FORMATS
+
     frames = dict.fromkeys(one for form in FORMATS.values() if form.link == link for one in form.suffixes)
     raise CallerError(
         f"-o {path}: no format has the suffix {suffix!r}; there are {' '.join((*frames, *_LINES))}, and with -p"
@@ -123,6 +124,8 @@ def live_kind(path: str | None, chosen: Format | None, link: Link, *, is_decoded
 
 
 def _is_recording(path: str, link: Link) -> bool:
+    from aces_bus.recordings.write import writer_format
+
     try:
         return writer_format(path, link).link == link
     except CallerError:

@@ -181,7 +181,7 @@ class RowPrinter(LinePrinter):
         number = nameless_number(node)
         if number is None or (number.is_inexact and has_few_values(node)):
             return self.shown(leaf.identifier, node, cell_of(node), value)
-        is_optional = leaf.conditional or number.has_unknown
+        is_optional = leaf.conditional or leaf.is_inside or number.has_unknown
         is_usual = not number.is_float or 0 < number.whole <= LEAST_USUAL
         text = f"{'json' if is_usual else 'decimal'}({number.mended('v' if is_optional else value)})"
         return Read(f'b"" if (v := {value}) is None else {text}' if is_optional else text)

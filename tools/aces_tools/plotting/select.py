@@ -127,7 +127,7 @@ class Declared:
     columns: frozenset[str]
 
 
-def declared(variants: Sequence[Variant]) -> dict[tuple[str, str], Declared]:
+def declared_signals(variants: Sequence[Variant]) -> dict[tuple[str, str], Declared]:
     """All that these protocols declare, by protocol and message."""
     found = {
         (variant.name, name): _declared(variant.name, name, message.plan)
