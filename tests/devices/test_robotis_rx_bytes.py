@@ -20,11 +20,10 @@ from aces_protocols.robotis.spec import BROADCAST
 class Line:
     """Servos on a line without ticks, and what each end says."""
 
-    def __init__(self, *ids: int, baud: int = 1_000_000) -> None:
+    def __init__(self, *ids: int, baud: int = 1_000_000, joints: str = "") -> None:
         devices = "\n".join(
             f'S{n} = {{ driver = "robotis_rx", bus = "line", credentials = {{ id = {n} }} }}' for n in ids
         )
-        joints = "\n".join(f'J{n} = {{ device = "S{n}", max_speed = 1000 }}' for n in ids)
         text = f"""
             name = "line"
             [buses]
@@ -90,7 +89,7 @@ def test_the_examples_of_one_servo() -> None:
 
 def test_the_examples_of_many() -> None:
     """One SyncWrite for two servos; RegWrite to one and Action to all; an id given by broadcast, unanswered."""
-    line = Line(71, 96)
+    line = Line(71, 96, joints="\n".join(f'J{n} = {{ device = "S{n}", max_speed = 1000 }}' for n in (71, 96)))
     for number, goal in ((71, 528), (96, 512)):
         line.devices[f"S{number}"]["position"].set(goal * STEP)
     line.robot.advance(0.1)
