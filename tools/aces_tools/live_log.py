@@ -134,12 +134,12 @@ class DatabaseFile:
     """Frames in python-can's table of SQLite, whose write-ahead log survives a kill; as `PendingFile` and its writer."""
 
     def __init__(self, path: str) -> None:
-        self._base = JournaledDatabase(path)
+        self._path = path
         self._writer = CanlogSqliteWriter(io.BytesIO(), path)
         self._rows: list[Any] = []
+        self._base = JournaledDatabase(path)
         with self._base.transaction() as database:
             database.execute(CREATE)
-        self._path = path
 
     @property
     def lossy(self) -> dict[str, int]:
@@ -157,14 +157,16 @@ class DatabaseFile:
 
     def commit(self) -> None:
         rows, self._rows = self._rows, []
-        with self._base.transaction() as database:
+        with telling(self._path), self._base.transaction() as database:
             database.executemany(INSERT, rows)
 
     def sync(self) -> None:
-        self._base.sync()
+        with telling(self._path):
+            self._base.sync()
 
     def close(self) -> None:
-        self._base.close()
+        with telling(self._path):
+            self._base.close()
 
 
 class LiveRecording:
@@ -370,10 +372,11 @@ class LogSeries:
         self._begun: int | None = None
 
     def _next(self) -> LiveFile:
+        path = numbered(self._path, self.files + 1) if self._rotation else self._path
+        made = self._make(path)
         self.files += 1
-        path = numbered(self._path, self.files) if self._rotation else self._path
         self._first = self._first or path
-        return self._make(path)
+        return made
 
     def _is_full(self) -> bool:
         if self._begun is None:

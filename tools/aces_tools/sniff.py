@@ -355,7 +355,7 @@ class Sniffing(LiveDecoding):
         if kept and self.shows_losses:
             self.printed += len(kept)
             if self.log is not None:
-                self.log.write(FrameTable.from_frames(kept), len(kept))
+                self._keep(FrameTable.from_frames(kept), len(kept))
             elif not self.is_quiet:
                 self.output.write(lines.frames(kept))
 
@@ -370,7 +370,7 @@ class Sniffing(LiveDecoding):
                 self.printed += 1
                 chunk = Chunk(item.content, seconds, self._stated)
                 if self.log is not None:
-                    self.log.write(chunk, len(chunk.data))
+                    self._keep(chunk, len(chunk.data))
                 elif not self.is_quiet:
                     self.output.write(self.lines.chunks([chunk], self.name))
             return
@@ -403,7 +403,13 @@ class Sniffing(LiveDecoding):
         if self.count is not None:
             items = items[: self.count - self.printed]
         self.printed += len(items)
-        self.log.write(items, len(items))
+        self._keep(items, len(items))
+
+    def _keep(self, item: Any, size: int) -> None:
+        """Write to the log, which may go on in its next file."""
+        if self.log is not None:
+            with telling(self.log.file.written):
+                self.log.write(item, size)
 
     def _commit(self) -> None:
         """Hand to the system what was written to the log, a few times a second."""
