@@ -31,7 +31,7 @@ from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.scanner import RecordColumns
 from aces_bus.recordings import CanRecording, open_recording
 from aces_bus.recordings.base import Link
-from aces_bus.recordings.write import FORMATS, open_writer, writer_format
+from aces_bus.recordings.write import FORMATS, PACKED, open_writer, writer_format
 from aces_bus.recordings.write.canlog import CREATE, INSERT, CanlogSqliteWriter
 
 from .console import say
@@ -41,7 +41,6 @@ from .rotation import Rotation, numbered
 KEPT = {"can": ("candump", ".log"), "serial": ("slog", ".slog")}
 #: Formats in which each item is whole by itself, whatever came before it: one that did not fit may be left out.
 INDEPENDENT = ("candump", "slog", "raw")
-PACKED = (".gz", ".zst")
 
 
 class LiveFile(Protocol):
@@ -181,7 +180,7 @@ class LiveRecording:
         kept, suffix = KEPT[link]
         has_suffix = bool(os.path.splitext(os.path.basename(path))[1])
         form = FORMATS[self._format(path)] if has_suffix else FORMATS[kept]
-        is_direct = (form.grows or form.name == "sqlite") and not path.lower().endswith(PACKED)
+        is_direct = (form.grows or form.name == "sqlite") and not path.lower().endswith(tuple(PACKED))
         #: What is written now, and what it becomes at the end.
         self.journal = path if is_direct else path + suffix
         self.final = None if is_direct else form.name
