@@ -192,7 +192,11 @@ def test_parquet_that_was_not_closed(tmp_path: Path, monkeypatch: pytest.MonkeyP
     rest = pa.ipc.open_stream(next(folder.glob("_part-*.arrows"))).read_all()
     assert (whole.num_rows + rest.num_rows, rest.num_rows > 0) == (350, True)
     assert len(list(folder.glob("part-*.parquet"))) >= 2
+    empty = left / "Begun.parquet" / "_part-00000.arrows"  # killed before its first row was written
+    empty.parent.mkdir()
+    empty.touch()
     assert recover_parts(left) > 0
+    assert not empty.exists()
     export.close()
     closed = parquet.read_table(tmp_path / "walk.parquet" / "Encoder.parquet")
     assert parquet.read_table(folder).equals(closed)
@@ -203,6 +207,21 @@ def test_parquet_that_was_not_closed(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert list((tmp_path / "walk.parquet").rglob("_*")) == []
     with pytest.raises(CallerError, match="nothing is to recover"):
         recover_parts(left)
+
+
+def test_a_journal_that_cannot_be_read_leaves_the_others_to_be_recovered(tmp_path: Path) -> None:
+    """It is named when all others are parts."""
+    pytest.importorskip("pyarrow")
+    export = exported(tmp_path / "walk.parquet")
+    left = left_behind(tmp_path / "walk.parquet")
+    export.close()
+    torn = left / "A.parquet" / "_part-00000.arrows"
+    torn.parent.mkdir()
+    torn.write_bytes(b"\xff\xff")
+    with pytest.raises(CallerError, match=r"A\.parquet/_part-00000\.arrows: no journal of a log"):
+        recover_parts(left)
+    assert list(left.rglob("_part-*")) == [torn]
+    assert list(left.rglob("part-*.parquet"))
 
 
 @pytest.mark.parametrize("form", ["csv", "npz", "arrow"])

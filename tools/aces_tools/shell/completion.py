@@ -35,7 +35,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.list is not None:
         print("".join(f"{name}\n" for name in NAMES[arguments.list](arguments.words)), end="")
         return 0
-    print((files(__package__) / "files" / SCRIPTS[arguments.shell]).read_text(encoding="utf-8"), end="")
+    print(
+        (files("aces_tools.shell") / "files" / SCRIPTS[arguments.shell]).read_text(encoding="utf-8"), end=""
+    )
     return 0
 
 
