@@ -172,6 +172,7 @@ class Device(EndpointMember):
         self._usual_age: list[tuple[Signal, AbstractSet[str]]] = []
         self._dirty: set[str] = set()
         self._held: dict[str, int] = {}
+        self._led: list[Job] = []
         for spec in self.provides:
             self._declare(spec)
         self.setup()
@@ -562,6 +563,18 @@ class Device(EndpointMember):
     def job(self, name: str, steps: Callable[[Job], Steps]) -> Job:
         """Begin something that takes several steps; see `Job`."""
         return Job(self.clock, f"{self.name} {name}", steps)
+
+    def lead(self, name: str, steps: Callable[[Job], Steps]) -> Job:
+        """Begin a job that a stop must end: one that enables, moves or changes something in several steps."""
+        made = self.job(name, steps)
+        self._led = [job for job in self._led if not job.is_over] + [made]
+        return made
+
+    def end_led(self, name: str = "") -> None:
+        """End the jobs of this name that were begun with `lead`, or all: what `stop_motion` does first."""
+        for job in self._led:
+            if not name or job.name == f"{self.name} {name}":
+                job.cancel()
 
     def tell_event(self, kind: Kind, detail: str = "") -> None:
         """Report an event of this device."""

@@ -58,26 +58,28 @@ class HalfDuplexLine:
 
     def overtake(self, ticket: Ticket) -> None:
         """A stop: before all that is none, and instead of what waits for its device; `pump` then."""
-        device = ticket.device
-        kept: deque[Ticket] = deque()
-        for waiting in self._waiting:
-            if waiting.device is device and not waiting.urgent and waiting.poll is None:
-                waiting.fail(DeviceError(f"{waiting.message} to {device.name}: a stop overtook it"))
-            else:
-                kept.append(waiting)
+        overtaken = [one for one in self._waiting if _is_overtaken(one, ticket)]
+        self._waiting = deque(one for one in self._waiting if not _is_overtaken(one, ticket))
         if (
             self.host.port.link == "can"
         ):  # the bus itself is free: only the devices take one request at a time
-            self._waiting = kept
             self.host.send(ticket, self.host.clock.now())
-            return
-        kept.insert(sum(1 for waiting in kept if waiting.urgent), ticket)
-        self._waiting = kept
+        else:
+            self._waiting.insert(self._stops(), ticket)
+        for one in overtaken:  # only now: who hears of it may ask for something else
+            _fail_overtaken(one)
 
     def again(self, ticket: Ticket) -> None:
-        """It was not answered in time, and is asked once more, before what waits."""
-        self._waiting.appendleft(ticket)
+        """It was not answered in time, and is asked once more, behind stops and before all else that waits."""
+        if any(_is_overtaken(ticket, one) for one in self._waiting if one.urgent):
+            _fail_overtaken(ticket)
+        else:
+            self._waiting.insert(self._stops(), ticket)
         self.free(ticket)
+
+    def _stops(self) -> int:
+        """How many stops wait, before all else."""
+        return sum(1 for one in self._waiting if one.urgent)
 
     def pump(self) -> None:
         """Where the line is free, let the next one speak."""
@@ -161,6 +163,14 @@ class HalfDuplexLine:
             return
         self._speaking = None
         self.host.clock.call_soon(self.pump)
+
+
+def _is_overtaken(ticket: Ticket, stop: Ticket) -> bool:
+    return ticket.device is stop.device and not ticket.urgent and ticket.poll is None
+
+
+def _fail_overtaken(ticket: Ticket) -> None:
+    ticket.fail(DeviceError(f"{ticket.message} to {ticket.device.name}: a stop overtook it"))
 
 
 def ask_less(slots: Collection[PollSlot], ticket: Ticket, now: int) -> None:

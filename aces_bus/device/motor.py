@@ -1,8 +1,7 @@
 """A device that moves joints, each on an axis of its own.
 
 1. A joint is named by its name or an alias, a channel without a joint by its number; no name means all.
-2. Jobs that lead joints somewhere (`lead`: enabling, homing) are ended by what stops them (`end_led`).
-3. What a job waits for (`until`) is looked at whenever the device has said something.
+2. What a job waits for (`until`) is looked at whenever the device has said something.
 """
 
 from __future__ import annotations
@@ -46,7 +45,6 @@ class MotorDevice(Device, Generic[A]):
     axes: list[A]
 
     def __init__(self, *args: Any) -> None:
-        self._led: list[Job] = []
         self._until_so: list[tuple[Callable[[], bool], Awaited, Timer]] = []
         super().__init__(*args)
 
@@ -62,18 +60,6 @@ class MotorDevice(Device, Generic[A]):
             if joint in (*names, axis.name, str(axis.channel)):
                 return [axis]
         raise UnknownNameError(f"joint of {self.name}", joint, [axis.name for axis in self.axes])
-
-    def lead(self, name: str, steps: Callable[[Job], Steps]) -> Job:
-        """Begin a job that leads joints somewhere, until `end_led`."""
-        made = self.job(name, steps)
-        self._led = [job for job in self._led if not job.is_over] + [made]
-        return made
-
-    def end_led(self, name: str = "") -> None:
-        """End the jobs of this name that lead joints somewhere, or all."""
-        for job in self._led:
-            if not name or job.name == f"{self.name} {name}":
-                job.cancel()
 
     def until(self, holds: Callable[[], bool], timeout_s: float, what: Callable[[], str]) -> Awaited:
         """Over as soon as `holds()`, which is looked at whenever the device has said something; fails after `timeout_s`."""

@@ -72,6 +72,7 @@ class PacketSender:
             fates.append((fate, why))
             over.set()
 
+        self._below.refusal = None
         taken = self._loop.call(partial(self._port.send, word, report=left))
         if taken and not over.wait(timeout_s):
             raise NoReplyError(f"{self.gate.name}: the packet has not left after {timeout_s:g} s")

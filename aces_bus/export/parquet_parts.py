@@ -81,7 +81,8 @@ def _close_part(journal: str) -> int:
 def recover_parts(path: str | os.PathLike[str]) -> int:
     """Make parts of the journals that a killed program left in a folder of Parquet; the number of rows.
 
-    Raises `CallerError` where there is none, and when a part cannot be written.
+    A journal without a byte had no row yet, and goes. Raises `CallerError` where there is none; and for one that cannot be
+    read, when the others are parts.
     """
     text = os.fspath(path)
     with telling(text):
@@ -93,4 +94,15 @@ def recover_parts(path: str | os.PathLike[str]) -> int:
         ]
         if not journals:
             raise CallerError(f"{text}: was closed, or is no folder of Parquet; nothing is to recover")
-        return sum(map(_close_part, journals))
+        rows, failed = 0, list[CallerError]()
+        for journal in journals:
+            if not os.path.getsize(journal):
+                os.remove(journal)
+                continue
+            try:
+                rows += _close_part(journal)
+            except CallerError as error:
+                failed.append(error)
+        if failed:
+            raise failed[0]
+        return rows

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from construct import Byte, Const, GreedyBytes, Struct
 
-from aces_bus.device import Device, Driver, Twin, on
+from aces_bus.device import Device, Driver, PacketSender, Twin, on
+from aces_bus.errors import CallerError
 from aces_bus.frames import Frame
 from aces_bus.hardware import ListeningNode
-from aces_bus.protocol import IdField, IsoTp, Protocol
+from aces_bus.protocol import IdField, IsoTp, Protocol, load_protocol
 from aces_bus.robot import VirtualRobot, connect, parse_robot
 from tests.device.ecu import LOAD, robot_of_ecu
 
@@ -184,3 +186,37 @@ def test_a_go_ahead_of_another_unit_is_none() -> None:
         assert [f.arbitration_id for f in recorder.frames()] == [0x618]
         robot.advance(2.0)
         assert "no go-ahead in time" in str(ticket.error)
+
+
+class PickyGate:
+    """A gate that is open, and refuses its first frame."""
+
+    name = "picky"
+
+    def __init__(self) -> None:
+        self.taken: list[Frame] = []
+        self.refused = 0
+
+    def listen(self, take: Any) -> Any:
+        return SimpleNamespace(stop=lambda: None)
+
+    def send(self, frame: Frame, *, priority: int, report: Any) -> bool:
+        if not self.refused:
+            self.refused += 1
+            raise CallerError("picky: not this one")
+        self.taken.append(frame)
+        if report is not None:
+            report("sent", "")
+        return True
+
+
+def test_a_refusal_is_of_one_packet() -> None:
+    """What the gate refuses raises; the next packet is sent as if that had not been."""
+    gate = PickyGate()
+    uds = load_protocol("uds")
+    frames = uds.encode("TesterPresent", ecu=0, none=0, suppress=0)
+    with PacketSender(gate, [uds.variant()]) as sender:
+        with pytest.raises(CallerError, match="not this one"):
+            sender.send(frames)
+        sender.send(frames)
+    assert len(gate.taken) == 1

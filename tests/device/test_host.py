@@ -248,6 +248,40 @@ def test_one_speaks_at_a_time_on_a_half_duplex_line() -> None:
         assert robot.twins["B"].requests > 90
 
 
+def test_a_stop_is_before_what_is_asked_again() -> None:
+    """A request of the stopped device is not repeated behind its stop, and the others' are repeated after it; who hears that
+    a request has failed may ask for another."""
+    with made(SERIAL_ROBOT) as robot:
+        for twin in robot.twins.values():
+            twin.fault("silent")
+        host, fan, other = host_of(robot), robot.devices["A"], robot.devices["B"]
+        host.slots.clear()
+        robot.advance(0.1)
+        sent: list[tuple[str, str]] = []
+        transmit = host.transmit
+
+        def recorded(word: Any, device: Any, message: str, *rest: Any, **more: Any) -> bool:
+            sent.append((device.name, message))
+            return transmit(word, device, message, *rest, **more)
+
+        host.transmit = recorded  # type: ignore[method-assign]
+        asked = fan.ask("Ask", reply="State", retries=2)
+        waiting = fan.ask("Ask", reply="State", retries=0)
+        waiting.then(lambda _: other.ask("Ask", reply="State", retries=0))
+        robot.advance(0.01)
+        stopped = fan.tell_now("Set", left=0, right=0)
+        robot.advance(0.5)
+        assert sent == [("A", "Ask"), ("A", "Set"), ("B", "Ask")]
+        assert stopped.state == "done"
+        assert [str(one.error) for one in (asked, waiting)] == ["Ask to A: a stop overtook it"] * 2
+        sent.clear()
+        asked = fan.ask("Ask", reply="State", retries=1)
+        robot.advance(0.01)
+        other.tell_now("Set", left=0, right=0)
+        robot.advance(0.5)
+        assert sent == [("A", "Ask"), ("B", "Set"), ("A", "Ask")]
+
+
 def test_strangers_and_foreign_words_are_named() -> None:
     """A device that is not in the robot, and a frame of the wrong length, are told with what they were."""
     with made() as robot:

@@ -109,6 +109,24 @@ def test_a_stop_sets_what_was_set_to_its_error_value() -> None:
         assert not robot.events.of("alarm")
 
 
+def test_a_stop_goes_before_all_that_waits() -> None:
+    """Its PDOs leave before what else the bus has to send."""
+    with running() as (robot, device, _):
+        robot["M.valve"].set(True)
+        robot.advance(0.2)
+        sent: list[tuple[str, bool]] = []
+        transmit = device.host.transmit
+
+        def recorded(word: Any, of: Any, message: str, *rest: Any, urgent: bool = False, **more: Any) -> Any:
+            sent.append((message, urgent))
+            return transmit(word, of, message, *rest, urgent=urgent, **more)
+
+        device.host.transmit = recorded
+        device.stop_motion().wait(3)
+        assert ("Rpdo1", True) in sent
+        assert not any(message.startswith("Rpdo") and not urgent for message, urgent in sent)
+
+
 def test_error_values_are_the_module_s() -> None:
     """Outputs without an error mode stay at a stop, as its file says."""
     with running() as (robot, device, twin):

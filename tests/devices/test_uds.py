@@ -275,6 +275,21 @@ def test_a_stop_ends_a_routine_and_the_session() -> None:
             stop_devices(robot.clock, "all", robot.devices.values()).wait(10)
 
 
+@pytest.mark.parametrize("after_s", [0.0, 0.001, 0.002])
+def test_a_routine_is_not_started_behind_a_stop(after_s: float) -> None:
+    """Whenever the stop comes while a session is begun for it: nothing runs afterwards."""
+    with car("routines = { learn = 0x0201 }") as robot:
+        engine: Any = robot.devices["ENGINE"]
+        twin: Any = robot.twins["ENGINE"]
+        twin.carry_out = lambda action, routine, data: b""
+        robot.advance(1.0)
+        engine.start_routine("learn")
+        robot.advance(after_s)
+        stop_devices(robot.clock, "all", robot.devices.values()).wait(5)
+        robot.advance(0.5)
+        assert (twin.started, twin.session) == (set(), "default")
+
+
 def test_a_download_arrives() -> None:
     """Pieces of as many bytes as the ECU takes, in order; where it may not go, it is refused and nothing is written."""
     with car() as robot:

@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import can
@@ -22,6 +23,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from aces_bus.errors import CallerError
 from aces_bus.frame_table import (
     BITRATE_SWITCH,
     ERROR,
@@ -350,6 +352,19 @@ def test_python_can_reads_its_own_formats_from_us(form: str, rows: list[Row]) ->
         assert message.is_extended_id == bool(flags & EXTENDED)
         assert message.is_remote_frame == bool(flags & REMOTE)
         assert message.is_error_frame == bool(flags & ERROR)
+
+
+def test_what_sqlite_refuses_names_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A writer raises the package's errors, and leaves no file."""
+    monkeypatch.setattr("aces_bus.recordings.write.canlog.INSERT", "INSERT INTO lost VALUES (?)")
+    path = tmp_path / "walk.db"
+    table = FrameTable.from_frames([Frame(1, b"", 1.0)])
+    with (
+        pytest.raises(CallerError, match=r"walk\.db: cannot be written: no such table: lost"),
+        open_writer(path) as writer,
+    ):
+        writer.write(table)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_gvret_has_its_published_columns() -> None:

@@ -25,7 +25,7 @@ from aces_bus.frames import Frame
 from aces_bus.protocol import load_protocol
 from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.recordings import open_recording
-from aces_tools.live_log import LiveRecording, LogSeries
+from aces_tools.live_log import LiveRecording, LogSeries, PendingFile
 from aces_tools.rotation import Rotation
 from tests.tools.live import WAIT_S, Node, Opened
 
@@ -192,7 +192,11 @@ def test_parquet_that_was_not_closed(tmp_path: Path, monkeypatch: pytest.MonkeyP
     rest = pa.ipc.open_stream(next(folder.glob("_part-*.arrows"))).read_all()
     assert (whole.num_rows + rest.num_rows, rest.num_rows > 0) == (350, True)
     assert len(list(folder.glob("part-*.parquet"))) >= 2
+    empty = left / "Begun.parquet" / "_part-00000.arrows"  # killed before its first row was written
+    empty.parent.mkdir()
+    empty.touch()
     assert recover_parts(left) > 0
+    assert not empty.exists()
     export.close()
     closed = parquet.read_table(tmp_path / "walk.parquet" / "Encoder.parquet")
     assert parquet.read_table(folder).equals(closed)
@@ -203,6 +207,21 @@ def test_parquet_that_was_not_closed(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert list((tmp_path / "walk.parquet").rglob("_*")) == []
     with pytest.raises(CallerError, match="nothing is to recover"):
         recover_parts(left)
+
+
+def test_a_journal_that_cannot_be_read_leaves_the_others_to_be_recovered(tmp_path: Path) -> None:
+    """It is named when all others are parts."""
+    pytest.importorskip("pyarrow")
+    export = exported(tmp_path / "walk.parquet")
+    left = left_behind(tmp_path / "walk.parquet")
+    export.close()
+    torn = left / "A.parquet" / "_part-00000.arrows"
+    torn.parent.mkdir()
+    torn.write_bytes(b"\xff\xff")
+    with pytest.raises(CallerError, match=r"A\.parquet/_part-00000\.arrows: no journal of a log"):
+        recover_parts(left)
+    assert list(left.rglob("_part-*")) == [torn]
+    assert list(left.rglob("part-*.parquet"))
 
 
 @pytest.mark.parametrize("form", ["csv", "npz", "arrow"])
@@ -332,6 +351,49 @@ def test_a_series_on_the_command_line(
             messages += sum(1 for _ in reader.make_reader(file).iter_messages())
     assert messages == 6
     assert "wrote 6 records to " in found.err
+
+
+def test_a_disk_that_is_full_when_the_next_file_begins(
+    aces: Aces, node: Node, opened: Opened, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is one line that names the file, and no success."""
+    commit = PendingFile.commit
+
+    def full(file: Any) -> None:
+        if file._new:
+            raise OSError(28, "No space left on device")
+        commit(file)
+
+    monkeypatch.setattr(PendingFile, "commit", full)
+    monkeypatch.setattr("aces_tools.sniff.LOG_S", 1e9)
+
+    def slowly() -> None:
+        for _ in range(3):
+            node.send(0x060, "0A")
+            time.sleep(0.01)
+
+    opened.then(slowly)
+    found = aces("sniff", *node.options, "-o", tmp_path / "walk.log", "--rotate", "1ms", "-n", 3)
+    assert found.status == 2
+    assert "walk-00001.log: cannot be written: No space left on device" in found.err
+    assert "wrote 0 frames to" in found.err
+
+
+def test_a_next_file_that_cannot_be_made_is_not_counted(tmp_path: Path) -> None:
+    """What was written is said to be in one file."""
+    files = iter([str(tmp_path / "walk-00001.log"), str(tmp_path / "no" / "walk-00002.log")])
+    log = LogSeries(
+        str(tmp_path / "walk.log"),
+        Rotation(ns=1),
+        lambda _: LiveRecording(next(files), "can", "-o"),
+        option="-o",
+        now=iter(range(100)).__next__,
+    )
+    log.write(table(0, 3), 3)
+    with pytest.raises(CallerError, match=r"walk-00002\.log: cannot be written: No such file"):
+        log.write(table(3, 1), 1)
+    assert (log.files, log.committed) == (1, 3)
+    assert log.written == str(tmp_path / "walk-00001.log")
 
 
 @pytest.mark.parametrize("text", ["", "100", "5 parsecs", "-1MB", "1MBit"])

@@ -534,6 +534,18 @@ def test_a_recording_that_fails_ends_the_run(
     assert "recording stopped: No space left on device" in found.err
 
 
+def test_a_database_that_fails_ends_the_run(
+    aces: Aces, node: Node, opened: Opened, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SQLite's own errors are an end like any other, said with the file."""
+    monkeypatch.setattr("aces_tools.live_log.INSERT", "INSERT INTO lost VALUES (?)")
+    opened.then(walk(node))
+    record = tmp_path / "walk.db"
+    found = aces("sniff", *node.options, "--record", record)
+    assert found.status == 2
+    assert f"recording stopped: {record}: cannot be written: no such table: lost" in found.err
+
+
 @pytest.mark.parametrize("size", [0, *([100] if IS_LONG else []), 200])
 def test_what_a_full_disk_took_is_counted(
     aces: Aces, node: Node, opened: Opened, tmp_path: Path, size: int

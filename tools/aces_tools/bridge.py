@@ -31,7 +31,7 @@ from aces_bus.recordings import parse_filter
 from .bus_arg import ChosenBus, chosen_end
 from .console import say
 from .decoding import check_direction, has_requests, named_messages
-from .live import LINGER_S, STEP_S, BusEventLines, LivePatience, SendQueue
+from .live import LINGER_S, STEP_S, BusEventLines, LivePatience, SendQueue, silence_s
 from .options import (
     DIRECTION,
     FILTER,
@@ -56,10 +56,6 @@ if TYPE_CHECKING:
 #: frames say so.
 WATCH_S = 0.25
 SAME = 3
-#: The shortest silence after which what is incomplete of a packet is given up: adapters hand over up to 16 ms late (s).
-LEAST_SILENCE_S = 0.02
-#: The silence after which nothing goes on, where no protocol declares a gap (s).
-SILENCE_S = 1.0
 #: How long what is forwarded may wait to leave (s): later it is old, and is dropped and counted.
 AGE_S = 1.0
 #: Refusals of a bus that are named.
@@ -209,13 +205,13 @@ class OneWay:
         self.total = self.filtered = self.skipped = self.passed = self.refused = 0
         self._is_can = source.items == "frames"
         scanner = selection.scanners[source.name]
-        self._gap_s = max(getattr(scanner, "gap", 0.0) or SILENCE_S, LEAST_SILENCE_S) if scanner else 0.0
-        self._heard: float | None = None
+        self._gap_s = silence_s(scanner) if scanner else 0.0
+        self._received_at: float | None = None
 
     def run(self, patience: LivePatience) -> None:
         """Until there is an end."""
         while not patience.is_over and not self.inbox.is_closed:
-            wait = STEP_S if self._heard is None else min(STEP_S, self._gap_s)
+            wait = STEP_S if self._received_at is None else min(STEP_S, self._gap_s)
             self.forward(self.inbox.get(wait))
 
     def forward(self, items: Sequence[Any]) -> None:
@@ -225,11 +221,11 @@ class OneWay:
                 self._frame(item.content)
             return
         for item in items:
-            self._heard = time.monotonic() if self._gap_s else None
+            self._received_at = time.monotonic() if self._gap_s else None
             is_datagram = self.source.items == "datagrams"
             self._bytes(self.selection.packets(item.content, self.source.name, is_datagram=is_datagram))
-        if not items and self._heard is not None and time.monotonic() - self._heard > self._gap_s:
-            self._heard = None
+        if not items and self._received_at is not None and time.monotonic() - self._received_at > self._gap_s:
+            self._received_at = None
             self._bytes(self.selection.idle(self.source.name))
 
     def close(self) -> None:

@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 STEP_S = 0.1
 #: Seconds that a bus stays open after the last frame was handed over: an adapter may still hold it.
 LINGER_S = 0.05
+#: The shortest silence that is believed: USB adapters hand over bytes up to 16 ms late (s).
+LEAST_SILENCE_S = 0.02
+#: The silence after which nothing goes on, where no protocol declares a gap (s).
+SILENCE_S = 1.0
 #: Events of one kind that are printed within `PAUSE_S`.
 FEW, PAUSE_S = 3, 1.0
 #: What is as it should be.
@@ -129,6 +133,11 @@ def losses(gate: CanGate | SerialGate | DatagramGate, dropped: int) -> str:
         f"dropped={dropped} kernel_dropped={counters.kernel_dropped} bad_input={counters.bad_input}"
         f" reopened={counters.reopened}"
     )
+
+
+def silence_s(scanner: Any) -> float:
+    """The silence after which what is incomplete to a stream's scanner never will be whole."""
+    return max(getattr(scanner, "gap", 0.0) or SILENCE_S, LEAST_SILENCE_S)
 
 
 class SendQueue:

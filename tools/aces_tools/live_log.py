@@ -31,7 +31,7 @@ from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.scanner import RecordColumns
 from aces_bus.recordings import CanRecording, open_recording
 from aces_bus.recordings.base import Link
-from aces_bus.recordings.write import FORMATS, open_writer, writer_format
+from aces_bus.recordings.write import FORMATS, PACKED, open_writer, writer_format
 from aces_bus.recordings.write.canlog import CREATE, INSERT, CanlogSqliteWriter
 
 from .console import say
@@ -41,7 +41,6 @@ from .rotation import Rotation, numbered
 KEPT = {"can": ("candump", ".log"), "serial": ("slog", ".slog")}
 #: Formats in which each item is whole by itself, whatever came before it: one that did not fit may be left out.
 INDEPENDENT = ("candump", "slog", "raw")
-PACKED = (".gz", ".zst")
 
 
 class LiveFile(Protocol):
@@ -134,12 +133,12 @@ class DatabaseFile:
     """Frames in python-can's table of SQLite, whose write-ahead log survives a kill; as `PendingFile` and its writer."""
 
     def __init__(self, path: str) -> None:
-        self._base = JournaledDatabase(path)
+        self._path = path
         self._writer = CanlogSqliteWriter(io.BytesIO(), path)
         self._rows: list[Any] = []
+        self._base = JournaledDatabase(path)
         with self._base.transaction() as database:
             database.execute(CREATE)
-        self._path = path
 
     @property
     def lossy(self) -> dict[str, int]:
@@ -157,14 +156,16 @@ class DatabaseFile:
 
     def commit(self) -> None:
         rows, self._rows = self._rows, []
-        with self._base.transaction() as database:
+        with telling(self._path), self._base.transaction() as database:
             database.executemany(INSERT, rows)
 
     def sync(self) -> None:
-        self._base.sync()
+        with telling(self._path):
+            self._base.sync()
 
     def close(self) -> None:
-        self._base.close()
+        with telling(self._path):
+            self._base.close()
 
 
 class LiveRecording:
@@ -179,7 +180,7 @@ class LiveRecording:
         kept, suffix = KEPT[link]
         has_suffix = bool(os.path.splitext(os.path.basename(path))[1])
         form = FORMATS[self._format(path)] if has_suffix else FORMATS[kept]
-        is_direct = (form.grows or form.name == "sqlite") and not path.lower().endswith(PACKED)
+        is_direct = (form.grows or form.name == "sqlite") and not path.lower().endswith(tuple(PACKED))
         #: What is written now, and what it becomes at the end.
         self.journal = path if is_direct else path + suffix
         self.final = None if is_direct else form.name
@@ -370,10 +371,11 @@ class LogSeries:
         self._begun: int | None = None
 
     def _next(self) -> LiveFile:
+        path = numbered(self._path, self.files + 1) if self._rotation else self._path
+        made = self._make(path)
         self.files += 1
-        path = numbered(self._path, self.files) if self._rotation else self._path
         self._first = self._first or path
-        return self._make(path)
+        return made
 
     def _is_full(self) -> bool:
         if self._begun is None:

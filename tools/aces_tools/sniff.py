@@ -33,7 +33,7 @@ from .bus_arg import BUS, BUS_ARGUMENTS, ChosenBus, chosen_bus
 from .console import ENDLESS, Output, abandon_stdout, say, say_note, terminal_width, wants_colour
 from .decode import LiveDecoding
 from .decoding import Link, Totals, utf8
-from .live import STEP_S, BusEventLines, LivePatience, heard_frame, losses
+from .live import STEP_S, BusEventLines, LivePatience, heard_frame, losses, silence_s
 from .live_text import CandumpLines, LiveText, Times
 from .options import (
     COLOR,
@@ -64,12 +64,8 @@ if TYPE_CHECKING:
 
 #: Frames that come close behind each other are shown together, once in this time (s): less work, and not visible.
 TOGETHER_S = 0.01
-#: The shortest silence that is believed: USB adapters hand over bytes up to 16 ms late.
-LEAST_SILENCE_S = 0.02
 #: Seconds between two times at which a log is handed to the system.
 LOG_S = 0.25
-#: The silence after which nothing goes on, where no protocol declares a gap.
-SILENCE_S = 1.0
 
 EPILOG = """\
 times (-t): with jsonl they are always absolute.
@@ -169,7 +165,7 @@ class Sniffing(LiveDecoding):
         self.scanner: Any = self._own_scanner()
         self.scanner.reset()
         self.total = self.totals.setdefault(self.link, Totals())
-        self.gap_ns = round(max(getattr(self.scanner, "gap", 0.0) or SILENCE_S, LEAST_SILENCE_S) * 1e9)
+        self.gap_ns = round(silence_s(self.scanner) * 1e9)
         #: When bytes came last, and whether the scanner knows of the silence since then.
         self.heard_at, self.is_settled = 0, True
         self.epoch_ns = time.time_ns() - time.monotonic_ns()
@@ -355,7 +351,7 @@ class Sniffing(LiveDecoding):
         if kept and self.shows_losses:
             self.printed += len(kept)
             if self.log is not None:
-                self.log.write(FrameTable.from_frames(kept), len(kept))
+                self._keep(FrameTable.from_frames(kept), len(kept))
             elif not self.is_quiet:
                 self.output.write(lines.frames(kept))
 
@@ -370,7 +366,7 @@ class Sniffing(LiveDecoding):
                 self.printed += 1
                 chunk = Chunk(item.content, seconds, self._stated)
                 if self.log is not None:
-                    self.log.write(chunk, len(chunk.data))
+                    self._keep(chunk, len(chunk.data))
                 elif not self.is_quiet:
                     self.output.write(self.lines.chunks([chunk], self.name))
             return
@@ -403,7 +399,13 @@ class Sniffing(LiveDecoding):
         if self.count is not None:
             items = items[: self.count - self.printed]
         self.printed += len(items)
-        self.log.write(items, len(items))
+        self._keep(items, len(items))
+
+    def _keep(self, item: Any, size: int) -> None:
+        """Write to the log, which may go on in its next file."""
+        if self.log is not None:
+            with telling(self.log.file.written):
+                self.log.write(item, size)
 
     def _commit(self) -> None:
         """Hand to the system what was written to the log, a few times a second."""

@@ -128,7 +128,8 @@ FORMATS: Mapping[str, FormatOut] = {
         ),
     )
 }
-_PACKED = {".gz": "gzip", ".zst": "zstd"}
+#: How a path that ends so is packed.
+PACKED: Mapping[str, str] = {".gz": "gzip", ".zst": "zstd"}
 
 
 def writer_format(path: str, link: Link | None = None) -> FormatOut:
@@ -140,7 +141,7 @@ def writer_format(path: str, link: Link | None = None) -> FormatOut:
     'asc'
     """
     name = os.path.basename(path).lower()
-    for packed in _PACKED:
+    for packed in PACKED:
         name = name.removesuffix(packed)
     fits = [
         (len(suffix), form) for form in FORMATS.values() for suffix in form.suffixes if name.endswith(suffix)
@@ -245,7 +246,7 @@ def open_writer(
             f"{path or form.name}: {form.what} holds {kinds[form.link]}, and these are {kinds[link]}; there are "
             + ", ".join(f.name for f in FORMATS.values() if f.link == link)
         )
-    packing = next((kind for end, kind in _PACKED.items() if (path or "").lower().endswith(end)), None)
+    packing = next((kind for end, kind in PACKED.items() if (path or "").lower().endswith(end)), None)
     file = OutFile(
         path if path is not None else cast("BinaryIO", path_or_file), packing, form.needs_seek, inputs
     )

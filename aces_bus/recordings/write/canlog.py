@@ -17,12 +17,14 @@ import sqlite3
 import tempfile
 import weakref
 from binascii import b2a_base64
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager
 from functools import cached_property
 from typing import Any, BinaryIO
 
 import numpy as np
 
+from ...errors import CallerError
 from ...frame_table import ERROR, EXTENDED, REMOTE, RX, TX, FrameTable, ns_of
 from ..beginnings import PYTHON_CAN_CSV
 from ..sqlite import COLUMNS
@@ -94,6 +96,14 @@ class CanlogSqliteWriter(_CanlogWriter):
         self.lose("times finer than a float of seconds", np.count_nonzero(ns_of(seconds) != time))
         return [(ts, *values) for ts, values in zip(seconds.tolist(), self._values(table), strict=True)]
 
+    @contextmanager
+    def _telling(self) -> Generator[None]:
+        """Raise what SQLite refuses as a `CallerError`: a full disk below the temporary file, say."""
+        try:
+            yield
+        except sqlite3.Error as error:
+            raise CallerError(f"{self.name}: cannot be written: {error}") from error
+
     @cached_property
     def _base(self) -> tuple[str, sqlite3.Connection]:
         folder = tempfile.mkdtemp()
@@ -104,15 +114,17 @@ class CanlogSqliteWriter(_CanlogWriter):
 
     def write(self, table: FrameTable) -> None:
         """Write the frames, in order."""
-        self._base[1].executemany(INSERT, self.rows(table))
+        with self._telling():
+            self._base[1].executemany(INSERT, self.rows(table))
 
     def _encoded(self, table: FrameTable) -> bytes:
         raise NotImplementedError
 
     def close(self) -> None:
         """Write the database."""
-        folder, base = self._base
-        base.execute("COMMIT")
-        base.close()
+        with self._telling():
+            folder, base = self._base
+            base.execute("COMMIT")
+            base.close()
         with open(os.path.join(folder, "log"), "rb") as made:
             shutil.copyfileobj(made, self._file, 1 << 20)

@@ -321,7 +321,7 @@ class Cia401(CanopenNode):
         self.goals = {where: self._stop_number(where, number) or 0 for where, number in driven.items()}
         wanted = dict(self.goals)
         for number, layout in list(self._taking()) if self.is_operational else ():
-            self.tell(f"Rpdo{number}", data=self._content(layout))
+            self.tell_now(f"Rpdo{number}", data=self._content(layout))
 
         def steps(job: Job) -> Steps:
             for where, goal in wanted.items():

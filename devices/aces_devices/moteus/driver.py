@@ -288,7 +288,7 @@ class Moteus(Device):
                 if state.get("mode") == "position":
                     break
                 if state.get("mode") == "fault" or self.clock.now() > end:
-                    yield self.stop_motion()
+                    yield self._stop()
                     raise DeviceError(
                         f"{self.name} is in mode {state.get('mode')}, fault {state.get('fault')}"
                     )
@@ -299,7 +299,7 @@ class Moteus(Device):
             else:
                 self.want("Command", "position", nan)
 
-        return self.job("enable", steps)
+        return self.lead("enable", steps)
 
     def disable(self) -> Job:
         """Stop, and see that it has."""
@@ -312,6 +312,10 @@ class Moteus(Device):
 
     def stop_motion(self) -> Ticket:
         """Set-points end; the motor is free, or shorted (setting `stop`)."""
+        self.end_led()
+        return self._stop()
+
+    def _stop(self) -> Ticket:
         self._off()
         mode = "brake" if self.settings.stop == "brake" else "stopped"
         return self.tell_now("Command", subframes=[write("i8", mode=mode)])

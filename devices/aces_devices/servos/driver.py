@@ -424,7 +424,7 @@ class ServoDevice(RegisterDevice):
             self.trips = frozenset()
             yield self.write("torque_enable", "on")
 
-        return self.job("enable", steps)
+        return self.lead("enable", steps)
 
     def goal_at(self, here: int) -> int:
         """The goal that holds a present position, both raw."""
@@ -432,11 +432,13 @@ class ServoDevice(RegisterDevice):
 
     def disable(self) -> Job:
         """Torque off; set-points given so far are dropped."""
+        self.end_led()
         self.drop(self.goal)
         return self.write("torque_enable", "off")
 
     def stop_motion(self) -> Job:
         """Hold the present position, or release the torque (setting `stop`); the joint's set-points are dropped."""
+        self.end_led()
         self.drop(self.goal)
         if self.command != "position":
             return self.write(self.goal, 0, raw=True)

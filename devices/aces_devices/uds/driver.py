@@ -361,7 +361,7 @@ class Uds(Device):
                 self.is_engaged = True  # before it answers
             yield from self._asked(f"session {session}", "ChangeSession", "Session", session=session)
 
-        return self.job(f"session {session}", steps)
+        return self.lead(f"session {session}", steps)
 
     def unlock(self, level: int) -> Job:
         """Ask for a seed with an odd `level`, and send its key. Raises `CallerError` without `key_of`."""
@@ -380,7 +380,7 @@ class Uds(Device):
                 yield from self._asked(doing, "AccessSecurity", "Security", step=level + 1, data=key)
             self.unlocked = level
 
-        return self.job(f"unlock level {level}", steps)
+        return self.lead(f"unlock level {level}", steps)
 
     def enable(self) -> Job:
         """Begin the session of the settings, and unlock the level of the settings: what is set is written from now on."""
@@ -389,7 +389,7 @@ class Uds(Device):
             self.session = "default"  # anew in any case
             yield from self._ready()
 
-        return self.job("enable", steps)
+        return self.lead("enable", steps)
 
     def _ready(self) -> Steps:
         """Be in a session, with the level unlocked, as what changes an ECU needs."""
@@ -418,7 +418,7 @@ class Uds(Device):
             yield from self._ready()
             yield from self._asked(doing, "WriteData", "DataWritten", identifier=one.number, data=data)
 
-        return self.job(f"write {name}", steps)
+        return self.lead(f"write {name}", steps)
 
     def _set(self, name: str, value: Any) -> None:
         """A set-point: written now."""
@@ -442,7 +442,7 @@ class Uds(Device):
                 "clearing codes", "ClearCodes", "CodesCleared", timeout_s=self.patience_s, group=0xFFFFFF
             )
 
-        return self.job("clear codes", steps)
+        return self.lead("clear codes", steps)
 
     def reset(self, kind: str = "hard") -> Job:
         """Have it boot; over when it says that it begins."""
@@ -451,7 +451,7 @@ class Uds(Device):
             yield from self._asked(f"{kind} reset", "Reset", "ResetBegins", kind=kind)
             self.rebooted(f"{kind} reset")
 
-        return self.job(f"{kind} reset", steps)
+        return self.lead(f"{kind} reset", steps)
 
     def _routine(self, action: str, name: str, data: bytes | str) -> Job:
         if name not in self.settings.routines:
@@ -472,7 +472,7 @@ class Uds(Device):
                 self.started.discard(number)
             return answer.data
 
-        return self.job(f"{action} {name}", steps)
+        return self.lead(f"{action} {name}", steps)
 
     def start_routine(self, name: str, data: bytes | str = b"") -> Job:
         """Start a routine, in a session that is begun where there is none: the bytes of its answer.
@@ -518,12 +518,16 @@ class Uds(Device):
                 job.progress = at / len(data)
             yield from asked("EndTransfer", "TransferEnded", data=b"")
 
-        return self.job("download", steps)
+        return self.lead("download", steps)
 
     # ------------------------------------------------------------------ stopping
 
     def stop_motion(self) -> Job | None:
-        """Stop what was started and go back to the default session, before all that waits; nothing where that is so."""
+        """Stop what was started and go back to the default session, before all that waits; nothing where that is so.
+
+        What changes it in several steps does not go on.
+        """
+        self.end_led()
         if not self.is_engaged:
             return None
         timeout_s = self.settings.timeout_s

@@ -296,7 +296,7 @@ class Vesc(Device):
             if self.command == "position" and self.joint is not None:
                 self.want("SetPosition", "position", self.values["position"] % 360)
 
-        return self.job("enable", steps)
+        return self.lead("enable", steps)
 
     def disable(self) -> Job:
         """Stop, and see that it has."""
@@ -309,6 +309,7 @@ class Vesc(Device):
 
     def brake(self) -> Ticket:
         """End set-points and brake; when the controller's time-out is over, what that is configured for goes on."""
+        self.end_led()
         self._off()
         return self.tell_now("SetBrakeCurrent", current=self.settings.brake_current)
 
@@ -316,6 +317,7 @@ class Vesc(Device):
         """End set-points; the motor is free, or brakes (setting `stop`)."""
         if self.settings.stop == "brake":
             return self.brake()
+        self.end_led()
         self._off()
         return self.tell_now("SetCurrent", current=0.0)
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError
 
+from ..live import silence_s
 from .model import Model
 
 if TYPE_CHECKING:
@@ -96,10 +97,6 @@ def make_screen(
 
 # ---------------------------------------------------------------------- streams
 
-#: The shortest silence that is believed: USB adapters hand over bytes up to 16 ms late.
-LEAST_NS = 20_000_000
-#: The silence after which nothing goes on, where no protocol declares a gap.
-SILENCE_S = 1.0
 #: Bit times of a byte on a serial line: start, eight bits, stop.
 BYTE = 10
 
@@ -115,7 +112,7 @@ class ModelFeed:
         self._model = model
         self._scanner: Any = model.scanner
         self._are_datagrams = are_datagrams
-        self._gap_ns = max(LEAST_NS, round((getattr(self._scanner, "gap", 0.0) or SILENCE_S) * 1e9))
+        self._gap_ns = round(silence_s(self._scanner) * 1e9)
         self._heard_ns = 0
         self._is_settled = True
 
