@@ -33,6 +33,7 @@ LEFT_OUT = {
     "AcesBus": "joins a bus of this process, which other tests use",
     "Loop.start": "starts a thread",
     "MotorDevice": "the base of drivers, which say what it asks for",
+    "PacketSender": "takes a gate that is open",
     "SingleMotor": "the base of drivers, which say what it asks for",
     "StreamScanner": "made by make_scanner, which checks what it is given",
 }

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Sequence
 from functools import partial
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, Literal, Self
 
 from ..errors import AcesError, DeviceError, NoReplyError
 from ..frames import Frame, message_to_frame
@@ -18,9 +18,6 @@ from ..protocol import Variant
 from ..runtime import Loop
 from .carried_port import CarriedPort
 from .port import Left
-
-if TYPE_CHECKING:
-    from ..hardware import CanGate
 
 
 def _of_others(key: int, data: bytes) -> bool:
@@ -37,7 +34,7 @@ class PacketSender:
     """
 
     def __init__(
-        self, gate: CanGate, variants: Sequence[Variant], is_ours: Callable[[int, bytes], bool] = _of_others
+        self, gate: Any, variants: Sequence[Variant], is_ours: Callable[[int, bytes], bool] = _of_others
     ) -> None:
         self.gate = gate
         self._loop = Loop(f"{gate.name} packets").start()

@@ -28,7 +28,7 @@ from aces_tools.plotting.select import (
     Declared,
     ImageFormat,
     PlotSignal,
-    declared,
+    declared_signals,
     parse_format,
     parse_groups,
     parse_pattern,
@@ -56,7 +56,7 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture
 def messages(arm: str) -> dict[tuple[str, str], Declared]:
     """What the protocol `arm` declares."""
-    return declared(parse_protocols([arm]))
+    return declared_signals(parse_protocols([arm]))
 
 
 @pytest.fixture
