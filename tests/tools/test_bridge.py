@@ -102,6 +102,25 @@ def test_both_ways(aces: Aces, nodes: tuple[Node, Node], opened: Opened) -> None
     assert balanced(back)
 
 
+def test_a_way_that_fails_ends_the_bridge(
+    aces: Aces, nodes: tuple[Node, Node], opened: Opened, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fault on one way's thread is not half a bridge that looks whole."""
+
+    def fails(self: object, frame: object, end: str) -> bool:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("aces_tools.bridge.Selection.frame", fails)
+
+    def work() -> None:
+        both_open(opened)
+        nodes[0].send(0x123, "00")
+
+    opened.then(work)
+    with pytest.raises(ZeroDivisionError):
+        aces("bridge", end(nodes[0]), end(nodes[1]), "--tx")
+
+
 def test_without_tx_nothing_is_sent(aces: Aces, nodes: tuple[Node, Node], opened: Opened) -> None:
     """Both ends are only listened to, and it is said what would go."""
     one, two = nodes

@@ -207,12 +207,18 @@ class OneWay:
         scanner = selection.scanners[source.name]
         self._gap_s = silence_s(scanner) if scanner else 0.0
         self._received_at: float | None = None
+        #: What ended it before the end.
+        self.error: Exception | None = None
 
     def run(self, patience: LivePatience) -> None:
-        """Until there is an end."""
-        while not patience.is_over and not self.inbox.is_closed:
-            wait = STEP_S if self._received_at is None else min(STEP_S, self._gap_s)
-            self.forward(self.inbox.get(wait))
+        """Until there is an end; a way that fails is the end of both."""
+        try:
+            while not patience.is_over and not self.inbox.is_closed:
+                wait = STEP_S if self._received_at is None else min(STEP_S, self._gap_s)
+                self.forward(self.inbox.get(wait))
+        except Exception as error:
+            self.error = error
+            patience.is_over = True
 
     def forward(self, items: Sequence[Any]) -> None:
         """Forward what was received, as far as it passes; nothing was: a silence."""
@@ -372,6 +378,8 @@ class Bridge:
         patience.is_over = True
         for way, thread in zip(ways, threads, strict=True):
             thread.join()
+            if way.error is not None:
+                raise way.error
             way.forward(way.inbox.get(0))
             way.close()
         if self.arguments.tx:
