@@ -57,10 +57,12 @@ says 'frames=1243' 'aces decode drive.blf -p car.dbc -o drive.parquet'
 says 'frames=1243' "aces plot walk.log -p hubo 'Encoder[board=3].position.*' - 'Current.*' -o walk.png"
 says 'frames=1243' 'aces convert drive.mf4 drive.asc.gz'
 left_out 'aces sniff can0 -p hubo --record walk.blf' 'does not end by itself'
+left_out 'aces sniff can0 -p hubo -o walk.parquet --rotate 100MB' 'does not end by itself'
 left_out 'aces sniff can0 -p hubo --screen' 'needs a terminal'
 says '012#' 'aces send Reference board=2 position=[100,-40] -p hubo'
 left_out 'aces send Reference board=2 position=[100,-40] -p hubo -i socketcan -c can0 --tx --every 10ms' 'needs SocketCAN'
 left_out 'aces play walk.blf -i socketcan -c can0 --tx' 'needs SocketCAN'
+left_out 'aces bridge can0 unix:can0 --tx --filter 060:7F0' 'needs SocketCAN'
 left_out 'aces bus serve can0' 'does not end by itself'
 aces bus serve can0 > serve.txt 2>&1 & # instead
 SERVING=$!
@@ -86,7 +88,7 @@ left_out 'aces spec check gripper/gripper.py --against walk.log' 'needs a record
 says 'Encoder' "aces spec explain hubo '063#78 00 00 00 FC FF FF FF'"
 left_out 'aces fuzz gripper/gripper.py --for 10min' 'takes its time'
 says 'no failure' 'aces fuzz gripper/gripper.py --examples 5' # instead
-says '' 'aces spec export hubo --format wireshark -o hubo.lua'
+says 'cannot say' 'aces spec export hubo --format c -o hubo.c'
 says '' 'aces spec import car.dbc -o car.py'
 
 # ---------------------------------------------------------------------- the tutorial, and Python in six lines
