@@ -16,6 +16,7 @@ DOCS = sorted(path.relative_to(ROOT).as_posix() for path in (ROOT / "docs").rglo
 PAGES = ["README.md", "CONTRIBUTING.md", *(page for page in DOCS if page not in AS_TYPED)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES)
 def test_examples_in_prose_run(page: str) -> None:
     """Every `>>>` of a page gives what the page shows."""

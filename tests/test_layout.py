@@ -300,6 +300,7 @@ def tracked_files() -> list[Path]:
     return [ROOT / name for name in listed.stdout.decode().split("\0") if name]
 
 
+@pytest.mark.slow
 def test_no_file_names_a_path_of_one_machine() -> None:
     """No tracked text file contains a path of somebody's machine or the address of a package index."""
     pattern, seen, faults = private(ROOT), 0, list[str]()

@@ -207,6 +207,7 @@ def test_late_answers(robot: VirtualRobot) -> None:
     still_lives(robot)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joints", [LEGS], ids=["legs"])
 def test_everything_at_once(robot: VirtualRobot) -> None:
     """One board silent, one late, one doubled, one cut short, one lossy: the others answer every tick."""

@@ -76,6 +76,7 @@ def test_fields_of_unknown_kinds_are_kept() -> None:
     assert as_dict(record) == {"fields": fields}
 
 
+@pytest.mark.slow
 def test_a_recording_of_an_inertial_unit(shared_captures: Path) -> None:
     """Every packet of a real unit is read, every field in it accounted for, and built again byte for byte."""
     mip = spec("mip.py")

@@ -15,6 +15,7 @@ from aces_bus.runtime import Loop, VirtualClock
 from tests.device.fan import ROBOT, drivers, robot_of
 
 
+@pytest.mark.slow
 def test_a_robot_on_real_gates() -> None:
     """Host and twins, each at a gate of its own, speak over python-can's bus in real time."""
     robot = robot_of(ROBOT)

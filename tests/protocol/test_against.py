@@ -108,6 +108,7 @@ def test_another_dialect_is_said_to_be_wrong(shared_captures: Path) -> None:
     assert "11 frames 0x001 of 12 have 8 bytes" in found[0].text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["hubo", "robotis", *SPECS])
 def test_random_values_are_no_quantities(name: str) -> None:
     """Messages with any values at all are not said to have another byte order, sign or check."""

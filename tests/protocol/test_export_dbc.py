@@ -155,6 +155,7 @@ def test_cantools_decodes_what_we_decode(variant: Variant) -> None:
     assert compared > 4
 
 
+@pytest.mark.slow
 @given(protocol=protocols(link="can"), seed=st.integers(0, 2**16))
 @settings(max_examples=8, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 def test_protocols_that_nobody_wrote(protocol: Protocol, seed: int) -> None:
@@ -175,6 +176,7 @@ def test_losses_of_hubo_are_named_field_by_field() -> None:
     assert len(said) == len(set(said))
 
 
+@pytest.mark.slow
 def test_a_message_an_identifier_and_multiplexers_by_opcode() -> None:
     """Captured boards become messages of their own, opcodes values of a multiplexer that are named after the message."""
     database = cantools.database.load_string(dbc_of_hubo()[0], "dbc", strict=True)
@@ -228,6 +230,7 @@ def load_database_text(text: str) -> Any:
     return imported.protocol
 
 
+@pytest.mark.slow
 @given(text=databases())
 @settings(max_examples=12)
 def test_from_dbc_to_source_to_dbc(text: str) -> None:

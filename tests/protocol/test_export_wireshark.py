@@ -380,6 +380,7 @@ _packet(
 )
 
 
+@pytest.mark.slow
 @needs_tshark
 def test_lists_of_items(tmp_path: Path) -> None:
     """Tagged items, known, unknown and malformed; groups up to the end and counted; behind sums that are negated."""

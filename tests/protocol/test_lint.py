@@ -126,6 +126,7 @@ def test_names_that_cannot_occur_and_names_with_holes() -> None:
     assert (hole.level, "names 0…3, but not 2" in hole.text) == ("note", True)
 
 
+@pytest.mark.slow
 def test_one_number_the_other_way_round() -> None:
     """Among many little-endian numbers one big-endian one is doubtful; a mixed protocol is left alone."""
     p = can()

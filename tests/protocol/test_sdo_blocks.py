@@ -55,6 +55,7 @@ def fed(*texts: str, times: tuple[float, ...] = ()) -> list[str]:
     return [getattr(one, "reason", type(one).__name__).removeprefix("malformed: ") for one in items]
 
 
+@pytest.mark.slow
 def test_a_conversation_is_one_record_each_way() -> None:
     """What begins, carries, takes and ends it are its frames; the receiver's last word is counted apart."""
     assert fed(*WRITE, DONE) == ["WriteBlocks", "control: block transfer over"]

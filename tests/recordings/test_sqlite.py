@@ -90,6 +90,7 @@ def test_many_seconds_are_what_each_is(seconds: list[float]) -> None:
     assert ns_of(np.array(seconds, np.float64)).tolist() == [to_ns(value) for value in seconds]
 
 
+@pytest.mark.slow
 def test_many_rows_come_in_pieces() -> None:
     """Tens of thousands of rows, also around a wrong one, in bounded tables."""
     wrong = (1.0, 0x800, 0, 0, 0, 0, b"")

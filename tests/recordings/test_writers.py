@@ -332,6 +332,7 @@ def test_tables_of_values_read_back_as_far_as_they_hold(form: str, rows: list[Ro
     assert lossy == lost_in(form, rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["csv", "sqlite"])
 @settings(max_examples=25)
 @given(rows=captures())

@@ -225,6 +225,7 @@ def test_a_run_may_leave_the_robot_held() -> None:
 # ---------------------------------------------------------------------- reactions
 
 
+@pytest.mark.slow
 def test_reactions_of_the_robot_file_and_of_the_call() -> None:
     """`reactions` of the file count; those of the call go before; functions of one's own are called with the event."""
     from msgspec.structs import replace
@@ -322,6 +323,7 @@ def test_a_controller_that_gives_nothing_or_no_numbers(then: Any) -> None:
     assert found.ended.seconds <= 0.2 + 0.12 + 0.02
 
 
+@pytest.mark.slow
 def test_a_machine_that_waits_or_has_ended_is_alive() -> None:
     """Phases without set-points, and the final one, trip no dead-man: the joint stays where the phase before led it."""
     machine = StateMachine(
@@ -354,6 +356,7 @@ def test_a_player_that_ends_stays_where_it_is() -> None:
     assert found.run.given["RKN"] == pytest.approx(0.2)
 
 
+@pytest.mark.slow
 def test_one_controller_s_fault_is_that_controller_s() -> None:
     """Each has its own dead-man: when the arm's stops giving, the leg swings on."""
 

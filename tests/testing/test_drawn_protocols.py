@@ -28,6 +28,7 @@ def test_drawn_protocols_keep_the_laws() -> None:
         assert [str(failure) for failure in found] == [], f"spec {seed}:\n{text}"
 
 
+@pytest.mark.slow
 def test_drawn_protocols_are_of_many_kinds() -> None:
     """Among some dozens there is every kind of link, framing, check, pattern and field."""
     texts = "\n".join(draw_spec(spread(seed, 2000)) for seed in range(1, 60))

@@ -112,6 +112,7 @@ test_of_a_protocol = law_tests(a_bus(), examples=10)
 test_of_an_installed_name = law_tests("minihubo_adc", laws=[3, 6], examples=5)
 
 
+@pytest.mark.slow
 def test_a_test_is_made_for_each_law_wire_and_direction() -> None:
     """Streams have nine laws, CAN eight; every dialect, configuration and direction is there."""
 
@@ -126,6 +127,7 @@ def test_a_test_is_made_for_each_law_wire_and_direction() -> None:
     assert len(cases("hubo")) == 8 * 3 * len(hubo.dialects) * len(hubo.configurations)
 
 
+@pytest.mark.slow
 def test_what_is_no_protocol_says_so(tmp_path: Path) -> None:
     """A missing file, an unknown name, an unknown law, a file without a protocol."""
     with pytest.raises(CallerError, match="no such file, neither in"):

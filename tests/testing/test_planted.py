@@ -93,6 +93,7 @@ def test_there_are_faults_enough() -> None:
     assert len({fault.plant for fault in ENCODER_FAULTS}) >= 10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [a_bus, a_line, a_slip, lines_of_text, two_dialects])
 def test_without_a_fault_nothing_is_found(make: Callable[[], Protocol]) -> None:
     """The victims are healthy: what is found above is due to the faults."""

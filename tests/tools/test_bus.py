@@ -94,6 +94,7 @@ def test_serving_until_told_to_stop(runtime: Path, number: signal.Signals) -> No
     assert list((runtime / "aces").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_list_names_served_buses(aces: Aces) -> None:
     """Each channel with its rate, nodes and addresses; with --json one object a line."""
     with (

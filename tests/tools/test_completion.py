@@ -36,6 +36,7 @@ def test_the_script_of_each_shell_is_printed(aces: Aces) -> None:
     assert aces("completion").messages == ["of which shell? bash, zsh, fish"]
 
 
+@pytest.mark.slow
 def test_names_are_those_that_are_installed(aces: Aces, monkeypatch: pytest.MonkeyPatch) -> None:
     """Protocols, drivers and robots of all packages; the devices of the robot on the line, or of $ACES_ROBOT."""
 

@@ -23,6 +23,7 @@ LOG = """\
 """
 
 
+@pytest.mark.slow
 def test_frames_by_identifier(aces: Aces, tmp_path: Path) -> None:
     """Channel, identifier, number, period, lengths, and which bytes change; nothing fits, and that is said."""
     log = tmp_path / "a.log"

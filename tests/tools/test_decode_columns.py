@@ -120,6 +120,7 @@ OPTIONS: list[list[str]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", OPTIONS, ids=" ".join)
 def test_both_ways_agree(options: list[str], aces: Aces, log: Path, arm: str, tmp_path: Path) -> None:
     """What is counted, said, kept and left out does not hang on the way, nor does the status."""

@@ -54,6 +54,7 @@ def test_the_demonstration_draws(aces: Aces, tmp_path: Path, monkeypatch: pytest
     assert 0 < off < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short")
 def test_without_matplotlib_there_is_the_plot_alone(
     aces: Aces, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

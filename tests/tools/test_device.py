@@ -503,6 +503,7 @@ def test_a_device_that_is_not_there(
     assert made.messages[-1] == "JMC0 does not answer: nothing was set"
 
 
+@pytest.mark.slow
 def test_the_command_line_puts_twins_somewhere(aces: Aces) -> None:
     """`--pose` in degrees or rad, for twins only."""
     command = ("device", "RHP", "get", "position", "-r", "minihubo_1", "--virtual", "--json")

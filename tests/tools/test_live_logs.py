@@ -180,6 +180,7 @@ def test_mcap_that_was_not_closed(tmp_path: Path) -> None:
     export.close()
 
 
+@pytest.mark.slow
 def test_parquet_that_was_not_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whole parts are Parquet, the rest is Arrow's stream; `recover_parts` makes it one table, as closing does."""
     pa = pytest.importorskip("pyarrow")
@@ -406,6 +407,7 @@ def test_no_rotation(text: str) -> None:
 # ---------------------------------------------------------------------- kill -9
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="signals of a Unix system")
 def test_kill_9_leaves_what_was_received(tmp_path: Path) -> None:
     """A program that is killed in the midst of it: python-can reads the BLF, pyarrow the tables, from the first frame on."""

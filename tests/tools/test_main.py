@@ -95,6 +95,7 @@ BO_ 256 Lamp: 2 ECU
 """
 
 
+@pytest.mark.slow
 def test_a_few_frames_with_a_database_take_neither_numpy_nor_python_can(tmp_path: Path) -> None:
     """Text of a short candump log is decoded without what only columns, packed files and buses need; cantools is there as
     a whole for the program, as ever."""

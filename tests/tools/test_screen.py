@@ -225,6 +225,7 @@ def test_details_follow_the_selected_row_wherever_it_goes() -> None:
     play(scene, (100, 24))
 
 
+@pytest.mark.slow
 def test_highlighting_can_be_switched_off() -> None:
     """h takes the marks away and brings them back."""
 

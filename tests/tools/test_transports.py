@@ -138,6 +138,7 @@ def node() -> Iterator[Node]:
     made.close()
 
 
+@pytest.mark.slow
 def test_a_packet_waits_for_flow_control_and_obeys_it(
     aces: Aces, node: Node, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
