@@ -26,7 +26,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 TWICE = $(1) || { echo "once more, in 10 s" >&2; sleep 10; $(1); }
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-slow test-oracles test-lerobot test-long test-steady constraints test-socketcan docs first-hour soak stops teleoperation compiled test-compiled check lint types pristine format bench bench-framings golden clean
+.PHONY: help venv demo test test-slow test-oracles test-lerobot test-long test-steady constraints test-socketcan docs first-hour soak stops teleoperation compiled test-compiled check lint types mypy pyright pristine format bench bench-framings golden clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -149,8 +149,12 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 
-types: $(VENV)/.dev
+types: mypy pyright
+
+mypy: $(VENV)/.dev
 	$(BIN)/mypy
+
+pyright: $(VENV)/.dev
 	$(BIN)/pyright --project . --warnings --pythonpath $(BIN)/python
 	PATH=$(abspath $(BIN)):$$PATH $(BIN)/python tests/typed_pages.py $(BIN)/python
 
