@@ -10,9 +10,11 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import can
 import pytest
@@ -115,6 +117,18 @@ def test_list_names_served_buses(aces: Aces) -> None:
     assert found["left"]["addresses"] == server.addresses["left"]
 
 
+def load_of_traffic(aces: Aces, *how: str) -> dict[str, Any]:
+    """The first measure that saw a frame: on a busy machine the sender may not get a turn within one interval."""
+    end = time.monotonic() + PATIENCE
+    while True:
+        result = aces("bus", "load", *how, "--once", "--json")
+        assert result.status == 0
+        (measure,) = result.objects
+        if measure["frames_per_s"] > 0 or time.monotonic() > end:
+            assert measure["frames_per_s"] > 0
+            return measure
+
+
 @pytest.mark.parametrize("how", [["can0"], ["-c", "unix:can0"], ["-i", "aces", "-c", "can0"], []])
 def test_load_of_a_served_bus(aces: Aces, how: list[str]) -> None:
     """By its name, its address, or as the only one there is: load, frames/s and nodes, as the server counts them."""
@@ -125,10 +139,8 @@ def test_load_of_a_served_bus(aces: Aces, how: list[str]) -> None:
         can.Bus("unix:can0", "aces"),
     ):
         with sending(sender, MESSAGE, 0.002):
-            result = aces("bus", "load", *how, "--once", "--json")
-        (measure,) = result.objects
-    assert result.status == 0
-    assert 20 < measure["frames_per_s"] < 970
+            measure = load_of_traffic(aces, *how)
+    assert measure["frames_per_s"] < 970, "more than the bus can carry"
     assert measure["load"] == pytest.approx(measure["frames_per_s"] * BITS / 125_000, rel=0.05)
     assert [node["listen_only"] for node in measure["nodes"]] == [False, True, False]
     assert measure["nodes"][2]["received"] > 0
@@ -146,9 +158,8 @@ def test_load_as_text(aces: Aces) -> None:
 def test_load_of_another_bus_is_heard(aces: Aces) -> None:
     """For any bus of python-can the load is computed from what is heard and the bit rate that is given."""
     with can.Bus("load", "virtual") as bus, sending(bus, MESSAGE, 0.002):
-        result = aces("bus", "load", "-i", "virtual", "-c", "load", "-b", "125000", "--once", "--json")
-    (measure,) = result.objects
-    assert 20 < measure["frames_per_s"] < 970
+        measure = load_of_traffic(aces, "-i", "virtual", "-c", "load", "-b", "125000")
+    assert measure["frames_per_s"] < 970
     assert measure["load"] == pytest.approx(measure["frames_per_s"] * BITS / 125_000, rel=0.01)
     assert (measure["lost"], measure["state"]) == (0, "open")
 
