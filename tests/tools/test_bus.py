@@ -137,9 +137,9 @@ def test_load_of_a_served_bus(aces: Aces, how: list[str]) -> None:
         can.Bus("unix:can0", "aces") as sender,
         can.Bus("unix:can0", "aces", listen_only=True),
         can.Bus("unix:can0", "aces"),
+        sending(sender, MESSAGE, 0.002),
     ):
-        with sending(sender, MESSAGE, 0.002):
-            measure = load_of_traffic(aces, *how)
+        measure = load_of_traffic(aces, *how)
     assert measure["frames_per_s"] < 970, "more than the bus can carry"
     assert measure["load"] == pytest.approx(measure["frames_per_s"] * BITS / 125_000, rel=0.05)
     assert [node["listen_only"] for node in measure["nodes"]] == [False, True, False]
