@@ -20,7 +20,15 @@ from hypothesis import strategies as st
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
-from aces_bus.protocol import Protocol, Reference, Unknown, Variant, make_scanner
+from aces_bus.protocol import (
+    J1939Transport,
+    Protocol,
+    Reference,
+    Unknown,
+    Variant,
+    load_protocol,
+    make_scanner,
+)
 from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.exchange import Loss, load_database
 from aces_bus.protocol.exchange.export_dbc import print_dbc
@@ -302,3 +310,36 @@ def test_what_is_exported_reads_back_the_same(variant: Variant) -> None:
             assert {key: found[key] for key in shown} == shown
     assert compared > 4
     assert shorter or variant is not SHIPPED[0]
+
+
+LONG_GROUP = """VERSION ""
+NS_ :
+BS_:
+BU_: ECU
+BO_ 2566834430 Long: 20 ECU
+ SG_ speed : 64|16@1+ (0.125,0) [0|8031.875] "rpm" ECU
+ SG_ last : 152|8@1- (1,0) [-128|127] "" ECU
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved","J1939PG";
+BA_DEF_DEF_ "VFrameFormat" "J1939PG";
+BA_ "VFrameFormat" BO_ 2566834430 3;
+"""
+
+
+def test_parameter_groups_longer_than_a_frame(tmp_path: Path) -> None:
+    """A group that J1939's transport carries has its length in the DBC: cantools decodes its packets, and it comes back."""
+    path = tmp_path / "long.dbc"
+    path.write_text(LONG_GROUP)
+    (variant,) = load_protocol(str(path)).variants()
+    assert isinstance(variant["Long"].transport, J1939Transport)
+    text, losses = print_dbc(variant)
+    assert [loss.field for loss in losses] == ["trailing"]
+    (message,) = cantools.database.load_string(text, "dbc").messages
+    assert (message.length, message.protocol) == (20, "j1939")
+    records = make_scanner([variant], raw=True).feed(drawn(variant, range(5)))
+    assert len(records) >= 5
+    for record in records:
+        found = message.decode(bytes(record.meta.raw), scaling=False)
+        assert found == {"speed": record.speed, "last": record.last}
+    path.write_text(text)
+    (again,) = load_protocol(str(path)).variants()
+    assert again["Long"].transport == variant["Long"].transport

@@ -31,6 +31,7 @@ from construct import (
     this,
 )
 from hypothesis import settings
+from msgspec.structs import replace
 
 from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
@@ -285,6 +286,57 @@ def test_every_message_of_other_protocols_on_can(name: str, tmp_path: Path) -> N
     for variant in variants if IS_LONG else variants[-1:]:
         seen = check_can(tmp_path, variant, drawn(variant, range(SEEDS)))
         assert seen, variant
+
+
+#: Protocols whose transports are tables of their frames' kinds.
+CARRIED = ["uds_like", "nmea2000_like", "dronecan_like", "cyphal_like"]
+
+
+def disturbed(frames: Sequence[Frame], rng: random.Random) -> list[Frame]:
+    """Some of the frames lost, doubled, swapped or cut, at their times."""
+    found: list[Frame] = []
+    for frame in frames:
+        chance = rng.random()
+        if chance < 0.1:
+            continue
+        found.append(frame if chance < 0.9 else replace(frame, data=frame.data[: rng.randrange(9)]))
+        if chance > 0.97 and len(found) > 1:
+            found[-1], found[-2] = found[-2], found[-1]
+        if 0.8 < chance < 0.9:
+            found.append(found[-1])
+    return [replace(frame, timestamp=0.01 * n + (5.0 if n > 60 else 0.0)) for n, frame in enumerate(found)]
+
+
+@needs_tshark
+@pytest.mark.parametrize("name", CARRIED)
+def test_packets_of_several_frames(name: str, tmp_path: Path) -> None:
+    """As the scanner has them: a message at its last frame, parts at the others, the reason where frames are malformed."""
+    variant = SPECS[name].variants()[-1]
+    frames = drawn(variant, range(SEEDS))
+    frames += disturbed(frames * 3, random.Random(name))
+    frames = [replace(frame, timestamp=frame.timestamp or 0.0) for frame in frames]
+    source, _ = print_dissector(variant)
+    shown = tshark(tmp_path, source, record(tmp_path, frames), "-2", "-R", "frame")
+    wanted: dict[int, list[Any]] = {}
+    for raw in (True, False):
+        found, origins = make_scanner([variant], include_unknown=True, raw=raw).feed_numbered(
+            frames, range(len(frames))
+        )
+        for one, origin in zip(found, origins, strict=True):
+            wanted.setdefault(origin, []).append(one)
+    reasons = set()
+    for number, messages in enumerate(shown):
+        both = wanted.get(number)
+        if both is None:  # a part of a packet, or pending
+            assert all("message" not in one and "problem" not in one for one in messages)
+        elif isinstance(both[0], Unknown):
+            reason = both[0].reason.partition(",")[0]  # the dissector gives no lengths that would do
+            reasons.add(reason)
+            if not reason.startswith("control"):
+                assert [one.get("problem") for one in messages] == [[reason]], (number, both[0])
+        else:
+            compare(variant, both[0], both[1], messages[0])
+    assert sum(reason.startswith("malformed: frame") for reason in reasons) >= 2, reasons
 
 
 def check_stream(folder: Path, variant: Variant, direction: Any, words: Sequence[bytes]) -> set[str]:

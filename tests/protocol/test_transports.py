@@ -24,7 +24,6 @@ from aces_bus.protocol import (
 from aces_bus.protocol.against import check_recordings, suggest_examples
 from aces_bus.protocol.exchange.export_dbc import identified
 from aces_bus.protocol.exchange.export_source import print_source
-from aces_bus.protocol.exchange.export_wireshark import print_dissector
 from aces_bus.protocol.lint.examples import failure
 
 #: Parts of `python-can-isotp` 2's own tests and docs, or sent by it (ids 7E0 and 7E8 unless said).
@@ -351,8 +350,8 @@ def test_a_recording_does_not_contradict_and_suggests() -> None:
     assert "7E8#10 0F 62 00" in suggested.source
 
 
-def test_sources_have_transports_and_tables_of_frames_leave_them_out() -> None:
-    """What is printed as a spec says what carries a message; a DBC and a dissector say that they do not have it."""
+def test_sources_have_transports_and_databases_leave_them_out() -> None:
+    """What is printed as a spec says what carries a message; a DBC says that it does not have it."""
     protocol = Protocol("boat", link="can")
     protocol.message(
         "Packet",
@@ -362,7 +361,5 @@ def test_sources_have_transports_and_tables_of_frames_leave_them_out() -> None:
         payload=Struct("a" / Byte),
     )
     assert "transport=FastPacket(timeout_s=2.0)" in print_source(protocol)
-    _, losses = print_dissector(protocol.variant())
-    assert [str(loss) for loss in losses if "fast packet" in str(loss)]
     _, losses = identified(protocol.variant())
     assert [str(loss) for loss in losses if "fast packet" in str(loss)]

@@ -291,7 +291,7 @@ class CrcColumns:
     """The CRC of runs of bytes in one buffer; `can` says for which CRCs there is one."""
 
     def __init__(self, check: Crc) -> None:
-        width, poly, init, refin, refout, xorout = parameters_of(check)
+        width, poly, init, refin, refout, xorout = check.parameters
         self.width = width
         self.is_turned = not refin
         self._turn_out = not refout
@@ -303,7 +303,7 @@ class CrcColumns:
     @staticmethod
     def can(check: Crc) -> bool:
         """Whether the CRC fits a machine word."""
-        return parameters_of(check)[0] <= 64
+        return check.parameters[0] <= 64
 
     def begin(self, count: int) -> Array:
         """The registers of `count` packets before their first byte."""
@@ -380,16 +380,6 @@ def done_alone(sizes: Array) -> Array:
     best = int(np.argmin(_ALONE * np.arange(len(steps)) + _STEP * steps))
     found: Array = order[:best]
     return found
-
-
-def parameters_of(check: Crc) -> tuple[int, int, int, bool, bool, int]:
-    """(width, poly, init, refin, refout, xorout), also of a CRC given by its name."""
-    import anycrc
-
-    known = anycrc.models.get(check.name)
-    if known is None:
-        return check.parameters
-    return known.width, known.poly, known.init, known.refin, known.refout, known.xorout
 
 
 def _turned(number: int, width: int) -> int:

@@ -273,7 +273,7 @@ class Crc(Check):
         **more: Any,
     ) -> None:
         if name is not None:
-            width = _catalogue_width(name)
+            width, poly, init, refin, refout, xorout = _catalogued(name)
         if width is None:
             raise SpecError(f"{caller()}: a CRC needs a name of the catalogue or width and poly")
         if not 1 <= width <= 8 * LARGEST:
@@ -283,6 +283,7 @@ class Crc(Check):
                 raise SpecError(f"{caller()}: {what} has {width} bits, and {number:#x} does not fit")
         super().__init__((width + 7) // 8, **more)
         self.name = name or f"CRC-{width} poly {poly:#x}"
+        #: (width, poly, init, refin, refout, xorout), also of a CRC that is given by its name.
         self.parameters = (width, poly, init, refin, refout, xorout)
         self._calc: Callable[[bytes], int] = _engine(name, self.parameters)
 
@@ -299,7 +300,7 @@ class Crc(Check):
 
 
 @cache
-def _catalogue_width(name: str) -> int:
+def _catalogued(name: str) -> tuple[int, int, int, bool, bool, int]:
     import anycrc
 
     known = anycrc.models
@@ -310,7 +311,8 @@ def _catalogue_width(name: str) -> int:
         raise SpecError(
             f"{caller()}: no CRC named {name!r} in the catalogue; near: {', '.join(near) or 'none'}"
         )
-    return int(known[name].width)
+    model = known[name]
+    return model.width, model.poly, model.init, model.refin, model.refout, model.xorout
 
 
 @cache

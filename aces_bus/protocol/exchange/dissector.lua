@@ -1,7 +1,7 @@
 
 -- What follows is the same in every dissector: it walks the table P above.
 --
--- 1. A word is decided about once, when it is first seen: what a reply answers depends on the words before it.
+-- 1. A message is decided once, when it is first seen: what a reply answers depends on the messages before it.
 -- 2. Bytes are numbers 0…255 in tables from 0 on; a number of more than 32 bits is two halves. No bit operators: they
 --    differ between versions of Lua.
 
@@ -50,7 +50,9 @@ end
 local f_message = ProtoField.string(prefix .. ".message", "Message")
 local f_problem = ProtoField.string(prefix .. ".problem", "Problem")
 local f_skipped = ProtoField.bytes(prefix .. ".skipped", "Skipped")
-F[#F + 1], F[#F + 2], F[#F + 3] = f_message, f_problem, f_skipped
+local f_frames = ProtoField.uint32(prefix .. ".packet_frames", "Frames of this packet")
+local f_whole = ProtoField.framenum(prefix .. ".packet_in", "Packet complete in", base.NONE, frametype.NONE)
+for _, field in ipairs({ f_message, f_problem, f_skipped, f_frames, f_whole }) do F[#F + 1] = field end
 proto.fields = F
 
 -- ------------------------------------------------------------------ numbers
@@ -612,9 +614,12 @@ local function bytes_of(tvb)
   return bytes, array:len()
 end
 
--- pinfo.number → what its words are, in order; forgotten with the capture.
+-- pinfo.number → what its messages are, in order; packets under way, how many were begun and are open. Forgotten with the
+-- capture.
 local known = {}
+local under_way, opened, count_open = {}, 0, 0
 
 function proto.init()
   seen, asked, known = {}, 0, {}
+  under_way, opened, count_open = {}, 0, 0
 end

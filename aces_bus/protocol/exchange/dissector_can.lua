@@ -19,7 +19,7 @@ local function candidates(id, is_extended, is_remote, is_fd)
   if not by_key[key] then
     by_key[key] = {}
     for _, message in ipairs(P.messages) do
-      if message.extended == is_extended and message.remote == is_remote
+      if not message.transport and message.extended == is_extended and message.remote == is_remote
           and (message.fd == is_fd or message.any_format) and captured(message.id, id, {}) then
         table.insert(by_key[key], message)
       end
@@ -28,27 +28,107 @@ local function candidates(id, is_extended, is_remote, is_fd)
   return by_key[key]
 end
 
+-- The messages of a transport whose packets have this identifier, in order of trial.
+local function carried(transport, id, is_extended)
+  local found = {}
+  for _, message in ipairs(P.messages) do
+    if message.transport == transport.number and message.extended == is_extended and captured(message.id, id, {}) then
+      found[#found + 1] = message
+    end
+  end
+  return found
+end
+
+local carrier_by_key = {}
+
+-- The transport whose frames have this identifier, or false.
+local function carrier_of(id, is_extended, is_remote, is_fd)
+  if is_remote then return false end
+  local key = string.format("%d", id) .. (is_extended and "x" or "") .. (is_fd and "f" or "")
+  if carrier_by_key[key] == nil then
+    carrier_by_key[key] = false
+    for _, transport in ipairs(P.transports or {}) do
+      local is_its = #carried(transport, id, is_extended) > 0
+      for _, own in ipairs(transport.patterns) do
+        is_its = is_its or (own.extended == is_extended and captured(own, id, {}))
+      end
+      if is_its and (transport.fd or not is_fd) then
+        carrier_by_key[key] = transport
+        break
+      end
+    end
+  end
+  return carrier_by_key[key]
+end
+
+-- What a frame of a transport is: the message that its packet has become, a problem, or a part of a packet.
+local function carried_frame(transport, bytes, size, pinfo, id, is_extended)
+  local channel, time = tostring(last(interface()) or 0), pinfo.abs_ts
+  local source = channel .. "|" .. string.format("%d", id) .. (is_extended and "x" or "")
+  local data, problem, place, frames = taken(transport, bytes, size, source, time, pinfo.number)
+  if not data then
+    -- A packet that this frame ended has its reason already.
+    if problem or place then return { problem = problem, place = place, title = transport.title } end
+    return known[pinfo.number]
+  end
+  local messages = carried(transport, id, is_extended)
+  if frames then data = unwrapped(transport, data, messages[1] and messages[1].extra or {}) end
+  local made = { frames = frames, title = transport.title, problem = not data and "malformed: checksum" or nil }
+  if data then
+    made.data, made.size = {}, #data
+    for at, byte in ipairs(data) do made.data[at - 1] = byte end
+    made.found, made.problem = decided(messages, made.data, made.size, id, channel, time, "both")
+  end
+  for _, frame in ipairs(frames or {}) do
+    if frame ~= pinfo.number then
+      known[frame] = { problem = made.problem, place = known[frame].place, title = transport.title, whole = pinfo.number }
+    end
+  end
+  return made
+end
+
+-- A packet's bytes as Wireshark has bytes of its own.
+local function tvb_of(told)
+  local digits = {}
+  for at = 0, told.size - 1 do digits[at + 1] = string.format("%02x", told.data[at]) end
+  return ByteArray.new(table.concat(digits)):tvb("Packet")
+end
+
 local function dissect(tvb, pinfo, tree, bytes, size)
   local id = last(can_id())
   if not id or last(can_error()) then return 0 end
-  local messages = candidates(id, last(can_extended()) == true, last(can_remote()) == true, can_fd() ~= nil)
-  if #messages == 0 then return 0 end
+  local is_extended, is_remote, is_fd = last(can_extended()) == true, last(can_remote()) == true, can_fd() ~= nil
+  local transport = carrier_of(id, is_extended, is_remote, is_fd)
+  local messages = transport and {} or candidates(id, is_extended, is_remote, is_fd)
+  if not transport and #messages == 0 then return 0 end
   local told = known[pinfo.number]
-  if not told then
+  if not told and transport and pinfo.visited then
+    told = { problem = "not put together: its packet's other frames were not seen in order" }
+  elseif not told and transport then
+    told = carried_frame(transport, bytes, size, pinfo, id, is_extended)
+    known[pinfo.number] = told
+  elseif not told then
     local found, problem = decided(messages, bytes, size, id, tostring(last(interface()) or 0), pinfo.abs_ts, "both")
-    told = { found, problem }
+    told = { found = found, problem = problem }
     known[pinfo.number] = told
   end
   pinfo.cols.protocol = P.name:upper()
   local branch = tree:add(proto, tvb:range(0, size))
-  if told[1] then
-    pinfo.cols.info = summary(told[1])
-    branch:append_text(": " .. summary(told[1]))
-    show(branch, tvb, bytes, size, told[1])
+  if told.found then
+    pinfo.cols.info = summary(told.found)
+    branch:append_text(": " .. summary(told.found))
+    if told.data and told.size > 0 then
+      if told.frames then branch:add(f_frames, tvb:range(0, 0), #told.frames):set_generated() end
+      show(branch, tvb_of(told), told.data, told.size, told.found)
+    else
+      show(branch, tvb, bytes, size, told.found)
+    end
   else
-    pinfo.cols.info = told[2]
-    branch:append_text(": " .. told[2])
-    branch:add(f_problem, tvb:range(0, size), told[2])
+    local text = told.problem or told.place .. " of a packet (" .. told.title .. ")"
+    pinfo.cols.info = text
+    branch:append_text(": " .. text)
+    if told.problem and not told.problem:find("^control") then branch:add(f_problem, tvb:range(0, size), text) end
+    if told.whole then branch:add(f_whole, tvb:range(0, 0), told.whole):set_generated() end
   end
   return size
 end
@@ -74,6 +154,10 @@ function bare.dissector(tvb, pinfo, tree)
 end
 
 register_postdissector(bare)
+-- What a frame is depends on those before it, and is decided in the first pass: a listener that asks for all fields has
+-- Wireshark make them then.
+local fields_from_the_start = Listener.new("frame", nil, true)
+function fields_from_the_start.packet() end
 DissectorTable.get("can.subdissector"):add_for_decode_as(proto)
 proto:register_heuristic("can", function(tvb, pinfo, tree)
   return proto.dissector(tvb, pinfo, tree) > 0

@@ -26,7 +26,7 @@ from ..declare.message import Message
 from ..declare.pattern import IdField
 from ..declare.protocol import Variant
 from ..plan import nodes as p
-from .export_wireshark import bit_pieces, catalogue_crc
+from .dissector_tables import bit_pieces
 from .names import snake
 from .problems import Loss, one_line
 
@@ -699,8 +699,6 @@ class _MessagePrinter:
         mask = _hex((1 << 8 * check.bytes) - 1, False)
         if isinstance(check, Crc):
             width, poly, start, refin, refout, xorout = check.parameters
-            if not poly:
-                width, poly, start, refin, refout, xorout = catalogue_crc(check.name)
             if width < 8 or width > 32 or refin != refout:
                 raise _Refused(f"a check ({check.describe}) of an unusual kind")
             name = f"{self.printer.prefix}_crc{width}_{poly:x}{'r' if refin else ''}"

@@ -20,6 +20,7 @@ from typing import Any
 from ...errors import CallerError
 from ..declare.ambiguity import ordered
 from ..declare.bits import BitLayout, runs_of, whole_bits
+from ..declare.j1939 import J1939Transport
 from ..declare.message import Message
 from ..declare.pattern import IdPattern
 from ..declare.protocol import Variant
@@ -95,7 +96,7 @@ class _Decider:
     def decide(self) -> tuple[list[Identified], list[Loss]]:
         groups: dict[tuple[int, bool, bool], list[Message]] = {}
         for message in self.messages:
-            if message.transport is not None:
+            if message.transport is not None and not _is_long_group(message):
                 title = message.transport.title
                 self._lose(message.name, "", f"carried by {title}, in several frames: left out")
                 continue
@@ -186,6 +187,15 @@ def _j1939(pattern: IdPattern) -> int | None:
     if shapes == [(0, 256), (8, 256), (26, 8)]:
         return pattern.constant | 6 << 26 | 0xFE << 8 | 0xFE
     return None
+
+
+def _is_long_group(message: Message) -> bool:
+    """Whether it is a parameter group of SAE J1939 that its own transport carries: a DBC says it by the length alone."""
+    return (
+        isinstance(message.transport, J1939Transport)
+        and message.extended
+        and _j1939(message.identifier) is not None
+    )
 
 
 def dbc_name(name: str, taken: set[str]) -> str:

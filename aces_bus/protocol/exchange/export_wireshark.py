@@ -11,20 +11,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any, Literal
 
 from ..declare.ambiguity import needing_context, ordered, request_names
-from ..declare.bits import runs_of, whole_bits
+from ..declare.bits import whole_bits
 from ..declare.checks import Check, Crc, Extra, IdBytes, Sum
 from ..declare.framing import Framing, WideLength
 from ..declare.message import Direction, Message
-from ..declare.pattern import IdPattern
 from ..declare.protocol import Variant
 from ..declare.stuffing import Cobs, CutZeros, Insert, Slip
 from ..plan import nodes as p
 from ..plan.flatten import fixed_leaves
+from .dissector_tables import bit_pieces, crc_table, id_pattern, is_a_table, transport_table, value_set
 from .names import snake, unused
 from .problems import Loss, one_line
 
@@ -50,7 +50,7 @@ class _Printer:
         self.variant = variant
         self.losses: list[Loss] = []
         self.fields: list[list[Any]] = []
-        self.taken: set[str] = {"message", "problem", "skipped"}
+        self.taken: set[str] = {"message", "problem", "skipped", "packet_frames", "packet_in"}
         self.is_can = variant.link == "can"
         modes: dict[str, Any] = {"both": None if self.is_can else "both"}
         if not self.is_can:
@@ -58,15 +58,21 @@ class _Printer:
         #: By mode: the messages, names of those that need their request, of what is asked, of what answers.
         self.modes: dict[str, tuple[list[Message], frozenset[str], frozenset[str], frozenset[str]]] = {}
         for mode, messages_for in modes.items():
-            messages = ordered(m for m in variant.messages_for(messages_for) if m.transport is None)
+            messages = ordered(
+                m
+                for m in variant.messages_for(messages_for)
+                if m.transport is None or is_a_table(m.transport)
+            )
             contextual = needing_context(messages)
             self.modes[mode] = (messages, contextual, *request_names(messages, contextual))
         for message in variant.messages.values():
-            if message.transport is not None:
+            if message.transport is not None and not is_a_table(message.transport):
                 title = message.transport.title
                 self._lose(
                     message.name, "", f"carried by {title}, whose packets are not put together: left out"
                 )
+        carried = (m.transport for m in self.modes["both"][0] if m.transport is not None)
+        self.transports = list(dict.fromkeys(carried))
         self.framings = list(dict.fromkeys(m.framing for m in self.modes["both"][0] if m.framing is not None))
 
     def print(self, direction: Way, port: int) -> tuple[str, list[Loss]]:
@@ -87,6 +93,8 @@ class _Printer:
                 for message in self.modes["both"][0]
                 for number, extra in (message.extras or {}).items()
             }
+        if self.transports:
+            table["transports"] = [transport_table(one, n) for n, one in enumerate(self.transports, 1)]
         table["fields"] = self.fields
         table["messages"] = messages
         head = [
@@ -97,8 +105,10 @@ class _Printer:
             head += ["--", "-- Not as the scanner has it:"]
             head += [f"--   {one_line(str(loss))}" for loss in self.losses]
         text = "\n".join([*head, "", f"local P = {lua_literal(table)}", ""])
-        rest = "dissector_can.lua" if self.is_can else "dissector_stream.lua"
-        return text + _program("dissector.lua") + _program(rest), self.losses
+        programs = ["dissector.lua", "dissector_can.lua" if self.is_can else "dissector_stream.lua"]
+        if self.transports:
+            programs.insert(1, "dissector_transport.lua")
+        return text + "".join(map(_program, programs)), self.losses
 
     def _lose(self, message: str, field: str, reason: str) -> None:
         self.losses.append(Loss(message, field, reason))
@@ -110,10 +120,13 @@ class _Printer:
         own = unused(snake(message.name), self.taken)
         table: dict[str, Any] = {"name": message.name}
         if self.is_can:
-            table["id"] = _pattern(message.identifier)
+            table["id"] = id_pattern(message.identifier)
             table |= {"extended": message.extended, "remote": message.remote, "fd": message.fd}
             if message.any_format:
                 table["any_format"] = True
+            if message.transport is not None:
+                table["transport"] = self.transports.index(message.transport) + 1
+                table["extra"] = list(message.check_extra)
         else:
             assert message.framing is not None
             table["framing"] = self.framings.index(message.framing) + 1
@@ -137,7 +150,7 @@ class _Printer:
 
     def _one_of(self, one: p.OneOf) -> dict[str, Any]:
         bits = one.number.place
-        return {"pieces": bit_pieces(bits), "last": max(bits) // 8, "values": _values(one.values)}
+        return {"pieces": bit_pieces(bits), "last": max(bits) // 8, "values": value_set(one.values)}
 
     def _requests(self, message: Message, table: dict[str, Any]) -> None:
         """What a message answers, and what answers it."""
@@ -158,7 +171,7 @@ class _Printer:
                     "request": request.message.name,
                     "shared": sorted(message.outer_names & request.message.outer_names),
                     "sticky": is_sticky,
-                    "values": {name: _values(sorted(values)) for name, values in request.values},
+                    "values": {name: value_set(sorted(values)) for name, values in request.values},
                 }
                 for request, is_sticky in links
             ]
@@ -197,17 +210,15 @@ class _Printer:
                 # Hexadecimal digits are compared in upper case.
                 at, to = check.digits.start, check.digits.stop
                 texts = [text[:at] + text[at:to].upper() + text[to:] for text in texts]
-                table["digits"] = _values(range(at + 1, to + 1))
+                table["digits"] = value_set(range(at + 1, to + 1))
             table["texts"] = texts
         if isinstance(check, Crc):
-            width, poly, init, refin, refout, xorout = check.parameters
-            if not poly:  # a name of the catalogue
-                width, poly, init, refin, refout, xorout = catalogue_crc(check.name)
-            if width > WIDEST_CRC:
-                self._lose(where, "", f"the check ({check.describe}) is not verified: {width} bits")
+            if check.parameters[0] > WIDEST_CRC:
+                self._lose(
+                    where, "", f"the check ({check.describe}) is not verified: {check.parameters[0]} bits"
+                )
                 return table
-            table |= {"kind": "crc", "width": width, "poly": poly, "init": init}
-            table |= {"refin": refin, "refout": refout, "xorout": xorout}
+            table |= {"kind": "crc", **crc_table(check)}
         elif check.kind in ("sum", "xor", "fletcher"):
             table["kind"] = check.kind
             table["sign"] = check.sign if isinstance(check, Sum) else ""
@@ -218,13 +229,13 @@ class _Printer:
     def _framing(self, framing: Framing) -> dict[str, Any]:
         table: dict[str, Any] = {"name": framing.name, "sync": list(framing.sync)}
         if framing.not_next:
-            table["not_next"] = _values(sorted(framing.not_next))
+            table["not_next"] = value_set(sorted(framing.not_next))
         if framing.match:
             table["match"] = [
-                {"at": head.offset, "values": _values(sorted(numbers))} for head, numbers in framing.match
+                {"at": head.offset, "values": value_set(sorted(numbers))} for head, numbers in framing.match
             ]
         if framing.not_inside:
-            table["not_inside"] = _values(framing.not_inside)
+            table["not_inside"] = value_set(framing.not_inside)
         if framing.affine is not None:
             head = framing.affine.length
             bits = whole_bits(head.offset, head.size, head.order)
@@ -466,7 +477,7 @@ def _shape(plan: p.MessagePlan, inside: str = "") -> dict[str, Any]:
     """How long a message may be and which of its bytes are constant; selectors have paths that begin with `inside`."""
     table: dict[str, Any] = {"least": plan.least}
     if plan.lengths is not None:
-        table["lengths"] = _values(plan.lengths)
+        table["lengths"] = value_set(plan.lengths)
     if plan.lengths_by is not None:
         selector, sizes, otherwise = plan.lengths_by
         table["by"] = {"selector": inside + selector.name, "sizes": dict(sizes), "otherwise": otherwise}
@@ -478,30 +489,12 @@ def _program(name: str) -> str:
     return files(__name__.rpartition(".")[0]).joinpath(name).read_text(encoding="utf-8")
 
 
-def catalogue_crc(name: str) -> tuple[int, int, int, bool, bool, int]:
-    import anycrc
-
-    model = anycrc.models[name]
-    return model.width, model.poly, model.init, model.refin, model.refout, model.xorout
-
-
 def _covered(part: Any) -> dict[str, Any]:
     if isinstance(part, slice):
         return {"slice": True, "from": part.start, "to": part.stop}
     if isinstance(part, IdBytes):
         return {"id": part.size, "is_big": part.order == "big", "mask": part.mask}
     return {"bytes": list(part)} if isinstance(part, bytes) else {"extra": True}
-
-
-def bit_pieces(bits: Sequence[int]) -> list[list[int]]:
-    """Bits as the program reads them: {byte, shift, width, place in the number}."""
-    found: list[list[int]] = []
-    for first, at, width in runs_of(bits):
-        while width:
-            part = min(width, 8 - first % 8)
-            found.append([first // 8, first % 8, part, at])
-            first, width, at = first + part, width - part, at + part
-    return found
 
 
 def _placed(bits: Sequence[int]) -> dict[str, Any]:
@@ -511,32 +504,6 @@ def _placed(bits: Sequence[int]) -> dict[str, Any]:
 def _size(width: int) -> int:
     """The size of Wireshark's number for one of so many bits."""
     return next(size for size in (8, 16, 24, 32, 64) if width <= size)
-
-
-def _pattern(pattern: IdPattern) -> dict[str, Any]:
-    return {
-        "constant": pattern.constant,
-        "parts": [
-            {
-                "name": capture.name,
-                "shift": capture.shift,
-                "width": capture.width,
-                "values": _values(capture.values),
-            }
-            for capture in pattern.captures
-        ],
-    }
-
-
-def _values(values: Collection[int]) -> dict[Any, Any]:
-    """Numbers as {low, high, step} where they are that, else as a set."""
-    if isinstance(values, range) and values.step > 0:
-        return {"low": values[0], "high": values[-1], "step": values.step}
-    listed: Iterable[int] = sorted(values)
-    low, high = min(listed, default=0), max(listed, default=-1)
-    if values and high - low == len(values) - 1:
-        return {"low": low, "high": high, "step": 1}
-    return dict.fromkeys(listed, True)
 
 
 #: Columns of a line before a table is broken over several.
