@@ -32,7 +32,7 @@ from aces_bus.frame_table import ERROR, NO_TIME, FrameTable, to_ns
 from aces_bus.recordings import CanRecording, SerialRecording, formats, open_recording, parse_filter
 from aces_bus.recordings.filters import passing
 from aces_bus.recordings.merge import Relabel, merge_by_time
-from aces_bus.recordings.write import FORMATS, FormatOut, OpenWriter, open_writer, writer_format
+from aces_bus.recordings.write import FORMATS, FormatOut, OpenWriter, open_writer, split_suffix, writer_format
 
 from .console import SHOWN, Patience, Progress, abandon_stdout, report_unreadable, say
 from .options import FILTER, FROM, MAP, STRICT, TO, Arguments, argument, flag
@@ -135,10 +135,9 @@ class Conversion:
         if name is not None and name not in FORMATS:
             raise UnknownNameError("format", name, FORMATS)
         form = FORMATS[name] if name is not None else writer_format(self.target)
-        bare = self.target.lower().removesuffix(".gz").removesuffix(".zst")
-        for other in FORMATS.values() if not bare.endswith(form.suffixes) else ():
-            mine = tuple(suffix for suffix in other.suffixes if suffix not in PLAIN)
-            if bare.endswith(mine):
+        suffix = split_suffix(self.target)[1].lower()
+        for other in FORMATS.values() if suffix not in (*form.suffixes, *PLAIN) else ():
+            if suffix in other.suffixes:
                 raise CallerError(
                     f"{self.target}: the suffix says {other.name}, and --format {form.name}; leave one of them away,"
                     " or give the file another name"

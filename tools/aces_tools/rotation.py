@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from aces_bus.errors import CallerError
+from aces_bus.recordings.write import split_suffix
 
 from .options import duration
 
 _SIZE = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*([kKMG])(i?)B?")
 _POWERS = {"k": 1, "K": 1, "M": 2, "G": 3}
-#: The last suffix of a name, with one that it makes a pair with.
-_SUFFIX = re.compile(r"((?:\.gvret|\.dxconf)?\.[^.]+?(?:\.gz|\.zst)?)$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -65,7 +63,5 @@ def numbered(path: str, number: int | str) -> str:
     'logs/walk-00003.asc.gz'
     """
     mark = number if isinstance(number, str) else f"{number:05}"
-    folder, name = os.path.split(path)
-    found = _SUFFIX.search(name)
-    place = found.start() if found and found.start() else len(name)
-    return os.path.join(folder, f"{name[:place]}-{mark}{name[place:]}")
+    stem, suffix, packing = split_suffix(path)
+    return f"{stem}-{mark}{suffix}{packing}"

@@ -42,6 +42,7 @@ __all__ = [
     "OpenWriter",
     "RecordingWriter",
     "open_writer",
+    "split_suffix",
     "writer_format",
 ]
 
@@ -132,6 +133,21 @@ FORMATS: Mapping[str, FormatOut] = {
 PACKED: Mapping[str, str] = {".gz": "gzip", ".zst": "zstd"}
 
 
+def split_suffix(path: str) -> tuple[str, str, str]:
+    """A path without its suffixes, the format's suffix (the longest that is one, else the last), and the packing's.
+
+    >>> split_suffix("logs/walk.gvret.csv.gz")
+    ('logs/walk', '.gvret.csv', '.gz')
+    """
+    packing = next((path[-len(end) :] for end in PACKED if path.lower().endswith(end)), "")
+    bare = path.removesuffix(packing)
+    known = (suffix for form in FORMATS.values() for suffix in form.suffixes)
+    own = max((suffix for suffix in known if bare.lower().endswith(suffix)), key=len, default=None)
+    size = len(own) if own is not None else len(os.path.splitext(bare)[1])
+    place = len(bare) - size
+    return bare[:place], bare[place:], packing
+
+
 def writer_format(path: str, link: Link | None = None) -> FormatOut:
     """The format that a path's longest known suffix means, `.gz` and `.zst` left out of account.
 
@@ -140,14 +156,10 @@ def writer_format(path: str, link: Link | None = None) -> FormatOut:
     >>> writer_format("logs/walk.asc.gz").name
     'asc'
     """
-    name = os.path.basename(path).lower()
-    for packed in PACKED:
-        name = name.removesuffix(packed)
-    fits = [
-        (len(suffix), form) for form in FORMATS.values() for suffix in form.suffixes if name.endswith(suffix)
-    ]
-    if fits:  # of equal suffixes the first, and .gvret.csv before .csv
-        return max(fits, key=lambda fit: fit[0])[1]
+    suffix = split_suffix(path)[1].lower()
+    for form in FORMATS.values():
+        if suffix in form.suffixes:
+            return form
     known = " ".join(f.suffixes[0] for f in FORMATS.values() if link in (None, f.link))
     raise CallerError(f"{path}: the suffix names no format; there are {known}, each also with .gz or .zst")
 
