@@ -1,0 +1,16 @@
+"""Guessing a spec from recordings that nobody can read: what varies how, and what that may mean.
+
+1. A guess has its evidence in words and a confidence between 0 and 1; what is not known is said to be bytes.
+2. Recordings are untrusted: work and memory are bounded by samples, whatever the recording holds.
+3. No I/O: the caller opens the recording (`aces_bus.recordings.open_recording`).
+"""
+
+from __future__ import annotations
+
+from .fields import FieldGuess, FieldKind, fields_of
+
+__all__ = [
+    "FieldGuess",
+    "FieldKind",
+    "fields_of",
+]
