@@ -28,6 +28,9 @@ BELOW = 8
 AGAINST, FOR = -3.0, 4.0
 #: What one event may weigh.
 EVENT = 3.0
+CAP=6.0
+WIDTHS=(2,4)
+ENUM=0.4
 
 
 def split(sample: Rows, free: Array) -> list[tuple[list[int], ByteOrder]]:
@@ -87,9 +90,11 @@ def edge_scores(sample: Rows, line: Array, free: Array) -> Array:
         if column:
             low[:, column] += low[:, column - 1] / 2
     before, after = sample.pairs(bits)
-    below = sample.pairs(low)
-    d_low = (below[1] - below[0])[:, :-1]
     step = after - before
+    moves = step.any(axis=1)
+    step = step[moves]
+    below = sample.pairs(low)
+    d_low = (below[1] - below[0])[moves, :-1]
     flips = step != 0
     upper = flips[:, 1:]
     rates = flips.mean(axis=0) if len(flips) else np.zeros(len(line))
@@ -99,7 +104,7 @@ def edge_scores(sample: Rows, line: Array, free: Array) -> Array:
     scores = np.maximum(
         _coincidence(np.abs(d_low) > 0.5, upper), _coincidence(flips[:, :-1], upper, is_mutual=False)
     )
-    for width in (2, 4):
+    for width in WIDTHS:
         scores = np.maximum(scores, _covariance(d_low, _upward(step, width)))
     scores = np.clip(scores, -EVENT * events, EVENT * events)
     # In a number the upper of two bits does not change more often.
@@ -107,7 +112,7 @@ def edge_scores(sample: Rows, line: Array, free: Array) -> Array:
     spread = np.sqrt((lower_rate * (1 - lower_rate) + upper_rate * (1 - upper_rate)) / n) + 1e-9
     excess = (upper_rate - lower_rate) / spread
     falls = (excess > 3) & (upper_rate > 1.25 * lower_rate)
-    return np.where(falls, np.minimum(scores, 0) - excess, scores)
+    return np.where(falls, scores - np.minimum(excess, CAP), scores)
 
 
 def _upward(step: Array, width: int) -> Array:
@@ -145,4 +150,6 @@ def _coincidence(cause: Array, effect: Array, *, is_mutual: bool = True) -> Arra
     rate = np.clip(causes / n, tiny, 1 - tiny)
     # A number in large steps flips its bits at random: there a coincidence is none.
     share = 0.97 - 0.47 * np.clip((effects / n - 0.2) / 0.25, 0, 1)
-    return both * np.log(share / rate) + (effects - both) * np.log((1 - share) / (1 - rate))
+    strong=both * np.log(share / rate) + (effects - both) * np.log((1 - share) / (1 - rate))
+    weak=both * np.log(ENUM / rate) + (effects - both) * np.log((1 - ENUM) / (1 - rate))
+    return np.where(rate<ENUM, np.maximum(strong,weak), strong)
