@@ -93,7 +93,9 @@ def _candidates(keys: Sequence[int]) -> Iterator[tuple[int, list[int]]]:
                 yield shift, by_rest[rest]
 
 
-def _alike(groups: Sequence[Members], masks: Sequence[Array | None], numbers: Iterable[int]) -> list[list[int]]:
+def _alike(
+    groups: Sequence[Members], masks: Sequence[Array | None], numbers: Iterable[int]
+) -> list[list[int]]:
     """Those of `numbers` that are alike, as lists."""
     found: list[list[int]] = []
     for at in numbers:
@@ -115,7 +117,8 @@ def _are_alike(groups: Sequence[Members], masks: Sequence[Array | None], one: in
         if abs(a.timing.period_ns - b.timing.period_ns) > RATE * max(a.timing.period_ns, b.timing.period_ns):
             return False
     mine, theirs = masks[one], masks[other]
-    assert mine is not None and theirs is not None
+    if mine is None or theirs is None:
+        return False
     return float(np.minimum(mine, theirs).sum()) >= ALIKE * float(np.maximum(mine, theirs).sum())
 
 

@@ -61,10 +61,23 @@ def pairs_of(frames: FrameTable) -> list[PairGuess]:
     for reply in range(len(keys)):
         request = int(np.argmax(follow[:, reply]))
         times = int(follow[request, reply])
-        if request == reply or times < TIMES or times < NEXT * counts[reply] or times < ANSWERED * counts[request]:
+        if (
+            request == reply
+            or times < TIMES
+            or times < NEXT * counts[reply]
+            or times < ANSWERED * counts[request]
+        ):
             continue
         at = np.flatnonzero(same & (first == request) & (second == reply))
-        guess = _judged(frames, int(keys[request]), int(keys[reply]), at, np.flatnonzero(codes == request), times, int(counts[reply]))
+        guess = _judged(
+            frames,
+            int(keys[request]),
+            int(keys[reply]),
+            at,
+            np.flatnonzero(codes == request),
+            times,
+            int(counts[reply]),
+        )
         if guess is not None:
             found.append(guess)
     return sorted(found, key=lambda one: -one.confidence)
@@ -114,7 +127,9 @@ def _echo(frames: FrameTable, at: Array) -> str | None:
             values, counts = np.unique(answered[:, place] - asked[:, byte], return_counts=True)
             if counts.max() >= 0.95 * len(at):
                 more = int(values[np.argmax(counts)])
-                return f"its byte {place} is byte {byte} of the request" + (f" + 0x{more:02X}" if more else "")
+                return f"its byte {place} is byte {byte} of the request" + (
+                    f" + 0x{more:02X}" if more else ""
+                )
     return None
 
 

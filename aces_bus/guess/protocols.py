@@ -21,7 +21,13 @@ ENOUGH, AGAINST = 3, 0.05
 #: Frames of one identifier that are looked at.
 ROWS = 5000
 #: Parameter groups: of J1939's transport protocol, requests and addresses (PDU formats); NMEA 2000's own are of data page 1.
-STEERING = {0xE8: "acknowledgement", 0xEA: "request", 0xEB: "transport data", 0xEC: "transport connection", 0xEE: "address claim"}
+STEERING = {
+    0xE8: "acknowledgement",
+    0xEA: "request",
+    0xEB: "transport data",
+    0xEC: "transport connection",
+    0xEE: "address claim",
+}
 NMEA_2000 = (0x1ED00, 0x1FFFF)
 #: CANopen's states of a node in its heartbeat (CiA 301, 7.2.8.3.2.2).
 STATES = (0, 4, 5, 0x7F)
@@ -50,7 +56,11 @@ def recognised(frames: FrameTable) -> list[ProtocolGuess]:
     """The standards that frames follow, in the order of a recording."""
     order = np.argsort(frames.key, kind="stable")
     keys, starts = np.unique(frames.key[order], return_index=True)
-    rows = {int(key): part for key, part in zip(keys, np.split(order, starts[1:]), strict=True)} if len(keys) else {}
+    rows = (
+        {int(key): part for key, part in zip(keys, np.split(order, starts[1:]), strict=True)}
+        if len(keys)
+        else {}
+    )
     found = [*_j1939(frames, rows), *_packets(frames, rows), *_canopen(frames, rows)]
     return found
 
@@ -69,7 +79,9 @@ def _j1939(frames: FrameTable, rows: dict[int, Array]) -> Iterator[ProtocolGuess
     if len(keys) < ENOUGH:
         return
     marine = [key for key in keys if NMEA_2000[0] <= group_of(key) <= NMEA_2000[1]]
-    steering = sorted({STEERING[key >> 16 & 0xFF] for key in keys if not key >> 24 & 3 and key >> 16 & 0xFF in STEERING})
+    steering = sorted(
+        {STEERING[key >> 16 & 0xFF] for key in keys if not key >> 24 & 3 and key >> 16 & 0xFF in STEERING}
+    )
     broadcast = [key for key in keys if not key >> 24 & 3 and key >> 16 & 0xFF in (0xF0, 0xFE, 0xFD)]
     sources = len({key & 0xFF for key in keys})
     groups = len({group_of(key) for key in keys})
@@ -113,7 +125,9 @@ def _iso_tp(data: Array, lengths: Array) -> str | None:
     if (kind > 3).any():
         return None
     single, first, following, flow = (kind == one for one in range(4))
-    if (single & ((low == 0) | (low >= lengths)) & (lengths <= 8)).mean() > AGAINST or (flow & (low > 2)).any():
+    if (single & ((low == 0) | (low >= lengths)) & (lengths <= 8)).mean() > AGAINST or (
+        flow & (low > 2)
+    ).any():
         return None
     size = (low.astype(np.int64) << 8) | data[:, 1]
     if first.sum() < 1 or following.sum() < ENOUGH or (first & (size < 8) & (size != 0)).any():
@@ -126,7 +140,9 @@ def _iso_tp(data: Array, lengths: Array) -> str | None:
     right = (low[after] == expected)[goes_on]
     if not len(right) or right.mean() < 1 - 2 * AGAINST:
         return None
-    return f"{int(first.sum())} first frames, {int(right.sum())} of {len(right)} consecutive frames with the number that is due"
+    return (
+        f"{int(first.sum())} first frames, {_counted(right)} consecutive frames with the number that is due"
+    )
 
 
 def _fast(data: Array, lengths: Array) -> str | None:
@@ -142,11 +158,16 @@ def _fast(data: Array, lengths: Array) -> str | None:
     goes_on = after != 0
     right = (after == before + 1) & (sequence[1:] == sequence[:-1])
     longest = np.maximum.reduceat(number, np.flatnonzero(first)) if first.any() else number[:1]
-    needed = (sizes.astype(np.int64) + 0) // 7  # the first frame has six bytes, others seven
+    needed = sizes.astype(np.int64) // 7  # the first frame has six bytes, others seven
     fits = (longest <= needed + 1) & (sizes > 6) & (sizes <= 223)
     if right[goes_on].mean() < 1 - 2 * AGAINST or fits.mean() < 1 - 2 * AGAINST:
         return None
-    return f"{int(first.sum())} first frames with sizes of {int(sizes.min())} to {int(sizes.max())} bytes, {int(right[goes_on].sum())} of {int(goes_on.sum())} frames with the number that is due"
+    sizes_said = f"sizes of {int(sizes.min())} to {int(sizes.max())} bytes"
+    return f"{int(first.sum())} first frames with {sizes_said}, {_counted(right[goes_on])} frames with the number that is due"
+
+
+def _counted(right: Array) -> str:
+    return f"{int(right.sum())} of {len(right)}"
 
 
 # ---------------------------------------------------------------------- CANopen
@@ -163,7 +184,9 @@ def _canopen(frames: FrameTable, rows: dict[int, Array]) -> Iterator[ProtocolGue
     servers = [
         key
         for key in standard
-        if 0x581 <= key <= 0x5FF and key + 0x80 in standard and _are_sdo(frames, standard[key + 0x80], standard[key])
+        if 0x581 <= key <= 0x5FF
+        and key + 0x80 in standard
+        and _are_sdo(frames, standard[key + 0x80], standard[key])
     ]
     if servers:
         found.update(dict.fromkeys([*servers, *(key + 0x80 for key in servers)]))
@@ -187,8 +210,16 @@ def _are_sdo(frames: FrameTable, asked: Array, answered: Array) -> bool:
     """Whether all have eight bytes, with command specifiers that exist, and mostly speak of the same objects."""
     if (frames.length[asked] != 8).any() or (frames.length[answered] != 8).any():
         return False
-    ways = np.isin(frames.data[asked, 0] >> 5, range(7)).all() and np.isin(frames.data[answered, 0] >> 5, range(7)).all()
+    ways = (
+        np.isin(frames.data[asked, 0] >> 5, range(7)).all()
+        and np.isin(frames.data[answered, 0] >> 5, range(7)).all()
+    )
     starts = frames.data[asked][np.isin(frames.data[asked, 0] >> 5, (1, 2))][:, 1:4]
     objects = {row.tobytes() for row in starts}
     replies = frames.data[answered][np.isin(frames.data[answered, 0] >> 5, (2, 3))][:, 1:4]
-    return bool(ways and len(objects) and len(replies) and np.mean([row.tobytes() in objects for row in replies]) > 0.9)
+    return bool(
+        ways
+        and len(objects)
+        and len(replies)
+        and np.mean([row.tobytes() in objects for row in replies]) > 0.9
+    )

@@ -144,7 +144,7 @@ class Traffic:
             self._kept += len(rows)
 
     def guess(self, *, known: bool = True) -> TrafficGuess:
-        """What the frames are. With `known`, installed protocols come first, and what the best of them decodes is not guessed."""
+        """What the frames are. With `known`, what the best of the installed protocols decodes is not guessed."""
         frames = _one_table(self._tables)
         self._tables = [frames]
         fitting: list[FittingProtocol] = []
@@ -180,7 +180,13 @@ def _one_table(tables: list[FrameTable]) -> FrameTable:
     numbered = {owner: number for number, owner in enumerate(owners)}
     moved = [
         FrameTable(
-            t.time, t.channel + np.uint16(numbered[id(t.channels)] << 8), t.id, t.flags, t.length, t.data, first
+            t.time,
+            t.channel + np.uint16(numbered[id(t.channels)] << 8),
+            t.id,
+            t.flags,
+            t.length,
+            t.data,
+            first,
         )
         for t in tables
     ]
@@ -217,7 +223,11 @@ def _messages(frames: FrameTable) -> tuple[list[MessageGuess], int]:
         if len(groups) >= IDENTIFIERS:
             beyond += len(rows)
             continue
-        groups.append(Members((key,), rows, tuple(np.unique(frames.length[rows]).tolist()), timing_of(frames.time[rows])))
+        groups.append(
+            Members(
+                (key,), rows, tuple(np.unique(frames.length[rows]).tolist()), timing_of(frames.time[rows])
+            )
+        )
     found: list[MessageGuess] = []
     for group in families(frames, groups):
         found += _messages_of(frames, group)
@@ -237,9 +247,7 @@ def _messages_of(frames: FrameTable, group: Members) -> Iterator[MessageGuess]:
         yield _message(frames, group, name, group.rows, None)
 
 
-def _message(
-    frames: FrameTable, group: Members, name: str, rows: Array, length: int | None
-) -> MessageGuess:
+def _message(frames: FrameTable, group: Members, name: str, rows: Array, length: int | None) -> MessageGuess:
     size = group.lengths[0] if length is None else length
     key = group.keys[0]
     fields: list[FieldGuess] = []
