@@ -1,0 +1,37 @@
+"""Guessing a spec from recordings that nobody can read: what varies how, and what that may mean.
+
+1. A guess has its evidence in words and a confidence between 0 and 1; what is not known is said to be bytes.
+2. Recordings are untrusted: work and memory are bounded by samples, whatever the recording holds.
+3. No I/O: the caller opens the recording (`aces_bus.recordings.open_recording`).
+"""
+
+from __future__ import annotations
+
+from .checks import CheckGuess, checks_of
+from .draft import draft_source
+from .fields import FieldGuess, FieldKind, fields_of
+from .known import TRIED_BYTES, TRIED_FRAMES, FittingProtocol, fitting_protocols
+from .nodes import NodeGuess
+from .pairs import PairGuess
+from .protocols import ProtocolGuess
+from .traffic import MessageGuess, TimingGuess, Traffic, TrafficGuess
+
+__all__ = [
+    "TRIED_BYTES",
+    "TRIED_FRAMES",
+    "CheckGuess",
+    "FieldGuess",
+    "FieldKind",
+    "FittingProtocol",
+    "MessageGuess",
+    "NodeGuess",
+    "PairGuess",
+    "ProtocolGuess",
+    "TimingGuess",
+    "Traffic",
+    "TrafficGuess",
+    "checks_of",
+    "draft_source",
+    "fields_of",
+    "fitting_protocols",
+]
