@@ -154,7 +154,7 @@ def fields_of(rows: Array, times_ns: Array | None = None, prefix: bytes = b"") -
     a header. Payloads are cut at `LONGEST` bytes.
     """
     from .boundaries import split
-    from .kinds import plain_fields, classified
+    from .kinds import classified, plain_fields
 
     sample = Rows(rows[:, :LONGEST])
     if not sample.size:
