@@ -7,10 +7,31 @@
 
 from __future__ import annotations
 
+from .checks import CheckGuess, checks_of
+from .draft import draft_source
 from .fields import FieldGuess, FieldKind, fields_of
+from .known import TRIED_BYTES, TRIED_FRAMES, FittingProtocol, fitting_protocols
+from .nodes import NodeGuess
+from .pairs import PairGuess
+from .protocols import ProtocolGuess
+from .traffic import MessageGuess, TimingGuess, Traffic, TrafficGuess
 
 __all__ = [
+    "TRIED_BYTES",
+    "TRIED_FRAMES",
+    "CheckGuess",
     "FieldGuess",
     "FieldKind",
+    "FittingProtocol",
+    "MessageGuess",
+    "NodeGuess",
+    "PairGuess",
+    "ProtocolGuess",
+    "TimingGuess",
+    "Traffic",
+    "TrafficGuess",
+    "checks_of",
+    "draft_source",
     "fields_of",
+    "fitting_protocols",
 ]

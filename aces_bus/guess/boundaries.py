@@ -5,16 +5,17 @@
 2. Inside a byte bits belong together unless something speaks against it; over a border only where something speaks for it.
 3. A bit has one bit above it and one below it at most, so byte orders never mix within a number.
 
-What a number does at a border: its lower part, as a fraction of the carry, changes by Δl, its upper part by Δh, and the number
-itself by s = Δh + Δl. Where s does not hang on Δl, the mean of Δh·Δl is −mean(Δl²); of two numbers that know nothing of each
-other it is 0. In slow numbers the same is seen from single events: the upper part moves exactly where the lower one wraps.
+What a number does at a border: its lower part, as a fraction of the carry, changes by Δl, its upper part by Δh, and the
+number itself by s = Δh + Δl. Where s does not hang on Δl, the mean of Δh·Δl is −mean(Δl²); of two numbers that know nothing
+of each other it is 0. In slow numbers the same is seen from single events: the upper part moves where the lower one wraps.
 READ (Marchetti and Stabili, IEEE Transactions on Information Forensics and Security 14, 2019) takes the rates of changes
 alone, and big-endian order.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 from .._lazy import np
 from .fields import Array, ByteOrder, Rows, above
@@ -22,12 +23,14 @@ from .fields import Array, ByteOrder, Rows, above
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-#: Bits of the lower part that are weighed.
-BELOW = 8
 #: What a border inside a byte may have against it, and one between bytes must have for it (log-likelihoods, in nats).
 AGAINST, FOR = -3.0, 4.0
 #: What one event may weigh.
 EVENT = 3.0
+#: Bits above a border that are weighed.
+WIDTHS = (2, 4)
+#: What it may weigh that the upper bit changes more often, and how often bits of an enumeration change together.
+RISE, TOGETHER = 6.0, 0.4
 
 
 def split(sample: Rows, free: Array) -> list[tuple[list[int], ByteOrder]]:
@@ -39,7 +42,7 @@ def split(sample: Rows, free: Array) -> list[tuple[list[int], ByteOrder]]:
         positions = [bit]
         while positions[-1] in up:
             positions.append(up[positions[-1]])
-        is_big = any(b < a for a, b in zip(positions, positions[1:], strict=False))
+        is_big = any(b < a for a, b in pairwise(positions))
         found.append((positions, "big" if is_big else "little"))
     return found
 
@@ -80,69 +83,89 @@ def bits_in(size: int, order: ByteOrder) -> Array:
 
 def edge_scores(sample: Rows, line: Array, free: Array) -> Array:
     """How much speaks for each two neighbours of `line` being of one number, in nats; (len(line) - 1,)."""
-    bits = sample.bits[:, line].astype(np.float32) * free[line]
-    low = np.zeros_like(bits)
-    for column in range(bits.shape[1]):
-        low[:, column] = bits[:, column] / 2
-        if column:
-            low[:, column] += low[:, column - 1] / 2
-    before, after = sample.pairs(bits)
-    below = sample.pairs(low)
-    d_low = (below[1] - below[0])[:, :-1]
-    step = after - before
-    flips = step != 0
-    upper = flips[:, 1:]
-    rates = flips.mean(axis=0) if len(flips) else np.zeros(len(line))
-    events = upper.sum(axis=0)
-    n = max(1, len(flips))
+    bits = (sample.bits[:, line] * free[line]).T.astype(np.float32)
+    low = np.empty_like(bits)
+    below: Array = np.zeros(bits.shape[1], np.float32)
+    for column, own in enumerate(bits):
+        low[column] = below = (own + below) / 2
+    at = np.flatnonzero(sample.follows)
+    at = at[(bits[:, at + 1] != bits[:, at]).any(axis=0)]
+    if not len(at):
+        return np.zeros(len(line) - 1)
+    step = (bits[:, at + 1] - bits[:, at]).astype(np.int8)
+    d_low = low[:-1, at + 1] - low[:-1, at]
+    flips = np.abs(step).astype(np.float32)
+    lower, upper = flips[:-1], flips[1:]
+    events = upper.sum(axis=1)
+    rates = flips.mean(axis=1)
     # The upper bit changes just where the lower part wraps, or where the lower bit changes.
-    scores = np.maximum(
-        _coincidence(np.abs(d_low) > 0.5, upper), _coincidence(flips[:, :-1], upper, is_mutual=False)
-    )
-    for width in (2, 4):
-        scores = np.maximum(scores, _covariance(d_low, _upward(step, width)))
+    scores = np.maximum(_goes_with_wraps(np.abs(d_low) > 0.5, upper), _goes_with_bit(lower, upper))
+    for width in WIDTHS:
+        scores = np.maximum(scores, _carries(d_low, _upward(step, width)))
     scores = np.clip(scores, -EVENT * events, EVENT * events)
     # In a number the upper of two bits does not change more often.
     lower_rate, upper_rate = rates[:-1], rates[1:]
-    spread = np.sqrt((lower_rate * (1 - lower_rate) + upper_rate * (1 - upper_rate)) / n) + 1e-9
+    spread = np.sqrt((lower_rate * (1 - lower_rate) + upper_rate * (1 - upper_rate)) / len(at)) + 1e-9
     excess = (upper_rate - lower_rate) / spread
-    falls = (excess > 3) & (upper_rate > 1.25 * lower_rate)
-    return np.where(falls, np.minimum(scores, 0) - excess, scores)
+    rises = (excess > 3) & (upper_rate > 1.25 * lower_rate)
+    found: Array = np.where(rises, scores - np.minimum(excess, RISE), scores)
+    return found
 
 
 def _upward(step: Array, width: int) -> Array:
-    """The change of the `width` bits above each border, the short way round; (n, columns - 1)."""
-    n, columns = step.shape
-    total = np.zeros((n, columns - 1), np.float32)
-    for bit in range(width):
-        total[:, : columns - 1 - bit] += step[:, 1 + bit :] * 2**bit
-    span, half = 2.0**width, 2.0 ** (width - 1)
-    wrapped = (total + half) % span - half
-    return np.where(np.abs(wrapped) == half, 0, wrapped)
+    """The change of the `width` bits above each border, the short way round; int8 (columns - 1, n)."""
+    total = step[1:].copy()
+    for bit in range(1, width):
+        total[:-bit] += step[1 + bit :] << bit
+    span, half = 1 << width, 1 << width - 1
+    wrapped = (total + half & span - 1) - half
+    wrapped[wrapped == -half] = 0
+    return wrapped
 
 
-def _covariance(d_low: Array, d_high: Array) -> Array:
+def _carries(d_low: Array, d_high: Array) -> Array:
     """The likelihood of a carry against that of none, from the mean of the product of both changes."""
     product = d_low * d_high
-    mean, variance = product.mean(axis=0), product.var(axis=0)
-    carried = -(d_low**2).mean(axis=0)
+    n = product.shape[1]
+    mean = product.mean(axis=1)
+    variance = _dot(product, product) / n - mean**2
+    carried = -_dot(d_low, d_low) / n
     with np.errstate(divide="ignore", invalid="ignore"):
-        likelihood = len(product) / (2 * variance) * (mean**2 - (mean - carried) ** 2)
-    return np.where(variance > 0, likelihood, 0.0)
+        likelihood = n / (2 * variance) * (mean**2 - (mean - carried) ** 2)
+    found: Array = np.where(variance > 1e-12, likelihood, 0.0)
+    return found
 
 
-def _coincidence(cause: Array, effect: Array, *, is_mutual: bool = True) -> Array:
-    """The likelihood of `effect` going with `cause` against that of both knowing nothing of each other."""
-    n = max(1, len(cause))
-    both = (cause & effect).sum(axis=0)
-    causes, effects = cause.sum(axis=0), effect.sum(axis=0)
-    tiny = 0.5 / n
-    if is_mutual:
-        rate = np.clip(effects / n, tiny, 1 - tiny)
-        with_it = both * np.log(0.95 / rate) + (causes - both) * np.log(0.05 / (1 - rate))
-        quiet = n - causes - effects + both
-        return with_it + (effects - both) * np.log(0.02 / rate) + quiet * np.log(0.98 / (1 - rate))
-    rate = np.clip(causes / n, tiny, 1 - tiny)
-    # A number in large steps flips its bits at random: there a coincidence is none.
-    share = 0.97 - 0.47 * np.clip((effects / n - 0.2) / 0.25, 0, 1)
-    return both * np.log(share / rate) + (effects - both) * np.log((1 - share) / (1 - rate))
+def _goes_with_wraps(wraps: Array, effect: Array) -> Array:
+    """The likelihood of a bit changing just where what is below it wraps, against that of no connection."""
+    n = effect.shape[1]
+    both, causes, effects = _dot(wraps.astype(np.float32), effect), wraps.sum(axis=1), effect.sum(axis=1)
+    rate = np.clip(effects / n, 0.5 / n, 1 - 0.5 / n)
+    found: Array = both * np.log(0.95 / rate) + (causes - both) * np.log(0.05 / (1 - rate))
+    found += (effects - both) * np.log(0.02 / rate) + (n - causes - effects + both) * np.log(
+        0.98 / (1 - rate)
+    )
+    return found
+
+
+def _goes_with_bit(lower: Array, upper: Array) -> Array:
+    """The likelihood of the lower of two bits changing where the upper does, against that of no connection."""
+    n = upper.shape[1]
+    both, effects = _dot(lower, upper), upper.sum(axis=1)
+    rate = np.clip(lower.sum(axis=1) / n, 0.5 / n, 1 - 0.5 / n)
+
+    def likelihood(share: Any) -> Array:
+        found: Array = both * np.log(share / rate) + (effects - both) * np.log((1 - share) / (1 - rate))
+        return found
+
+    # A number in large steps flips its bits at random: there a coincidence is none. Bits of an enumeration often go
+    # together.
+    carried = likelihood(0.97 - 0.47 * np.clip((effects / n - 0.2) / 0.25, 0, 1))
+    found: Array = np.where(rate < TOGETHER, np.maximum(carried, likelihood(TOGETHER)), carried)
+    return found
+
+
+def _dot(one: Array, other: Array) -> Array:
+    """The sum of products, row by row."""
+    found: Array = np.einsum("ij,ij->i", one, other)
+    return found

@@ -19,6 +19,8 @@ from .._lazy import np
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+    from .checks import CheckGuess
+
 Array: TypeAlias = "npt.NDArray[Any]"
 ByteOrder = Literal["little", "big"]
 FieldKind = Literal[
@@ -26,7 +28,7 @@ FieldKind = Literal[
 ]
 
 #: Rows that are looked at closely, and the runs of neighbours that they are taken in.
-SAMPLE, RUNS = 8192, 4
+SAMPLE, RUNS = 2048, 4
 #: Payloads beyond are bytes: no frame is as long, and the work would grow.
 LONGEST = 1024
 
@@ -51,9 +53,12 @@ class FieldGuess:
     value: int | None = None
     #: The values that occurred, where they are few.
     values: tuple[int, ...] = ()
-    #: Of a check how a spec declares it, without `field=`: 'Crc("CRC8-SAE-J1850", over=(IdBytes(2), slice(1, None)))'.
-    declared: str = ""
-    #: Values of the multiplexer at which the field is there; none: always.
+    #: Of a check what it is, and over which bytes.
+    check: CheckGuess | None = None
+    #: Of a counter where it begins anew: from that number on; 0 where that was not seen.
+    modulus: int = 0
+    #: The multiplexer's name and its values at which the field is there; none: always.
+    selector: str = ""
     when: tuple[int, ...] = ()
 
     @property
@@ -84,8 +89,10 @@ class FieldGuess:
         }
         if self.value is not None:
             found["value"] = self.value
-        if self.declared:
-            found["check"] = self.declared
+        if self.modulus:
+            found["modulus"] = self.modulus
+        if self.check is not None:
+            found["check"] = self.check.declared
         for name in ("values", "when"):
             if getattr(self, name):
                 found[name] = list(getattr(self, name))
@@ -146,12 +153,12 @@ class Rows:
         return values[:-1][self.follows], values[1:][self.follows]
 
 
-def fields_of(rows: Array, times_ns: Array | None = None, prefix: bytes = b"") -> list[FieldGuess]:
+def fields_of(rows: Array, times_ns: Array | None = None, prefix: bytes | Array = b"") -> list[FieldGuess]:
     """What the bytes of a message are, by their first bytes.
 
     `rows` is uint8 of shape (n, size), the payloads in the order in which they came; `times_ns` int64 of shape (n,), or
-    None where the recording does not say. `prefix` are bytes before the payload that a check may be of: an identifier,
-    a header. Payloads are cut at `LONGEST` bytes.
+    None where the recording does not say. `prefix` are bytes before the payload that a check may cover too, for all rows or
+    uint8 of shape (n, bytes): an identifier, highest byte first. Payloads are cut at `LONGEST` bytes.
     """
     from .boundaries import split
     from .kinds import classified, plain_fields
@@ -159,7 +166,7 @@ def fields_of(rows: Array, times_ns: Array | None = None, prefix: bytes = b"") -
     sample = Rows(rows[:, :LONGEST])
     if not sample.size:
         return []
-    found = plain_fields(sample, prefix)
+    found = plain_fields(sample, rows[:, :LONGEST], prefix)
     taken = np.zeros(8 * sample.size, bool)
     for one in found:
         taken[list(one.positions)] = True

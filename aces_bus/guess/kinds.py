@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from .._lazy import np
+from .checks import checks_of
 from .fields import Array, ByteOrder, FieldGuess, FieldKind, Rows, above, positions_of
 
 #: Steps, and different values, from which on something may be said.
@@ -23,16 +24,23 @@ CHARACTERS, PRINTABLE = 3, 0.95
 EXPONENTS, SPREAD = (97, 161), 12
 
 
-def plain_fields(sample: Rows, prefix: bytes) -> list[FieldGuess]:
-    """Text, counters and floats: what is known by itself, whatever is beside it."""
+def plain_fields(sample: Rows, rows: Array, prefix: bytes | Array) -> list[FieldGuess]:
+    """Checks, text, counters and floats: what is known by itself, whatever is beside it."""
     found: list[FieldGuess] = []
     free = np.ones(8 * sample.size, bool)
-    for make in (_texts, _counters, _floats):
+    for make in (lambda *_: _checks(rows, prefix), _texts, _counters, _floats):
         for one in make(sample, free):
             if free[list(one.positions)].all():
                 found.append(one)
                 free[list(one.positions)] = False
     return found
+
+
+def _checks(rows: Array, prefix: bytes | Array) -> Iterator[FieldGuess]:
+    for one in checks_of(rows, prefix):
+        order: ByteOrder = "big" if one.size > 1 and one.check.order == "big" else "little"
+        start = 8 * (one.offset + (one.size - 1 if order == "big" else 0))
+        yield FieldGuess(start, 8 * one.size, order, "check", one.confidence, one.evidence, check=one)
 
 
 # ---------------------------------------------------------------------- text
@@ -80,7 +88,18 @@ def _counters(sample: Rows, free: Array) -> Iterator[FieldGuess]:
         yield FieldGuess(
             bit, len(positions), order if positions[0] // 8 != positions[-1] // 8 else "little",
             "counter", min(0.99, right * sample.steps / (sample.steps + 2)), evidence, value=shown,
+            modulus=_modulus(before, after) if shown == 1 else 0,
         )  # fmt: skip
+
+
+def _modulus(before: Array, after: Array) -> int:
+    """The number at which a counter begins anew at 0; 0 where it never does, or not always there."""
+    highest = before.max()
+    return (
+        int(highest) + 1
+        if len(before) and highest == after.max() and (after[before == highest] == 0).mean() > COUNTS
+        else 0
+    )
 
 
 _ORDERS: tuple[ByteOrder, ...] = ("little", "big")
@@ -151,7 +170,8 @@ def _float_at(sample: Rows, byte: int, order: ByteOrder) -> FieldGuess:
     rates = sample.rates[list(positions)]
     if smooth > 2 or rates[:8].mean() < rates[23:31].mean():
         return nothing
-    evidence = f"IEEE 754 numbers from {numbers.min():.4g} to {numbers.max():.4g}, exponents 2^{low - 127:.0f} to 2^{high - 127:.0f}"
+    evidence = f"IEEE 754 numbers from {numbers.min():.4g} to {numbers.max():.4g}"
+    evidence += f", exponents {low - 127:.0f} to {high - 127:.0f}"
     return FieldGuess(start, 32, order, "float", 0.9 if smooth < 0.5 else 0.6, evidence, signed=True)
 
 

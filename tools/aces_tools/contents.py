@@ -8,19 +8,15 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import product
 from typing import Any
 
 import numpy as np
 
-from aces_bus.errors import AcesError, CallerError, CaptureError
+from aces_bus.errors import CallerError, CaptureError
 from aces_bus.frame_table import ERROR, NO_TIME, FrameTable, widened
+from aces_bus.guess import TRIED_BYTES, TRIED_FRAMES, fitting_protocols
 from aces_bus.plain_text import printable
-from aces_bus.protocol import Variant, list_protocols, load_protocol
-from aces_bus.protocol.columns.decode import feed
-from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
 from aces_bus.recordings import CanRecording, parse_filter
 from aces_bus.recordings.filters import passing
@@ -46,8 +42,6 @@ _NEED_A_PROTOCOL = (
 ROWS = 4096
 #: Gaps between frames of an identifier that its period is the median of.
 GAPS = 1000
-#: Protocols are tried on so many frames and bytes, and named from this share on.
-TRIED_FRAMES, TRIED_BYTES, FITS = 20_000, 1 << 18, 0.8
 #: So many protocols are named.
 NAMED = 3
 
@@ -280,39 +274,12 @@ def _advise(page: Page, name: str, link: str, piece: Any) -> None:
     """Say what to type next."""
     if piece is None:
         return
-    fitting = sorted(_fitting(link, piece), key=lambda one: -one[0])[:NAMED]
+    fitting = fitting_protocols(link, piece)[:NAMED]
     command = "… | aces decode" if name == "-" else f"aces decode {shlex.quote(name)}"
     page.lines([""])
-    for share, protocol in fitting:
-        page.lines([printable(f"{share:4.0%} is {protocol}:  {command} -p {protocol}")])
+    for one in fitting:
+        page.lines([printable(f"{one.share:4.0%} is {one.name}:  {command} -p {one.name}")])
     if not fitting:
         page.lines(
             ["no installed protocol fits (aces protocols); a database: -p car.dbc; your own: aces spec new"]
         )
-
-
-def _fitting(link: str, piece: Any) -> Iterator[tuple[float, str]]:
-    """The share that each installed protocol decodes, in the best of its configurations, and its name."""
-    for name in list_protocols():
-        try:
-            protocol = load_protocol(name)
-        except AcesError:
-            continue  # `aces protocols` says what is wrong with it
-        best = (0.0, name)
-        if (protocol.link == "can") != (link == "can"):
-            continue
-        for dialect, configuration in product(protocol.dialects or [""], protocol.configurations or [""]):
-            text = name + (f":{dialect}" if dialect and dialect != protocol.dialect else "")
-            text += f"@{configuration}" if configuration else ""
-            variant = protocol.variant(dialect or None, configuration or None)
-            best = max(best, (_share(variant, piece), text), key=lambda one: one[0])
-        if best[0] >= FITS:
-            yield best
-
-
-def _share(variant: Variant, piece: Any) -> float:
-    direction: Any = "both" if variant.link == "can" or variant.direction_conflict else None
-    scanner: Any = make_column_scanner([variant], direction=direction)
-    scanner.feed(piece) if variant.link == "can" else feed(scanner, piece, None)
-    scanner.close()
-    return float(scanner.counts.decoded / max(scanner.counts.total, 1))

@@ -1,0 +1,76 @@
+"""Which of the installed protocols a recording is, before anything is guessed.
+
+1. A protocol is tried in every dialect and configuration, on the first piece of a recording; the best one counts.
+2. One that cannot be imported is left out: whoever lists protocols is told what is wrong with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import product
+from typing import Any
+
+from .._lazy import np
+from ..errors import AcesError
+from ..frame_table import FrameTable
+from ..protocol import Variant, list_protocols, load_protocol
+from ..protocol.columns.decode import feed
+from ..protocol.columns.scanner import make_column_scanner
+from .fields import Array
+
+#: Frames and bytes on which protocols are tried; the share from which on one fits.
+TRIED_FRAMES, TRIED_BYTES, FITS = 20_000, 1 << 18, 0.8
+
+
+@dataclass(frozen=True, order=True)
+class FittingProtocol:
+    """A protocol and the share (0 … 1) of a recording that it decodes; `name` is what `-p` takes."""
+
+    share: float
+    name: str
+    variant: Variant = field(compare=False)
+
+
+def fitting_protocols(link: str, piece: Any) -> list[FittingProtocol]:
+    """The installed protocols that decode most of a piece (a `FrameTable` where `link` is "can", else bytes), best first."""
+    return sorted(_fitting(link, piece), reverse=True)
+
+
+def _fitting(link: str, piece: Any) -> Iterator[FittingProtocol]:
+    for name in list_protocols():
+        try:
+            protocol = load_protocol(name)
+        except AcesError:
+            continue
+        if (protocol.link == "can") != (link == "can"):
+            continue
+        found: list[FittingProtocol] = []
+        for dialect, configuration in product(protocol.dialects or [""], protocol.configurations or [""]):
+            text = name + (f":{dialect}" if dialect and dialect != protocol.dialect else "")
+            text += f"@{configuration}" if configuration else ""
+            variant = protocol.variant(dialect or None, configuration or None)
+            found.append(FittingProtocol(_share(variant, piece), text, variant))
+        best = max(found)
+        if best.share >= FITS:
+            yield best
+
+
+def _scanner(variant: Variant, **keywords: Any) -> Any:
+    direction: Any = "both" if variant.link == "can" or variant.direction_conflict else None
+    return make_column_scanner([variant], direction=direction, **keywords)
+
+
+def _share(variant: Variant, piece: Any) -> float:
+    scanner = _scanner(variant)
+    scanner.feed(piece) if variant.link == "can" else feed(scanner, piece, None)
+    scanner.close()
+    return float(scanner.counts.decoded / max(scanner.counts.total, 1))
+
+
+def undecoded(variant: Variant, frames: FrameTable) -> Array:
+    """The rows of `frames` that a protocol on CAN does not decode, in order; int64."""
+    scanner = _scanner(variant, include_unknown=True)
+    tables = [*scanner.feed(frames), *scanner.close()]
+    lost = [np.asarray(table.row, np.int64) for table in tables if not table.message]
+    return np.unique(np.concatenate(lost)) if lost else np.zeros(0, np.int64)

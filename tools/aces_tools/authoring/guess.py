@@ -1,0 +1,181 @@
+"""Guess the spec of a recording that no protocol reads.
+
+  aces spec guess drive.log             what is on this bus: messages, rates,
+                                        fields, requests and replies
+  aces spec guess drive.log -o draft.py
+                                        a spec of it that loads and decodes, with
+                                        the evidence in comments, for you to edit
+  aces spec guess a.log b.log           several recordings of one bus
+  aces spec guess drive.log --no-known  do not try the installed protocols first
+  aces spec guess drive.log --json      all guesses, for programs
+
+A guess has its evidence, and a confidence from 0 to 1. Fields are named by
+kind and place: number_2_4 begins in byte 2, its lowest bit is bit 4 of a byte.
+What never changed is a constant of this recording, and no more than that; the
+longer a recording is and the more happens in it, the better the guesses.
+
+exit status: 0 guessed, or known already; 2 a wrong call, or no recording
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+from aces_bus.errors import CallerError
+from aces_bus.guess import FieldGuess, MessageGuess, Traffic, TrafficGuess, draft_source
+from aces_bus.plain_text import printable
+from aces_bus.recordings import CanRecording
+
+from ..console import (
+    Patience,
+    check_suffix,
+    counted,
+    print_json,
+    report_unreadable,
+    say,
+    say_note,
+    write_text,
+)
+from ..decoding import open_any
+from ..options import COLOR, JSON, OUTPUT, Arguments, argument, flag
+from ..output.columns import Page
+
+#: Pairs and known protocols that are listed.
+LISTED = 20
+
+ARGUMENTS: Arguments = (
+    argument(
+        "files", nargs="+", metavar="CAPTURE", help="recordings of one bus, any format; '-': standard input"
+    ),
+    OUTPUT.but(metavar="draft.py", help="write the draft of a spec there"),
+    flag("--force", help="overwrite a draft that is there already"),
+    flag("--no-known", help="guess everything, also what an installed protocol decodes"),
+    JSON.but(help="all guesses as JSON"),
+    COLOR,
+)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    check_suffix("-o", arguments.output, ".py")
+    if arguments.output is not None and os.path.exists(arguments.output) and not arguments.force:
+        raise CallerError(f"{arguments.output}: is there already; choose another name, or say --force")
+    traffic = Traffic()
+    with Patience() as patience:
+        for name in arguments.files:
+            with patience.waiting():
+                recording = open_any(name)
+            with recording:
+                if not isinstance(recording, CanRecording):
+                    raise CallerError(f"{name}: is no recording of a CAN bus")
+                for table in patience.each(recording.tables()):
+                    traffic.add(table)
+                report_unreadable(recording, is_over=True)
+    guess = traffic.guess(known=not arguments.no_known)
+    if arguments.output is not None and guess.messages:
+        stem = Path(arguments.output).stem
+        write_text(arguments.output, draft_source(guess, stem, [Path(one).name for one in arguments.files]))
+    if arguments.json:
+        print_json({**guess.as_dict(), "output": arguments.output if guess.messages else None})
+    else:
+        _show(guess, arguments)
+    if arguments.output is not None and not guess.messages:
+        said = (
+            "has no frames"
+            if not guess.frames
+            else f"is {guess.known[0].name}"
+            if guess.known
+            else "has nothing to guess"
+        )
+        say(f"no draft was written: the recording {said}")
+    return 0
+
+
+# ---------------------------------------------------------------------- text
+
+
+def _show(guess: TrafficGuess, arguments: argparse.Namespace) -> None:
+    page = Page(arguments.color)
+    title = ", ".join("standard input" if one == "-" else one for one in arguments.files)
+    page.lines(
+        [
+            printable(
+                f"{title}: {counted(guess.frames, 'frame')}, {counted(len(guess.messages), 'message')} guessed"
+            )
+        ]
+    )
+    if guess.kept < guess.frames - guess.errors:
+        page.lines([f"only the first {guess.kept:,} frames were looked at"])
+    files = " ".join("-" if one == "-" else shlex.quote(one) for one in arguments.files)
+    for known in guess.known[:LISTED]:
+        page.lines([printable(f"{known.share:4.0%} is {known.name}:  aces decode {files} -p {known.name}")])
+    if guess.known:
+        left = sum(message.frames for message in guess.messages)
+        page.lines(
+            [
+                f"guessed is what {guess.known[0].name} leaves: {counted(left, 'frame')} (--no-known: everything)"
+            ]
+        )
+    for protocol in guess.protocols:
+        page.lines([""])
+        page.beside(protocol.name, [f"{protocol.evidence} ({protocol.confidence:.2f})"], "message")
+    for message in guess.messages:
+        page.lines([""])
+        page.lines([page.paint("message", printable(_headline(message)))])
+        if not arguments.quiet:
+            page.table(("field", "bits", "kind", "sure", "evidence"), [_cells(one) for one in message.fields])
+    if guess.pairs:
+        page.lines(["", "requests and replies"])
+        page.table(
+            ("request", "reply", "sure", "evidence"),
+            [
+                (_identifier(one.request), _identifier(one.reply), f"{one.confidence:.2f}", one.evidence)
+                for one in guess.pairs[:LISTED]
+            ],
+        )
+    if guess.messages and arguments.output is None:
+        page.lines(["", f"a draft to edit: aces spec guess {printable(files)} -o draft.py"])
+    elif guess.messages:
+        quoted = shlex.quote(arguments.output)
+        say_note(
+            f"{arguments.output}: written; next: aces decode {files} -p {quoted}; aces spec check {quoted} --against {files}"
+        )
+
+
+def _identifier(key: int) -> str:
+    return f"{key & 0x1FFF_FFFF:0{8 if key >> 31 else 3}X}"
+
+
+def _headline(message: MessageGuess) -> str:
+    parts = [f"{message.shown}  {counted(message.frames, 'frame')}"]
+    if message.timing is not None:
+        period, jitter = message.timing.period_ns / 1e6, message.timing.jitter_ns / 1e6
+        parts.append(
+            f"every {period:.4g} ms ± {jitter / 2:.2g}" if message.timing.is_regular else "at no fixed rate"
+        )
+    lengths: Sequence[int] = message.lengths
+    parts.append(f"{lengths[0]} bytes" if len(lengths) == 1 else f"{lengths[0]} to {lengths[-1]} bytes")
+    if message.node is not None:
+        numbers = message.node.numbers
+        parts.append(f"{message.node.name} {numbers[0]}…{numbers[-1]} ({message.node.confidence:.2f})")
+    return ", ".join(parts)
+
+
+def _cells(one: FieldGuess) -> tuple[str, ...]:
+    first, last = one.positions[0], one.positions[-1]
+    where = f"{first // 8}.{first % 8}" + (f"…{last // 8}.{last % 8}" if first != last else "")
+    kind = one.kind
+    if one.kind in ("number", "counter", "float"):
+        size = f"{'s' if one.signed else 'u'}{one.length}" if one.kind != "float" else f"{one.length}"
+        order = f" {one.order}" if first // 8 != last // 8 else ""
+        kind = f"{one.kind} {size}{order}"  # type: ignore[assignment]  # text from here on
+    return (_name(one), where, kind, f"{one.confidence:.2f}", one.evidence)
+
+
+def _name(one: FieldGuess) -> str:
+    from aces_bus.guess.draft import field_name
+
+    return "" if one.kind == "constant" else field_name(one)
