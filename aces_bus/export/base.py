@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, ClassVar, Self
@@ -111,7 +111,82 @@ class Dataset:
     rows: int = 0
 
 
-class Export(ABC):
+class Datasets:
+    """The datasets of a stream of tables, one a message that has occurred: names, layouts, labels.
+
+    `rows` counts what was taken, by dataset. `notes` says in sentences what could not be taken as it is.
+    """
+
+    def __init__(self, options: Options, variants: Sequence[Variant]) -> None:
+        self.options = options
+        self.variants = tuple(variants)
+        self.labels, self.sources = Labels(), Labels()
+        #: Whether times count from 1970; None while none is known.
+        self.absolute: bool | None = None
+        self._objects = Objects(variants)
+        self._naming = Naming(variants, reserved=self._reserved())
+        self._datasets: dict[tuple[str, str], list[Dataset]] = {}
+
+    def _reserved(self) -> Collection[str]:
+        """Names that no dataset may have."""
+        return ()
+
+    @property
+    def rows(self) -> dict[str, int]:
+        """Rows so far, by dataset."""
+        return {dataset.name: dataset.rows for dataset in self._all()}
+
+    @property
+    def notes(self) -> list[str]:
+        """What could not be written as it is, one sentence each."""
+        return [
+            f"{dataset.name}: {number} values of {name} need more than 64 bits and are left empty"
+            for dataset in self._all()
+            for name, number in dataset.layout.too_wide.items()
+        ]
+
+    def plain(self, slot: DatasetColumn, values: Any, absent: Any) -> list[Any]:
+        """The values of a column of a block: labels as texts, None where there is none."""
+        plain: list[Any] = values.tolist()
+        if slot.holds == "label":
+            names = self.sources.names if slot.role == "source" else self.labels.names
+            return [None if code < 0 else names[code] for code in plain]
+        if absent is not None:
+            plain = [None if gone else one for one, gone in zip(plain, absent.tolist(), strict=True)]
+        return plain
+
+    def _all(self) -> list[Dataset]:
+        return [dataset for some in self._datasets.values() for dataset in some]
+
+    def see_times(self, tables: Sequence[MessageTable]) -> None:
+        """Learn of the first tables whether times count from 1970."""
+        for table in tables:
+            if self.absolute is None:
+                self.absolute = is_absolute(table.time)
+
+    def dataset(self, table: MessageTable, columns: Mapping[str, list[str]]) -> Dataset:
+        """The dataset of a table, begun where there is none; `columns` as of `Export.write`."""
+        some = self._datasets.setdefault((table.protocol, table.message), [])
+        for dataset in some:
+            if dataset.layout.fits(table):
+                return dataset
+        layout = DatasetLayout.of(
+            table,
+            self._objects.of(table),
+            columns=columns.get(table.message),
+            float32=self.options.float32,
+            with_source=self.options.sources,
+        )
+        made = Dataset(self._naming.name(table.protocol, table.message), layout)
+        some.append(made)
+        self._begin(made)
+        return made
+
+    def _begin(self, dataset: Dataset) -> None:
+        """A message has occurred for the first time; there may be nothing to do."""
+
+
+class Export(Datasets, ABC):
     """Tables on their way into a file or folder; made by `open_export`.
 
         with open_export("walk.parquet", variants=[hubo.variant()]) as export:
@@ -129,15 +204,8 @@ class Export(ABC):
     suffix: ClassVar[str] = ""
 
     def __init__(self, path: str, options: Options, variants: Sequence[Variant]) -> None:
+        super().__init__(options, variants)
         self.path = path
-        self.options = options
-        self.variants = tuple(variants)
-        self.labels, self.sources = Labels(), Labels()
-        #: Whether times count from 1970; None while none is known.
-        self.absolute: bool | None = None
-        self._objects = Objects(variants)
-        self._naming = Naming(variants, reserved=self._reserved())
-        self._datasets: dict[tuple[str, str], list[Dataset]] = {}
         self._is_closed = False
         self.makes_folder = self.is_folder and options.only is None
         suffix = self.suffix
@@ -151,41 +219,10 @@ class Export(ABC):
                 is_ours=(lambda name: name.endswith(suffix)) if self.is_folder else None,
             )
 
-    def _reserved(self) -> Collection[str]:
-        """Names that no dataset may have."""
-        return ()
-
     @property
     def place(self) -> str:
         """Where to write: it takes the export's name by `close`."""
         return self._staging.temporary
-
-    @property
-    def rows(self) -> dict[str, int]:
-        """Rows so far, by dataset."""
-        return {dataset.name: dataset.rows for dataset in self._all()}
-
-    @property
-    def notes(self) -> list[str]:
-        """What could not be written as it is, one sentence each."""
-        return [
-            f"{dataset.name}: {number} values of {name} need more than 64 bits and are left empty"
-            for dataset in self._all()
-            for name, number in dataset.layout.too_wide.items()
-        ]
-
-    def _plain(self, slot: DatasetColumn, values: Any, absent: Any) -> list[Any]:
-        """The values of a column of a block: labels as texts, None where there is none."""
-        plain: list[Any] = values.tolist()
-        if slot.holds == "label":
-            names = self.sources.names if slot.role == "source" else self.labels.names
-            return [None if code < 0 else names[code] for code in plain]
-        if absent is not None:
-            plain = [None if gone else one for one, gone in zip(plain, absent.tolist(), strict=True)]
-        return plain
-
-    def _all(self) -> list[Dataset]:
-        return [dataset for some in self._datasets.values() for dataset in some]
 
     def write(
         self,
@@ -202,30 +239,9 @@ class Export(ABC):
         if self._is_closed:
             raise CallerError(f"{self.path}: this export is closed")
         tables = [table for table in tables if len(table)]
-        if self.absolute is None:
-            for table in tables:
-                self.absolute = is_absolute(table.time)
-                if self.absolute is not None:
-                    break
+        self.see_times(tables)
         with telling(self.path):
             self._write(tables, source, columns or {})
-
-    def _dataset(self, table: MessageTable, columns: dict[str, list[str]]) -> Dataset:
-        some = self._datasets.setdefault((table.protocol, table.message), [])
-        for dataset in some:
-            if dataset.layout.fits(table):
-                return dataset
-        layout = DatasetLayout.of(
-            table,
-            self._objects.of(table),
-            columns=columns.get(table.message),
-            float32=self.options.float32,
-            with_source=self.options.sources,
-        )
-        made = Dataset(self._naming.name(table.protocol, table.message), layout)
-        some.append(made)
-        self._begin(made)
-        return made
 
     def commit(self) -> None:
         """Of a live export: when this returns, the system has all that was written, and a program that is killed loses none
@@ -253,7 +269,7 @@ class Export(ABC):
                 if self.options.only is not None and not self._datasets:
                     for variant in self.variants:
                         if self.options.only in variant.messages:
-                            self._dataset(empty_table(variant, self.options.only), {})
+                            self.dataset(empty_table(variant, self.options.only), {})
                             break
                 self._finish()
             self._is_closed = True
@@ -291,9 +307,6 @@ class Export(ABC):
     ) -> None:
         """Take tables, none of them empty."""
 
-    def _begin(self, dataset: Dataset) -> None:  # noqa: B027 - a format may have nothing to do
-        """A message has occurred for the first time."""
-
     def _commit(self) -> None:
         """Hand what waits to the system."""
         raise CallerError(f"{self.path}: {self.format} has its index at its end, and does not grow")
@@ -326,7 +339,7 @@ class Buffered(Export):
         self, tables: Sequence[MessageTable], source: str | None, columns: dict[str, list[str]]
     ) -> None:
         for table in tables:
-            dataset = self._dataset(table, columns)
+            dataset = self.dataset(table, columns)
             block = dataset.layout.block(table, self.labels, self.sources, source)
             size = size_of(block)
             dataset.pieces.append(block)

@@ -129,7 +129,7 @@ class SqliteExport(Buffered):
     ) -> list[Any]:
         if names is not None:
             values = np.array(names.labels.names, object)[names.codes(values)]
-        plain = self._plain(slot, values, absent)
+        plain = self.plain(slot, values, absent)
         if names is None and values.dtype.kind == "u" and values.dtype.itemsize == 8:
             plain = [str(one) if one is not None and one >= 1 << 63 else one for one in plain]
         return plain

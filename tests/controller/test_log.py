@@ -142,7 +142,7 @@ def test_an_mcap_is_one_for_others_too(tmp_path: Path) -> None:
     with path.open("rb") as stream:
         found = reader.make_reader(stream, validate_crcs=True)
         summary = found.get_summary()
-        rows = list(found.iter_messages(topics="/log"))
+        rows = list(found.iter_messages(topics="/states"))
     assert summary.statistics.message_count == 300
     assert summary.statistics.message_start_time == 1_000_000_000
     assert len(summary.chunk_indexes) == 12

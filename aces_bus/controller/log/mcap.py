@@ -1,4 +1,4 @@
-"""Logs as MCAP, for Foxglove and PlotJuggler: one channel `/log`, a JSON object a row, null where unknown.
+"""Logs as MCAP, for Foxglove and PlotJuggler: one channel `/states`, a JSON object a row, null where unknown.
 
 1. A row's `log_time` is the start (ns since 1970, in virtual time of its clock) plus the row's ns, exactly.
 2. What is appended is one chunk. What a killed writer left is read up to its last whole record, and noted; `recover` gives
@@ -18,11 +18,11 @@ import numpy as np
 
 from ...errors import CallerError
 from ...export.mcap_file import CHANNEL, MESSAGE, Fields, McapFault, McapReader, McapWriter
+from ...export.topics import STATES_TOPIC, states_schema
 from .base import MOST_NUMBERS, NOT_CLOSED, About, Log, LogError, LogSink, Row, about_of, made_log
 
 #: Where the log's `About` is among a channel's metadata.
 KEY = "aces_log"
-TOPIC = "/log"
 #: Rows in a chunk of a recovered file.
 CHUNK_ROWS = 1024
 
@@ -36,14 +36,10 @@ class McapSink(LogSink):
     def __init__(self, path: str, about: About) -> None:
         super().__init__(path, about)
         self._encode = msgspec.json.Encoder().encode
-        properties: dict[str, dict[str, str]] = {}
-        for column in about.columns:
-            unit = {"unit": column.unit, "description": f"in {column.unit}"} if column.unit else {}
-            properties[column.name] = {"type": "number", **unit}
-        schema = {"type": "object", "title": "log", "properties": properties}
+        schema = states_schema({column.name: column.unit for column in about.columns})
         metadata = {"robot": about.robot, "clock": about.clock, KEY: about.to_json()}
         self._file: McapWriter = McapWriter(path)
-        self._channel = self._file.channel(TOPIC, "log", msgspec.json.encode(schema), metadata)
+        self._channel = self._file.channel(STATES_TOPIC, "states", schema, metadata)
 
     def append(self, rows: Sequence[Row]) -> None:
         """Write one chunk."""
