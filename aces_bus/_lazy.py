@@ -1,7 +1,7 @@
 """What is imported when it is first used: importing a package costs nothing, and a few frames are read without NumPy.
 
 1. `from ._lazy import np` is `import numpy as np`, but for when. Modules that have arrays as constants import NumPy as ever,
-   and are imported by whoever needs them.
+   and are imported where they are needed.
 2. Who imports the same modules in the usual way notices nothing.
 """
 
