@@ -19,6 +19,7 @@ from aces_bus.robot import Runner, connect, open_gates
 from aces_bus.runtime import Loop
 from tests.robot.served_twins import PATIENCE_S, Twins
 from tests.robot.test_served_stops import BOARDS, Leg, run_on
+from tests.robot.test_served_stops import patience as patience
 from tests.robot.test_served_stops import shared as shared
 from tests.robot.test_served_stops import twins as twins
 from tests.robot.walking import hubo_leg

@@ -18,6 +18,7 @@ from typing import Any
 import pytest
 
 from aces_bus.controller import IGNORE, Controller, Player, Trajectory, stop
+from aces_bus.device import stopping
 from aces_bus.errors import DeviceError
 from aces_bus.robot import Ended, Runner, run_real
 from aces_bus.robot.file import print_robot
@@ -44,6 +45,19 @@ def twins(shared: Twins) -> Twins:
         shared("reboot", name)
     assert shared("off") == BOARDS
     return shared
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stop has longer than in life to be confirmed: the twins of a busy machine answer late."""
+    give_time(monkeypatch, 10)
+
+
+def give_time(monkeypatch: pytest.MonkeyPatch, seconds: int) -> None:
+    """How long a stop is repeated; an attempt half of that."""
+    monkeypatch.setattr(stopping, "STOP_NS", seconds * 1_000_000_000)
+    monkeypatch.setattr(stopping, "ATTEMPT_NS", seconds * 500_000_000)
+    monkeypatch.setattr(stopping.wait_stopped, "__defaults__", (2.0 * seconds,))
 
 
 class Leg(Controller):
@@ -202,8 +216,9 @@ def test_hold_holds_until_its_time_is_over(twins: Twins) -> None:
 
 
 @pytest.mark.slow
-def test_a_silent_board(twins: Twins) -> None:
+def test_a_silent_board(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
     """The others are off; the silent one is named, for it cannot say that it is."""
+    give_time(monkeypatch, 4)
     ended, _ = run_on(
         twins, [Leg()], {"silent": stop()}, fault=lambda: twins("fault", "JMC1", "silent", True)
     )
@@ -221,11 +236,10 @@ def test_bus_off_and_recovery(twins: Twins) -> None:
 
 
 @pytest.mark.slow
-def test_a_stop_that_is_not_confirmed(twins: Twins) -> None:
+def test_a_stop_that_is_not_confirmed(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
     """A board that stays on is named, and the others are off."""
-    ended, _ = run_on(
-        twins, [Leg()], {"log-failed": stop()}, fault=lambda: twins("deaf", "JMC2", True), seconds=0.5
-    )
+    give_time(monkeypatch, 4)
+    ended, _ = run_on(twins, [Leg()], {}, fault=lambda: twins("deaf", "JMC2", True), enough=lambda run: True)
     assert list(ended.not_stopped) == ["JMC2"]
     assert "still on" in ended.not_stopped["JMC2"]
     assert twins("on") == ["JMC2"]

@@ -19,7 +19,7 @@ from .address import ServedAddress, check_timeout, notes, parse_address
 from .packets import PacketError
 
 #: Seconds that a server may take to answer an introduction or a question.
-ANSWER_S = 5.0
+ANSWER_S = 15.0
 #: Bytes that are read at once.
 _READ = 16_384
 
