@@ -42,6 +42,8 @@ SHARE = 0.95
 EDGE = 6
 #: First bytes of a long row at which what is covered may begin.
 STARTS = 40
+#: Where there are so many packets up to this size, longer ones, which cost more, are left out.
+SHORT, FEWEST = 128, 12
 #: Longer rows are not looked at.
 LONGEST = 1024
 #: CRCs that are named first where bytes of several of the same polynomial fit as well (AUTOSAR's libraries, SAE J1850).
@@ -131,7 +133,9 @@ def checks_of(rows: Array, prefix: bytes | Array = b"", *, least_share: float = 
 
 def checks_of_packets(packets: Iterable[bytes], *, least_share: float = SHARE) -> list[CheckGuess]:
     """The checks of packets of any lengths, at the same place from their end, over the bytes from the same start on."""
-    some = _spread([packet for packet in dict.fromkeys(packets) if 2 <= len(packet) <= LONGEST], ROWS)
+    known = [packet for packet in dict.fromkeys(packets) if 2 <= len(packet) <= LONGEST]
+    short = [packet for packet in known if len(packet) <= SHORT]
+    some = _spread(short if len(short) >= FEWEST else known, ROWS)
     if len(some) < 4:
         return []
     lengths = np.array([len(packet) for packet in some])
@@ -165,6 +169,8 @@ class _Family:
         self.width, self.poly, self.refin, self.refout = width, poly, refin, refout
         self.models: list[_Model] = []
         self._tables = np.zeros((0, 256), np.uint32)
+        #: What the register is behind the last distance of the tables.
+        self._register: Array | None = None
         self._constants: dict[int, Array] = {}
 
     def columns(self, init: int = 0) -> CrcColumns:
@@ -175,14 +181,15 @@ class _Family:
     def tables(self, count: int) -> Array:
         """What a byte gives at each distance from the end, uint32 (count, 256)."""
         if len(self._tables) < count:
-            count = max(64, 1 << (count - 1).bit_length())
             crc, nothing = self.columns(), np.zeros((1, 1), np.uint8)
-            register = crc.over(crc.begin(256), np.arange(256, dtype=np.uint8)[:, None])
-            out: list[Array] = []
-            for _ in range(count):
-                out.append(crc.end(register).astype(np.uint32))
-                register = crc.over(register, nothing)
-            self._tables = np.stack(out)
+            if self._register is None:
+                self._register = crc.over(crc.begin(256), np.arange(256, dtype=np.uint8)[:, None])
+            steps: list[Array] = []
+            for _ in range(max(64, 1 << (count - 1).bit_length()) - len(self._tables)):
+                steps.append(self._register)
+                self._register = crc.over(self._register, nothing)
+            more = crc.end(np.concatenate(steps)).astype(np.uint32).reshape(-1, 256)
+            self._tables = np.concatenate([self._tables, more])
         return self._tables[:count]
 
     def constants(self, init: int, count: int) -> Array:
@@ -579,7 +586,10 @@ def _sum_bits(kind: str, own: Array, covered: Array) -> float:
                 if any((mirror == mirror[0]).all() for mirror in (one - byte, one + byte, one ^ byte)):
                     return 0.0
     different = len(np.unique(varying, axis=0))
-    bits = (different - 1) * min(_entropy(np.diff(_number(own, "little"))), 8.0 * own.shape[1])
+    steps = np.diff(_number(own, "little"))
+    # How evenly the check's steps are spread, beside what so few of them can be.
+    spread = _entropy(steps) / log2(max(2, min(len(steps), 1 << 8 * own.shape[1])))
+    bits = (different - 1) * 8.0 * own.shape[1] * min(spread, 1.0)
     return float(min(bits, 8.0 * _rank(varying)) if kind == "xor" else bits)
 
 
