@@ -27,13 +27,13 @@ _OURS = frozenset(
             "Counter",
             "Crc",
             "Extra",
+            "FastPacket",
             "Fletcher",
             "IdBytes",
             "IdField",
             "InvertedSum",
-            "Multiplexed",
         ),
-        *("Protocol", "Sum", "Text", "Xor", "bits", "float_bits"),
+        *("IsoTp", "Multiplexed", "Protocol", "Sum", "Text", "Xor", "bits", "float_bits"),
     )
 )
 _WORDS = re.compile(r"\b(?:GreedyBytes|Struct|" + "|".join(sorted(_OURS)) + r")\b")
@@ -157,14 +157,15 @@ def _message(message: MessageGuess, own: str, nodes: dict[str, str]) -> Iterator
     for flag, word in ((EXTENDED, "extended"), (FD, "fd"), (REMOTE, "remote")):
         if key & flag:
             yield f"    {word}=True,"
-    if not key & REMOTE:
+    if message.transport:
+        yield f"    transport={message.transport},"
+    elif not key & REMOTE:
         yield f"    length={message.length if message.length is not None else _values(message.lengths)},"
     lines = payload_lines(fields, message.size, message.length is None)
     if lines:
+        lines[-1] += ","
         yield f"    payload={lines[0]}"
-        yield from (f"    {line}" for line in lines[1:-1])
-        if len(lines) > 1:
-            yield f"    {lines[-1]},"
+        yield from (f"    {line}" for line in lines[1:])
     check = next((one for one in fields if one.check is not None), None)
     if check is not None and check.check is not None and not any(one.kind == "text" for one in fields):
         yield f"    check={check.check.declare(field_name(check))},"

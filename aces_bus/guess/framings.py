@@ -290,9 +290,10 @@ class Sample:
     data: bytes
     #: Where lines begin, and the end of the last.
     borders: list[int]
-    #: Stretches between silences (start, end), where times are known.
-    bursts: list[tuple[int, int]] = field(default_factory=list[tuple[int, int]])
-    gap_s: float | None = None
+    #: Where times are known: pauses (s), and the stretches (start, end) between pauses that are longer.
+    silences: list[tuple[float, list[tuple[int, int]]]] = field(
+        default_factory=list[tuple[float, list[tuple[int, int]]]]
+    )
     taken: list[Span] = field(default_factory=list[Span])
 
     def __post_init__(self) -> None:
@@ -356,7 +357,8 @@ def _judged(
         for one in found
     ]
     if guess.kind == "silence":
-        spans = [Span(start, end, number) for start, end in sample.bursts]
+        bursts = dict(sample.silences)[guess.gap_s or 0.0]
+        spans = [Span(start, end, number) for start, end in bursts]
     covered = sum(one.end - one.start for one in spans)
     share = covered / max(left, 1)
     if guess.bits < ENOUGH_BITS or len(spans) < 3 or share < 0.02:
@@ -685,16 +687,12 @@ def _stuffed(guess: FramingGuess, packets: Sequence[bytes]) -> FramingGuess:
 
 
 def _bursts(sample: Sample) -> Iterator[FramingGuess]:
-    packets = [sample.data[start:end] for start, end in sample.bursts][:PACKETS]
-    if len(packets) < 4 or sample.gap_s is None:
-        return
-    words = (
-        f"{len(sample.bursts)} packets with silences of more than {1000 * sample.gap_s:.3g} ms between them"
-    )
-    most = max(map(len, packets))
-    guess = FramingGuess(
-        "silence", gap_s=sample.gap_s, max_size=max(64, min(LONGEST, 2 * most)), evidence=(words,)
-    )
-    checked = _with_check(guess, packets)
-    if checked.check is not None:
-        yield checked
+    for gap, bursts in sample.silences:
+        packets = [sample.data[start:end] for start, end in bursts][:PACKETS]
+        if len(packets) < 4:
+            continue
+        words = f"{len(bursts)} packets with silences of more than {1000 * gap:.3g} ms between them"
+        most = min(LONGEST, max(64, 2 * max(map(len, packets))))
+        guess = _with_check(FramingGuess("silence", gap_s=gap, max_size=most, evidence=(words,)), packets)
+        if guess.check is not None:
+            yield guess

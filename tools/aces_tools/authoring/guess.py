@@ -158,6 +158,8 @@ def _headline(message: MessageGuess) -> str:
         )
     lengths: Sequence[int] = message.lengths
     parts.append(f"{lengths[0]} bytes" if len(lengths) == 1 else f"{lengths[0]} to {lengths[-1]} bytes")
+    if message.transport:
+        parts.append(f"packets of {message.transport.removesuffix('()')}")
     if message.node is not None:
         numbers = message.node.numbers
         parts.append(f"{message.node.name} {numbers[0]}…{numbers[-1]} ({message.node.confidence:.2f})")
