@@ -28,6 +28,8 @@ KEPT = 1 << 20
 HEAD, EXPLAINED = 8, 32
 #: Different opcodes at most, packets of each on average at least, and bits that an opcode must explain.
 OPCODES, EACH, EXPLAINS_BITS = 64, 3.0, 1.0
+#: Share of what explains most that a byte in front of it must explain to be the one.
+PLAIN = 0.6
 #: Packets of one kind that are looked at.
 ROWS = 8192
 #: Kinds of packets that are drafted, of each framing.
@@ -267,20 +269,18 @@ def opcode_of(framing: FramingGuess, packets: Sequence[bytes]) -> tuple[int, int
     data = np.array([list(packet[:width]) for packet in some], np.int64)
     sizes = np.array([len(packet) for packet in some], np.int64)
     columns = [data[:, at] for at in range(first, width) if not _is_length(framing, at)]
-    best: tuple[float, int, int] | None = None
-    for at in places:
-        gain = _explained(data[:, at], sizes, columns)
-        if gain is not None and gain >= EXPLAINS_BITS and (best is None or gain > best[0]):
-            best = gain, at, 1
-    if best is None:
+    gains = {at: _explained(data[:, at], sizes, columns) for at in places}
+    most = max(gains.values())
+    if most < EXPLAINS_BITS:
         return None
-    gain, at, _ = best
+    # What is in front says what follows; what follows goes with it.
+    at = next(at for at in places if gains[at] >= PLAIN * most)
     for start in (at - 1, at):
         if start in places and start + 1 in places:
-            pair = _explained(data[:, start] << 8 | data[:, start + 1], sizes, columns)
-            if pair is not None and pair > gain + EXPLAINS_BITS:
-                gain, best = pair, (pair, start, 2)
-    return best[1], best[2]
+            pair = data[:, start] << 8 | data[:, start + 1]
+            if _explained(pair, sizes, []) >= _explained(data[:, at], sizes, []) + EXPLAINS_BITS:
+                return start, 2
+    return at, 1
 
 
 def _is_length(framing: FramingGuess, at: int) -> bool:
@@ -288,12 +288,12 @@ def _is_length(framing: FramingGuess, at: int) -> bool:
     return length is not None and length.offset <= at < length.offset + length.width
 
 
-def _explained(codes: Array, sizes: Array, columns: Sequence[Array]) -> float | None:
-    """How many bits of sizes and contents a number explains; None where it is no number of kinds."""
+def _explained(codes: Array, sizes: Array, columns: Sequence[Array]) -> float:
+    """How many bits of sizes and contents a number explains; 0 where it is no number of kinds."""
     _, kinds = np.unique(codes, return_inverse=True)
     count = int(kinds.max()) + 1
     if count < 2 or count > OPCODES or len(codes) < EACH * count:
-        return None
+        return 0.0
     gain = 4 * _shared(sizes, kinds, count)
     return gain + sum(_shared(column, kinds, count) for column in columns if (column != codes).any())
 
