@@ -28,10 +28,12 @@ from aces_bus.frame_table import to_ns
 from aces_bus.frames import Frame
 from aces_bus.protocol import Scanner, Unknown, make_scanner
 from aces_bus.protocol.keys import key_of
-from aces_bus.recordings import CanRecording, Recording, SerialRecording
+from aces_bus.recordings import CanRecording, Link, Recording, SerialRecording
+from aces_bus.recordings.pieces import Direction, check_direction
+from aces_bus.recordings.totals import Totals
 
 from .console import Output, Patience, abandon_stdout, say_note, standard_input, terminal_width, wants_colour
-from .decoding import Decoding, Direction, Link, Totals, check_direction, utf8
+from .decoding import Decoding, utf8
 from .options import (
     COLOR,
     COUNT,
