@@ -40,6 +40,7 @@ FLOORS: dict[str, set[str]] = {
     "protocol": set(),  # no I/O, no clock, no device
     "recordings": {"protocol"},
     "export": {"protocol"},  # tables on disk, whole or kill-safe
+    "fleet": {"protocol", "recordings", "export"},  # many recordings, many machines
     "hardware": {"runtime", "recordings"},  # replays recordings; knows no protocol
     "device": {"runtime", "protocol"},  # one node, whatever the bus
     "state": {"runtime", "device"},
