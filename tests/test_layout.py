@@ -41,6 +41,7 @@ FLOORS: dict[str, set[str]] = {
     "recordings": {"protocol"},
     "guess": {"protocol"},  # drafts of specs out of recordings
     "export": {"protocol"},  # tables on disk, whole or kill-safe
+    "fleet": {"protocol", "recordings", "export"},  # many recordings, many machines
     "hardware": {"runtime", "recordings"},  # replays recordings; knows no protocol
     "device": {"runtime", "protocol"},  # one node, whatever the bus
     "state": {"runtime", "device"},

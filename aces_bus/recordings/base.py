@@ -75,6 +75,11 @@ class Recording(ABC):
         """Whether this is a pipe or a device, and not a file."""
         return self._source.live
 
+    @property
+    def packing(self) -> str:
+        """ "gzip" or "zstandard" when that is how the bytes are stored, otherwise ""."""
+        return self._source.packing
+
     def close(self) -> None:
         """Close the file, if it was opened here; reading to the end does so too."""
         self._source.close()

@@ -269,14 +269,19 @@ def split_capture(path: str, pieces: int) -> list[Span] | None:
     Raises `CaptureError` when the file cannot be opened or is no CAN capture.
     """
     with open_recording(path, link="can") as capture:
-        if capture.live or not isinstance(capture, CandumpCapture):
+        if not may_be_split(capture):
             return None
     spans = split_lines(path, pieces, LEAST)
     return spans if len(spans) > 1 else None
 
 
-def open_part(path: str, span: Span) -> CanRecording:
-    """The frames of a part; lines are counted from its start."""
-    capture = CandumpCapture(ByteSource(path, span=span))
+def may_be_split(capture: CanRecording) -> bool:
+    """Whether a recording can be entered at the beginning of any of its lines."""
+    return isinstance(capture, CandumpCapture) and not capture.live and not capture.packing
+
+
+def open_part(source: PathSource | BinaryIO, span: Span) -> CanRecording:
+    """The frames of a part; lines are counted from its start. A source that is open already gives the part alone."""
+    capture = CandumpCapture(ByteSource(source, span=span))
     capture.is_known = True  # by the file's start: a part may begin with unreadable lines
     return capture

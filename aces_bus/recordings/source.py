@@ -40,8 +40,8 @@ class ByteSource:
     `live` says that the bytes may still be in the making. The file is closed at its end, or by `close`, when it was
     opened here; standard input and files of the caller stay open.
 
-    `span` are the first and the last but one byte to read of a plain file, given by its path: a part that begins and
-    ends where lines do (`split_lines`).
+    `span` are the first and the last but one byte to read of a plain file: a part that begins and ends where lines do
+    (`split_lines`). A file that is open already gives the part, and nothing else.
     """
 
     def __init__(
@@ -78,13 +78,14 @@ class ByteSource:
 
     def _narrow(self, span: tuple[int, int]) -> None:
         start, end = span
-        if not self._owned or self.live:
+        if self.live:
             self.close()
-            raise CallerError(f"{self.name}: only of a file that is named by its path can a part be read")
+            raise CallerError(f"{self.name}: only of a plain file can a part be read")
         if not 0 <= start <= end:
             self.close()
             raise CallerError(f"{self.name}: bytes {start} to {end} are no part of a file")
-        self._file.seek(start)
+        if self._owned:
+            self._file.seek(start)
         self._left = end - start
         self._inside = start > 0
         self._told = self._inside
@@ -307,20 +308,32 @@ def split_lines(path: PathSource, pieces: int, at_least: int = 1 << 20) -> list[
         size = 0 if source.live else os.fstat(source.fileno()).st_size
         if source.live or source.packing:
             return [(0, size)]
-        borders = [0]
-        pieces = max(1, min(pieces, size // max(at_least, 1)))
-        for number in range(1, pieces):
-            border = _border(source.fileno(), size * number // pieces)
-            if border is not None and border > borders[-1]:
-                borders.append(border)
+        file = source.fileno()
+
+        def read_at(place: int, count: int) -> bytes:
+            os.lseek(file, place, os.SEEK_SET)
+            return os.read(file, count)
+
+        return cut_lines(read_at, size, pieces, at_least)
+
+
+def cut_lines(
+    read_at: Callable[[int, int], bytes], size: int, pieces: int, at_least: int
+) -> list[tuple[int, int]]:
+    """As `split_lines`, of `size` bytes that are not packed; `read_at(place, count)` reads some of them."""
+    borders = [0]
+    pieces = max(1, min(pieces, size // max(at_least, 1)))
+    for number in range(1, pieces):
+        border = _border(read_at, size * number // pieces)
+        if border is not None and border > borders[-1]:
+            borders.append(border)
     return list(zip(borders, [*borders[1:], size], strict=True))
 
 
-def _border(file: int, place: int) -> int | None:
+def _border(read_at: Callable[[int, int], bytes], place: int) -> int | None:
     """Where a line begins, from `place` on; None when none does soon."""
     for _ in range(16):
-        os.lseek(file, place, os.SEEK_SET)
-        data = os.read(file, BLOCK)
+        data = read_at(place, BLOCK)
         if found := re.search(rb"\n(?=[^\t ])", data):
             return place + found.end()
         if len(data) < 2:

@@ -8,6 +8,7 @@ The line by line reader, which `test_candump` checks against the format's descri
 from __future__ import annotations
 
 import io
+import os
 import random
 from pathlib import Path
 from typing import Any
@@ -332,8 +333,11 @@ def test_a_part_needs_a_file_that_has_it(tmp_path: Path) -> None:
     path.write_bytes(b"(1.5) can0 123#11\n")
     with pytest.raises(CallerError, match="no part of a file"):
         ByteSource(path, span=(5, 4))
-    with pytest.raises(CallerError, match="named by its path"):
-        ByteSource(io.BytesIO(b"abc"), span=(0, 3))
+    assert b"".join(ByteSource(io.BytesIO(b"abc"), span=(7, 10)).blocks()) == b"abc"  # which gives the part already
+    reading, writing = os.pipe()
+    os.close(writing)
+    with open(reading, "rb") as pipe, pytest.raises(CallerError, match="only of a plain file"):
+        ByteSource(pipe, span=(0, 3))
 
 
 def test_blocks_stay_small_until_a_line_is_likely() -> None:

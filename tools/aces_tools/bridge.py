@@ -27,10 +27,11 @@ import msgspec
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Unknown, Variant, make_scanner
 from aces_bus.recordings import parse_filter
+from aces_bus.recordings.pieces import check_direction, has_requests
 
 from .bus_arg import ChosenBus, chosen_end
 from .console import say
-from .decoding import check_direction, has_requests, named_messages
+from .decoding import named_messages
 from .live import LINGER_S, STEP_S, BusEventLines, LivePatience, SendQueue, silence_s
 from .options import (
     DIRECTION,

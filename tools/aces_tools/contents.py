@@ -20,9 +20,9 @@ from aces_bus.plain_text import printable
 from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
 from aces_bus.recordings import CanRecording, parse_filter
 from aces_bus.recordings.filters import passing
+from aces_bus.recordings.pieces import open_any
 
 from .console import Patience, abandon_stdout, counted, print_json, report_unreadable, say
-from .decoding import open_any
 from .output.columns import Page
 
 #: Options that need to know the messages.

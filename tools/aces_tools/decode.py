@@ -5,6 +5,7 @@
   candump can0 | aces decode -p hubo -
   aces decode walk.log -p hubo --message Encoder --where board=3 -o encoder.csv
   aces decode walk.log -p hubo -o walk.parquet
+  aces decode 's3://logs/**/*.mf4' -p car.dbc -o s3://lake/ --cluster local:4
 
 A FILE is a recording of CAN (candump, BLF, ASC, TRC, MF4, pcap, pcapng, CSV,
 python-can's SQLite and others: `aces convert --help` lists them) or of a serial
@@ -28,10 +29,12 @@ from aces_bus.frame_table import to_ns
 from aces_bus.frames import Frame
 from aces_bus.protocol import Scanner, Unknown, make_scanner
 from aces_bus.protocol.keys import key_of
-from aces_bus.recordings import CanRecording, Recording, SerialRecording
+from aces_bus.recordings import CanRecording, Link, Recording, SerialRecording
+from aces_bus.recordings.pieces import Direction, check_direction
+from aces_bus.recordings.totals import Totals
 
 from .console import Output, Patience, abandon_stdout, say_note, standard_input, terminal_width, wants_colour
-from .decoding import Decoding, Direction, Link, Totals, check_direction, utf8
+from .decoding import Decoding, utf8
 from .options import (
     COLOR,
     COUNT,
@@ -105,6 +108,12 @@ tables (-o FILE, by its suffix; millions of frames a second):
   An output appears only when it is whole: Ctrl-C on a file, or an error while
   writing, leaves what was there before.
 
+fleets (--cluster; docs/fleets.md):
+  FILEs are paths, URIs (s3://, sftp://, http:// …) and patterns of them in
+  quotes; -o names a folder or URI. Each message becomes a Parquet dataset with
+  a folder a day. A second run decodes what is missing or changed;
+  `aces fleet status DATASET` says what there is.
+
 summary (last on stderr, one line a kind of link; the parts sum to the total):
   frames = decoded + unknown + malformed + filtered + errors           (CAN)
            + control + pending, where messages take several frames
@@ -150,6 +159,12 @@ ARGUMENTS: Arguments = (
         help="tables: so many processes (default: 1; 0: one a processor); each message is then a folder of parts"
         " (Parquet, Arrow)",
     ),
+    argument(
+        "--cluster",
+        metavar="WHERE",
+        help="tables, of many files and URIs, into a dataset: here (this process), local:4 (processes) or a Dask"
+        " scheduler's address; see below",
+    ),
     TIME,
     COUNT.but(help="end after so many lines"),
     COLOR,
@@ -157,8 +172,17 @@ ARGUMENTS: Arguments = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    form = table_format(arguments.output, arguments.format)
     arguments.jobs = arguments.jobs or os.cpu_count() or 1
+    if arguments.cluster is not None and arguments.protocol:
+        from .decode_fleet import decode_fleet
+
+        return decode_fleet(arguments)
+    for name in [*arguments.files, arguments.output or ""]:
+        if "://" in name and not os.path.exists(name):
+            raise CallerError(
+                f"{name}: URIs are for fleets: --cluster here, or local:4, or a scheduler's address"
+            )
+    form = table_format(arguments.output, arguments.format)
     arguments.files = arguments.files or standard_input()
     if not arguments.protocol:
         from .contents import show_contents

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import argparse
 from abc import abstractmethod
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
 
-from aces_bus.errors import CallerError, CaptureError
+from aces_bus.errors import CallerError
 from aces_bus.export import Export, open_export
 from aces_bus.frame_table import FrameTable
 from aces_bus.protocol.columns.decode import feed
@@ -23,13 +23,13 @@ from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.columns.table import MessageTable, kinds_of
 from aces_bus.recordings import CanRecording, Recording, SerialRecording
 from aces_bus.recordings.filters import passing
+from aces_bus.recordings.pieces import Direction, pieces_of
+from aces_bus.recordings.totals import Totals
 
 from .console import Patience, Progress, check_not_read, say, say_note
-from .decoding import Decoding, Direction, Totals, utf8
+from .decoding import Decoding, utf8
+from .output.shape import Plans
 from .where import Rows, WhereColumns
-
-#: Frames that are decoded at once, at least, where they need not be waited for.
-PIECE = 1 << 18
 
 
 class TableDecoding(Decoding):
@@ -112,23 +112,8 @@ class TableDecoding(Decoding):
         """The rows that are kept; the others go into the bin `filtered`."""
         if kept.all():
             return table
-        self._reject(table.take(np.flatnonzero(~kept)), totals)
+        totals.reject(table.take(np.flatnonzero(~kept)))
         return table.take(np.flatnonzero(kept))
-
-    @staticmethod
-    def _reject(table: MessageTable, totals: Totals) -> None:
-        """Move rows from their bins to `filtered`."""
-        sizes: Any = table.size if table.size is not None else table.frames
-        if sizes is None:
-            sizes = np.ones(len(table), np.int64)
-        total = int(sizes.sum())
-        totals.add("filtered", total)
-        if table.message:
-            totals.add("decoded", -total)
-            totals.add("records", -len(table))
-            return
-        for reason, size in zip(table["reason"].values.tolist(), sizes.tolist(), strict=True):
-            totals.add("errors" if reason == "error frame" else reason.partition(":")[0], -size)
 
     def _warn_of(self, contested: Any, tables: Sequence[MessageTable]) -> None:
         """Warn when a decoded frame is of an identifier that two protocols claim: of the first such frame."""
@@ -182,7 +167,7 @@ class ColumnDecoding(TableDecoding):
     def __init__(self, arguments: argparse.Namespace, form: str) -> None:
         super().__init__(arguments)
         self.where = WhereColumns(arguments.where, self.plans) if arguments.where else None
-        self.columns = self._signals(arguments.signals)
+        self.columns = named_columns(arguments.signals, self.plans)
         show = arguments.unknown or "hide"
         self.shows_records, self.shows_losses = show != "only", show != "hide"
         # Filters by frame and by time also refuse what is not decoded: they need to see it.
@@ -212,32 +197,6 @@ class ColumnDecoding(TableDecoding):
         name = next(iter(self.messages))
         owners = [v for some in self.variants.values() for v in some if name in v.messages]
         return name if len(owners) == 1 else None
-
-    def _signals(self, texts: list[str]) -> dict[str, list[str]] | None:
-        """The wanted columns of each message that has some; None: all."""
-        globs = [one.strip() for text in texts for one in text.split(",")]
-        if not globs:
-            return None
-        found: dict[str, list[str]] = {}
-        known: list[str] = []
-        used: set[str] = set()
-        for kind, plan in self.plans.items():
-            for column in kinds_of(plan):
-                full = f"{kind.__name__}.{column.name}"
-                known.append(full)
-                matching = {glob for glob in globs if fnmatchcase(full, glob)}
-                if matching:
-                    used |= matching
-                    names = found.setdefault(kind.__name__, [])
-                    if column.name not in names:
-                        names.append(column.name)
-        for glob in globs:
-            if glob not in used:
-                some = ", ".join(sorted(known)[:8])
-                raise CallerError(
-                    f"--signals {glob!r} fits no column; they are named Message.field, with * and ? for any: {some}, …"
-                )
-        return found
 
     # ------------------------------------------------------------------ running
 
@@ -280,7 +239,7 @@ class ColumnDecoding(TableDecoding):
             if (self.messages and table.message not in self.messages) or (
                 self.columns is not None and table.message not in self.columns
             ):
-                self._reject(table, totals)
+                totals.reject(table)
                 continue
             if self.where is not None:
                 table = self._part(table, self.where.holds(table), totals)
@@ -289,27 +248,28 @@ class ColumnDecoding(TableDecoding):
         self.export.write(shown, source=self.source, columns=self.columns)
 
 
-def pieces_of(tables: Iterable[FrameTable], *, is_live: bool) -> Iterator[FrameTable]:
-    """Tables joined until they are worth decoding: what a piece costs for each message is paid less often.
-
-    Where reading stops with an error, what was read before comes first.
-    """
-    waiting: list[FrameTable] = []
-    rows = 0
-    failure: CaptureError | None = None
-    try:
-        for table in tables:
-            waiting.append(table)
-            rows += len(table)
-            if is_live or rows >= PIECE:
-                whole = FrameTable.concat(waiting)
-                waiting, rows = [], 0
-                del table
-                yield whole
-                del whole  # one piece at a time is in memory
-    except CaptureError as error:
-        failure = error
-    if waiting:
-        yield FrameTable.concat(waiting)
-    if failure is not None:
-        raise failure
+def named_columns(texts: Sequence[str], plans: Plans) -> dict[str, list[str]] | None:
+    """The columns that --signals names, of each message that has some; None: all."""
+    globs = [one.strip() for text in texts for one in text.split(",")]
+    if not globs:
+        return None
+    found: dict[str, list[str]] = {}
+    known: list[str] = []
+    used: set[str] = set()
+    for kind, plan in plans.items():
+        for column in kinds_of(plan):
+            full = f"{kind.__name__}.{column.name}"
+            known.append(full)
+            matching = {glob for glob in globs if fnmatchcase(full, glob)}
+            if matching:
+                used |= matching
+                names = found.setdefault(kind.__name__, [])
+                if column.name not in names:
+                    names.append(column.name)
+    for glob in globs:
+        if glob not in used:
+            some = ", ".join(sorted(known)[:8])
+            raise CallerError(
+                f"--signals {glob!r} fits no column; they are named Message.field, with * and ? for any: {some}, …"
+            )
+    return found

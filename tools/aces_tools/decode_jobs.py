@@ -35,10 +35,11 @@ from aces_bus.protocol.columns.can import CanColumns, ChannelColumns
 from aces_bus.protocol.columns.table import MessageTable
 from aces_bus.recordings import CanRecording, UnreadableEntry, open_recording
 from aces_bus.recordings.open import open_part, split_capture
+from aces_bus.recordings.pieces import make_can_scanner, pieces_of
+from aces_bus.recordings.totals import Totals
 
 from .console import SHOWN, Patience, say_note
-from .decode_columns import ColumnDecoding, pieces_of
-from .decoding import Totals
+from .decode_columns import ColumnDecoding
 from .where import Rows
 
 #: Bytes of a log that are one piece, at most; each process gets as many.
@@ -230,12 +231,9 @@ class JobsDecoding(ColumnDecoding):
     # ------------------------------------------------------------------ the other processes
 
     def _column_scanner(self, *, defer: bool) -> CanColumns | ChannelColumns:
-        variants = self.variants["can"]
-        kind: Any = ChannelColumns if any(v.channel is not None for v in variants) else CanColumns
-        made: CanColumns | ChannelColumns = kind(
-            variants, direction=self.direction, include_unknown=self.include_unknown, defer=defer
+        return make_can_scanner(
+            self.variants["can"], direction=self.direction, include_unknown=self.include_unknown, defer=defer
         )
-        return made
 
     def work(self, task: Any, place: str) -> PieceResult:
         """Decode a piece into an export of its own at `place`."""

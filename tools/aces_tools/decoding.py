@@ -7,34 +7,30 @@
 from __future__ import annotations
 
 import argparse
-import os
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any
 
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
 from aces_bus.frame_table import to_ns
-from aces_bus.protocol import ScanCounts, Variant, make_scanner
+from aces_bus.protocol import Variant
 from aces_bus.recordings import (
     CanFilter,
     CanRecording,
+    Link,
     Recording,
     SerialRecording,
     open_recording,
     parse_filter,
 )
-from aces_bus.recordings.serial.raw import RawCapture
+from aces_bus.recordings.pieces import CaptureReading, Direction, SerialWays, open_any
+from aces_bus.recordings.totals import Totals
 
 from .console import Patience, abandon_stdout, report_unreadable, say, say_note
 from .output.shape import Plans, plans_of
 from .protocols_arg import parse_protocols
 from .window import TimeWindow
-
-T = TypeVar("T")
-Link = Literal["can", "serial"]
-Direction = Literal["to device", "from device", "both"]
 
 #: Options that leave something out, by the names of their arguments.
 FILTERS = (
@@ -45,124 +41,6 @@ FILTERS = (
     ("where", "--where"),
     ("signals", "--signals"),
 )
-
-
-@dataclass
-class Totals:
-    """The bins of one kind of link, over all files."""
-
-    bins: dict[str, int] = field(default_factory=dict)
-    lines_unreadable: int = 0
-    missed: int = 0
-    dropped: int = 0
-
-    def add(self, name: str, number: int) -> None:
-        self.bins[name] = self.bins.get(name, 0) + number
-
-    def __getitem__(self, name: str) -> int:
-        return self.bins.get(name, 0)
-
-    def count(self, counts: ScanCounts) -> None:
-        """Add what a scanner counted."""
-        for name in (
-            "total",
-            "decoded",
-            "control",
-            "unknown",
-            "malformed",
-            "skipped",
-            "errors",
-            "pending",
-            "records",
-        ):
-            self.add(name, getattr(counts, name))
-        self.missed += counts.missed
-
-    def line(self, link: Link) -> str:
-        """The summary line."""
-        if link == "can":
-            names = ("decoded", "unknown", "malformed", "filtered", "errors")
-            # Only transports have frames that steer, and frames of packets that are not whole.
-            more = [f"{n}={self[n]}" for n in ("control", "pending") if self[n]]
-            parts = [
-                f"frames={self['total']}",
-                *(f"{n}={self[n]}" for n in names),
-                *more,
-                f"lines_unreadable={self.lines_unreadable}",
-            ]
-            return " ".join(parts)
-        bins = ("decoded", "unknown", "malformed", "skipped", "filtered", "pending", "records")
-        text = " ".join([f"bytes={self['total']}", *(f"{n}={self[n]}" for n in bins)])
-        return f"{text} lines_unreadable={self.lines_unreadable}" if self.lines_unreadable else text
-
-    @property
-    def faults(self) -> list[str]:
-        """What --strict does not allow."""
-        found = [f"{self[n]} {n}" for n in ("unknown", "malformed", "skipped", "pending") if self[n]]
-        if self.lines_unreadable:
-            found.append(f"{self.lines_unreadable} unreadable line{'s' if self.lines_unreadable > 1 else ''}")
-        return found
-
-
-class CaptureReading(Generic[T]):
-    """The items of a capture up to where reading fails: what has come is finished before `check` raises the failure."""
-
-    def __init__(self, items: Iterable[T]) -> None:
-        self._items = items
-        self._failure: CaptureError | None = None
-
-    def __iter__(self) -> Iterator[T]:
-        try:
-            yield from self._items
-        except CaptureError as failure:
-            self._failure = failure
-
-    def check(self) -> None:
-        """Raise what has failed, if anything has."""
-        if self._failure is not None:
-            raise self._failure
-
-
-class Requests:
-    """What went to the device, for decoding what came from it: where a capture says which way bytes went, each way is
-    a stream of its own, and a reply may hang on a request of the other."""
-
-    def __init__(self, variants: Sequence[Variant]) -> None:
-        self._scanner: Any = None
-        if any(map(has_requests, variants)):
-            self._scanner = make_scanner(variants, direction="to device")
-
-    def of(self, data: bytes, time: float | None) -> list[tuple[bytes, float | None]]:
-        """The packets that these bytes complete, with their times."""
-        if self._scanner is None:
-            return []
-        return [(record.meta.raw, record.meta.time) for record in self._scanner.feed(data, time)]
-
-
-def open_any(name: str) -> CanRecording | SerialRecording:
-    """A recording of either link; a file of none of the formats that say what they are is raw bytes."""
-    try:
-        return open_recording(name)
-    except CaptureError:
-        if name == "-" or not os.path.isfile(name):
-            raise
-        return open_recording(name, link="serial")
-
-
-def has_requests(variant: Variant) -> bool:
-    """Whether some message of the protocol hangs on another."""
-    return any(message.reply_to or message.after for message in variant.messages.values())
-
-
-def check_direction(variants: Sequence[Variant], direction: Direction | None) -> None:
-    """Raise `CallerError` where bytes of a stream have two meanings unless their direction is known."""
-    for variant in variants if direction is None else ():
-        clash = variant.direction_conflict
-        if clash is not None and variant.link != "can":
-            raise CallerError(
-                f"{variant.name}: bytes alone do not tell {clash[0].name} from {clash[1].name};"
-                " say which way they went: --direction to (to the device), from, or both"
-            )
 
 
 def named_messages(texts: Sequence[str], plans: Plans) -> frozenset[str]:
@@ -224,44 +102,23 @@ class Decoding(ABC):
 
     def _serial(self, capture: SerialRecording, totals: Totals, patience: Patience) -> None:
         """Decode bytes, each direction as a stream of its own, and count them whatever happens."""
-        used: dict[Direction | None, Any] = {}
-        requests = Requests(self.variants["serial"])
-
-        def scanner_of(direction: Direction | None) -> Any:
-            if direction not in used:
-                check_direction(self.variants["serial"], direction)
-                used[direction] = self._stream_scanner(direction)
-            return used[direction]
-
-        def gap() -> float:
-            return max(getattr(scanner, "gap", 0.0) for scanner in used.values())
-
-        chunks = capture.with_silence(gap) if isinstance(capture, RawCapture) else capture
-        reading = CaptureReading(patience.each(chunks))
+        ways = SerialWays(self.variants["serial"], self.direction, self._stream_scanner, self._feed)
+        reading = CaptureReading(patience.each(ways.chunks(capture)))
         try:
             for chunk in reading:
-                if not chunk.data:  # a live line is silent: nothing that is incomplete will go on
-                    for one in used.values():
-                        self._found(one.idle(), totals)
-                    self._after(capture)
-                    continue
-                direction: Direction | None = self.direction or chunk.direction
-                scanner = scanner_of(direction)
-                if direction == "to device" and self.direction is None:
-                    replies = scanner_of("from device")
-                    for packet, time in requests.of(chunk.data, chunk.time):
-                        self._found(replies.sent(packet, time) or [], totals)
-                self._see(to_ns(chunk.time))
-                self._found(self._feed(scanner, chunk.data, chunk.time), totals)
+                if chunk.data:
+                    self._see(to_ns(chunk.time))
+                for items in ways.feed(chunk):
+                    self._found(items, totals)
                 self._after(capture)
-                if self.is_done:
+                if chunk.data and self.is_done:
                     break
-            for scanner in used.values():
-                self._found(scanner.close(), totals)
+            for items in ways.close():
+                self._found(items, totals)
             reading.check()
         finally:
-            for scanner in used.values():
-                totals.count(scanner.counts)
+            for counts in ways.counts:
+                totals.count(counts)
 
     def _see(self, instant: int) -> None:
         """Note the instant (ns) of bytes that are about to be decoded."""

@@ -43,6 +43,7 @@ VERBS: dict[str, tuple[str, str]] = {
     "fuzz": ("fuzz", "search for a stream that breaks a protocol: laws and coverage"),
     "demo": ("demo", "a simulated robot follows a trajectory, drawn"),
     "bench": ("bench", "measure decoding speed beside other libraries"),
+    "fleet": ("", "datasets that many recordings became: status"),
     "completion": ("shell.completion", "print what completes aces in bash, zsh and fish"),
 }
 
@@ -51,6 +52,9 @@ ALIASES = {"scan": "discover"}
 
 #: Verb → its actions, of the same form; one without an action is a verb itself.
 ACTIONS: dict[str, dict[str, tuple[str, str]]] = {
+    "fleet": {
+        "status": ("fleet_status", "say what a dataset of a fleet consists of, and what is missing"),
+    },
     "spec": {
         "new": ("authoring.new", "begin a protocol: a commented spec, a test, a README"),
         "check": (

@@ -23,10 +23,10 @@ from aces_bus.errors import CallerError
 from aces_bus.frame_table import NO_TIME, FrameTable
 from aces_bus.protocol.columns.table import MessageTable
 from aces_bus.recordings import Recording
+from aces_bus.recordings.totals import Totals
 
 from .console import check_not_read, say, say_note
 from .decode_columns import TableDecoding
-from .decoding import Totals
 from .options import COLOR, DIRECTION, FROM, OUTPUT, PROTOCOL, TIME, TO, Arguments, argument, flag, several
 from .plotting.picture import LARGEST, Limits, LineNames, Picture, PlotPanel, panels_of
 from .plotting.select import Wanted, declared_signals, parse_groups, parse_pattern, select

@@ -59,17 +59,23 @@ class Named(NamedTuple):
     protocol: Protocol
     dialect: str | None
     configuration: str | None
+    #: What `load_protocol` takes for it: a name, or a path.
+    source: str
     channel: str | None = None
 
     def variant(self) -> Variant:
         """The protocol in this dialect and configuration; raises `CallerError` for one that it does not have."""
+        dialect, configuration = self.decided()
+        found = self.protocol.variant(dialect, configuration)
+        return found if self.channel is None else found.on(self.channel)
+
+    def decided(self) -> tuple[str | None, str | dict[str, Mapping[int, Any]] | None]:
+        """Dialect and configuration, of a file its tables; raises `CallerError` for a file that is no such."""
         configuration = self.configuration
         if configuration is None or not configuration.lower().endswith(".toml"):
-            found = self.protocol.variant(self.dialect, configuration)
-        else:
-            tables, dialect = read_configuration(configuration, self.protocol)
-            found = self.protocol.variant(dialect if self.dialect is None else self.dialect, tables or None)
-        return found if self.channel is None else found.on(self.channel)
+            return self.dialect, configuration
+        tables, dialect = read_configuration(configuration, self.protocol)
+        return dialect if self.dialect is None else self.dialect, tables or None
 
 
 def parse_protocols(texts: Iterable[str]) -> list[Variant]:
@@ -88,15 +94,17 @@ def named_protocol(text: str) -> Named:
             if len(names) > bool(protocol.dialects) or found["configuration"] is not None:
                 has = "no configurations" if protocol.dialects else "neither dialects nor configurations"
                 raise CallerError(f"-p {text}: {found['path']} has {has}")
-            return Named(protocol, names[0] if names else None, None)
+            return Named(protocol, names[0] if names else None, None, found["path"])
+        given = names[:1]
         protocol = protocol_of_file(found["path"], names)
+        source = ":".join([found["path"], *given[: len(given) - len(names)]])
         if len(names) > 1:
             raise CallerError(f"-p {text}: nothing named {names[1]!r} is left to choose; {SYNTAX}")
-        return Named(protocol, names[0] if names else None, found["configuration"])
+        return Named(protocol, names[0] if names else None, found["configuration"], source)
     found = _NAME.fullmatch(text)
     if found is None:
         raise CallerError(f"-p {text!r} is not understood; {SYNTAX}")
-    return Named(_installed(found["name"]), found["dialect"], found["configuration"])
+    return Named(_installed(found["name"]), found["dialect"], found["configuration"], found["name"])
 
 
 def _installed(name: str) -> Protocol:

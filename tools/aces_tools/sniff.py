@@ -27,12 +27,13 @@ from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
 from aces_bus.protocol import CanScanner, Meta, Scanner, Unknown
 from aces_bus.protocol.counts import ScanCounts
-from aces_bus.recordings import CanFilter, Chunk, parse_filter
+from aces_bus.recordings import CanFilter, Chunk, Link, parse_filter
+from aces_bus.recordings.totals import Totals
 
 from .bus_arg import BUS, BUS_ARGUMENTS, ChosenBus, chosen_bus
 from .console import ENDLESS, Output, abandon_stdout, say, say_note, terminal_width, wants_colour
 from .decode import LiveDecoding
-from .decoding import Link, Totals, utf8
+from .decoding import utf8
 from .live import STEP_S, BusEventLines, LivePatience, heard_frame, losses, silence_s
 from .live_text import CandumpLines, LiveText, Times
 from .options import (

@@ -19,8 +19,7 @@ from aces_bus.protocol.declare.examples import parse_word
 from aces_bus.protocol.explain import Attempt, Tracer
 from aces_bus.protocol.lint.examples import example_frame
 from aces_bus.recordings import CanRecording, SerialRecording, open_recording
-
-from ..decoding import Direction, check_direction, has_requests
+from aces_bus.recordings.pieces import Direction, check_direction, has_requests
 
 #: Bytes of a stream that are read; frames are read one by one.
 LARGEST = 8 * 2**20

@@ -6,9 +6,10 @@
 # See also: https://github.com/scop/bash-completion/blob/main/doc/configuration.md
 
 _shtab_aces_spec_subparsers=(new check show explain stubs export import)
-_shtab_aces_subparsers=(decode plot convert sniff send play bridge bus robot devices device discover sim run protocols spec fuzz demo bench completion)
+_shtab_aces_fleet_subparsers=(status)
+_shtab_aces_subparsers=(decode plot convert sniff send play bridge bus robot devices device discover sim run protocols spec fuzz demo bench fleet completion)
 
-_shtab_aces_decode_option_strings=(-h --help -p --protocol --direction --format -o --output --filter -m --message --where --signals --from --to --unknown -q --quiet --strict --names --float32 --jobs -t --time -n --count --color --no-color)
+_shtab_aces_decode_option_strings=(-h --help -p --protocol --direction --format -o --output --filter -m --message --where --signals --from --to --unknown -q --quiet --strict --names --float32 --jobs --cluster -t --time -n --count --color --no-color)
 _shtab_aces_plot_option_strings=(-h --help -p --protocol --direction --list -o --output --terminal --show --from --to -t --time --break-time --step --title --xlabel --ylabel --ylim --ymin --ymax --style --color --no-color -q --quiet)
 _shtab_aces_convert_option_strings=(-h --help --format --input-format --merge --from --to --filter --map --strict -q --quiet)
 _shtab_aces_sniff_option_strings=(-h --help -p --protocol --direction --filter -m --message --where --unknown -t --time -n --count --for --format -o --output --rotate -q --quiet --record --screen --color --no-color -c --channel -i --interface -b --bitrate --fd --data-bitrate --timing --bus-kwargs --serial --baud --half-duplex --udp)
@@ -34,6 +35,8 @@ _shtab_aces_spec_option_strings=(-h --help)
 _shtab_aces_fuzz_option_strings=(-h --help --law --examples --for --seed --corpus --replay --failures --most --jobs --json -q --quiet)
 _shtab_aces_demo_option_strings=(-h --help -o --output --seed -q --quiet)
 _shtab_aces_bench_option_strings=(-h --help --quick --frames --save --compare --json -q --quiet)
+_shtab_aces_fleet_status_option_strings=(-h --help --faults --json -q --quiet)
+_shtab_aces_fleet_option_strings=(-h --help)
 _shtab_aces_completion_option_strings=(-h --help --list --words -q --quiet)
 _shtab_aces_option_strings=(-h --help -V --version)
 
@@ -139,9 +142,10 @@ _shtab_aces_spec_new___link_choices=(can serial datagram)
 _shtab_aces_spec_export___format_choices=(c dbc markdown wireshark)
 _shtab_aces_spec_pos_0_choices=(new check show explain stubs export import)
 _shtab_aces_bench_pos_0_choices=(live columns text bus control robot)
+_shtab_aces_fleet_pos_0_choices=(status)
 _shtab_aces_completion_pos_0_choices=(bash zsh fish)
 _shtab_aces_completion___list_choices=(protocols drivers robots devices buses)
-_shtab_aces_pos_0_choices=(decode plot convert sniff send play bridge bus robot devices device discover sim run protocols spec fuzz demo bench completion)
+_shtab_aces_pos_0_choices=(decode plot convert sniff send play bridge bus robot devices device discover sim run protocols spec fuzz demo bench fleet completion)
 
 _shtab_aces_decode_pos_0_nargs='*'
 _shtab_aces_decode__h_nargs=0
@@ -355,6 +359,15 @@ _shtab_aces_bench___quick_nargs=0
 _shtab_aces_bench___json_nargs=0
 _shtab_aces_bench__q_nargs=0
 _shtab_aces_bench___quiet_nargs=0
+_shtab_aces_fleet_status__h_nargs=0
+_shtab_aces_fleet_status___help_nargs=0
+_shtab_aces_fleet_status___faults_nargs=0
+_shtab_aces_fleet_status___json_nargs=0
+_shtab_aces_fleet_status__q_nargs=0
+_shtab_aces_fleet_status___quiet_nargs=0
+_shtab_aces_fleet_pos_0_nargs=A...
+_shtab_aces_fleet__h_nargs=0
+_shtab_aces_fleet___help_nargs=0
 _shtab_aces_completion__h_nargs=0
 _shtab_aces_completion___help_nargs=0
 _shtab_aces_completion__q_nargs=0

@@ -50,8 +50,8 @@ function _shtab_aces_using
   test "$_shtab_aces_cmdpath" = "$argv"
 end
 
-set -g _shtab_aces_commands decode plot convert sniff send play bridge bus robot devices device discover sim run protocols spec 'spec new' 'spec check' 'spec show' 'spec explain' 'spec stubs' 'spec export' 'spec import' fuzz demo bench completion
-set -g _shtab_aces_opts_with_value --against --at --at-end --base --baud --bitrate --break-time --bus --bus-kwargs --channel --compare --corpus --count --data-bitrate --diff --direction --driver --every --examples --expand --failures --fault --faults --filter --for --format --frames --from --gap --hold-for --input-format --interface --jobs --law --link --list --log --loop --map --message --most --name --on-trip --output --port --pose --protocol --rate --record --rename --replay --reply --robot --rotate --rows-hz --save --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --time --timing --title --to --udp --unix --unknown --where --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
+set -g _shtab_aces_commands decode plot convert sniff send play bridge bus robot devices device discover sim run protocols spec 'spec new' 'spec check' 'spec show' 'spec explain' 'spec stubs' 'spec export' 'spec import' fuzz demo bench fleet 'fleet status' completion
+set -g _shtab_aces_opts_with_value --against --at --at-end --base --baud --bitrate --break-time --bus --bus-kwargs --channel --cluster --compare --corpus --count --data-bitrate --diff --direction --driver --every --examples --expand --failures --fault --faults --filter --for --format --frames --from --gap --hold-for --input-format --interface --jobs --law --link --list --log --loop --map --message --most --name --on-trip --output --port --pose --protocol --rate --record --rename --replay --reply --robot --rotate --rows-hz --save --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --time --timing --title --to --udp --unix --unknown --where --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
 
 complete -c aces -e
 complete -c aces -f
@@ -76,6 +76,7 @@ complete -c aces -n '_shtab_aces_using decode' -l strict -d 'exit 1 when anythin
 complete -c aces -n '_shtab_aces_using decode' -l names -d 'tables: enumerations as names instead of numbers'
 complete -c aces -n '_shtab_aces_using decode' -l float32 -d 'tables: physical values in half the size, and less exact'
 complete -c aces -n '_shtab_aces_using decode' -l jobs -x -d 'tables: so many processes (default: 1; 0: one a processor); each message is then a folder of parts (Parquet, Arrow)'
+complete -c aces -n '_shtab_aces_using decode' -l cluster -x -d 'tables, of many files and URIs, into a dataset: here (this process), local:4 (processes) or a Dask scheduler'"'"'s address; see below'
 complete -c aces -n '_shtab_aces_using decode' -s t -l time -xka "relative absolute delta date" -d 'from the first on, since 1970, since the line before, or local; also candump'"'"'s z a d A (default: relative)'
 complete -c aces -n '_shtab_aces_using decode' -s n -l count -x -d 'end after so many lines'
 complete -c aces -n '_shtab_aces_using decode' -l color -l no-color -d 'colour always, or never (default: on a terminal)'
@@ -421,6 +422,13 @@ complete -c aces -n '_shtab_aces_using bench' -l compare -xka "(__fish_complete_
 complete -c aces -n '_shtab_aces_using bench' -l json -d 'one JSON object a row instead of the table'
 complete -c aces -n '_shtab_aces_using bench' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using bench; and test $_shtab_aces_npos -eq 0' -ka "live columns text bus control robot" -d 'live: one frame or chunk at a time, beside cantools and dynamixel_sdk; columns: whole recordings, beside cantools, python-can, polars, asammdf and C; text: whole recordings to lines, beside cantools decode; bus: the virtual bus, beside python-can'"'"'s; control: states, filters and controllers of a control loop, beside deque, np.interp and scipy; robot: a complete robot on served buses in real time, beside the same with threads'
+complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a fleet -d 'datasets that many recordings became: status'
+complete -c aces -n '_shtab_aces_using fleet' -s h -l help -d 'show this help message and exit'
+complete -c aces -n '_shtab_aces_using fleet; and test $_shtab_aces_npos -eq 0' -a status -d 'say what a dataset of a fleet consists of, and what is missing'
+complete -c aces -n '_shtab_aces_using fleet status' -s h -l help -d 'show this help message and exit'
+complete -c aces -n '_shtab_aces_using fleet status' -l faults -d 'each fault in a line'
+complete -c aces -n '_shtab_aces_using fleet status' -l json -d 'JSON on standard output, for programs'
+complete -c aces -n '_shtab_aces_using fleet status' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a completion -d 'print what completes aces in bash, zsh and fish'
 complete -c aces -n '_shtab_aces_using completion' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using completion' -l list -xka "protocols drivers robots devices buses" -d 'names, as the scripts ask: protocols, drivers, robots, devices, buses'

@@ -1,0 +1,187 @@
+"""What scanners are fed of a recording: frames in pieces that are worth decoding, bytes of each direction.
+
+1. Where reading fails, what was read before is decoded first.
+2. Each direction of a serial line is a stream of its own, and a reply may hang on a request of the other.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
+
+from ..errors import CallerError, CaptureError
+from ..frame_table import FrameTable
+from ..protocol.counts import ScanCounts
+from ..protocol.declare.message import Direction as OneWay
+from ..protocol.declare.protocol import Variant
+from .base import CanRecording, Chunk, SerialRecording
+from .open import open_recording
+from .serial.raw import RawCapture
+
+if TYPE_CHECKING:
+    from ..protocol.columns.can import CanColumns, ChannelColumns
+
+T = TypeVar("T")
+Direction = Literal["to device", "from device", "both"]
+
+#: Frames that are decoded at once, at least, where they need not be waited for.
+PIECE = 1 << 18
+
+
+def pieces_of(tables: Iterable[FrameTable], *, is_live: bool) -> Iterator[FrameTable]:
+    """Tables joined until they are worth decoding: what a piece costs for each message is paid less often.
+
+    Where reading stops with an error, what was read before comes first.
+    """
+    waiting: list[FrameTable] = []
+    rows = 0
+    failure: CaptureError | None = None
+    try:
+        for table in tables:
+            waiting.append(table)
+            rows += len(table)
+            if is_live or rows >= PIECE:
+                whole = FrameTable.concat(waiting)
+                waiting, rows = [], 0
+                del table
+                yield whole
+                del whole  # one piece at a time is in memory
+    except CaptureError as error:
+        failure = error
+    if waiting:
+        yield FrameTable.concat(waiting)
+    if failure is not None:
+        raise failure
+
+
+def make_can_scanner(
+    variants: Sequence[Variant], *, direction: Direction | None, include_unknown: bool, defer: bool
+) -> CanColumns | ChannelColumns:
+    """A column scanner of CAN that shares a recording with others: with `defer`, frames that hang on those of other pieces
+    are left to `hand_over`; without, it is the one that adopts them, piece by piece."""
+    from ..protocol.columns.can import CanColumns, ChannelColumns
+
+    kind: Any = ChannelColumns if any(v.channel is not None for v in variants) else CanColumns
+    made: CanColumns | ChannelColumns = kind(
+        variants, direction=direction, include_unknown=include_unknown, defer=defer
+    )
+    return made
+
+
+class CaptureReading(Generic[T]):
+    """The items of a capture up to where reading fails: what has come is finished before `check` raises the failure."""
+
+    def __init__(self, items: Iterable[T]) -> None:
+        self._items = items
+        self._failure: CaptureError | None = None
+
+    def __iter__(self) -> Iterator[T]:
+        try:
+            yield from self._items
+        except CaptureError as failure:
+            self._failure = failure
+
+    def check(self) -> None:
+        """Raise what has failed, if anything has."""
+        if self._failure is not None:
+            raise self._failure
+
+
+class Requests:
+    """What went to the device, for decoding what came from it: where a capture says which way bytes went, each way is
+    a stream of its own, and a reply may hang on a request of the other."""
+
+    def __init__(self, variants: Sequence[Variant]) -> None:
+        self._scanner: Any = None
+        if any(map(has_requests, variants)):
+            from ..protocol import make_scanner
+
+            self._scanner = make_scanner(variants, direction="to device")
+
+    def of(self, data: bytes, time: float | None) -> list[tuple[bytes, float | None]]:
+        """The packets that these bytes complete, with their times."""
+        if self._scanner is None:
+            return []
+        return [(record.meta.raw, record.meta.time) for record in self._scanner.feed(data, time)]
+
+
+class SerialWays:
+    """The scanners of a serial recording, one a direction, made as directions occur.
+
+    `make` makes one; `feed(scanner, data, time)` says how it is fed: what it gives (records, tables) is handed on.
+    """
+
+    def __init__(
+        self,
+        variants: Sequence[Variant],
+        direction: Direction | None,
+        make: Callable[[Direction | None], Any],
+        feed: Callable[[Any, bytes, float | None], Any],
+    ) -> None:
+        self._variants, self._direction, self._make, self._feed = variants, direction, make, feed
+        self._used: dict[Direction | None, Any] = {}
+        self._requests = Requests(variants)
+
+    def chunks(self, capture: SerialRecording) -> Iterable[Chunk]:
+        """The chunks to feed; of a live line also empty ones, when it is silent."""
+        return capture.with_silence(self._gap) if isinstance(capture, RawCapture) else capture
+
+    def _gap(self) -> float:
+        return max(getattr(scanner, "gap", 0.0) for scanner in self._used.values())
+
+    def _of(self, direction: Direction | None) -> Any:
+        if direction not in self._used:
+            check_direction(self._variants, direction)
+            self._used[direction] = self._make(direction)
+        return self._used[direction]
+
+    def feed(self, chunk: Chunk) -> Iterator[Any]:
+        """What a chunk gives; an empty one says that nothing that is incomplete will go on."""
+        if not chunk.data:
+            for one in self._used.values():
+                yield one.idle()
+            return
+        direction: Direction | None = self._direction or chunk.direction
+        scanner = self._of(direction)
+        if direction == "to device" and self._direction is None:
+            replies = self._of("from device")
+            for packet, time in self._requests.of(chunk.data, chunk.time):
+                yield replies.sent(packet, time) or []
+        yield self._feed(scanner, chunk.data, chunk.time)
+
+    def close(self) -> Iterator[Any]:
+        """What the end of the recording gives."""
+        for scanner in self._used.values():
+            yield scanner.close()
+
+    @property
+    def counts(self) -> list[ScanCounts]:
+        """Where the bytes of each direction went."""
+        return [scanner.counts for scanner in self._used.values()]
+
+
+def open_any(name: str) -> CanRecording | SerialRecording:
+    """A recording of either link; a file of none of the formats that say what they are is raw bytes."""
+    try:
+        return open_recording(name)
+    except CaptureError:
+        if name == "-" or not os.path.isfile(name):
+            raise
+        return open_recording(name, link="serial")
+
+
+def has_requests(variant: Variant) -> bool:
+    """Whether some message of the protocol hangs on another."""
+    return any(message.reply_to or message.after for message in variant.messages.values())
+
+
+def check_direction(variants: Sequence[Variant], direction: OneWay | Direction | None) -> None:
+    """Raise `CallerError` where bytes of a stream have two meanings unless their direction is known."""
+    for variant in variants if direction is None else ():
+        clash = variant.direction_conflict
+        if clash is not None and variant.link != "can":
+            raise CallerError(
+                f"{variant.name}: bytes alone do not tell {clash[0].name} from {clash[1].name};"
+                " say which way they went: --direction to (to the device), from, or both"
+            )
