@@ -21,10 +21,12 @@ TITLE = '"""A draft by `aces spec guess`: yours to name and to correct from here
 #: Columns of a comment.
 WIDTH = 110
 #: What comes from aces_bus.protocol, and from construct.
-_OURS = frozenset(
-    "AsciiText BitLayout Cobs Counter Crc Delimited Extra FastPacket Fletcher IdBytes IdField Insert InvertedSum IsoTp "
-    "Multiplexed Protocol Slip Sum Text Xor bits float_bits".split()
-)
+# fmt: off
+_OURS = frozenset((
+    "AsciiText", "BitLayout", "Cobs", "Counter", "Crc", "Delimited", "Extra", "FastPacket", "Fletcher", "IdBytes", "IdField",
+    "Insert", "InvertedSum", "IsoTp", "Multiplexed", "Protocol", "Slip", "Sum", "Text", "Xor", "bits", "float_bits",
+))
+# fmt: on
 _CONSTRUCTS = frozenset(("Byte", "Bytes", "GreedyBytes", "Int16ub", "Int16ul", "Struct", "this"))
 _WORDS = re.compile(r"\b(?:" + "|".join(sorted(_OURS | _CONSTRUCTS)) + r")\b")
 #: What is no code: comments and texts.
