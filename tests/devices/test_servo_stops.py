@@ -53,7 +53,7 @@ def noted(robot: VirtualRobot) -> Sent:
 
     def left(found: Any, device: Any, message: str, *how: Any, **more: Any) -> bool:
         sent.append((device.name, message, fields_of.get(found, {})))
-        return transmit(found, device, message, *how, **more)
+        return bool(transmit(found, device, message, *how, **more))
 
     host.word, host.transmit = made, left
     return sent
