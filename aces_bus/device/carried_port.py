@@ -34,7 +34,7 @@ class _Outgoing:
         self, port: CarriedPort, frames: Sequence[Frame], send: Callable[..., bool], report: Left | None
     ) -> None:
         self.port, self.send, self._report = port, send, report
-        self.opening = frames[0].data
+        self.frames, self.opening = frames, frames[0].data
         self.left = deque(frames)
         #: How many frames may still go before the next go-ahead (None: all), and the time between two.
         self.allowed: int | None = 0
@@ -106,7 +106,7 @@ class _Outgoing:
         if self.timer is not None:
             self.timer.cancel()
         self.left.clear()
-        self.port.ended(self)
+        self.port.ended(self, fate == "sent")
         if self._report is not None:
             self._report(fate, why)
 
@@ -209,22 +209,27 @@ class CarriedPort:
 
     def timeout_of(self, outgoing: _Outgoing) -> float:
         """How long a packet waits for its go-ahead (s)."""
-        key = next(key for key, waiting in self._out.items() if any(one is outgoing for one, _ in waiting))
-        transport = self._transport_of(key)
+        transport = self._transport_of(_key(outgoing.frames[0]))
         return transport.timeout_s if transport is not None else 1.0
 
-    def ended(self, outgoing: _Outgoing) -> None:
+    def cancel(self, frames: Sequence[Frame], why: str) -> None:
+        """Send no more of a packet (the very tuple that `send` was given) that is on its way or waits for its turn."""
+        for outgoing, _ in [*self._out.get(_key(frames[0]), ())]:
+            if outgoing.frames is frames:
+                outgoing.end("expired", why)
+
+    def ended(self, outgoing: _Outgoing, is_sent: bool) -> None:
         """A packet is out of the way: the next one of its key begins."""
-        for key, waiting in self._out.items():
-            if waiting and waiting[0][0] is outgoing:
-                waiting.popleft()
-                self.failed += bool(outgoing.left)
-                if not waiting:
-                    del self._out[key]
-                else:
-                    following, waits = waiting[0]
-                    self.clock.call_soon(partial(following.begin, waits))
-                return
+        self.failed += not is_sent
+        key = _key(outgoing.frames[0])
+        waiting = self._out[key]
+        was_first = waiting[0][0] is outgoing
+        self._out[key] = waiting = deque(pair for pair in waiting if pair[0] is not outgoing)
+        if not waiting:
+            del self._out[key]
+        elif was_first:
+            following, waits = waiting[0]
+            self.clock.call_soon(partial(following.begin, waits))
 
     def _steer(self, frame: Any) -> None:
         """What a received frame asks for: to go on with a packet of ours, or a go-ahead for one of its sender's."""

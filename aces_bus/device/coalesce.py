@@ -26,11 +26,15 @@ class Setpoint(msgspec.Struct, frozen=True, gc=False):
 
 
 class OutgoingMessage(msgspec.Struct, frozen=True, gc=False):
-    """One message that is to go out, of a device (or of all, with the first one's credentials overridden by `fields`)."""
+    """One message that is to go out, of a device (or of all, with the first one's credentials overridden by `fields`).
+
+    `carries` are the set-points in it where they are several devices': a stop of one of them takes its own out.
+    """
 
     device: Any
     message: str
     fields: dict[str, Any]
+    carries: Sequence[Setpoint] = ()
 
 
 CoalescingRule = Callable[[Sequence[Setpoint]], Iterable[OutgoingMessage]]

@@ -540,24 +540,41 @@ class Device(EndpointMember):
 
         Raises `UnknownNameError` and `FieldError` as encoders do; a missing answer is the ticket's `NoReplyError`.
         """
-        names = frozenset((reply,) if isinstance(reply, str) else reply)
-        word = self.host.word(self, message, fields)
-        return self.host.ask(Ticket(self.clock, self, message, word, names, round(timeout_s * 1e9), retries))
+        return self._requested(message, reply, timeout_s, retries, fields)
 
     def tell(self, message: str, **fields: Any) -> Ticket:
         """Send a message that is not answered. The ticket is over when it has left, and fails when it does not."""
         return self.ask(message, **fields)
 
-    def tell_now(self, message: str, *, reply: str = "", timeout_s: float = 0.05, **fields: Any) -> Ticket:
+    def tell_now(
+        self,
+        message: str,
+        *,
+        reply: str | tuple[str, ...] = (),
+        timeout_s: float = 0.05,
+        retries: int = 0,
+        **fields: Any,
+    ) -> Ticket:
         """Send a message as `tell`, before all others and instead of what still waits for this device: for stops.
 
-        With `reply` it is over when that has come. While the bus is lost it waits, and is the first to leave when the bus is
-        back.
+        With `reply` it is over when that has come, and is sent again `retries` times as by `ask`. While the bus is lost it
+        waits, and is the first to leave when the bus is back.
         """
-        word = self.host.word(self, message, fields)
-        names = frozenset((reply,)) if reply else frozenset[str]()
+        return self._requested(message, reply, timeout_s, retries, fields, urgent=True)
+
+    def _requested(
+        self,
+        message: str,
+        reply: str | tuple[str, ...],
+        timeout_s: float,
+        retries: int,
+        fields: Mapping[str, Any],
+        urgent: bool = False,
+    ) -> Ticket:
+        names = frozenset((reply,) if isinstance(reply, str) else reply)
+        word, timeout_ns = self.host.word(self, message, fields), round(timeout_s * 1e9)
         return self.host.ask(
-            Ticket(self.clock, self, message, word, names, round(timeout_s * 1e9), urgent=True)
+            Ticket(self.clock, self, message, word, names, timeout_ns, retries, urgent=urgent)
         )
 
     def job(self, name: str, steps: Callable[[Job], Steps]) -> Job:

@@ -1,17 +1,20 @@
 """A half-duplex line: one speaks at a time, and the next one when it was answered or its time is up.
 
-1. What is asked leaves in its order, stops before all others; polls that are due have the line when nothing else waits.
-2. A poll whose answer would come after the budget's end waits for the next tick, unless it is the tick's first.
-3. One word may ask several devices at once: the line is free when all of them have answered.
+1. A stop speaks next, whatever waits. What is asked leaves in its order; polls that are due speak when nothing waits.
+2. Set-points wait for a turn, not as words: they are made words when they have the line, so that none is older than the last
+   tick, and none of a device that was stopped meanwhile is left.
+3. A poll whose answer would come after the budget's end waits for the next tick, unless it is the tick's first.
+4. One word may ask several devices at once: the line is free when all of them have answered.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from typing import TYPE_CHECKING
 
 from ..errors import DeviceError
+from .coalesce import OutgoingMessage, per_device
 from .poll import PollSlot
 from .ticket import Ticket
 
@@ -30,8 +33,11 @@ class HalfDuplexLine:
 
     def __init__(self, host: Host) -> None:
         self.host = host
-        #: What is to be sent, and the request that has the line (None: free).
-        self._waiting: deque[Ticket] = deque()
+        #: In the order in which they speak: stops, the rest of the set-points' turn, and what waits (None: for their turn).
+        self._stops: deque[Ticket] = deque()
+        self._set_points: deque[OutgoingMessage] = deque()
+        self._waiting: deque[Ticket | None] = deque()
+        #: What has the line (None: it is free).
         self._speaking: Ticket | None = None
         #: Those of a word that asks several who have not been answered yet, and those that such a word is made for now.
         self._together: list[Ticket] = []
@@ -56,51 +62,82 @@ class HalfDuplexLine:
         """A word that is to be sent, behind what waits; `pump` then."""
         self._waiting.append(ticket)
 
+    def put_set_points(self) -> None:
+        """Set-points are wanted: they have a turn behind what waits, if they do not wait for one already."""
+        if None not in self._waiting:
+            self._waiting.append(None)
+        self.pump()
+
     def overtake(self, ticket: Ticket) -> None:
         """A stop: before all that is none, and instead of what waits for its device; `pump` then."""
-        overtaken = [one for one in self._waiting if _is_overtaken(one, ticket)]
-        self._waiting = deque(one for one in self._waiting if not _is_overtaken(one, ticket))
+        overtaken = [one for one in self._waiting if one is not None and _is_overtaken(one, ticket)]
+        self._waiting = deque(one for one in self._waiting if one not in overtaken)
+        self._set_points = deque(self._without(ticket.device))
         if (
             self.host.port.link == "can"
         ):  # the bus itself is free: only the devices take one request at a time
             self.host.send(ticket, self.host.clock.now())
         else:
-            self._waiting.insert(self._stops(), ticket)
+            self._stops.append(ticket)
         for one in overtaken:  # only now: who hears of it may ask for something else
             _fail_overtaken(one)
 
+    def _without(self, device: Device) -> Iterator[OutgoingMessage]:
+        """What set-points have still to say, but for those of a device."""
+        for out in self._set_points:
+            left = [one for one in out.carries if one.device is not device]
+            if out.device is not device and len(left) == len(out.carries):
+                yield out
+            elif left:
+                yield from (self.host.rule_of(out.message, left[0].device) or per_device)(left)
+
     def again(self, ticket: Ticket) -> None:
         """It was not answered in time, and is asked once more, behind stops and before all else that waits."""
-        if any(_is_overtaken(ticket, one) for one in self._waiting if one.urgent):
+        if ticket.urgent:
+            self._stops.append(ticket)
+        elif any(_is_overtaken(ticket, stop) for stop in self._stops):
             _fail_overtaken(ticket)
         else:
-            self._waiting.insert(self._stops(), ticket)
+            self._waiting.appendleft(ticket)
         self.free(ticket)
-
-    def _stops(self) -> int:
-        """How many stops wait, before all else."""
-        return sum(1 for one in self._waiting if one.urgent)
 
     def pump(self) -> None:
         """Where the line is free, let the next one speak."""
         host = self.host
-        if self._speaking is not None or not host.is_open:
-            return
-        if self._waiting:
-            self._speak(self._waiting.popleft())
-            return
-        now = host.clock.now()
+        while self._speaking is None and host.is_open:
+            if self._stops:
+                self._speak(self._stops.popleft())
+            elif self._set_points:
+                out = self._set_points.popleft()
+                word = host.word_of(
+                    out
+                )  # what does not fit is reported, and who hears of it may stop devices
+                if word is not None:
+                    self._speak(Ticket(host.clock, out.device, out.message, word, frozenset(), 0))
+            elif self._waiting:
+                ticket = self._waiting.popleft()
+                if ticket is not None:
+                    self._speak(ticket)
+                else:
+                    self._set_points.extend(host.set_points(host.clock.now()))
+            elif not self._take_poll():
+                return
+
+    def _take_poll(self) -> bool:
+        """Let a poll that is due have the line; whether there was one."""
+        host, now = self.host, self.host.clock.now()
         slots = host.slots
         for _ in range(len(slots)):
             slot = slots[0]
             if slot.due <= now and slot.waiting is None:
                 if self._has_polled and now + slot.cost_ns > self._polls_end:
                     host.counts.polls_carried += 1
-                    return  # its answer would come after the budget's end
+                    return False  # its answer would come after the budget's end
                 slots.rotate(-1)
                 host.take_slot(slot, now)
-                return
+                return True
             slots.rotate(-1)
+        return False
 
     def poll(self, slot: PollSlot, ticket: Ticket, now: int) -> None:
         """It is a poll's turn, alone or with others that ask for the same."""
@@ -118,7 +155,8 @@ class HalfDuplexLine:
         self.spoke_last = ticket.device
         host.send(ticket, host.clock.now())
         if not ticket.reply:
-            host.clock.call_in(host.port.wire_ns(ticket.word), lambda: self.free(ticket))
+            # Its time on the line is over, and it has left: a gate that is late must not send it behind what comes next.
+            host.clock.call_in(host.port.wire_ns(ticket.word), lambda: ticket.then(self.free))
 
     def _speak_together(self, first: PollSlot, ticket: Ticket, now: int) -> None:
         """Ask all that are due for the same in one word; each has a ticket of its own.

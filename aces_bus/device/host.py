@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter, deque
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -21,7 +21,7 @@ from ..protocol import CanScanner, Variant
 from ..protocol import Unknown as UnknownWord
 from ..runtime import Timer
 from .carried_port import CarriedPort
-from .coalesce import CoalescingRule, Setpoint, per_device
+from .coalesce import CoalescingRule, OutgoingMessage, Setpoint, per_device
 from .config import DeviceConfig, Robot
 from .device import DUPLICATES, Device, Poll
 from .events import DeviceEvent, EventLog, Kind
@@ -35,7 +35,6 @@ from .ticket import Steps, Ticket
 DUPLICATE_REPLY_NS = 20_000_000
 #: Second answers that come within so long (ns) are not a receiver's, who may get a frame twice (an error in its last bit).
 DUPLICATES_NS = 1_000_000_000
-NO_REPLY: frozenset[str] = frozenset()
 #: An answer that is later than this (ns) does not come any more.
 LATE_REPLY_NS = 500_000_000
 #: When this machine itself was held up for so long (ns), what has come meanwhile is heard before anybody is missed.
@@ -428,9 +427,16 @@ class Host(BusEndpoint[Device]):
         self.await_answer(ticket, now)
 
     def _send_set_points(self, now: int) -> int:
-        """What is wanted, as few words; how long they occupy the bus (ns)."""
+        """Send what is wanted; how long it occupies the bus (ns). On a line it has to wait for its turn."""
         for step in self.before_set_points:
             step(now)
+        if self._line is not None:
+            self._line.put_set_points()
+            return 0
+        return sum([self._send_set_point(out, now) for out in self.set_points(now)])
+
+    def set_points(self, now: int) -> Iterator[OutgoingMessage]:
+        """What is wanted and not sent yet, as few messages as the rules make of it."""
         #: By message: its rule (None: a message a device), who has set-points of it, and those that go through a rule.
         wanted: dict[str, tuple[CoalescingRule | None, list[Device], list[Setpoint]]] = {}
         for device in self.members.values():
@@ -444,17 +450,17 @@ class Host(BusEndpoint[Device]):
                     devices.append(device)
                 else:
                     wants += device.setpoints_of(message)
-        used = 0
         for message, (rule, devices, wants) in wanted.items():
             for device in devices:
                 fields = device.gathered(message, ())
                 if fields is not None:
-                    used += self._send_fields(device, message, fields, now)
-            for out in (rule or per_device)(wants) if wants else ():
-                used += self._send_fields(out.device, out.message, out.fields, now)
-        if self._line is not None and wanted:
-            self._line.pump()
-        return used
+                    yield OutgoingMessage(device, message, fields)
+            if wants:
+                yield from (rule or per_device)(wants)
+
+    def rule_of(self, message: str, device: Device) -> CoalescingRule | None:
+        """The rule that makes few messages of a device's set-points; None: it has a message of its own."""
+        return self.rules.get(message) or device.rules.get(message)
 
     def _group(
         self,
@@ -464,22 +470,30 @@ class Host(BusEndpoint[Device]):
     ) -> tuple[CoalescingRule | None, list[Device], list[Setpoint]]:
         found = wanted.get(message)
         if found is None:
-            rule = self.rules.get(message) or device.rules.get(message)
+            rule = self.rule_of(message, device)
             found = wanted[message] = (None if rule is per_device else rule, [], [])
         return found
 
-    def _send_fields(self, device: Device, message: str, fields: Mapping[str, Any], now: int) -> int:
-        """Send set-points; how long they occupy the bus (ns)."""
+    def word_of(self, out: OutgoingMessage) -> Any:
+        """The word of set-points that are about to be sent; None where a value does not fit, which is reported."""
+        device: Device = out.device
         try:
-            word = self.word(device, message, fields)
-        except AcesError as error:  # a value that no field takes: the others go out
+            word = self.word(device, out.message, out.fields)
+        except AcesError as error:  # the others go out
             self.tell("limited", device.name, str(error))
-            return 0
+            return None
         self.counts.set_points += 1
         device.is_driven = not self.passive
-        if self._line is not None:
-            self._line.put(Ticket(self.clock, device, message, word, NO_REPLY, 0))
+        for one in out.carries:
+            one.device.is_driven = not self.passive
+        return word
+
+    def _send_set_point(self, out: OutgoingMessage, now: int) -> int:
+        """Send set-points; how long they occupy the bus (ns)."""
+        word = self.word_of(out)
+        if word is None:
             return 0
+        device, message = out.device, out.message
         used = self.port.wire_ns(word)
         is_sent = self.transmit(word, device, message)
         asked = self._asked_by.get((device.name, message)) if is_sent else None

@@ -72,7 +72,10 @@ class PacketSender:
         self._below.refusal = None
         taken = self._loop.call(partial(self._port.send, word, report=left))
         if taken and not over.wait(timeout_s):
-            raise NoReplyError(f"{self.gate.name}: the packet has not left after {timeout_s:g} s")
+            why = f"it has not left after {timeout_s:g} s"
+            self._loop.call(
+                partial(self._port.cancel, word, why)
+            )  # or it would go on; it may have left just now
         if self._below.refusal is not None:
             raise self._below.refusal
         fate, why = fates[0] if fates else ("dropped", "the bus does not take it")

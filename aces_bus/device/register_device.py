@@ -261,22 +261,43 @@ class RegisterDevice(Device):
         self.check_write(name, confirm)
 
         def steps(job: Job) -> Steps:
-            fields = {"start": codec.address, "data": codec.pack(number)}
-            doing = f"writing {name} = {value!r}"
-            if self.acknowledges:
-                record = yield self._ask(self._write_message, None, **fields)
-                self._raise_refusal(record, doing)
-            else:
-                yield from self._told(self._write_message, **fields)
-                if self.answers:
-                    found = yield self.read(name, raw=True)
-                    if found != number:
-                        raise DeviceError(
-                            f"{self.name}: {doing}: it has {codec.value(found)!r} all the same; is it locked?"
-                        )
-            self.written(name, number)
+            message, fields = self._write_message, {"start": codec.address, "data": codec.pack(number)}
+            ticket = self._ask(message, None, **fields) if self.acknowledges else self.tell(message, **fields)
+            yield from self._seen_written(codec, number, ticket)
 
         return self.job(f"write {name}", steps)
+
+    def write_now(self, name: str, number: int) -> Job:
+        """Write a register's raw number as a stop: before all others, and instead of what still waits for this device.
+
+        That it arrived is seen as with `write`; raises and fails like that.
+        """
+        codec = self.codec(name)
+        ticket = self.tell_now(
+            self._write_message,
+            reply=self.reply if self.acknowledges else (),
+            timeout_s=self.timeout_s,
+            retries=self.retries,
+            start=codec.address,
+            data=codec.pack(number),
+        )
+        return self.job(f"write {name}", lambda job: self._seen_written(codec, number, ticket))
+
+    def _seen_written(self, codec: RegisterCodec, number: int, ticket: Ticket) -> Steps:
+        """Steps that see that what was sent has arrived."""
+        doing = f"writing {codec.name} = {codec.value(number)!r}"
+        record = yield ticket
+        if self.acknowledges:
+            self._raise_refusal(record, doing)
+        else:
+            yield self.host.port.wire_ns(ticket.word)
+            if self.answers:
+                found = yield self.read(codec.name, raw=True)
+                if found != number:
+                    raise DeviceError(
+                        f"{self.name}: {doing}: it has {codec.value(found)!r} all the same; is it locked?"
+                    )
+        self.written(codec.name, number)
 
     def check_write(self, name: str, confirm: bool = False) -> None:
         """Raise `CallerError` when a register may not be written now."""
@@ -393,12 +414,14 @@ class RegisterDevice(Device):
     def drop(self, message: str) -> None:
         """Forget set-points: of a message, or of a register by its name."""
         if message == self._sync_message:
-            self.goals.clear()
-            self._fresh.clear()
+            for kept in (self.goals, self._fresh, self._sent):
+                kept.clear()
             self.epoch += 1
         elif self.goals.pop(message, None) is None:
             super().drop(message)
         else:
+            for kept in (self._fresh, self._sent):  # or it would be sent again where it did not arrive
+                kept.pop(message, None)
             self.epoch += 1
 
     def wants(self, now: int) -> list[Setpoint]:
@@ -469,9 +492,9 @@ def together_rule(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
         most = min(want.device.together_bytes for want in mine) - first.together_overhead
         each = max(1, most // (codec.size + 1))
         for at in range(0, len(mine), each):
+            carried = mine[at : at + each]
             servos = [
-                {"id": want.device.credentials["id"], "data": codec.pack(want.value)}
-                for want in mine[at : at + each]
+                {"id": want.device.credentials["id"], "data": codec.pack(want.value)} for want in carried
             ]
             fields = {"start": codec.address, "size": codec.size, "servos": servos}
-            yield OutgoingMessage(first, mine[0].message, fields)
+            yield OutgoingMessage(carried[0].device, mine[0].message, fields, carried)

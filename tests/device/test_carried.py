@@ -9,7 +9,7 @@ import pytest
 from construct import Byte, Const, GreedyBytes, Struct
 
 from aces_bus.device import Device, Driver, PacketSender, Twin, on
-from aces_bus.errors import CallerError
+from aces_bus.errors import CallerError, NoReplyError
 from aces_bus.frames import Frame
 from aces_bus.hardware import ListeningNode
 from aces_bus.protocol import IdField, IsoTp, Protocol, load_protocol
@@ -198,6 +198,7 @@ class PickyGate:
         self.refused = 0
 
     def listen(self, take: Any) -> Any:
+        self.take = take
         return SimpleNamespace(stop=lambda: None)
 
     def send(self, frame: Frame, *, priority: int, report: Any) -> bool:
@@ -220,3 +221,17 @@ def test_a_refusal_is_of_one_packet() -> None:
             sender.send(frames)
         sender.send(frames)
     assert len(gate.taken) == 1
+
+
+def test_a_packet_that_is_given_up_does_not_go_on() -> None:
+    """A go-ahead that comes after the sender's patience is over leads to nothing; the next packet leaves."""
+    gate = PickyGate()
+    gate.refused = 1
+    uds = load_protocol("uds")
+    go_on = SimpleNamespace(content=Frame(0x7E8, bytes.fromhex("300000")), host_ns=0)
+    with PacketSender(gate, [uds.variant()]) as sender:
+        with pytest.raises(NoReplyError, match=r"was not sent: it has not left after 0\.05 s"):
+            sender.send(uds.encode("WriteData", ecu=0, identifier=0x110, data=bytes(40)), timeout_s=0.05)
+        gate.take([go_on])
+        sender.send(uds.encode("TesterPresent", ecu=0, none=0, suppress=0))
+    assert [frame.data[:1].hex() for frame in gate.taken] == ["10", "02"]

@@ -127,6 +127,26 @@ def test_a_stop_goes_before_all_that_waits() -> None:
         assert not any(message.startswith("Rpdo") and not urgent for message, urgent in sent)
 
 
+def test_a_module_that_is_not_operational_is_stopped_all_the_same() -> None:
+    """What was set is seen to over SDO and read back; where that is not answered either, the stop says so."""
+    with running(settings="watchdog_ms = 0") as (robot, device, twin):
+        robot["M.valve"].set(True)
+        robot.advance(0.2)
+        device.nmt("pre_operational").wait(1)
+        robot.advance(0.6)
+        assert twin.take("valve") is True
+        device.stop_motion().wait(1)
+        assert twin.take("valve") is False
+        device.nmt("start").wait(1)
+        robot.advance(0.6)
+        robot["M.valve"].set(True)
+        robot.advance(0.2)
+        device.nmt("stop").wait(1)
+        robot.advance(0.6)
+        with pytest.raises(NotStoppedError, match="NOT switched off: M"):
+            robot.rig.stop_motion().wait(3)
+
+
 def test_error_values_are_the_module_s() -> None:
     """Outputs without an error mode stay at a stop, as its file says."""
     with running() as (robot, device, twin):

@@ -238,6 +238,30 @@ def test_quick_stop_stops_a_movement() -> None:
         assert robot["J.position"].value < 1.0
 
 
+def test_a_stop_does_not_wait_for_the_tick() -> None:
+    """The controlword leaves at once, in the PDO or, where it is in none, over SDO, instead of transfers that wait."""
+    with _running() as robot:
+        robot["J.position"].set(1.4)
+        robot.advance(0.203)
+        recorder = ListeningNode(robot.wires["drives"])
+        robot.devices["D"].stop_motion()
+        robot.advance(0.0005)
+        assert [(f.arbitration_id, f.data[:2].hex()) for f in recorder.frames()] == [(0x205, "0200")]
+    with _running() as robot:
+        device: Any = robot.devices["D"]
+        device._takers.clear()  # as of a drive that has it in no PDO
+        reads = [device.read(0x1008) for _ in range(5)]
+        robot.advance(0.0011)
+        recorder = ListeningNode(robot.wires["drives"])
+        stop = device.stop_motion()
+        robot.advance(0.0005)
+        assert _frames(recorder, 0x605) == ["2B 40 60 00 02 00 00 00"]
+        robot.advance(0.3)
+        assert {read.state for read in reads[2:]} == {"failed"}
+        assert stop.state == "done"
+        assert robot["J.state"].value != "operation enabled"
+
+
 def test_stopping_ends_what_leads_the_drive_on() -> None:
     """A stop in the middle of enabling or homing is the last word: the job fails, and the drive stays disabled."""
     with _running(enabled=False) as robot:

@@ -13,6 +13,7 @@ from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.testing.conformance import driver_tests
 from aces_devices.uds import driver
 from aces_devices.uds.table import IdentifierEntry, UdsValue, identifiers_of
+from aces_devices.uds.twin import UdsRefusal
 
 test_uds = driver_tests(driver)
 
@@ -273,6 +274,51 @@ def test_a_stop_ends_a_routine_and_the_session() -> None:
         twin.fault("silent")
         with pytest.raises(DeviceError):
             stop_devices(robot.clock, "all", robot.devices.values()).wait(10)
+
+
+def test_a_stop_counts_when_it_is_the_stop_that_was_answered() -> None:
+    """A late "extended" is no "default"; a refusal is named, and so is an ECU that says that it is in another session."""
+    with car("timeout_s = 0.05\nevery_s = 100.0\ncodes_every_s = 0.0") as robot:
+        engine: Any = robot.devices["ENGINE"]
+        twin: Any = robot.twins["ENGINE"]
+        robot.advance(1.0)
+        twin.fault("late", 0.2)
+        begun = engine.change_session("extended")
+        robot.advance(0.19)
+        assert begun.state == "failed"
+        twin.fault("late", on=False)
+        twin.fault("silent")
+        stop = engine.stop_motion()
+        robot.advance(0.04)
+        assert engine.session == "default"
+        assert stop.state == "waiting"
+        assert "Session 03" in robot.events.of("late reply")[-1].detail
+        robot.advance(0.1)
+        assert stop.state == "failed"
+        twin.fault("silent", on=False)
+        assert engine.is_engaged
+        stop_devices(robot.clock, "all", [engine]).wait(5)
+        assert (twin.session, engine.is_engaged) == ("default", False)
+        engine.enable().wait()
+        answered, twin._change_session = twin._change_session, _refuse
+        with pytest.raises(
+            DeviceError, match=r"NOT switched off: ENGINE .*ChangeSession: refused: conditions_not"
+        ):
+            stop_devices(robot.clock, "all", [engine]).wait(5)
+        twin._change_session = lambda request: (
+            "Session",
+            {"session": request.session, "answers_within": 0.05, "patience": 5.0},
+        )
+        twin.session = "extended"
+        with pytest.raises(DeviceError, match=r"NOT switched off: ENGINE .*it says that it is in session 03"):
+            stop_devices(robot.clock, "all", [engine]).wait(5)
+        twin._change_session = answered
+        stop_devices(robot.clock, "all", [engine]).wait(5)
+        assert not [event for event in robot.events.of("alarm") if "read_data" in event.detail]
+
+
+def _refuse(request: Any) -> Any:
+    raise UdsRefusal("conditions_not_correct")
 
 
 @pytest.mark.parametrize("after_s", [0.0, 0.001, 0.002])

@@ -2,7 +2,7 @@
 
 1. Nothing blocks: a transfer asks, and goes on when the answer is there. So it runs in virtual time as in life, on the
    thread of its bus; `canopen`'s own client waits on a thread, which neither could.
-2. One transfer a node at a time, in the order in which they were asked for.
+2. One transfer a node at a time, in the order in which they were asked for; a stop ends those under way and those that wait.
 3. A transfer is bounded: `LONGEST` bytes, one time-out a segment.
 
 Bytes and toggle bits: CiA 301, 7.2.4.3. Block transfers are not made.
@@ -10,10 +10,10 @@ Bytes and toggle bits: CiA 301, 7.2.4.3. Block transfers are not made.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from aces_bus.device import Device, Job, Steps
+from aces_bus.device import Device, Job, Steps, Ticket
 from aces_bus.errors import AcesError, DeviceError
 
 #: The longest object that is read (bytes).
@@ -51,7 +51,8 @@ class SdoChannel:
 
     def __init__(self, device: Device, timeout_s: float = TIMEOUT_S) -> None:
         self.device, self.timeout_s = device, timeout_s
-        self._last: Job | None = None
+        #: Transfers that are not over, in their order.
+        self._jobs: list[Job] = []
 
     def upload(self, index: int, subindex: int = 0) -> Job:
         """Read an object; the result is its bytes. Fails with `SdoRefused` or `NoReplyError`."""
@@ -61,8 +62,52 @@ class SdoChannel:
         """Write an object. Fails with `SdoRefused` or `NoReplyError`."""
         return self._queued(f"write {index:04X}:{subindex}", lambda: self._download(index, subindex, data))
 
+    def download_now(self, writes: Sequence[tuple[int, int, bytes]]) -> Job:
+        """Write objects (index, subindex, at most 4 bytes) as a stop: at once, instead of all other transfers.
+
+        The transfer under way and those that wait are cancelled. Fails with `SdoRefused` or `NoReplyError`, after all were
+        written.
+        """
+        for job in self._jobs:
+            job.cancel()
+        first = self._order_now(*writes[0])
+
+        def steps() -> Steps:
+            failed: AcesError | None = None
+            for number, (index, subindex, data) in enumerate(writes):
+                try:
+                    told = yield self._order_now(index, subindex, data) if number else first
+                    if not self._is_about(told, index, subindex):
+                        raise DeviceError(
+                            f"{self.device.name} answers about {told.index:04X}:{told.subindex}, not {index:04X}:{subindex}"
+                        )
+                except AcesError as error:
+                    failed = failed or error
+            if failed is not None:
+                raise failed
+
+        return self._queued("stop", steps)
+
+    def _order_now(self, index: int, subindex: int, data: bytes) -> Ticket:
+        return self.device.tell_now(
+            "SdoDownload",
+            reply=("SdoDownloaded", "SdoAborted"),
+            timeout_s=self.timeout_s,
+            retries=1,
+            **_order(index, subindex, data),
+        )
+
+    def _is_about(self, told: Any, index: int, subindex: int) -> bool:
+        """Whether an answer is about this object; raises `SdoRefused`."""
+        if (told.index, told.subindex) != (index, subindex):
+            return False
+        if type(told).__name__ == "SdoAborted":
+            raise SdoRefused(self.device.name, index, subindex, told.code)
+        return True
+
     def _queued(self, name: str, steps: Callable[[], Steps]) -> Job:
-        before = self._last if self._last is not None and not self._last.is_over else None
+        self._jobs = [job for job in self._jobs if not job.is_over]
+        before = self._jobs[-1] if self._jobs else None
 
         def whole(job: Job) -> Steps:
             nonlocal before
@@ -74,8 +119,9 @@ class SdoChannel:
                 before = None
             return (yield from steps())
 
-        self._last = self.device.job(name, whole)
-        return self._last
+        made = self.device.job(name, whole)
+        self._jobs.append(made)
+        return made
 
     def _ask(self, message: str, replies: tuple[str, ...], index: int, subindex: int, **fields: Any) -> Steps:
         """One request about an object and its answer; answers about another object come from an older request."""
@@ -89,11 +135,8 @@ class SdoChannel:
                 subindex=subindex,
                 **fields,
             )
-            if (told.index, told.subindex) != (index, subindex):
-                continue
-            if type(told).__name__ == "SdoAborted":
-                raise SdoRefused(self.device.name, index, subindex, told.code)
-            return told
+            if self._is_about(told, index, subindex):
+                return told
         raise DeviceError(
             f"{self.device.name} answers about other objects than {index:04X}:{subindex}: does another master use its SDO?"
         )
@@ -136,15 +179,7 @@ class SdoChannel:
 
     def _download(self, index: int, subindex: int, data: bytes) -> Steps:
         if 0 < len(data) <= 4:
-            yield from self._ask(
-                "SdoDownload",
-                ("SdoDownloaded",),
-                index,
-                subindex,
-                sized=1,
-                unused=4 - len(data),
-                data=data.ljust(4, b"\0"),
-            )
+            yield from self._ask("SdoDownload", ("SdoDownloaded",), **_order(index, subindex, data))
             return None
         yield from self._ask("SdoDownloadStart", ("SdoDownloaded",), index, subindex, sized=1, size=len(data))
         toggle, at = 0, 0
@@ -163,3 +198,14 @@ class SdoChannel:
             )
             toggle ^= 1
         return None
+
+
+def _order(index: int, subindex: int, data: bytes) -> dict[str, Any]:
+    """The fields of a download in one frame: 1 to 4 bytes."""
+    return {
+        "index": index,
+        "subindex": subindex,
+        "sized": 1,
+        "unused": 4 - len(data),
+        "data": data.ljust(4, b"\0"),
+    }

@@ -147,12 +147,11 @@ class Cia401(CanopenNode):
         return int.from_bytes(data, "little", signed=index == ERROR_VALUES[0x6411][1])
 
     def quiet(self, on: bool) -> None:
-        """It is not operational: what was set is not sent any more, and not once more when it is."""
+        """It is not operational: what was set is not sent any more, nor again when it is. A stop sees to it all the same."""
         if on:
             for number in range(1, 5):
                 self.drop(f"Rpdo{number}")
             self.goals.clear()
-            self._driven.clear()
             self._unsent.clear()
 
     def _read_again(self, _: Any) -> None:
@@ -315,17 +314,22 @@ class Cia401(CanopenNode):
         self._writing = None
         for number in self.outputs:
             self.drop(f"Rpdo{number}")
-        driven = self.goals
-        if not driven:
+        if not self._driven:
             return None
-        self.goals = {where: self._stop_number(where, number) or 0 for where, number in driven.items()}
-        wanted = dict(self.goals)
+        wanted = {
+            where: self._stop_number(where, self.goals.get(where, self.numbers.get(where, 0))) or 0
+            for where in self._driven
+        }
+        self.goals = dict(wanted)
         for number, layout in list(self._taking()) if self.is_operational else ():
             self.tell_now(f"Rpdo{number}", data=self._content(layout))
+        written = self.sdo.download_now(
+            [(*where, self._bytes(where, goal)) for where, goal in wanted.items()]
+        )
 
         def steps(job: Job) -> Steps:
+            yield written
             for where, goal in wanted.items():
-                yield self.sdo.download(*where, self._bytes(where, goal))
                 number = yield from self._read_one(where)
                 if number != goal:
                     raise DeviceError(

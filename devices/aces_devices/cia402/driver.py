@@ -16,7 +16,7 @@ from typing import Any, ClassVar
 
 from aces_bus.device import Job, MotorDevice, Poll, Signal, Steps
 from aces_bus.device.settings import settings_of
-from aces_bus.errors import CallerError, DeviceError
+from aces_bus.errors import AcesError, CallerError, DeviceError
 
 from ..canopen_node.node import NMT, CanopenNode
 from ..canopen_node.pdo import RECEIVED, SENT, PdoEntry, PdoLayout, from_file, offset_of
@@ -189,13 +189,22 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
                 self.want(f"Rpdo{number}", "data", b"")
             else:
                 self._by_sdo[index + axis.offset] = axis.outputs[index]
+        self._go_on_writing()
+
+    def _go_on_writing(self) -> None:
         if self._by_sdo and (self._writing is None or self._writing.is_over):
             self._writing = self.job("set-points over SDO", self._write_all)
 
     def _write_all(self, job: Job) -> Steps:
         while self._by_sdo:
-            index = next(iter(self._by_sdo))
-            yield self.sdo.download(index, 0, self.raw(index, 0, self._by_sdo.pop(index)))
+            index, value = next(iter(self._by_sdo.items()))
+            try:
+                yield self.sdo.download(index, 0, self.raw(index, 0, value))
+            except AcesError:
+                self._by_sdo.pop(index, None)
+                raise
+            if self._by_sdo.get(index) == value:
+                del self._by_sdo[index]
 
     def gathered(self, message: str, wants: Any) -> dict[str, Any] | None:
         """An RPDO: all its objects as they are wanted now."""
@@ -282,22 +291,45 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
         return self._down("stop", QUICK_STOP, self.axes)
 
     def _down(self, name: str, word: int, axes: Sequence[DriveAxis]) -> Job:
+        """A controlword that stops, at once: in PDOs, else over SDO; over when statuswords made after it say so."""
         self.end_led()
         self.epoch += 1
-        for axis in axes:  # at once
+        offsets = {axis.offset for axis in axes}
+        self._by_sdo = {
+            index: value for index, value in self._by_sdo.items() if offset_of(index) not in offsets
+        }
+        if self._writing is not None:
+            self._writing.cancel()
+        for axis in axes:
             axis.hold()
             axis.outputs[CONTROLWORD] = word
-            if self.is_set_up:
-                self.put(axis, CONTROLWORD)
+        #: By PDO where the node takes them and they are known; it may move where it does not.
+        takers = self._takers if self.is_operational else {}
+        numbers = {axis: takers.get(CONTROLWORD + axis.offset) for axis in axes}
+        told = [
+            self.tell_now(f"Rpdo{number}", **fields)
+            for number in sorted({number for number in numbers.values() if number is not None})
+            if (fields := self.gathered(f"Rpdo{number}", ())) is not None
+        ]
+        writes = [
+            (CONTROLWORD + axis.offset, 0, word.to_bytes(2, "little"))
+            for axis, number in numbers.items()
+            if number is None
+        ]
+        written = self.sdo.download_now(writes) if writes else None
+        self._go_on_writing()
+        before = {axis: axis.heard for axis in axes}
 
         def steps(job: Job) -> Steps:
-            for axis in axes:
-                if (
-                    not self.is_operational
-                ):  # it takes no PDOs, or they are not known; it may move all the same
-                    yield self.sdo.download(CONTROLWORD + axis.offset, 0, word.to_bytes(2, "little"))
-                    continue
-                yield from self._control(axis, word)
+            yield from told
+            if written is not None:
+                yield written
+            for axis in axes if self.is_operational else ():
+                yield self.until(
+                    lambda axis=axis: axis.heard >= before[axis] + 2,  # type: ignore[misc]
+                    STEP_S,
+                    lambda axis=axis: f"{axis.name} says no statusword",  # type: ignore[misc]
+                )
                 yield self.until(
                     lambda axis=axis: axis.state != "operation enabled",  # type: ignore[misc]
                     STEP_S,

@@ -301,10 +301,10 @@ class ModbusDevice(Device):
         for name, value in self.settings.stop.items():
             one = self.table[name]
             message, reply, fields = self._order(one, one.raw(value))
-            word = self.host.word(self, message, fields)
-            timeout = round(self.settings.timeout_s * 1e9)
-            ticket = Ticket(self.clock, self, message, word, frozenset(reply), timeout, 2, urgent=True)
-            tickets.append((name, self.host.ask(ticket)))
+            ticket = self.tell_now(
+                message, reply=reply, timeout_s=self.settings.timeout_s, retries=2, **fields
+            )
+            tickets.append((name, ticket))
 
         def steps(job: Job) -> Steps:
             for name, ticket in tickets:

@@ -434,18 +434,17 @@ class ServoDevice(RegisterDevice):
         """Torque off; set-points given so far are dropped."""
         self.end_led()
         self.drop(self.goal)
-        return self.write("torque_enable", "off")
+        return self.write_now("torque_enable", 0)
 
     def stop_motion(self) -> Job:
         """Hold the present position, or release the torque (setting `stop`); the joint's set-points are dropped."""
+        here = self.position.value
+        if self.command == "position" and (self.settings.stop == "release" or not isinstance(here, float)):
+            return self.disable()
         self.end_led()
         self.drop(self.goal)
-        if self.command != "position":
-            return self.write(self.goal, 0, raw=True)
-        here = self.position.value
-        if self.settings.stop == "release" or not isinstance(here, float):
-            return self.write("torque_enable", "off")
-        return self.write(self.goal, self.goal_at(self.known["present_position"][0]), raw=True)
+        goal = self.goal_at(self.known["present_position"][0]) if self.command == "position" else 0
+        return self.write_now(self.goal, goal)
 
     def ping(self) -> Job:
         """Whether it is there, whatever its status return level: the names of its errors."""

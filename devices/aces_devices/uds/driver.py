@@ -10,17 +10,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
 from typing import Annotated, Any, ClassVar
 
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Device, Driver, Host, Job, Poll, Signal, Steps
+from aces_bus.device import Device, Driver, Host, Job, Poll, Signal, Steps, Ticket
 from aces_bus.device.config import DeviceConfig
 from aces_bus.device.settings import described, settings_of
-from aces_bus.device.ticket import together
 from aces_bus.errors import AcesError, CallerError, DeviceError, UnknownNameError
 from aces_protocols.uds.spec import SERVICE_OF, SESSIONS
 
@@ -42,6 +41,19 @@ AT_ONCE = 3
 #: Of the bytes of a transfer's request these are no data.
 TRANSFER_HEAD = 2
 NO_SESSION = ("service_not_in_this_session", "subfunction_not_in_this_session")
+#: Why a routine is not stopped that does not run any more: ISO 14229-1, RoutineControl.
+OVER = ("sequence_error", *NO_SESSION)
+#: How many bytes behind its service an answer repeats of its request: a sub-function, an identifier, both (ISO 14229-1).
+REPEATED = {
+    "Session": 1,
+    "ResetBegins": 1,
+    "Security": 1,
+    "DataTransferred": 1,
+    "DataWritten": 2,
+    "Routine": 3,
+}
+#: The identifier of the session that it is in, and the default one there (ISO 14229-1, C.1 and 10.2).
+ACTIVE_SESSION, DEFAULT_SESSION = 0xF186, b"\x01"
 
 
 class UdsSettings(msgspec.Struct, frozen=True, kw_only=True):
@@ -114,6 +126,8 @@ class Uds(Device):
         self.session = "default"
         self.unlocked = 0
         self.patience_s = PATIENCE_S
+        #: Whether a stop has ended a session since that was last confirmed, and whether that is being asked.
+        self._is_to_confirm = self._asks_session = False
         #: Whether it may be in a session that is not the default, and the routines, by number, that may run.
         self.is_engaged = False
         self.started: set[int] = set()
@@ -199,29 +213,27 @@ class Uds(Device):
     def receive(self, record: Any, instant: int) -> None:
         """A record of this device: patience, an answer to what was asked, or one that is late and answers nothing."""
         name = type(record).__name__
-        asked = self.awaiting[0] if self.awaiting else None
         if name == "Refused" and record.reason == "response_pending":
             self.last_heard = instant
             self.host.prolong(self, self.patience_s)
             return
-        if name == "Refused" and asked is not None and SERVICE_OF[asked.message] != record.service:
-            asked = next((one for one in self.awaiting if SERVICE_OF[one.message] == record.service), None)
-            if asked is None:
-                self._is_late(instant, f"{record.service} was refused: {record.reason}")
+        asked = next((one for one in self.awaiting if _is_answer(record, one)), None)
+        if asked is None:
+            is_awaited = any(name in one.reply for one in self.awaiting)
+            if is_awaited or (name == "Session" and not self.host.passive):
+                self.last_heard = instant
+                self.tell_event("late reply", f"{_shown(record)}, which nothing asks for now")
+                # What was begun is not known to be over, and is nothing to go on with.
+                self.is_engaged |= name == "Session" and str(record.session) != "default"
                 return
-        if name == "Data" and asked is not None and asked.message == "ReadData":
-            if record.meta.raw[1:3] not in _asked_for(asked.word):
-                self._is_late(instant, f"{record.meta.raw[1:3].hex().upper()}, which nothing asks for now")
-                return
+        elif asked is not self.awaiting[0]:  # the host takes the oldest that has this message for an answer
+            self.awaiting.remove(asked)
+            self.awaiting.insert(0, asked)
         if name == "Codes" and asked is not None and asked.poll is not None:
             confirmed = [str(one.code) for one in record.codes]
             self._codes.update(len(confirmed), instant)
             self._trouble.update(", ".join(confirmed) or "none", instant)
         super().receive(record, instant)
-
-    def _is_late(self, instant: int, what: str) -> None:
-        self.last_heard = instant
-        self.tell_event("late reply", what)
 
     def heard(self, record: Any, instant: int) -> None:
         """Values by their identifiers; sessions; refusals."""
@@ -235,6 +247,8 @@ class Uds(Device):
             case "ResetBegins":
                 self._begun("default")
                 self._is_over(True)
+            case "Refused" if self._asks_session:
+                pass  # it does not say which one it is in
             case "Refused":
                 self.tell_event("alarm", f"refuses {record.service}: {record.reason}")
                 if record.reason in NO_SESSION and self.session != "default":
@@ -530,29 +544,79 @@ class Uds(Device):
         self.end_led()
         if not self.is_engaged:
             return None
-        timeout_s = self.settings.timeout_s
-        tickets: list[Any] = [
-            self.tell_now(
-                "ControlRoutine",
-                reply="Routine",
-                timeout_s=timeout_s,
-                action="stop",
-                routine=number,
-                data=b"",
-            )
+        tell = partial(self.tell_now, timeout_s=self.settings.timeout_s)
+        stops = [
+            tell("ControlRoutine", reply=("Routine", "Refused"), action="stop", routine=number, data=b"")
             for number in sorted(self.started)
         ]
-        tickets.append(
-            self.tell_now("ChangeSession", reply="Session", timeout_s=timeout_s, session="default")
-        )
-        return together(self.clock, f"{self.name} stop", tickets)
+        ended = tell("ChangeSession", reply=("Session", "Refused"), session="default")
+        self._is_to_confirm = True
+
+        def steps(job: Job) -> Steps:
+            refusals: list[str] = []
+            for ticket in (*stops, ended):
+                answer = yield ticket
+                # A routine that is over, or was ended with its session, refuses to be stopped.
+                if type(answer).__name__ == "Refused" and (ticket is ended or answer.reason not in OVER):
+                    refusals.append(f"{ticket.message}: refused: {answer.reason}")
+            if refusals:
+                raise DeviceError(f"{self.name}: {', '.join(refusals)}")
+
+        return self.job("stop", steps)
+
+    def confirm_stopped(self) -> Job | None:
+        """Where a stop has ended a session: ask which it is in. One that does not say that has confirmed the stop itself."""
+        if not self._is_to_confirm:
+            return None
+
+        def steps(job: Job) -> Steps:
+            self._asks_session = True
+            try:
+                answer = yield self.tell_now(
+                    "ReadData",
+                    reply=("Data", "Refused"),
+                    timeout_s=self.settings.timeout_s,
+                    retries=1,
+                    identifiers=[ACTIVE_SESSION],
+                )
+            finally:
+                self._asks_session = False
+            if type(answer).__name__ == "Data" and answer.meta.raw[3:4] != DEFAULT_SESSION:
+                self.is_engaged = True
+                raise DeviceError(f"{self.name}: it says that it is in session {answer.meta.raw[3:4].hex()}")
+            self._is_to_confirm = False
+
+        return self.job("look which session it is in", steps)
 
 
-def _asked_for(word: Any) -> Iterable[bytes]:
-    """The identifiers that a request of one frame asks for."""
+def _content(word: Any) -> bytes:
+    """What a request says, as far as its first frame has it: its service and what follows (ISO 15765-2)."""
     data: bytes = (word[0] if isinstance(word, tuple) else word).data
-    body = data[2 : 1 + (data[0] & 0x0F)]
-    return [body[at : at + 2] for at in range(0, len(body), 2)]
+    return data[2:] if data[0] >> 4 else data[1 : 1 + data[0]]
+
+
+def _is_answer(record: Any, ticket: Ticket) -> bool:
+    """Whether a record answers a request: by the service, and by what an answer repeats of its request."""
+    name = type(record).__name__
+    if name == "Refused":
+        return bool(SERVICE_OF[ticket.message] == record.service)
+    if name not in ticket.reply:
+        return False
+    said, asked = record.meta.raw, _content(ticket.word)
+    if ticket.message == "ReadData":
+        return said[1:3] in [asked[at : at + 2] for at in range(1, len(asked), 2)]
+    size = REPEATED.get(name, 0)
+    return bool(said[1 : 1 + size] == asked[1 : 1 + size])
+
+
+def _shown(record: Any) -> str:
+    """An answer that is too late, in few words."""
+    name = type(record).__name__
+    return (
+        f"{record.service} was refused: {record.reason}"
+        if name == "Refused"
+        else f"{name} {record.meta.raw[1:4].hex(' ').upper()}"
+    )
 
 
 def _scan(host: Host, job: Job) -> Steps:
