@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..protocol.columns.checks import CrcColumns, parameters_of
+from ..protocol.columns.checks import CrcColumns
 from ..protocol.columns.table import Array
 from ..protocol.declare.checks import Check, Covered, Crc, Fletcher, IdBytes, Order, Sum, Xor
 
@@ -527,7 +527,7 @@ def check_source(check: Check) -> str:
     """A sum, exclusive or, Fletcher pair or CRC as a spec writes it."""
     name, shown = type(check).__name__, list[str]()
     if isinstance(check, Crc):
-        width, poly, init, refin, refout, xorout = parameters_of(check)
+        width, poly, init, refin, refout, xorout = check.parameters
         numbers = f"width={width}, poly={poly:#x}, init={init:#x}, refin={refin}, refout={refout}, xorout={xorout:#x}"
         shown.append(numbers if " " in check.name else f'"{check.name}"')
     elif isinstance(check, Sum):

@@ -24,7 +24,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from construct import Byte, GreedyBytes, Int16ub, Int16ul, Struct, this
 
-from ..protocol.columns.checks import parameters_of
 from ..protocol.columns.table import Array
 from ..protocol.declare.checks import Check, Crc, InvertedSum, Sum, Xor
 from ..protocol.declare.framing import Framing
@@ -196,7 +195,7 @@ def framing_check(guess: FramingGuess) -> Check | None:
         return _with_over(check, over)
     if not isinstance(check, Crc) or check.order != "big":
         return None
-    width, poly, init, refin, refout, xorout = parameters_of(check)
+    width, poly, init, refin, refout, xorout = check.parameters
     if refin or refout:
         return None
     more = 8 * len(guess.tail)
