@@ -174,6 +174,8 @@ def _cells(one: FieldGuess) -> tuple[str, ...]:
         size = f"{'s' if one.signed else 'u'}{one.length}" if one.kind != "float" else f"{one.length}"
         order = f" {one.order}" if first // 8 != last // 8 else ""
         kind = f"{one.kind} {size}{order}"  # type: ignore[assignment]  # text from here on
+    if one.when:
+        where += f" at {one.when[0]}"
     return (_name(one), where, kind, f"{one.confidence:.2f}", one.evidence)
 
 
