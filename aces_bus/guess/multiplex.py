@@ -15,8 +15,8 @@ from .fields import STEPS, Array, FieldGuess, Rows
 
 #: Numbers of a multiplexer, and the share of steps in which it changes.
 NUMBERS, CHANGES = 32, 0.15
-#: A bit is explained that changes in this share of steps from one number to another, and among messages of one number in so much
-#: of that share. So many bits must be, and no more of them may change more often instead.
+#: A bit is explained that changes in this share of steps from one number to another, and among messages of one number in so
+#: much of that share. So many bits must be, and no more of them may change more often instead.
 OFTEN, LEFT, BITS = 0.1, 0.5, 4
 
 
