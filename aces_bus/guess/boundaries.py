@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 AGAINST, FOR = -3.0, 4.0
 #: What one event may weigh.
 EVENT = 3.0
+#: Pieces of a byte are one where so large a share of their changes is common.
+SIMULTANEOUS = 0.8
 #: Bits above a border that are weighed.
 WIDTHS = (2, 4)
 #: What it may weigh that the upper bit changes more often, and how often bits of an enumeration change together.
@@ -67,6 +69,51 @@ def _joined(sample: Rows, free: Array) -> dict[int, int]:
             up[low] = high
             below.add(high)
     return up
+
+
+def together(
+    sample: Rows, pieces: list[tuple[list[int], ByteOrder]], free: Array
+) -> list[tuple[list[int], ByteOrder]]:
+    """The pieces; those of one byte that change at the same time are one, with the constant bits between them.
+
+    A byte that takes few values has bits that never change between others that do: it is no row of flags.
+    """
+    constant = free & ~sample.varies
+    found: list[tuple[list[int], ByteOrder]] = []
+    by_byte: dict[int, list[list[int]]] = {}
+    for bits, order in pieces:
+        if bits[0] // 8 == bits[-1] // 8 and len(bits) < 8:
+            by_byte.setdefault(bits[0] // 8, []).append(bits)
+        else:
+            found.append((bits, order))
+    for byte, some in by_byte.items():
+        first, *others = sorted(some)
+        runs = [first]
+        for bits in others:
+            between = list(range(runs[-1][-1] + 1, bits[0]))
+            if constant[between].all() and _are_simultaneous(sample, runs[-1], bits):
+                runs[-1] = [*runs[-1], *between, *bits]
+            else:
+                runs.append(bits)
+        whole = list(range(8 * byte, 8 * byte + 8))
+        if others and len(runs) == 1 and all(constant[bit] or bit in runs[0] for bit in whole):
+            runs = [whole]
+        found += [(run, "little") for run in runs]
+    return found
+
+
+def whole_bytes(free: Array) -> list[tuple[list[int], ByteOrder]]:
+    """The bytes of which any bit is free, each by itself."""
+    return [
+        (list(range(8 * byte, 8 * byte + 8)), "little")
+        for byte in np.flatnonzero(free.reshape(-1, 8).any(axis=1)).tolist()
+    ]
+
+
+def _are_simultaneous(sample: Rows, one: list[int], other: list[int]) -> bool:
+    moves = [np.not_equal(*sample.pairs(sample.values(bits))) for bits in (one, other)]
+    either = (moves[0] | moves[1]).sum()
+    return bool(either >= 2 and (moves[0] & moves[1]).sum() >= SIMULTANEOUS * either)
 
 
 def _last(byte: int) -> int:

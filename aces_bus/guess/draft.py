@@ -23,30 +23,9 @@ WIDTH = 110
 #: What comes from aces_bus.protocol, and from construct.
 _OURS = frozenset(
     (
-        *(
-            "AsciiText",
-            "BitLayout",
-            "Cobs",
-            "Counter",
-            "Crc",
-            "Delimited",
-            "Extra",
-            "Fletcher",
-            "IdBytes",
-            "IdField",
-        ),
-        *(
-            "Insert",
-            "InvertedSum",
-            "Multiplexed",
-            "Protocol",
-            "Slip",
-            "Sum",
-            "Text",
-            "Xor",
-            "bits",
-            "float_bits",
-        ),
+        *("AsciiText", "BitLayout", "Cobs", "Counter", "Crc", "Delimited", "Extra", "FastPacket", "Fletcher"),
+        *("IdBytes", "IdField", "Insert", "InvertedSum", "IsoTp", "Multiplexed", "Protocol", "Slip", "Sum"),
+        *("Text", "Xor", "bits", "float_bits"),
     )
 )
 _CONSTRUCTS = frozenset(("Byte", "Bytes", "GreedyBytes", "Int16ub", "Int16ul", "Struct", "this"))
@@ -177,14 +156,15 @@ def _message(message: MessageGuess, own: str, nodes: dict[str, str]) -> Iterator
     for flag, word in ((EXTENDED, "extended"), (FD, "fd"), (REMOTE, "remote")):
         if key & flag:
             yield f"    {word}=True,"
-    if not key & REMOTE:
+    if message.transport:
+        yield f"    transport={message.transport},"
+    elif not key & REMOTE:
         yield f"    length={message.length if message.length is not None else _values(message.lengths)},"
     lines = payload_lines(fields, message.size, message.length is None)
     if lines:
+        lines[-1] += ","
         yield f"    payload={lines[0]}"
-        yield from (f"    {line}" for line in lines[1:-1])
-        if len(lines) > 1:
-            yield f"    {lines[-1]},"
+        yield from (f"    {line}" for line in lines[1:])
     check = next((one for one in fields if one.check is not None), None)
     if check is not None and check.check is not None and not any(one.kind == "text" for one in fields):
         yield f"    check={check.check.declare(field_name(check))},"

@@ -29,6 +29,8 @@ FieldKind = Literal[
 
 #: Rows that are looked at closely, and the runs of neighbours that they are taken in.
 SAMPLE, RUNS = 2048, 4
+#: With fewer steps from row to row nothing is known but which bytes change.
+STEPS = 8
 #: Payloads beyond are bytes: no frame is as long, and the work would grow.
 LONGEST = 1024
 
@@ -160,7 +162,7 @@ def fields_of(rows: Array, times_ns: Array | None = None, prefix: bytes | Array 
     None where the recording does not say. `prefix` are bytes before the payload that a check may cover too, for all rows or
     uint8 of shape (n, bytes): an identifier, highest byte first. Payloads are cut at `LONGEST` bytes.
     """
-    from .boundaries import split
+    from .boundaries import split, together, whole_bytes
     from .kinds import classified, plain_fields
 
     sample = Rows(rows[:, :LONGEST])
@@ -170,7 +172,9 @@ def fields_of(rows: Array, times_ns: Array | None = None, prefix: bytes | Array 
     taken = np.zeros(8 * sample.size, bool)
     for one in found:
         taken[list(one.positions)] = True
-    found += [classified(sample, piece) for piece in split(sample, ~taken & sample.varies)]
+    free = ~taken & sample.varies
+    pieces = together(sample, split(sample, free), ~taken) if sample.steps >= STEPS else whole_bytes(free)
+    found += [classified(sample, piece) for piece in pieces]
     return whole(sample, found)
 
 
@@ -180,26 +184,26 @@ def whole(sample: Rows, found: Iterable[FieldGuess]) -> list[FieldGuess]:
     free = np.ones(8 * sample.size, bool)
     for one in found:
         free[list(one.positions)] = False
-    zero = free & ~sample.varies & (sample.bits[0] == 0)
-    widened = [_widened(one, zero) if one.kind == "number" else one for one in found]
+    constant = free & ~sample.varies
+    widened = [_widened(one, constant, sample.bits[0]) if one.kind == "number" else one for one in found]
     for one in widened:
         free[list(one.positions)] = False
     widened += _constants(sample, free & ~sample.varies)
     return sorted(widened, key=lambda one: (one.first_byte, min(one.positions)))
 
 
-def _widened(one: FieldGuess, zero: Array) -> FieldGuess:
-    """A number with the constant zeros above and below it in its bytes."""
+def _widened(one: FieldGuess, free: Array, values: Array) -> FieldGuess:
+    """A number with the bits around it, in its bytes, that never change: zeros, or a single bit that fills the byte."""
     start, length = one.start, one.length
     if length < 4:
         return one
-    while start % 8 and zero[start - 1]:
+    while start % 8 and free[start - 1] and not values[start - 1]:
         start, length = start - 1, length + 1
-        zero[start] = False
+        free[start] = False
     top = positions_of(start, length, one.order)[-1]
-    while top % 8 != 7 and zero[top + 1] and not one.signed:
+    while top % 8 != 7 and free[top + 1] and not one.signed and (not values[top + 1] or top % 8 == 6):
         top, length = top + 1, length + 1
-        zero[top] = False
+        free[top] = False
     return replace(one, start=start, length=length)
 
 

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 
 from .._lazy import np
 from .checks import checks_of
-from .fields import Array, ByteOrder, FieldGuess, FieldKind, Rows, above, positions_of
+from .fields import STEPS, Array, ByteOrder, FieldGuess, FieldKind, Rows, above, positions_of
 
-#: Steps, and different values, from which on something may be said.
-STEPS, VALUES = 8, 12
+#: Different values from which on something may be said, and from which on of a sign.
+VALUES, SIGNED = 12, 5
 #: The share of steps that a counter counts, and that its higher bits are wrong in.
 COUNTS, SLIPS = 0.8, 0.2
 #: Values of an enumeration, and its bits.
@@ -168,11 +168,12 @@ def _float_at(sample: Rows, byte: int, order: ByteOrder) -> FieldGuess:
     size = np.median(np.abs(numbers)) + 1e-30
     smooth = float(np.median(np.abs(after - before)) / size) if len(before) else 0.0
     rates = sample.rates[list(positions)]
-    if smooth > 2 or rates[:8].mean() < rates[23:31].mean():
+    falling = rates[:16].mean() > rates[16:23].mean() > rates[23:31].mean()
+    if smooth > 0.5 or not (falling or (rates[:8] == 0).all()):
         return nothing
     evidence = f"IEEE 754 numbers from {numbers.min():.4g} to {numbers.max():.4g}"
     evidence += f", exponents {low - 127:.0f} to {high - 127:.0f}"
-    return FieldGuess(start, 32, order, "float", 0.9 if smooth < 0.5 else 0.6, evidence, signed=True)
+    return FieldGuess(start, 32, order, "float", 0.9 if smooth < 0.2 else 0.7, evidence, signed=True)
 
 
 # ---------------------------------------------------------------------- what is left
@@ -191,8 +192,14 @@ def classified(sample: Rows, piece: tuple[list[int], ByteOrder]) -> FieldGuess:
         evidence = f"one bit, changes in {moves} of {sample.steps} steps"
         return FieldGuess(start, 1, order, "flag", 0.9 if moves else 0.5, evidence)
     different = np.unique(words)
+    if sample.steps < STEPS:
+        return FieldGuess(
+            start, width, order, "number", 0.2, f"{len(different)} values in {sample.total} messages"
+        )
     kind, confidence, evidence = _kind(width, different, before, after, moves, sample.steps)
-    signed, why = (False, "") if kind != "number" else _sign(words, before, after, width)
+    signed, why = False, ""
+    if kind == "number" and len(different) >= SIGNED:
+        signed, why = _sign(words, before, after, width)
     return FieldGuess(
         start, width, order, kind, confidence, f"{evidence}{why}", signed,
         values=tuple(different.tolist()) if kind == "enumeration" else (),
@@ -224,11 +231,8 @@ def _sign(words: Array, before: Array, after: Array, width: int) -> tuple[bool, 
         return False, ""
     plain, turned = _length(before, after, width, False), _length(before, after, width, True)
     middle = float(quarters[1] + quarters[2])
-    if turned < plain or (middle < 0.02 and min(quarters[0], quarters[3]) > 0.005):
-        return (
-            True,
-            f"; signed: {quarters[3]:.0%} of the values lie just below 0, {middle:.0%} in the middle of the range",
-        )
+    if plain - turned > 1.5 * width or (middle < 0.02 and min(quarters[0], quarters[3]) > 0.005):
+        return True, f"; signed: goes through 0, {quarters[2] + quarters[3]:.0%} of the values are below"
     return False, ""
 
 

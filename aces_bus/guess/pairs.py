@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,19 +48,33 @@ class PairGuess:
         }
 
 
-def pairs_of(frames: FrameTable) -> list[PairGuess]:
-    """The pairs among frames in the order of a recording, surest first."""
+def pairs_of(frames: FrameTable, clocked: Collection[int] = ()) -> list[PairGuess]:
+    """The pairs among frames in the order of a recording, surest first; frames of `clocked` keys come by themselves.
+
+    Several frames of one identifier in a row are one turn: what answers in several frames answers once.
+    """
+    found: dict[int, PairGuess] = {}
     frames = frames.take(slice(0, LOOKED_AT))
+    for some in (frames, frames.take(~np.isin(frames.key, np.array(list(clocked), np.uint32)))):
+        for one in _pairs_among(some):
+            if one.reply not in found or found[one.reply].confidence < one.confidence:
+                found[one.reply] = one
+    return sorted(found.values(), key=lambda one: -one.confidence)
+
+
+def _pairs_among(frames: FrameTable) -> Iterator[PairGuess]:
+    if len(frames) < 2:
+        return
+    is_same = (frames.key[1:] == frames.key[:-1]) & (frames.channel[1:] == frames.channel[:-1])
+    frames = frames.take(np.concatenate([[True], ~is_same]))
     keys, codes, counts = np.unique(frames.key, return_inverse=True, return_counts=True)
     if not 2 <= len(keys) <= AMONG:
-        return []
+        return
     same = frames.channel[1:] == frames.channel[:-1]
     first, second = codes[:-1], codes[1:]
-    follow = np.zeros((len(keys), len(keys)), np.int64)
-    np.add.at(follow, (first[same], second[same]), 1)
-    found: list[PairGuess] = []
-    for reply in range(len(keys)):
-        request = int(np.argmax(follow[:, reply]))
+    pairs = np.bincount(first[same] * len(keys) + second[same], minlength=len(keys) ** 2)
+    follow = pairs.reshape(len(keys), len(keys))
+    for reply, request in enumerate(np.argmax(follow, axis=0).tolist()):
         times = int(follow[request, reply])
         if (
             request == reply
@@ -69,18 +84,10 @@ def pairs_of(frames: FrameTable) -> list[PairGuess]:
         ):
             continue
         at = np.flatnonzero(same & (first == request) & (second == reply))
-        guess = _judged(
-            frames,
-            int(keys[request]),
-            int(keys[reply]),
-            at,
-            np.flatnonzero(codes == request),
-            times,
-            int(counts[reply]),
-        )
+        asked = np.flatnonzero(codes == request)
+        guess = _judged(frames, int(keys[request]), int(keys[reply]), at, asked, times, int(counts[reply]))
         if guess is not None:
-            found.append(guess)
-    return sorted(found, key=lambda one: -one.confidence)
+            yield guess
 
 
 def _judged(

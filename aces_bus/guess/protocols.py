@@ -129,6 +129,8 @@ def _iso_tp(data: Array, lengths: Array) -> str | None:
         flow & (low > 2)
     ).any():
         return None
+    if not (first | following).any() and flow.sum() >= ENOUGH and single.any():
+        return f"{int(single.sum())} single frames, {int(flow.sum())} of flow control"
     size = (low.astype(np.int64) << 8) | data[:, 1]
     if first.sum() < 1 or following.sum() < ENOUGH or (first & (size < 8) & (size != 0)).any():
         return None
@@ -163,7 +165,8 @@ def _fast(data: Array, lengths: Array) -> str | None:
     if right[goes_on].mean() < 1 - 2 * AGAINST or fits.mean() < 1 - 2 * AGAINST:
         return None
     sizes_said = f"sizes of {int(sizes.min())} to {int(sizes.max())} bytes"
-    return f"{int(first.sum())} first frames with {sizes_said}, {_counted(right[goes_on])} frames with the number that is due"
+    said = f"{int(first.sum())} first frames with {sizes_said}"
+    return f"{said}, {_counted(right[goes_on])} frames with the number that is due"
 
 
 def _counted(right: Array) -> str:

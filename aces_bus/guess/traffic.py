@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,6 +22,8 @@ from .protocols import ProtocolGuess, recognised
 
 #: Frames that are kept, and identifiers that are looked at.
 FRAMES, IDENTIFIERS = 2_000_000, 2048
+#: Transports by the names of standards, as a spec declares them.
+TRANSPORTS = {"ISO-TP": "IsoTp()", "fast packet": "FastPacket()"}
 #: Lengths of one identifier that become messages of their own.
 LENGTHS = 4
 #: Frames from which on there is a period, and the share of it that gaps may differ by for it to be one.
@@ -58,8 +60,8 @@ class MessageGuess:
     timing: TimingGuess | None
     fields: tuple[FieldGuess, ...]
     node: NodeGuess | None = None
-    #: The first frame's data.
-    example: bytes = b""
+    #: What carries it in several frames, as a spec declares it: "IsoTp()".
+    transport: str = ""
 
     @property
     def identifier(self) -> int:
@@ -81,6 +83,7 @@ class MessageGuess:
             "extended": bool(self.keys[0] & EXTENDED),
             "fd": bool(self.keys[0] & FD),
             "remote": bool(self.keys[0] & REMOTE),
+            "transport": self.transport or None,
             "node": None if self.node is None else self.node.as_dict(),
             "frames": self.frames,
             "lengths": list(self.lengths),
@@ -155,15 +158,16 @@ class Traffic:
                 left = undecoded(fitting[0].variant, frames)
                 decoded = len(frames) - len(left)
                 frames = frames.take(left)
-        messages, beyond = _messages(frames)
+        standards = tuple(recognised(frames))
+        messages, beyond = _messages(frames, _carried(standards))
         return TrafficGuess(
             self.frames,
             self._kept,
             decoded,
             tuple(fitting),
             tuple(messages),
-            tuple(pairs_of(frames)),
-            tuple(recognised(frames)),
+            tuple(pairs_of(frames, _clocked(messages))),
+            standards,
             self.errors,
             beyond,
         )
@@ -194,7 +198,7 @@ def _one_table(tables: list[FrameTable]) -> FrameTable:
 
 
 def by_key(frames: FrameTable) -> Iterator[tuple[int, Array]]:
-    """Each key with its rows, in order, those of the channel where it has most frames."""
+    """Each key with its rows, in order, channel by channel: those of the one where it has most frames first."""
     order = np.argsort(frames.key, kind="stable")
     keys = frames.key[order]
     starts = np.flatnonzero(np.diff(keys, prepend=~keys[:1])) if len(keys) else []
@@ -202,7 +206,7 @@ def by_key(frames: FrameTable) -> Iterator[tuple[int, Array]]:
         rows = order[start:end]
         channels = frames.channel[rows]
         if (channels != channels[0]).any():
-            rows = rows[channels == np.argmax(np.bincount(channels))]
+            rows = rows[np.argsort(-np.bincount(channels)[channels], kind="stable")]
         yield int(keys[start]), rows
 
 
@@ -216,22 +220,36 @@ def timing_of(times: Array) -> TimingGuess | None:
     return TimingGuess(round(middle), round(high - low)) if middle > 0 else None
 
 
-def _messages(frames: FrameTable) -> tuple[list[MessageGuess], int]:
+def _carried(standards: Iterable[ProtocolGuess]) -> dict[int, str]:
+    """The transport of each key whose frames are parts of packets, as a spec declares it."""
+    return {key: TRANSPORTS[one.name] for one in standards if one.name in TRANSPORTS for key in one.keys}
+
+
+def _messages(frames: FrameTable, carried: Mapping[int, str]) -> tuple[list[MessageGuess], int]:
     groups: list[Members] = []
     beyond = 0
     for key, rows in by_key(frames):
         if len(groups) >= IDENTIFIERS:
             beyond += len(rows)
             continue
-        groups.append(
-            Members(
-                (key,), rows, tuple(np.unique(frames.length[rows]).tolist()), timing_of(frames.time[rows])
-            )
-        )
+        own = rows[frames.channel[rows] == frames.channel[rows[0]]]
+        lengths = tuple(np.unique(frames.length[rows]).tolist())
+        groups.append(Members((key,), rows, lengths, timing_of(frames.time[own])))
     found: list[MessageGuess] = []
-    for group in families(frames, groups):
+    for group in families(frames, [one for one in groups if one.keys[0] not in carried]):
         found += _messages_of(frames, group)
-    return found, beyond
+    for group in groups:
+        if group.keys[0] in carried:
+            found.append(_packets(frames, group, carried[group.keys[0]]))
+    return sorted(found, key=lambda one: (one.keys[0], one.length or 0)), beyond
+
+
+def _packets(frames: FrameTable, group: Members, transport: str) -> MessageGuess:
+    """Frames that are parts of packets, as packets of bytes."""
+    rows = group.rows
+    return MessageGuess(
+        _name(group), group.keys, len(rows), None, 0, group.lengths, group.timing, (), transport=transport
+    )
 
 
 def _messages_of(frames: FrameTable, group: Members) -> Iterator[MessageGuess]:
@@ -265,8 +283,12 @@ def _message(frames: FrameTable, group: Members, name: str, rows: Array, length:
         group.timing,
         tuple(fields),
         group.node,
-        frames.data[rows[0], : frames.length[rows[0]]].tobytes() if len(rows) else b"",
     )
+
+
+def _clocked(messages: Iterable[MessageGuess]) -> set[int]:
+    """The keys of messages that come at a fixed rate."""
+    return {key for one in messages if one.timing is not None and one.timing.is_regular for key in one.keys}
 
 
 def _name(group: Members) -> str:
