@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..protocol.columns.checks import CrcColumns
+from ..protocol.columns.checks import CrcColumns, parameters_of
 from ..protocol.columns.table import Array
 from ..protocol.declare.checks import Check, Covered, Crc, Fletcher, IdBytes, Order, Sum, Xor
 
@@ -478,14 +478,11 @@ class _Search:
         over += [slice(*run) for run in covers]
         if fit.constant:
             over.insert(len(over) if fit.kind == "Crc" else 0, fit.constant)
-        shown = [_shown(name, value) for name, value in fit.arguments.items()]
         arguments = dict(fit.arguments)
         if self.from_end or prefix or fit.constant or covers != self._runs(0, place, True):
             arguments["over"] = over
-            items = ", ".join(map(_over_text, over))
-            shown.append(f"over={items}" if len(over) == 1 else f"over=[{items}]")
-        check = _CLASSES[fit.kind](**arguments)
-        declared = f"{fit.kind}({', '.join(shown)})"
+        check: Check = _CLASSES[fit.kind](**arguments)
+        declared = check_source(check)
         guess = CheckGuess(
             place.offset, place.size, check, declared, covers, prefix, fit.agreeing, self.count, fit.bits
         )
@@ -526,12 +523,24 @@ _CLASSES: dict[str, Any] = {
 }
 
 
-def _shown(name: str, value: object) -> str:
-    if name in ("name", "size"):
-        return f'"{value}"' if name == "name" else repr(value)
-    if name in ("poly", "init", "xorout"):
-        return f"{name}={value:#x}"
-    return f'{name}="{value}"' if isinstance(value, str) else f"{name}={value!r}"
+def check_source(check: Check) -> str:
+    """A sum, exclusive or, Fletcher pair or CRC as a spec writes it."""
+    name, shown = type(check).__name__, list[str]()
+    if isinstance(check, Crc):
+        width, poly, init, refin, refout, xorout = parameters_of(check)
+        numbers = f"width={width}, poly={poly:#x}, init={init:#x}, refin={refin}, refout={refout}, xorout={xorout:#x}"
+        shown.append(numbers if " " in check.name else f'"{check.name}"')
+    elif isinstance(check, Sum):
+        name = "InvertedSum" if check.inverted else name
+        shown += [str(check.bytes)] * (check.bytes > 1) + ["negated=True"] * check.negated
+    if check.text is not None:
+        shown.append(f"text={check.text!r}")
+    elif check.bytes > 1 and check.kind != "fletcher":
+        shown.append(f'order="{check.order}"')
+    if check.over is not None:
+        items = ", ".join(map(_over_text, check.over))
+        shown.append(f"over={items}" if len(check.over) == 1 else f"over=[{items}]")
+    return f"{name}({', '.join(shown)})"
 
 
 def _over_text(part: Covered) -> str:

@@ -17,26 +17,21 @@ from ..protocol.keys import EXTENDED, FD, REMOTE
 from .fields import FieldGuess
 from .traffic import MessageGuess, TrafficGuess
 
+TITLE = '"""A draft by `aces spec guess`: yours to name and to correct from here on."""'
 #: Columns of a comment.
 WIDTH = 110
-#: What comes from aces_bus.protocol; all else that a draft uses is construct's.
+#: What comes from aces_bus.protocol, and from construct.
 _OURS = frozenset(
     (
-        *(
-            "BitLayout",
-            "Counter",
-            "Crc",
-            "Extra",
-            "FastPacket",
-            "Fletcher",
-            "IdBytes",
-            "IdField",
-            "InvertedSum",
-        ),
-        *("IsoTp", "Multiplexed", "Protocol", "Sum", "Text", "Xor", "bits", "float_bits"),
+        *("AsciiText", "BitLayout", "Cobs", "Counter", "Crc", "Delimited", "Extra", "FastPacket", "Fletcher"),
+        *("IdBytes", "IdField", "Insert", "InvertedSum", "IsoTp", "Multiplexed", "Protocol", "Slip", "Sum"),
+        *("Text", "Xor", "bits", "float_bits"),
     )
 )
-_WORDS = re.compile(r"\b(?:GreedyBytes|Struct|" + "|".join(sorted(_OURS)) + r")\b")
+_CONSTRUCTS = frozenset(("Byte", "Bytes", "GreedyBytes", "Int16ub", "Int16ul", "Struct", "this"))
+_WORDS = re.compile(r"\b(?:" + "|".join(sorted(_OURS | _CONSTRUCTS)) + r")\b")
+#: What is no code: comments and texts.
+_NO_CODE = re.compile(r"""#.*|b?'(?:[^'\\\n]|\\.)*'|b?"(?:[^"\\\n]|\\.)*\"""")
 
 
 def draft_source(guess: TrafficGuess, name: str = "draft", files: Iterable[str] = ()) -> str:
@@ -49,15 +44,19 @@ def draft_source(guess: TrafficGuess, name: str = "draft", files: Iterable[str] 
     nodes: dict[str, str] = {}
     for message in guess.messages:
         body += ["", *_message(message, own, nodes)]
-    code = "\n".join([*body, *nodes.values()])
-    words = {"Protocol", *_WORDS.findall(re.sub(r"#.*", "", code))}
-    head = [*_about(guess, files), "", "from __future__ import annotations", ""]
+    head = [*_about(guess, files), "", *imports_of([*body, *nodes.values()])]
+    return "\n".join([*head, f'{own} = Protocol("{own}", link="can")', *nodes.values(), *body, ""])
+
+
+def imports_of(lines: Iterable[str]) -> list[str]:
+    """The import statements of a draft whose other lines these are."""
+    words = {"Protocol", *_WORDS.findall(_NO_CODE.sub("", "\n".join(lines)))}
+    found = ["from __future__ import annotations", ""]
     for module, some in (("construct", words - _OURS), ("aces_bus.protocol", words & _OURS)):
         if some:
             ordered = sorted(some, key=lambda word: (not word[:1].isupper(), word))
-            head += [f"from {module} import {', '.join(ordered)}", ""]
-    head += [f'{own} = Protocol("{own}", link="can")', *nodes.values()]
-    return "\n".join([*head, *body, ""])
+            found += [f"from {module} import {', '.join(ordered)}", ""]
+    return found
 
 
 def payload_lines(fields: Sequence[FieldGuess], size: int, trailing: bool = False) -> list[str]:
@@ -100,9 +99,8 @@ def field_name(one: FieldGuess) -> str:
 
 
 def _about(guess: TrafficGuess, files: Iterable[str]) -> Iterator[str]:
-    yield '"""A draft by `aces spec guess`: yours to name and to correct from here on."""'
-    yield ""
-    said = [f"Guessed from {guess.kept:,} frames" + "".join(f", {_plain(file)}" for file in files) + "."]
+    yield from (TITLE, "")
+    said = [f"Guessed from {guess.kept:,} frames" + "".join(f", {plain(file)}" for file in files) + "."]
     if guess.kept < guess.frames - guess.errors:
         said[0] += f" The recording has {guess.frames:,}."
     if guess.known:
@@ -111,19 +109,20 @@ def _about(guess: TrafficGuess, files: Iterable[str]) -> Iterator[str]:
     said += [f"{one.name}: {one.evidence}" for one in guess.protocols]
     said += [f"{_shown(one.reply)} answers {_shown(one.request)}: {one.evidence}" for one in guess.pairs]
     for one in said:
-        yield from _wrapped(one, "# ", "#   ")
+        yield from wrapped(one, "# ", "#   ")
 
 
 def _shown(key: int) -> str:
     return f"{key & 0x1FFF_FFFF:0{8 if key & EXTENDED else 3}X}"
 
 
-def _plain(text: str) -> str:
+def plain(text: str) -> str:
     """Text of others, as one line of ASCII."""
     return "".join(c if " " <= c < "\x7f" else "?" for c in text)
 
 
-def _wrapped(text: str, first: str, others: str) -> list[str]:
+def wrapped(text: str, first: str, others: str) -> list[str]:
+    """A comment in lines that are no wider than `WIDTH`."""
     return textwrap.wrap(text, WIDTH, initial_indent=first, subsequent_indent=others, break_on_hyphens=False)
 
 
@@ -138,10 +137,10 @@ def _message(message: MessageGuess, own: str, nodes: dict[str, str]) -> Iterator
         said += f", {rate}" if message.timing.is_regular else f", at no fixed rate (mostly {rate})"
     if message.node is not None:
         said += f"; {message.node.evidence} ({message.node.confidence:.2f})"
-    yield from _wrapped(said, "# ", "# ")
+    yield from wrapped(said, "# ", "# ")
     fields = _named_once(message.fields)
     for line in _constants(fields):
-        yield from _wrapped(line, "# ", "#   ")
+        yield from wrapped(line, "# ", "#   ")
     digits = 8 if key & EXTENDED else 3
     identifier = f"0x{message.identifier:0{digits}X}"
     if message.node is not None:
@@ -238,7 +237,7 @@ def _layout(fields: Sequence[FieldGuess], first: int, size: int, trailing: bool)
 
 def _commented(one: FieldGuess, code: str, fields: Sequence[FieldGuess] = ()) -> list[str]:
     text = f"{one.evidence} ({one.confidence:.2f})"
-    return [*(f"    {line}" for line in _wrapped(_plain(text), "# ", "# ")), f"    {code}"]
+    return [*(f"    {line}" for line in wrapped(plain(text), "# ", "# ")), f"    {code}"]
 
 
 def _field(one: FieldGuess, first: int, is_big: bool) -> str:

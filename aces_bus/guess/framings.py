@@ -24,12 +24,13 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from construct import Byte, GreedyBytes, Int16ub, Int16ul, Struct, this
 
+from ..protocol.columns.checks import parameters_of
 from ..protocol.columns.table import Array
 from ..protocol.declare.checks import Check, Crc, InvertedSum, Sum, Xor
 from ..protocol.declare.framing import Framing
 from ..protocol.declare.protocol import Protocol
 from ..protocol.declare.stuffing import Cobs, Insert, Slip, Stuffing
-from .checks import CheckGuess, checks_of_packets
+from .checks import CheckGuess, check_source, checks_of_packets
 
 #: Bytes that are searched; packets of which a check is sought.
 SAMPLE, PACKETS = 1 << 16, 512
@@ -119,11 +120,36 @@ class FramingGuess:
     def head_end(self) -> int:
         """Bytes up to the end of what is needed to read a packet: sync, length, opcode."""
         ends = [len(self.sync)]
+        if self.kind == "lines":
+            return ends[0]
         if self.length is not None:
             ends.append(self.length.offset + self.length.width)
         if self.opcode is not None:
             ends.append(sum(self.opcode))
         return max(ends)
+
+    def head_fields(self) -> Iterator[tuple[str, str]]:
+        """The header behind the sync bytes: names, and the constructs by theirs."""
+        at = len(self.sync)
+        if self.kind == "lines":
+            return
+        while at < self.head_end:
+            if self.length is not None and at == self.length.offset:
+                yield "length", self.length.format
+                at += self.length.width
+            elif self.opcode is not None and at == self.opcode[0]:
+                yield "opcode", "Byte" if self.opcode[1] == 1 else "Int16ub"
+                at += self.opcode[1]
+            else:
+                yield f"byte_{at}", "Byte"
+                at += 1
+
+    @property
+    def stuffing_source(self) -> str:
+        """The stuffing as a spec writes it."""
+        if isinstance(self.stuffing, Insert):
+            return f"Insert({self.stuffing.pattern!r}, {self.stuffing.byte!r})"
+        return f"{type(self.stuffing).__name__}()"
 
     def as_dict(self) -> dict[str, Any]:
         """The guess in JSON's kinds."""
@@ -143,7 +169,7 @@ class FramingGuess:
         if self.check is not None:
             found["check"] = self.check.declared
         if self.written is not None:
-            found["check"] = f"{type(self.written).__name__}(text={self.written.text!r})"
+            found["check"] = check_source(self.written)
         if self.opcode is not None:
             found["opcode"] = list(self.opcode)
         return {
@@ -170,7 +196,7 @@ def framing_check(guess: FramingGuess) -> Check | None:
         return _with_over(check, over)
     if not isinstance(check, Crc) or check.order != "big":
         return None
-    width, poly, init, refin, refout, xorout = _parameters(check)
+    width, poly, init, refin, refout, xorout = parameters_of(check)
     if refin or refout:
         return None
     more = 8 * len(guess.tail)
@@ -186,12 +212,6 @@ def framing_check(guess: FramingGuess) -> Check | None:
     )
 
 
-def _parameters(check: Crc) -> tuple[int, int, int, bool, bool, int]:
-    from ..protocol.columns.checks import parameters_of
-
-    return parameters_of(check)
-
-
 def _with_over(check: Check, over: list[slice]) -> Check:
     from copy import copy
 
@@ -203,22 +223,11 @@ def _with_over(check: Check, over: list[slice]) -> Check:
 
 def declare_framing(protocol: Protocol, guess: FramingGuess, name: str) -> Framing:
     """The framing in a protocol, as the draft declares it; raises `SpecError` where the language cannot say it."""
-    fields: list[Any] = []
-    at = len(guess.sync)
-    length, opcode = guess.length, guess.opcode
-    while at < guess.head_end:
-        if length is not None and at == length.offset:
-            fields.append("length" / {"Byte": Byte, "Int16ub": Int16ub, "Int16ul": Int16ul}[length.format])
-            at += length.width
-        elif opcode is not None and opcode == (at, 2):
-            fields.append("opcode" / Int16ub)
-            at += 2
-        else:
-            fields.append(("opcode" if opcode == (at, 1) else f"byte_{at}") / Byte)
-            at += 1
+    constructs = {"Byte": Byte, "Int16ub": Int16ub, "Int16ul": Int16ul}
+    fields = [name / constructs[construct] for name, construct in guess.head_fields()]
     more: dict[str, Any] = {"header": Struct(*fields)} if fields else {}
-    if length is not None:
-        more["size"] = this.length + length.constant
+    if guess.length is not None:
+        more["size"] = this.length + guess.length.constant
     elif guess.size is not None:
         more["size"] = guess.size
     elif guess.kind == "silence":
@@ -621,6 +630,7 @@ def _of_vote(sample: Sample, vote: _Vote) -> FramingGuess:
     whole = ends <= len(array)
     hits, ends = hits[whole], ends[whole]
     packets = [sample.data[start:end] for start, end in zip(hits.tolist(), ends.tolist(), strict=True)]
+    length = length and _wider(array, hits, length)
     while len(sync) > 2 and 0 < sync[-1] < LEAST_SYNC:
         sync = sync[:-1]
     limit = length.offset if length is not None else (size or 0)
@@ -658,6 +668,12 @@ def _of_vote(sample: Sample, vote: _Vote) -> FramingGuess:
     ):
         guess = replace(guess, not_next=sync[:1])
     return _stuffed(guess, packets)
+
+
+def _wider(array: Array, hits: Array, length: LengthRule) -> LengthRule:
+    """A byte of length with a byte behind it that is always 0 is one of two bytes, of which long packets are rare."""
+    behind = array[np.minimum(hits + length.offset + 1, len(array) - 1)]
+    return length._replace(width=2, order="little") if length.width == 1 and not behind.any() else length
 
 
 def _max_size(length: LengthRule | None, most: int) -> int:

@@ -267,20 +267,30 @@ def opcode_of(framing: FramingGuess, packets: Sequence[bytes]) -> tuple[int, int
     data = np.array([list(packet[:width]) for packet in some], np.int64)
     sizes = np.array([len(packet) for packet in some], np.int64)
     columns = [data[:, at] for at in range(first, width) if not _is_length(framing, at)]
-    best: tuple[float, int, int] | None = None
-    for at in places:
-        gain = _explained(data[:, at], sizes, columns)
-        if gain is not None and gain >= EXPLAINS_BITS and (best is None or gain > best[0]):
-            best = gain, at, 1
-    if best is None:
+    # What sizes say counts where there are several: contents differ from device to device, too.
+    explained = [] if len(np.unique(sizes)) > 1 else columns
+    gains = {
+        at: _explained(data[:, at], sizes, explained) * (0.5 + _settled(data[:, at], sizes)) for at in places
+    }
+    at = max(gains, key=lambda at: gains[at])
+    if gains[at] < EXPLAINS_BITS:
         return None
-    gain, at, _ = best
     for start in (at - 1, at):
         if start in places and start + 1 in places:
-            pair = _explained(data[:, start] << 8 | data[:, start + 1], sizes, columns)
-            if pair is not None and pair > gain + EXPLAINS_BITS:
-                gain, best = pair, (pair, start, 2)
-    return best[1], best[2]
+            pair = data[:, start] << 8 | data[:, start + 1]
+            if _explained(pair, sizes, []) >= _explained(data[:, at], sizes, []) + EXPLAINS_BITS:
+                return start, 2
+    return at, 1
+
+
+def _settled(codes: Array, sizes: Array) -> float:
+    """The share of packets whose code has one size."""
+    _, kinds = np.unique(codes, return_inverse=True)
+    least = np.full(int(kinds.max()) + 1, 1 << 30)
+    most = np.zeros(len(least), np.int64)
+    np.minimum.at(least, kinds, sizes)
+    np.maximum.at(most, kinds, sizes)
+    return float((least == most)[kinds].mean())
 
 
 def _is_length(framing: FramingGuess, at: int) -> bool:
@@ -288,12 +298,12 @@ def _is_length(framing: FramingGuess, at: int) -> bool:
     return length is not None and length.offset <= at < length.offset + length.width
 
 
-def _explained(codes: Array, sizes: Array, columns: Sequence[Array]) -> float | None:
-    """How many bits of sizes and contents a number explains; None where it is no number of kinds."""
+def _explained(codes: Array, sizes: Array, columns: Sequence[Array]) -> float:
+    """How many bits of sizes and contents a number explains; 0 where it is no number of kinds."""
     _, kinds = np.unique(codes, return_inverse=True)
     count = int(kinds.max()) + 1
     if count < 2 or count > OPCODES or len(codes) < EACH * count:
-        return None
+        return 0.0
     gain = 4 * _shared(sizes, kinds, count)
     return gain + sum(_shared(column, kinds, count) for column in columns if (column != codes).any())
 
@@ -341,7 +351,8 @@ def _kinds(
         members = members[:ROWS]
         sizes = sorted({len(logical[index]) for index in members})
         fields: list[FieldGuess] = []
-        if framing.kind != "lines":
+        # Packets of many lengths that nothing tells apart are not one message.
+        if framing.kind != "lines" and (code is not None or len(sizes) == 1):
             start, end = framing.head_end, sizes[0] - body_end(framing)
             if end > start:
                 rows = np.array([list(logical[index][start:end]) for index in members], np.uint8)
