@@ -7,13 +7,16 @@
 
 from __future__ import annotations
 
-from .checks import CheckGuess, checks_of
+from .checks import CheckGuess, checks_of, checks_of_packets
 from .draft import draft_source
+from .draft_stream import stream_source
 from .fields import FieldGuess, FieldKind, fields_of
+from .framings import FramingGuess, LengthRule
 from .known import TRIED_BYTES, TRIED_FRAMES, FittingProtocol, fitting_protocols
 from .nodes import NodeGuess
 from .pairs import PairGuess
 from .protocols import ProtocolGuess
+from .streams import PacketGuess, StreamGuess, StreamTraffic
 from .traffic import MessageGuess, TimingGuess, Traffic, TrafficGuess
 
 __all__ = [
@@ -23,15 +26,22 @@ __all__ = [
     "FieldGuess",
     "FieldKind",
     "FittingProtocol",
+    "FramingGuess",
+    "LengthRule",
     "MessageGuess",
     "NodeGuess",
+    "PacketGuess",
     "PairGuess",
     "ProtocolGuess",
+    "StreamGuess",
+    "StreamTraffic",
     "TimingGuess",
     "Traffic",
     "TrafficGuess",
     "checks_of",
+    "checks_of_packets",
     "draft_source",
     "fields_of",
     "fitting_protocols",
+    "stream_source",
 ]

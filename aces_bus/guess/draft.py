@@ -21,12 +21,13 @@ TITLE = '"""A draft by `aces spec guess`: yours to name and to correct from here
 #: Columns of a comment.
 WIDTH = 110
 #: What comes from aces_bus.protocol, and from construct.
-# fmt: off
-_OURS = frozenset((
-    "AsciiText", "BitLayout", "Cobs", "Counter", "Crc", "Delimited", "Extra", "FastPacket", "Fletcher", "IdBytes", "IdField",
-    "Insert", "InvertedSum", "IsoTp", "Multiplexed", "Protocol", "Slip", "Sum", "Text", "Xor", "bits", "float_bits",
-))
-# fmt: on
+_OURS = frozenset(
+    (
+        *("AsciiText", "BitLayout", "Cobs", "Counter", "Crc", "Delimited", "Extra", "FastPacket", "Fletcher"),
+        *("IdBytes", "IdField", "Insert", "InvertedSum", "IsoTp", "Multiplexed", "Protocol", "Slip", "Sum"),
+        *("Text", "Xor", "bits", "float_bits"),
+    )
+)
 _CONSTRUCTS = frozenset(("Byte", "Bytes", "GreedyBytes", "Int16ub", "Int16ul", "Struct", "this"))
 _WORDS = re.compile(r"\b(?:" + "|".join(sorted(_OURS | _CONSTRUCTS)) + r")\b")
 #: What is no code: comments and texts.
@@ -88,7 +89,10 @@ def payload_lines(fields: Sequence[FieldGuess], size: int, trailing: bool = Fals
 def field_name(one: FieldGuess) -> str:
     """What a field is called: its kind and where it is, by byte and, where that is not its first, bit."""
     bit = one.start % 8
-    return f"{one.kind}_{one.first_byte}" + (f"_{bit}" if bit or one.length < 8 else "")
+    if one.kind == "multiplexer":
+        return f"{one.kind}_{one.first_byte}"
+    when = f"_at_{one.when[0]}" if one.when else ""
+    return f"{one.kind}_{one.first_byte}" + (f"_{bit}" if bit or one.length < 8 else "") + when
 
 
 # ---------------------------------------------------------------------- the head

@@ -629,6 +629,7 @@ def _of_vote(sample: Sample, vote: _Vote) -> FramingGuess:
     whole = ends <= len(array)
     hits, ends = hits[whole], ends[whole]
     packets = [sample.data[start:end] for start, end in zip(hits.tolist(), ends.tolist(), strict=True)]
+    length = length and _wider(array, hits, length)
     while len(sync) > 2 and 0 < sync[-1] < LEAST_SYNC:
         sync = sync[:-1]
     limit = length.offset if length is not None else (size or 0)
@@ -666,6 +667,12 @@ def _of_vote(sample: Sample, vote: _Vote) -> FramingGuess:
     ):
         guess = replace(guess, not_next=sync[:1])
     return _stuffed(guess, packets)
+
+
+def _wider(array: Array, hits: Array, length: LengthRule) -> LengthRule:
+    """A byte of length with a byte behind it that is always 0 is one of two bytes, of which long packets are rare."""
+    behind = array[np.minimum(hits + length.offset + 1, len(array) - 1)]
+    return length._replace(width=2, order="little") if length.width == 1 and not behind.any() else length
 
 
 def _max_size(length: LengthRule | None, most: int) -> int:

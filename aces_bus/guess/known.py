@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
@@ -23,18 +23,18 @@ from .fields import Array
 TRIED_FRAMES, TRIED_BYTES, FITS = 20_000, 1 << 18, 0.8
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True)
 class FittingProtocol:
     """A protocol and the share (0 … 1) of a recording that it decodes; `name` is what `-p` takes."""
 
     share: float
     name: str
-    variant: Variant = field(compare=False)
+    variant: Variant
 
 
 def fitting_protocols(link: str, piece: Any) -> list[FittingProtocol]:
     """The installed protocols that decode most of a piece (a `FrameTable` where `link` is "can", else bytes), best first."""
-    return sorted(_fitting(link, piece), reverse=True)
+    return sorted(_fitting(link, piece), key=lambda one: -one.share)
 
 
 def _fitting(link: str, piece: Any) -> Iterator[FittingProtocol]:
@@ -51,7 +51,7 @@ def _fitting(link: str, piece: Any) -> Iterator[FittingProtocol]:
             text += f"@{configuration}" if configuration else ""
             variant = protocol.variant(dialect or None, configuration or None)
             found.append(FittingProtocol(_share(variant, piece), text, variant))
-        best = max(found)
+        best = max(found, key=lambda one: one.share)
         if best.share >= FITS:
             yield best
 

@@ -28,8 +28,6 @@ KEPT = 1 << 20
 HEAD, EXPLAINED = 8, 32
 #: Different opcodes at most, packets of each on average at least, and bits that an opcode must explain.
 OPCODES, EACH, EXPLAINS_BITS = 64, 3.0, 1.0
-#: Share of what explains most that a byte in front of it must explain to be the one.
-PLAIN = 0.6
 #: Packets of one kind that are looked at.
 ROWS = 8192
 #: Kinds of packets that are drafted, of each framing.
@@ -269,18 +267,30 @@ def opcode_of(framing: FramingGuess, packets: Sequence[bytes]) -> tuple[int, int
     data = np.array([list(packet[:width]) for packet in some], np.int64)
     sizes = np.array([len(packet) for packet in some], np.int64)
     columns = [data[:, at] for at in range(first, width) if not _is_length(framing, at)]
-    gains = {at: _explained(data[:, at], sizes, columns) for at in places}
-    most = max(gains.values())
-    if most < EXPLAINS_BITS:
+    # What sizes say counts where there are several: contents differ from device to device, too.
+    explained = [] if len(np.unique(sizes)) > 1 else columns
+    gains = {
+        at: _explained(data[:, at], sizes, explained) * (0.5 + _settled(data[:, at], sizes)) for at in places
+    }
+    at = max(gains, key=lambda at: gains[at])
+    if gains[at] < EXPLAINS_BITS:
         return None
-    # What is in front says what follows; what follows goes with it.
-    at = next(at for at in places if gains[at] >= PLAIN * most)
     for start in (at - 1, at):
         if start in places and start + 1 in places:
             pair = data[:, start] << 8 | data[:, start + 1]
             if _explained(pair, sizes, []) >= _explained(data[:, at], sizes, []) + EXPLAINS_BITS:
                 return start, 2
     return at, 1
+
+
+def _settled(codes: Array, sizes: Array) -> float:
+    """The share of packets whose code has one size."""
+    _, kinds = np.unique(codes, return_inverse=True)
+    least = np.full(int(kinds.max()) + 1, 1 << 30)
+    most = np.zeros(len(least), np.int64)
+    np.minimum.at(least, kinds, sizes)
+    np.maximum.at(most, kinds, sizes)
+    return float((least == most)[kinds].mean())
 
 
 def _is_length(framing: FramingGuess, at: int) -> bool:
@@ -341,7 +351,8 @@ def _kinds(
         members = members[:ROWS]
         sizes = sorted({len(logical[index]) for index in members})
         fields: list[FieldGuess] = []
-        if framing.kind != "lines":
+        # Packets of many lengths that nothing tells apart are not one message.
+        if framing.kind != "lines" and (code is not None or len(sizes) == 1):
             start, end = framing.head_end, sizes[0] - body_end(framing)
             if end > start:
                 rows = np.array([list(logical[index][start:end]) for index in members], np.uint8)

@@ -6,6 +6,8 @@
                                         a spec of it that loads and decodes, with
                                         the evidence in comments, for you to edit
   aces spec guess a.log b.log           several recordings of one bus
+  aces spec guess gnss.bin              a serial line: sync bytes, length, check,
+                                        what tells packets apart, their fields
   aces spec guess drive.log --no-known  do not try the installed protocols first
   aces spec guess drive.log --json      all guesses, for programs
 
@@ -26,7 +28,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from aces_bus.errors import CallerError
-from aces_bus.guess import FieldGuess, MessageGuess, Traffic, TrafficGuess, draft_source
+from aces_bus.guess import (
+    FieldGuess,
+    MessageGuess,
+    StreamGuess,
+    StreamTraffic,
+    Traffic,
+    TrafficGuess,
+    draft_source,
+    stream_source,
+)
 from aces_bus.plain_text import printable
 from aces_bus.recordings import CanRecording
 
@@ -49,7 +60,10 @@ LISTED = 20
 
 ARGUMENTS: Arguments = (
     argument(
-        "files", nargs="+", metavar="CAPTURE", help="recordings of one bus, any format; '-': standard input"
+        "files",
+        nargs="+",
+        metavar="CAPTURE",
+        help="recordings of one bus or line, any format; '-': standard input",
     ),
     OUTPUT.but(metavar="draft.py", help="write the draft of a spec there"),
     flag("--force", help="overwrite a draft that is there already"),
@@ -63,17 +77,24 @@ def run(arguments: argparse.Namespace) -> int:
     check_suffix("-o", arguments.output, ".py")
     if arguments.output is not None and os.path.exists(arguments.output) and not arguments.force:
         raise CallerError(f"{arguments.output}: is there already; choose another name, or say --force")
-    traffic = Traffic()
+    traffic, stream = Traffic(), StreamTraffic()
     with Patience() as patience:
         for name in arguments.files:
             with patience.waiting():
                 recording = open_any(name)
             with recording:
-                if not isinstance(recording, CanRecording):
-                    raise CallerError(f"{name}: is no recording of a CAN bus")
-                for table in patience.each(recording.tables()):
-                    traffic.add(table)
+                if isinstance(recording, CanRecording):
+                    for table in patience.each(recording.tables()):
+                        traffic.add(table)
+                else:
+                    stream.next_recording()
+                    for chunk in patience.each(recording):
+                        stream.add(*chunk)
                 report_unreadable(recording, is_over=True)
+    if stream.bytes and traffic.frames:
+        raise CallerError("recordings of a CAN bus and of a serial line: guess one after the other")
+    if stream.bytes:
+        return _of_stream(stream.guess(known=not arguments.no_known), arguments)
     guess = traffic.guess(known=not arguments.no_known)
     if arguments.output is not None and guess.messages:
         stem = Path(arguments.output).stem
@@ -92,6 +113,65 @@ def run(arguments: argparse.Namespace) -> int:
         )
         say(f"no draft was written: the recording {said}")
     return 0
+
+
+# ---------------------------------------------------------------------- streams
+
+
+def _of_stream(guess: StreamGuess, arguments: argparse.Namespace) -> int:
+    if arguments.output is not None and guess.framings:
+        source = stream_source(
+            guess, Path(arguments.output).stem, [Path(one).name for one in arguments.files]
+        )
+        write_text(arguments.output, source)
+    if arguments.json:
+        print_json({**guess.as_dict(), "output": arguments.output if guess.framings else None})
+    else:
+        _show_stream(guess, arguments)
+    if arguments.output is not None and not guess.framings:
+        said = f"is {guess.known[0].name}" if guess.known else "has no framing that it shows plainly"
+        say(f"no draft was written: the recording {said}")
+    return 0
+
+
+def _show_stream(guess: StreamGuess, arguments: argparse.Namespace) -> None:
+    page = Page(arguments.color)
+    title = ", ".join("standard input" if one == "-" else one for one in arguments.files)
+    files = " ".join("-" if one == "-" else shlex.quote(one) for one in arguments.files)
+    page.lines([printable(f"{title}: {counted(guess.bytes, 'byte')}, {guess.decoded:,} in packets")])
+    if guess.kept < guess.bytes:
+        page.lines([f"only the first {guess.kept:,} bytes were looked at"])
+    for known in guess.known[:LISTED]:
+        page.lines([printable(f"{known.share:4.0%} is {known.name}:  aces decode {files} -p {known.name}")])
+    if guess.known:
+        page.lines(["nothing was guessed (--no-known: everything)"])
+    elif not guess.framings:
+        page.lines(["no sync bytes, length, line end or check that chance could not give as well"])
+    for number, framing in enumerate(guess.framings):
+        page.lines([""])
+        head = f"framing {number}: {counted(framing.packets, 'packet')}, {framing.share:.1%} of the bytes"
+        page.lines([page.paint("message", f"{head} ({framing.confidence:.2f})")])
+        page.lines(f"  {printable(line)}" for line in framing.evidence)
+        for packet in guess.packets:
+            if packet.framing != number:
+                continue
+            code = "" if packet.opcode is None else f" {_code(packet.opcode, framing.kind == 'lines')}"
+            sizes = packet.sizes
+            size = f"{sizes[0]} bytes" if len(sizes) == 1 else f"{sizes[0]} to {sizes[-1]} bytes"
+            page.lines(["", page.paint("message", f"packet{code}  {packet.count:,} of {size}")])
+            if not arguments.quiet and packet.fields:
+                page.table(
+                    ("field", "bits", "kind", "sure", "evidence"), [_cells(one) for one in packet.fields]
+                )
+    if guess.framings and arguments.output is None:
+        page.lines(["", f"a draft to edit: aces spec guess {printable(files)} -o draft.py"])
+    elif guess.framings:
+        quoted = shlex.quote(arguments.output)
+        say_note(f"{arguments.output}: written; next: aces decode {files} -p {quoted}")
+
+
+def _code(opcode: bytes, is_text: bool) -> str:
+    return printable(opcode.decode("latin-1")) if is_text else opcode.hex(" ").upper()
 
 
 # ---------------------------------------------------------------------- text
@@ -174,6 +254,8 @@ def _cells(one: FieldGuess) -> tuple[str, ...]:
         size = f"{'s' if one.signed else 'u'}{one.length}" if one.kind != "float" else f"{one.length}"
         order = f" {one.order}" if first // 8 != last // 8 else ""
         kind = f"{one.kind} {size}{order}"  # type: ignore[assignment]  # text from here on
+    if one.when:
+        where += f" at {one.when[0]}"
     return (_name(one), where, kind, f"{one.confidence:.2f}", one.evidence)
 
 
