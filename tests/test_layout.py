@@ -60,6 +60,8 @@ FLOORS: dict[str, set[str]] = {
         "recordings",
         "kinematics",
     },  # floors put together
+    # whether buses carry what a robot sends: measured on virtual robots
+    "budget": {"runtime", "protocol", "hardware", "device", "robot"},
     "testing": {"runtime", "protocol", "recordings", "hardware", "device", "state", "controller", "robot"},
 }
 EVERYONE = {"errors", "frames", "frame_table", "plain_text", "compiling", "_lazy", "plugins"}

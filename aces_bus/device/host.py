@@ -264,6 +264,11 @@ class Host(BusEndpoint[Device]):
         """The devices, by name."""
         return self.members
 
+    @property
+    def asks_one_by_one(self) -> bool:
+        """Whether it asks for one thing at a time: on half-duplex lines, and of devices that take one request."""
+        return self._line is not None
+
     # ------------------------------------------------------------------ opening and ticking
 
     def open(self) -> None:

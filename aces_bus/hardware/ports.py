@@ -24,7 +24,7 @@ from .queues import AGE_S
 from .serial import SerialGate
 from .simulated.bus import SimulatedBus, SimulatedBusEvent
 from .simulated.datagrams import SimulatedDatagrams
-from .simulated.frame_time import INTERMISSION, frame_bits
+from .simulated.frame_time import INTERMISSION, longest_bits
 from .simulated.serial_line import BITS, SimulatedSerialLine
 
 Word = TypeVar("Word")
@@ -136,7 +136,7 @@ class CanPort(BasePort[Frame]):
             raise CallerError(f"{self.name}: what may be sent is its gate's to know: CanGate(allow=…)")
         self._bus, self._allow = bus, allow
         self._handler: BusHandler | None = None
-        self._costs: dict[tuple[int, bool, bool], int] = {}
+        self._costs: dict[tuple[int, bool, bool, bool], int] = {}
         self.bitrate, self.data_bitrate = bitrate or 1_000_000, None
         if isinstance(bus, SimulatedBus):
             self.bitrate, self.data_bitrate = bus.bitrate, bus.data_bitrate
@@ -186,20 +186,22 @@ class CanPort(BasePort[Frame]):
 
     def wire_ns(self, word: Frame) -> int:
         """How long a frame occupies the bus at most, its intermission included."""
-        key = (len(word.data), word.is_extended_id, word.is_fd)
+        key = (len(word.data), word.is_extended_id, word.is_fd, word.bitrate_switch)
         known = self._costs.get(key)
         if known is None:
             known = self._costs[key] = self._cost(word)
         return known
 
     def _cost(self, word: Frame) -> int:
-        """The longest that a frame of this length can be: stuffed as much as can be (CAN), or as it is (FD)."""
-        if not word.is_fd:
-            stuffed = (54 if word.is_extended_id else 34) + 8 * len(word.data)
-            end = 10 + INTERMISSION  # delimiters, acknowledgement, end of frame
-            return (stuffed + (stuffed - 1) // 4 + end) * 1_000_000_000 // self.bitrate
+        """The longest that a frame of this length can be: stuffed as much as can be."""
+        bits = longest_bits(
+            len(word.data),
+            extended=word.is_extended_id,
+            fd=word.is_fd,
+            bitrate_switch=bool(word.bitrate_switch),
+        )
         pause = INTERMISSION * 1_000_000_000 // self.bitrate
-        return frame_bits(word).duration_ns(self.bitrate, self.data_bitrate) + pause
+        return bits.duration_ns(self.bitrate, self.data_bitrate) + pause
 
     def _detach(self) -> None:
         self.node.wire.detach(self.node)

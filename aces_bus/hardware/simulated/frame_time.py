@@ -77,6 +77,27 @@ def classic_bits(frame: Frame) -> int:
     return known
 
 
+def longest_bits(
+    size: int, *, extended: bool = False, fd: bool = False, bitrate_switch: bool = False
+) -> FrameBits:
+    """The most bits that a data frame of `size` bytes can have, whatever its identifier and content.
+
+    A stuff bit behind the fifth equal bit and then behind each fourth, as it begins a run of its own (Davis, Burns, Bril,
+    Lukkien 2007, 3.1, of classic frames: 55 + 10 × size bits with 11-bit identifiers, 80 + 10 × size with 29, of which 3 are
+    the intermission and not counted here). Of CAN FD, those of the part before the fixed stuff bits.
+
+    >>> longest_bits(8), longest_bits(8, extended=True)
+    (FrameBits(nominal=132, data=0), FrameBits(nominal=157, data=0))
+    """
+    if not fd:
+        stuffed = (54 if extended else 34) + 8 * size
+        return FrameBits(stuffed + (stuffed - 1) // 4 + TRAILER, 0)
+    front, back = _FD_FRONT[extended], 5 + 8 * size
+    first, all_stuffed = (front - 2) // 4, (front + back - 2) // 4
+    nominal, data = front + first + TRAILER - 1, back + all_stuffed - first + _fd_tail(size) + 1
+    return FrameBits(nominal, data) if bitrate_switch else FrameBits(nominal + data, 0)
+
+
 #: A key has this above its identifier, of 29 bits.
 _EXTENDED = 1 << 29
 #: Much that is sent on a bus is sent again: so many answers are kept, by key and data.
@@ -141,10 +162,19 @@ def _fd_bits(frame: Frame) -> FrameBits:
     second -= _ends_full(front << back_width | back, front_width + back_width)
     if _ends_full(front, front_width):  # the stuff bit behind BRS is sent at the new rate
         first, second = first - 1, second + 1
-    check = 4 + (17 if size <= 16 else 21)
-    tail = check + 1 + check // 4
-    nominal, data = front_width + first + TRAILER - 1, back_width + second + tail + 1  # the delimiter is data
+    # The delimiter is data.
+    nominal, data = front_width + first + TRAILER - 1, back_width + second + _fd_tail(size) + 1
     return FrameBits(nominal, data) if brs else FrameBits(nominal + data, 0)
+
+
+#: Bits from SOF to BRS of a CAN FD frame, with 11 and with 29 bits of identifier.
+_FD_FRONT = (17, 36)
+
+
+def _fd_tail(size: int) -> int:
+    """Stuff count and CRC of a CAN FD frame, with their fixed stuff bits."""
+    check = 4 + (17 if size <= 16 else 21)
+    return check + 1 + check // 4
 
 
 # ---------------------------------------------------------------------- stuffing
