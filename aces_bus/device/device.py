@@ -316,6 +316,11 @@ class Device(EndpointMember):
         return made
 
     @property
+    def commanding(self) -> frozenset[str]:
+        """The messages of its set-points."""
+        return frozenset((*self._paths, *self.streams))
+
+    @property
     def _overrides_completed(self) -> bool:
         return type(self).completed is not Device.completed
 

@@ -25,7 +25,7 @@ import msgspec
 
 from ..errors import CallerError, FieldError, UnknownNameError
 from ..frames import FD_LENGTHS
-from ..protocol import Protocol, Variant
+from ..protocol import Protocol, StreamScanner, Variant
 from ..runtime import EventClock, Timer
 from .config import DeviceConfig, Robot
 from .port import Port
@@ -294,6 +294,9 @@ class Twins(BusEndpoint[Twin]):
         self._ears: list[Twin] = []
         self._tail = b""
         self._heard = 0
+        if port.link == "serial" and isinstance(self.scanner, StreamScanner):
+            # As receivers do: a pause inside a packet ends it, or what follows would be taken for its rest.
+            self._silence_ns = round(self.scanner.gap * 1e9)
 
     def send(self, word: Any) -> None:
         """Put a word on the bus."""

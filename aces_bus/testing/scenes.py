@@ -88,7 +88,7 @@ def draw_stream(wire: Wire, direction: Way, source: ChoiceSource, *, size: int =
             idle_at.append(len(data))
             continue
         if how >= 26:
-            data += _garbage(who, part)
+            data += garbage(who, part)
             continue
         packet = _pick(who, part)
         if packet.request is not None and part.integer(0, 7):
@@ -96,18 +96,8 @@ def draw_stream(wire: Wire, direction: Way, source: ChoiceSource, *, size: int =
         piece = packet.image
         if how < 17:
             packets.append(packet)
-        elif how == 17:
-            piece = _rewrapped(packet, part)
-        elif how == 18:
-            piece = piece[: part.integer(0, len(piece) - 1)]
-        elif how == 19:
-            piece = piece[part.integer(1, len(piece)) :]
-        elif how < 22:
-            piece = _flipped(piece, part)
-        elif how == 22:
-            piece = _header(packet, part) + piece
-        elif how == 23:
-            piece = _overwritten(packet, part)
+        elif how < 24:
+            piece = damaged_packet(packet, how - 17, part)
         elif how == 24:
             at = part.integer(0, len(piece))
             piece = piece[:at] + _pick(who, part).image + piece[at:]
@@ -137,6 +127,26 @@ def _ask(
         data += request.image
     elif who.can_send:
         sent_at.append((len(data), request.image))
+
+
+#: In how many ways a packet is damaged.
+PACKET_DAMAGES = 7
+
+
+def damaged_packet(packet: DrawnPacket, how: int, source: ChoiceSource) -> bytes:
+    """A stream's packet with something wrong: other contents, cut short, bits flipped, a false header before it."""
+    piece = packet.image
+    if how == 0:
+        return _rewrapped(packet, source)
+    if how == 1:
+        return piece[: source.integer(0, len(piece) - 1)]
+    if how == 2:
+        return piece[source.integer(1, len(piece)) :]
+    if how < 5:
+        return _flipped(piece, source)
+    if how == 5:
+        return _header(packet, source) + piece
+    return _overwritten(packet, source)
 
 
 def _flipped(piece: bytes, source: ChoiceSource) -> bytes:
@@ -205,7 +215,7 @@ def _rewrapped(packet: DrawnPacket, source: ChoiceSource) -> bytes:
         return packet.image
 
 
-def _garbage(who: Cast, source: ChoiceSource) -> bytes:
+def garbage(who: Cast, source: ChoiceSource) -> bytes:
     """Bytes of no packet: random, or made of what the framings look for."""
     size = source.integer(1, 24)
     how = source.integer(0, 3)
@@ -305,7 +315,7 @@ def draw_frames(wire: Wire, direction: Way, source: ChoiceSource, *, size: int =
         if how < 20:
             packets.append(packet)
         else:
-            frame = _damaged(frame, packet.message, how - 20, part)
+            frame = damaged_frame(frame, packet.message, how - 20, part)
         frames.append(frame)
     for left in under_way:
         # Some packets are whole; of others the scene has only the beginning.
@@ -335,7 +345,7 @@ def _jumbled(frames: list[Frame], message: Message, how: int, source: ChoiceSour
     elif how == 7:
         out = out[:at] + frames
     else:
-        out[at] = _damaged(out[at], message, source.integer(0, 9), source)
+        out[at] = damaged_frame(out[at], message, source.integer(0, 9), source)
     return out
 
 
@@ -348,7 +358,12 @@ def rechecked(message: Message, identifier: int, data: bytes) -> bytes:
     return data[:start] + wanted.to_bytes(size, order) + data[start + size :]
 
 
-def _damaged(frame: Frame, message: Message, how: int, source: ChoiceSource) -> Frame:
+#: In how many ways a frame is damaged.
+FRAME_DAMAGES = 10
+
+
+def damaged_frame(frame: Frame, message: Message, how: int, source: ChoiceSource) -> Frame:
+    """A frame with something wrong: shorter, longer, bits flipped, another identifier or kind."""
     data = frame.data
     if message.check is not None and source.integer(0, 1) and len(data) in (message.lengths or ()):
         return replace(frame, data=rechecked(message, frame.arbitration_id, _flipped(data, source)))
@@ -419,16 +434,21 @@ def draw_cuts(scene: Scene, source: ChoiceSource) -> tuple[int, ...]:
 
 
 __all__ = [
+    "FRAME_DAMAGES",
+    "PACKET_DAMAGES",
     "Cast",
     "Scene",
     "Way",
     "Wire",
     "adversary",
     "cast",
+    "damaged_frame",
+    "damaged_packet",
     "draw_cuts",
     "draw_frames",
     "draw_scene",
     "draw_stream",
+    "garbage",
     "rechecked",
     "wire_variants",
 ]

@@ -211,7 +211,7 @@ def _repacked(bench: Bench, best: _Best) -> None:
     """Packets with less in them, each until nothing helps."""
     start = 0
     while start < len(best.scene) and best.calls.are_left:
-        if not any(_replaced(best, start, *less) for less in _smaller(bench, best.scene.words, start)):
+        if not any(_replaced(best, start, *less) for less in smaller_packets(bench, best.scene.words, start)):
             start += 1
 
 
@@ -229,7 +229,7 @@ def _events_repacked(bench: Bench, best: _Best) -> None:
     for index in range(len(best.scene.sent_at)):
         while any(
             best.offer(_with_sent(best.scene, index, smaller))
-            for _, smaller in _smaller(bench, best.scene.sent_at[index][1], 0)
+            for _, smaller in smaller_packets(bench, best.scene.sent_at[index][1], 0)
         ):
             pass
 
@@ -238,7 +238,7 @@ def _with_sent(scene: Scene, index: int, word: Any) -> Scene:
     return replace(scene, sent_at=_but(scene.sent_at, index, (scene.sent_at[index][0], word)))
 
 
-def _smaller(bench: Bench, words: bytes, start: int) -> Iterator[tuple[int, bytes]]:
+def smaller_packets(bench: Bench, words: bytes, start: int) -> Iterator[tuple[int, bytes]]:
     """The size of each framing's whole packet at `start`, with packets that have less in them."""
     for (_, framing, messages), extras in zip(bench.framings, bench.extras, strict=True):
         judged = framing.judge(words, start, silent=True, extras=extras)
@@ -394,4 +394,4 @@ def simpler_values(values: Any) -> Iterator[Any]:
         yield values[: len(values) // 2]
 
 
-__all__ = ["Calls", "lesser", "shrunk", "without", "word_bytes"]
+__all__ = ["Calls", "lesser", "shrunk", "simpler_frames", "smaller_packets", "without", "word_bytes"]
