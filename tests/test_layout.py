@@ -46,7 +46,8 @@ FLOORS: dict[str, set[str]] = {
     "kinematics": set(),  # bodies as chains; numbers only
     # touches no frame and no byte; its logs are written by export's durable writers
     "controller": {"runtime", "device", "state", "recordings", "export", "kinematics"},
-    "access": {"runtime", "device", "state"},  # states for other programs
+    # states for other programs, and all that happens for who looks on: as messages (export), as transforms (kinematics)
+    "access": {"runtime", "protocol", "device", "state", "export", "kinematics"},
     "robot": {
         "runtime",
         "protocol",
@@ -55,6 +56,7 @@ FLOORS: dict[str, set[str]] = {
         "state",
         "controller",
         "recordings",
+        "kinematics",
     },  # floors put together
     "testing": {"runtime", "protocol", "recordings", "hardware", "device", "state", "controller", "robot"},
 }

@@ -25,6 +25,7 @@ from ..runtime import EventClock, Timer
 from .carried_port import CarriedPort
 from .config import DeviceConfig, Joint, Robot, Sensor
 from .port import Port
+from .watched_port import Passed, WatchedPort
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -108,7 +109,8 @@ class BusEndpoint(Generic[M]):
             raise CallerError(f"{port.name}: a bus endpoint needs at least one protocol")
         if any(m.transport is not None for variant in variants for m in variant.messages.values()):
             port = CarriedPort(port, variants, self._is_carried_to_us)
-        self.port, self.clock, self.name = port, port.clock, name or port.name
+        self.port: Port = port
+        self.clock, self.name = port.clock, name or port.name
         self.variants = {variant.name: variant for variant in variants}
         self.direction: Literal["to device", "from device"] = direction
         self.scanner = make_scanner(list(variants), direction=direction, include_unknown=True)
@@ -201,6 +203,18 @@ class BusEndpoint(Generic[M]):
         return [m for m in found if agrees(m.credentials, record)]
 
     # ------------------------------------------------------------------ words
+
+    def watch(self, passed: Passed) -> None:
+        """Have `passed` called with all that this side receives and sends, on the clock's thread, from its opening on.
+
+        Raises `CallerError` when it is open already.
+        """
+        if self._is_open:
+            raise CallerError(f"{self.name}: is open already; watch it before")
+        if isinstance(self.port, CarriedPort):  # frames, and not packets
+            self.port.port = WatchedPort(self.port.port, passed)
+        else:
+            self.port = WatchedPort(self.port, passed)
 
     @property
     def is_open(self) -> bool:

@@ -1,4 +1,4 @@
-"""Tables as JSON messages on topics, as Foxglove and PlotJuggler read them: in a file (`mcap`), and live (`aces_bus.access`).
+"""Tables as JSON messages on topics, as Foxglove and PlotJuggler read them: in a file (`mcap`), and live (`access`).
 
 1. A message's JSON schema names every field with its unit; it hangs on the plan and not on values. A file and a live view
    of the same messages have the same topics, schemas and objects, for both are made here.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from .bodies import load_body
 from .body import (
     Body,
     Chain,
@@ -15,18 +16,22 @@ from .body import (
     rotation_of,
 )
 from .inverse import Goal, Solution, solve
+from .links import Link, Links
 
 __all__ = [
     "Body",
     "Chain",
     "Fixed",
     "Goal",
+    "Link",
+    "Links",
     "Move",
     "Pose",
     "Prismatic",
     "Revolute",
     "Solution",
     "Step",
+    "load_body",
     "roll_pitch_yaw",
     "rotation_of",
     "solve",

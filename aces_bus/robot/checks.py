@@ -21,6 +21,7 @@ from ..device.config import Bus, DeviceConfig, Joint, Robot, Sensor
 from ..device.drivers import list_drivers
 from ..device.events import Kind
 from ..errors import AcesError, CallerError, UnknownNameError
+from ..kinematics.bodies import BODIES
 from ..protocol import Protocol, list_protocols, load_protocol
 
 #: Where a slip of the pen ends and another name begins (difflib's ratio).
@@ -52,8 +53,15 @@ def check(robot: Robot, written: Mapping[str, set[str]], complain: Complain) -> 
     _check_reactions(robot, complain)
     _check_states(robot, complain)
     _check_rates(robot, complain)
+    _check_body(robot, complain)
     if robot.rate_hz is not None and robot.rate_hz > 20_000:
         complain(("rate_hz",), f"{robot.rate_hz:g} Hz is beyond what a bus can carry", True)
+
+
+def _check_body(robot: Robot, complain: Complain) -> None:
+    known = BODIES.points() if robot.body is not None else {}
+    if robot.body is not None and robot.body not in known:
+        complain(("body",), f"there is no body {robot.body!r}; there are {_listed(known)}", False)
 
 
 # ---------------------------------------------------------------------- names

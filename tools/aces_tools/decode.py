@@ -196,6 +196,8 @@ class LiveDecoding(Decoding):
         self.shows_losses = show != "hide"
         #: Nothing is printed; what would be is counted all the same.
         self.is_quiet: bool = arguments.quiet
+        #: What would be shown is shown elsewhere, too.
+        self.is_watched = False
         self.scanners: dict[tuple[Link, Direction | None], Scanner] = {}
         #: The source that the writer does not know of yet.
         self.pending: tuple[str, Link] | None = None
@@ -409,7 +411,7 @@ class LiveDecoding(Decoding):
             items = [
                 item for item in items if (self.shows_losses if type(item) is Unknown else self.shows_records)
             ]
-        if items and (self.count is not None or not self.is_quiet):
+        if items and (self.count is not None or not self.is_quiet or self.is_watched):
             self._show(items)
 
     @property

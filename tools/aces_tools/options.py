@@ -198,6 +198,18 @@ ROTATE = several(
     metavar="SIZE|DURATION",
     help="begin the next file (FILE-00002 …) after so much, such as 100MB, or so long, such as 10min",
 )
+FOXGLOVE = argument(
+    "--foxglove",
+    nargs="?",
+    const="",
+    metavar="[HOST:]PORT",
+    help="show it live to Foxglove, at this port of this machine (default: 8765); needs 'aces-bus[foxglove]'",
+)
+FOXGLOVE_ORIGIN = several(
+    "--foxglove-origin",
+    metavar="ORIGIN",
+    help="let web pages of ORIGIN look on, beside Foxglove's own and this machine's, such as http://lab:8080",
+)
 JSON = flag("--json", help="JSON on standard output, for programs")
 #: Every verb takes it: `main` adds it to those that say nothing more about it.
 QUIET = flag("-q", "--quiet", help="no notes, no progress: only results, and what is wrong")

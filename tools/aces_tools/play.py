@@ -4,6 +4,7 @@
   aces play walk.log -i socketcan -c can0 --tx
   aces play monday.blf tuesday.blf -i aces -c unix:can0 --tx --speed 2 --gap 1s
   aces play walk.log --map can0=vcan1 --map can1=vcan0 -i socketcan --tx
+  aces play walk.log -p hubo --foxglove
   aces play session.slog --direction to --serial /dev/ttyUSB0 --tx --loop 0
 
 Any recording that 'aces decode' reads: CAN frames go onto a CAN bus, bytes of
@@ -16,7 +17,7 @@ import argparse
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from aces_bus.errors import CallerError, CaptureError
 from aces_bus.frame_table import NO_TIME, to_ns
@@ -26,9 +27,25 @@ from aces_bus.recordings import CanRecording, Chunk, SerialRecording, open_recor
 from .bus_arg import BUS_ARGUMENTS, CAN_OPTIONS, ChosenBus, chosen_bus
 from .console import ENDLESS, StatusLine, report_unreadable, say, say_note
 from .live import LINGER_S, BusEventLines, LivePatience, SendQueue
-from .options import DIRECTION, FILTER, LOOP, MAP, RATE, TX, Arguments, argument, duration
+from .live_view import live_view
+from .options import (
+    DIRECTION,
+    FILTER,
+    FOXGLOVE,
+    FOXGLOVE_ORIGIN,
+    LOOP,
+    MAP,
+    PROTOCOL,
+    RATE,
+    TX,
+    Arguments,
+    argument,
+    duration,
+)
+from .protocols_arg import parse_protocols
 
 if TYPE_CHECKING:
+    from aces_bus.access.foxglove import LiveBus, LiveView
     from aces_bus.hardware.replay import Pace
 
 BATCH = 256
@@ -71,6 +88,12 @@ ARGUMENTS: Arguments = (
     RATE,
     FILTER.but(help="CAN: only what candump's filters pass, such as 060:7F0; by the recording's channels"),
     MAP.but(help="CAN: channel OLD onto the bus NEW"),
+    FOXGLOVE.but(
+        help="show it live to Foxglove as it is played, also without --tx, at this port of this machine (default: 8765);"
+        " needs 'aces-bus[foxglove]'"
+    ),
+    FOXGLOVE_ORIGIN,
+    PROTOCOL.but(help="with --foxglove: what is spoken, as of 'aces decode'; the first wins"),
     DIRECTION.but(metavar="{to,from}", help="serial: only what went to, or came from, the device"),
     *BUS_ARGUMENTS,
 )
@@ -78,7 +101,10 @@ ARGUMENTS: Arguments = (
 
 def run(arguments: argparse.Namespace) -> int:
     playing = Playing(arguments)
-    return playing.run() if arguments.tx else playing.show()
+    if arguments.foxglove is None and not arguments.foxglove_origin:
+        return playing.run() if arguments.tx else playing.show()
+    with live_view(arguments, f"play {', '.join(arguments.files)}") as playing.view:
+        return playing.run()
 
 
 class Playing:
@@ -105,6 +131,12 @@ class Playing:
             raise CallerError("--direction is for bytes of a serial line, and this is a CAN bus")
         self.total = self.filtered = self.skipped = self.unsent = 0
         self.unit = "frames" if self.bus is None else UNITS[self.bus.kind]
+        self.variants = parse_protocols(arguments.protocol)
+        if self.variants and arguments.foxglove is None:
+            raise CallerError("-p is for --foxglove: what is played onto a bus is played as it is")
+        #: Who looks on live, and what is shown of each link.
+        self.view: LiveView | None = None
+        self.live: dict[str, LiveBus] = {}
         self.buses = self._buses()
         self.status = 0
         #: Of a recording that is shown: frames by identifier, channels, first and last time.
@@ -119,7 +151,10 @@ class Playing:
     # ------------------------------------------------------------------ what is played
 
     def _open(self, name: str) -> CanRecording | SerialRecording:
-        return open_recording(name) if self.bus is None else open_recording(name, link=self.bus.link)
+        if self.bus is not None:
+            return open_recording(name, link=self.bus.link)
+        is_serial = bool(self.variants) and all(variant.link != "can" for variant in self.variants)
+        return open_recording(name, link="serial" if is_serial else None)
 
     def _words(
         self, capture: CanRecording | SerialRecording, patience: LivePatience
@@ -205,11 +240,10 @@ class Playing:
     # ------------------------------------------------------------------ with --tx
 
     def run(self) -> int:
-        """Play."""
-        assert self.bus is not None
+        """Play: onto buses with --tx, and for who looks on."""
         gates = {
             name: bus.gate(listen_only=False, send_rate=self.arguments.rate)
-            for name, bus in self.buses.items()
+            for name, bus in (self.buses if self.arguments.tx else {}).items()
         }
         with LivePatience() as patience:
             try:
@@ -231,6 +265,10 @@ class Playing:
                 self._tell(last=True)
         sent = sum(gate.counters.sent for gate in gates.values())
         failed = sum(gate.counters.send_failed for gate in gates.values())
+        if not self.arguments.tx:
+            say_note("nothing was sent: that takes --tx and a bus")
+            self._summarise(0, 0)
+            return self.status
         self.unsent = self.total - self.filtered - self.skipped - sent - failed
         self._summarise(sent, failed)
         dropped = sum(gate.counters.send_dropped + gate.counters.send_expired for gate in gates.values())
@@ -266,6 +304,8 @@ class Playing:
                     with patience.waiting():
                         capture = self._open(name)
                     with capture:
+                        if self.bus is None:
+                            self.unit = UNITS[capture.link]
                         self._file(capture, patience)
                         if done == 1:
                             report_unreadable(capture, is_over=True)
@@ -281,11 +321,13 @@ class Playing:
         pace = Pace(RealClock(), self.speed, self.gap)
         line = _Line(pace, self._byte_ns)
         for word in self._words(capture, patience):
-            outgoing = self._to(word)
+            outgoing = self._to(word) if self.arguments.tx else None
             stamp = to_ns(word.timestamp if isinstance(word, Frame) else word.time)
             for due, piece in line.pieces(word, stamp, is_split=self.unit == "bytes"):
                 if not patience.wait_until(due):
                     return
+                if outgoing is None:
+                    continue
                 most = self.most
                 if outgoing.pending > most and not outgoing.drain(patience, most // 2, PATIENCE_S):
                     if not patience.is_over:
@@ -300,8 +342,30 @@ class Playing:
                     patience.is_over = True
                     self.status = 1
                     return
+            if self.view is not None:
+                self._show_live(self.view, word, stamp)
             self._tell()
             self._progress()
+
+    def _show_live(self, view: LiveView, word: Frame | Chunk, stamp: int) -> None:
+        """What was played, at the recording's own time."""
+        is_can = isinstance(word, Frame)
+        link: Literal["can", "serial", "datagram"] = (
+            "can" if is_can else "datagram" if self.unit == "datagrams" else "serial"
+        )
+        instant = (time.time_ns() if stamp == NO_TIME else stamp) - view.epoch_ns
+        shown = self.live.get(link)
+        if shown is None:
+            from aces_bus.access.foxglove import LiveBus
+
+            variants = [variant for variant in self.variants if (variant.link == "can") is is_can]
+            if not variants and not is_can:
+                raise CallerError("--foxglove: what do these bytes mean? name a protocol: -p NAME")
+            shown = self.live[link] = LiveBus(view, variants, name="", link=link, direction="both")
+        if isinstance(word, Frame):
+            shown.passed(word, instant, True)
+        else:
+            shown.passed(word.data, instant, word.direction == "to device")
 
     @property
     def most(self) -> int:

@@ -6,6 +6,7 @@
   aces run -r hubo2plus walk.py -i socketcan --ask asks, and sends no set-points
   aces run -r hubo2plus walk.py -i socketcan --tx  and now it moves
   aces run -r hubo2plus walk.py --replay walk.blf  what it would have done
+  aces run -r minihubo_1 wave.py --virtual --real-time --foxglove
   aces run -r hubo2plus walk.py:knee hold.py --for 10s --log a.mcap:L*,LFFT.fz
 
 A CONTROLLER is a Python file, of which every controller is run (FILE.py:NAME
@@ -27,6 +28,8 @@ from aces_bus.errors import CallerError
 from .options import (
     ASK,
     FOR,
+    FOXGLOVE,
+    FOXGLOVE_ORIGIN,
     LOOP,
     QUIET,
     RATE,
@@ -64,6 +67,8 @@ ARGUMENTS: Arguments = (
         metavar="FILE[:STATE,…]",
         help="record states (default: those of the controllers) into .csv, .txt, .db, .parquet, .mcap",
     ),
+    FOXGLOVE,
+    FOXGLOVE_ORIGIN,
     flag("--home", help="make what is driven find its home position first"),
     argument(
         "--no-enable", dest="enable", action="store_false", help="do not enable what is driven before it runs"
@@ -124,7 +129,7 @@ def run(arguments: argparse.Namespace) -> int:
     robot = chosen_robot(arguments.robot, arguments.driver)
     rate = arguments.rate or robot.rate_hz or 100.0
     controllers = load_controllers(arguments.items, robot, rate, arguments)
-    if not controllers and not arguments.log:
+    if not controllers and not arguments.log and arguments.foxglove is None:
         raise CallerError("what is to run? name a controller (FILE.py, a trajectory), or what to --log")
     loggers = make_loggers(arguments.log, controllers, robot, rate)
     from .running.session import Session

@@ -10,6 +10,7 @@
                                       on buses that exist
   aces sim -r robot.toml --fault JMC3:silent --fault JMC1:late=0.2
   aces sim -r hubo2plus --pose RKN=30deg         where a joint is at first
+  aces sim -r minihubo_1 --foxglove              where its joints are, live
   aces sim -r hubo2plus --list-faults            how its devices can misbehave
 
 The devices answer as the real ones do, and move only when a program tells them
@@ -22,15 +23,17 @@ import argparse
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError, UnknownNameError
 
 from .console import ENDLESS, print_json, say, say_note
 from .live import LivePatience
-from .options import FOR, JSON, SEED, Arguments, flag, several
+from .live_view import live_view, show_bus, show_bus_event
+from .options import FOR, FOXGLOVE, FOXGLOVE_ORIGIN, JSON, SEED, Arguments, flag, several
 from .robot_arg import (
     POSE,
     ROBOT_AND_BUSES,
@@ -42,7 +45,9 @@ from .robot_arg import (
 )
 
 if TYPE_CHECKING:
+    from aces_bus.access.foxglove import LiveView
     from aces_bus.device import Robot
+    from aces_bus.device.twin import JointModel
     from aces_bus.robot import Simulation
 
 
@@ -59,6 +64,8 @@ ARGUMENTS: Arguments = (
     FOR.but(help="end after so long (default: Ctrl-C)"),
     SEED,
     POSE,
+    FOXGLOVE,
+    FOXGLOVE_ORIGIN,
     JSON.but(help="the buses, and at the end the counts, as JSON"),
     ROBOT_AND_BUSES,
 )
@@ -75,7 +82,8 @@ def run(arguments: argparse.Namespace) -> int:
     with ExitStack() as stack:
         patience = stack.enter_context(LivePatience())
         pose = chosen_pose(robot, arguments.pose)
-        stand = SimulatedRobot(robot, options, arguments.seed, stack, pose)
+        view = stack.enter_context(live_view(arguments, f"{robot.name}, simulated"))
+        stand = SimulatedRobot(robot, options, arguments.seed, stack, pose, view)
         for names, fault, amount in faults:
             for name in names:
                 stand.simulation[name].fault(fault, amount)
@@ -177,6 +185,7 @@ class SimulatedRobot:
         seed: int,
         stack: ExitStack,
         pose: Mapping[str, float] | None = None,
+        view: LiveView | None = None,
     ) -> None:
         from aces_bus.robot import gate_of, port_for, simulate
         from aces_bus.robot.rig import spoken_on
@@ -203,11 +212,41 @@ class SimulatedRobot:
                 ports[name] = port_for(gate_of(bus, protocol, options[name]), bus, self.loop)
         self.simulation: Simulation = simulate(robot, ports, seed=seed, pose=pose)
         stack.callback(self.simulation.close)
+        if view is not None:
+            self._show_live(view)
         for name, twins in self.simulation.buses.items():
             channel = options[name].get("channel") or robot.buses[name].channel
             open_host(name, twins, self.reached[name]["address"] if name in self.reached else channel)
             if name not in self.reached:
                 self.reached[name] = {"kind": links[name], "address": str(channel), **options[name]}
+
+    def _show_live(self, view: LiveView) -> None:
+        """Where its joints are, and what passes its buses."""
+        from aces_bus.access.foxglove import LiveStates
+        from aces_bus.kinematics import load_body
+
+        for name, twins in self.simulation.buses.items():
+            show_bus(view, name, twins, is_host=False)
+            twins.port.on_event(partial(show_bus_event, view, name))
+        body, loop = self.robot.body, self.loop
+        period_ns = round(1e9 / (self.robot.rate_hz or 100.0))
+        states = LiveStates(view, 1e9 / period_ns, body=None if body is None else load_body(body))
+        joints = self.simulation.world.joints
+
+        def reader(joint: JointModel) -> Callable[[], float]:
+            return lambda: joint.position(loop.now())
+
+        kinds = {name: joint.type for name, joint in self.robot.joints.items()}
+        units = {name: "m" if kinds.get(name) == "prismatic" else "rad" for name in joints}
+        states.read({name: (units[name], reader(joint)) for name, joint in joints.items()})
+
+        def again(due: int) -> None:
+            now = loop.now()
+            states.step(now)
+            following = max(due + period_ns, now)
+            loop.call_at(following, partial(again, following))
+
+        loop.call_soon(partial(again, loop.now()))
 
     # ------------------------------------------------------------------ serial lines
 

@@ -7,6 +7,7 @@
   aces sniff can0 -p hubo -o walk.parquet
   aces sniff can0 -p hubo --record walk.log
   aces sniff can0 -b 1000000 -p hubo --screen
+  aces sniff can0 -p hubo -q --foxglove
   aces sniff /dev/ttyUSB0 -p robotis --direction both
   aces sniff --udp 14550 -p my_spec.py --format jsonl
 
@@ -35,12 +36,15 @@ from .decode import LiveDecoding
 from .decoding import Link, Totals, utf8
 from .live import STEP_S, BusEventLines, LivePatience, heard_frame, losses, silence_s
 from .live_text import CandumpLines, LiveText, Times
+from .live_view import live_view, show_bus_event
 from .options import (
     COLOR,
     COUNT,
     DIRECTION,
     FILTER,
     FOR,
+    FOXGLOVE,
+    FOXGLOVE_ORIGIN,
     MESSAGE,
     OUTPUT,
     PROTOCOL,
@@ -58,6 +62,8 @@ from .protocols_arg import parse_protocols
 from .rotation import Rotation
 
 if TYPE_CHECKING:
+    from aces_bus.access.foxglove import LiveRecords, LiveView
+
     from .bus_arg import AnyGate
     from .live_log import LogSeries
     from .recorder import RecordingFile
@@ -119,6 +125,8 @@ ARGUMENTS: Arguments = (
     ROTATE,
     QUIET.but(help="print no lines, only the summary"),
     argument("--record", metavar="FILE", help="write all that is received there; see below"),
+    FOXGLOVE,
+    FOXGLOVE_ORIGIN,
     flag("--screen", help="a table of all that repeats, live; needs 'aces-bus[screen]'"),
     COLOR,
     *BUS_ARGUMENTS,
@@ -153,6 +161,8 @@ class Sniffing(LiveDecoding):
         #: What is written instead of lines, and when it was last handed to the system (s).
         self.log: LogSeries | None = None
         self._logged = 0.0
+        #: Who looks on live.
+        self.live: LiveRecords | None = None
         self.times = Times(arguments.time)
         #: Where no protocol is named: candump's lines.
         self.lines: CandumpLines | None = None
@@ -208,9 +218,19 @@ class Sniffing(LiveDecoding):
     def run(self) -> int:
         if self.arguments.screen:
             return _run_on_screen(self)
+        with live_view(self.arguments, f"sniff {self.name}") as view:
+            return self._run(view)
+
+    def _run(self, view: LiveView | None) -> int:
         gate = self.bus.gate(listen_only=True)
         events, inbox = BusEventLines(gate), gate.subscribe()
         recorder = self.recorder()
+        if view is not None:
+            from aces_bus.access.foxglove import LiveRecords
+
+            gate.on_event(lambda event: show_bus_event(view, event.bus, event.kind, event.detail))
+            self.live = LiveRecords(view, self.variants[self.link], scanner=self.scanner)
+            self.is_watched = True
         with LivePatience() as patience:
             self.open(gate, recorder)
             if self.duration is None and self.count is None:
@@ -342,14 +362,17 @@ class Sniffing(LiveDecoding):
             self.times.start = frames[0].timestamp
         if self.absent:
             self._seen({str(frame.channel) for frame in frames})
-        kept = []
+        kept, shown = [], []
         for frame, item in zip(frames, items, strict=True):
             if self.filter is None or self.filter.matches(frame):
                 kept.append(frame)
+                shown.append(item)
             else:
                 self._reject(item, 1, self.total)
         if kept and self.shows_losses:
             self.printed += len(kept)
+            if self.live is not None:
+                self.live.put(shown)
             if self.log is not None:
                 self._keep(FrameTable.from_frames(kept), len(kept))
             elif not self.is_quiet:
@@ -359,11 +382,13 @@ class Sniffing(LiveDecoding):
         """Bytes of a serial line, or a datagram."""
         seconds = (item.host_ns + self.epoch_ns) / 1e9
         if self.lines is not None:
-            self.scanner.feed(item.content, seconds)
+            items = self.scanner.feed(item.content, seconds)
             if self.times.start is None:
                 self.times.start = seconds
             if self.shows_losses:
                 self.printed += 1
+                if self.live is not None:
+                    self.live.put(items)
                 chunk = Chunk(item.content, seconds, self._stated)
                 if self.log is not None:
                     self._keep(chunk, len(chunk.data))
@@ -393,6 +418,8 @@ class Sniffing(LiveDecoding):
             self._emit(self.scanner.close(), self.total, is_can=False)
 
     def _show(self, items: list[Any]) -> None:
+        if self.live is not None:
+            self.live.put(items if self.count is None else items[: self.count - self.printed])
         if self.log is None:
             super()._show(items)
             return
@@ -448,6 +475,7 @@ class Sniffing(LiveDecoding):
 class Nameless:
     """The scanner of bytes where no protocol is named: all of them are unknown."""
 
+    link = "serial"
     gap = 0.0
 
     def __init__(self) -> None:
@@ -485,6 +513,8 @@ def _run_on_screen(sniffing: Sniffing) -> int:
     for option in _OF_LINES:
         if getattr(arguments, option):
             raise CallerError(f"--{option} is about lines, and --screen prints none; press / there to filter")
+    if arguments.foxglove is not None:
+        raise CallerError("choose one of --screen and --foxglove: two of 'aces sniff' may listen to one bus")
     if len(sniffing.messages) > 1:
         raise CallerError("--screen takes one --message; press / there to filter")
     if bus.kind != "can" and not arguments.protocol:

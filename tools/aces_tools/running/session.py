@@ -8,12 +8,13 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import sys
 import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from aces_bus.controller import ControllerLike
 from aces_bus.controller.log import Logger
@@ -25,10 +26,15 @@ from aces_bus.robot import Ended, Runner, run_real, run_replay, run_virtual
 
 from ..console import abandon_stdout, say, say_note, terminal_width, wants_colour
 from ..live import LivePatience
+from ..live_view import live_view, show_bus, show_event
 from ..robot_arg import NO_INTERFACE, bus_options, chosen_pose
 from .figures import USUAL, Figures, Watch, event_text
 from .loading import own_functions, reactions_of
 from .panel import panel, plain_line, to_rich
+
+if TYPE_CHECKING:
+    from aces_bus.access.foxglove import LiveView
+    from aces_bus.robot.runner import RunLogger
 
 #: Between two pictures of the panel, and two lines (ns).
 PANEL_EVERY, LINE_EVERY = 250_000_000, 1_000_000_000
@@ -66,12 +72,12 @@ class Session:
 
     # ------------------------------------------------------------------ making
 
-    def _make(self, stack: ExitStack) -> Runner:
+    def _make(self, stack: ExitStack, live: Sequence[RunLogger]) -> Runner:
         asked = self.arguments
         own = own_functions(asked.items)
         on_trip, reactions = reactions_of(asked.on_trip, self.robot, own, self.controllers)
         options: dict[str, Any] = {
-            "loggers": self.loggers,
+            "loggers": [*self.loggers, *live],
             "on_trip": on_trip,
             "reactions": reactions,
             "own_reactions": own,
@@ -101,6 +107,28 @@ class Session:
             **options,
         )
 
+    def _live_states(self, view: LiveView | None) -> list[RunLogger]:
+        """What of the robot is shown live, beside its buses."""
+        if view is None:
+            return []
+        from aces_bus.access.foxglove import LiveStates
+        from aces_bus.kinematics import load_body
+
+        body = None if self.robot.body is None else load_body(self.robot.body)
+        return [LiveStates(view, self.rate_hz, body=body)]
+
+    @staticmethod
+    def _show_live(view: LiveView, runner: Runner, stack: ExitStack) -> None:
+        """Buses, events, and what controllers log."""
+        from aces_bus.access.foxglove import LogLines
+
+        for name, host in runner.rig.hosts.items():
+            show_bus(view, name, host, is_host=True)
+        runner.handlers.append(lambda event: show_event(view, event))
+        lines = LogLines(view)
+        logging.getLogger().addHandler(lines)
+        stack.callback(logging.getLogger().removeHandler, lines)
+
     @property
     def title(self) -> str:
         """What it is, in the panel's head."""
@@ -117,7 +145,10 @@ class Session:
         """Run, and say how it was; the exit status."""
         with ExitStack() as stack:
             stack.enter_context(self.patience)
-            runner = self._make(stack)
+            view = stack.enter_context(live_view(self.arguments, self.title))
+            runner = self._make(stack, self._live_states(view))
+            if view is not None:
+                self._show_live(view, runner, stack)
             runner.bind()
             watch = Watch(runner, real=self.is_real)
             if self.is_real:
