@@ -33,6 +33,7 @@ from ..export.topics import STATES_TOPIC, TableTopics, states_schema
 from ..kinematics import Body, Links
 from ..protocol import CanScanner, Variant, make_scanner
 from ..protocol.columns.scanner import RecordColumns
+from ..protocol.declare.message import Direction
 from ..runtime import Clock, RealClock
 from .origins import OriginGate, hidden_host, is_loopback
 
@@ -545,7 +546,8 @@ class LiveBus:
     """What passes one side of a bus, both ways, decoded; `passed` is for `BusEndpoint.watch`.
 
     `variants` are the bus's protocols (none: frames alone), `link` what it carries; `is_host` says on which side of it we
-    are. `name` is the channel in what is shown (of frames, "" leaves their own).
+    are. `name` is the channel in what is shown (of frames, "" leaves their own). `direction` is that of a line of which
+    nobody knows which way its bytes went.
     """
 
     def __init__(
@@ -556,10 +558,13 @@ class LiveBus:
         name: str,
         link: Literal["can", "serial", "datagram"],
         is_host: bool = True,
+        direction: Direction | Literal["both"] | None = None,
     ) -> None:
         self._view, self._name, self._link, self._is_host = view, name, link, is_host
-        #: Frames say which way they go, or it is of no account; of bytes we know it.
-        ways: tuple[Any, ...] = ("both",) if link == "can" else ("from device", "to device")
+        if link == "can" and direction is None:
+            direction = "both"
+        #: Of all that passes, or one for each way.
+        ways: tuple[Any, ...] = ("from device", "to device") if direction is None else (direction,)
         self._scanners: list[Any] = [
             make_scanner(list(variants), direction=way, include_unknown=True)
             if variants
@@ -585,8 +590,8 @@ class LiveBus:
             frame = msgspec.structs.replace(word, timestamp=instant / 1e9, channel=self._name or word.channel)
             found = self._scanners[0].feed((frame,))
             return found
-        scanner = self._scanners[is_to_device]
-        if is_to_device:
-            self._scanners[0].sent(word)
+        scanner = self._scanners[-1 if is_to_device else 0]
+        if scanner is not self._scanners[0]:
+            self._scanners[0].sent(word)  # its reply hangs on it
         found = (scanner.datagram if self._link == "datagram" else scanner.feed)(word, instant / 1e9)
         return found

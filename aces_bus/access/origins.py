@@ -85,7 +85,8 @@ class OriginGate:
         try:
             self._listener = socket.create_server((host, port), family=family, backlog=8)
         except (OSError, OverflowError) as error:
-            why = getattr(error, "strerror", None) or error
+            number = getattr(error, "errno", None)
+            why = os.strerror(number) if number and number > 0 else error
             raise CallerError(f"{host}:{port} cannot be served ({why})") from None
         self.port = int(self._listener.getsockname()[1])
         self._thread = threading.Thread(target=self._accept, name="foxglove gate", daemon=True)

@@ -151,7 +151,10 @@ class Playing:
     # ------------------------------------------------------------------ what is played
 
     def _open(self, name: str) -> CanRecording | SerialRecording:
-        return open_recording(name) if self.bus is None else open_recording(name, link=self.bus.link)
+        if self.bus is not None:
+            return open_recording(name, link=self.bus.link)
+        is_serial = bool(self.variants) and all(variant.link != "can" for variant in self.variants)
+        return open_recording(name, link="serial" if is_serial else None)
 
     def _words(
         self, capture: CanRecording | SerialRecording, patience: LivePatience
@@ -347,7 +350,9 @@ class Playing:
     def _show_live(self, view: LiveView, word: Frame | Chunk, stamp: int) -> None:
         """What was played, at the recording's own time."""
         is_can = isinstance(word, Frame)
-        link: Literal["can", "serial", "datagram"] = "can" if is_can else "datagram" if self.unit == "datagrams" else "serial"
+        link: Literal["can", "serial", "datagram"] = (
+            "can" if is_can else "datagram" if self.unit == "datagrams" else "serial"
+        )
         instant = (time.time_ns() if stamp == NO_TIME else stamp) - view.epoch_ns
         shown = self.live.get(link)
         if shown is None:
@@ -356,7 +361,7 @@ class Playing:
             variants = [variant for variant in self.variants if (variant.link == "can") is is_can]
             if not variants and not is_can:
                 raise CallerError("--foxglove: what do these bytes mean? name a protocol: -p NAME")
-            shown = self.live[link] = LiveBus(view, variants, name="", link=link)
+            shown = self.live[link] = LiveBus(view, variants, name="", link=link, direction="both")
         if isinstance(word, Frame):
             shown.passed(word, instant, True)
         else:

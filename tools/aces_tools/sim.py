@@ -240,11 +240,13 @@ class SimulatedRobot:
         units = {name: "m" if kinds.get(name) == "prismatic" else "rad" for name in joints}
         states.read({name: (units[name], reader(joint)) for name, joint in joints.items()})
 
-        def again() -> None:
-            states.step(loop.now())
-            loop.call_in(period_ns, again)
+        def again(due: int) -> None:
+            now = loop.now()
+            states.step(now)
+            following = max(due + period_ns, now)
+            loop.call_at(following, partial(again, following))
 
-        loop.call_soon(again)
+        loop.call_soon(partial(again, loop.now()))
 
     # ------------------------------------------------------------------ serial lines
 
