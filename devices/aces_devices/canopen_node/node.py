@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import Any
 
 from aces_bus.device import UNKNOWN, Job, Signal, Steps
@@ -46,9 +47,9 @@ class CanopenNode(ObjectAccess):
 
     # ------------------------------------------------------------------ for drivers
 
+    @abstractmethod
     def set_up_steps(self, job: Job) -> Steps:
         """Ask the node what it is, set it up, start it; then `is_set_up`."""
-        raise NotImplementedError(f"{type(self).__name__} does not say how it is set up")
 
     def quiet(self, on: bool) -> None:
         """Whether the node is not to be expected to answer polls now."""

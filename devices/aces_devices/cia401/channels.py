@@ -15,6 +15,7 @@ from msgspec import Meta
 from aces_bus.errors import CallerError
 
 from ..canopen_node.dictionary import OwnFile, read_dictionary
+from ..canopen_node.settings import NodeSettings
 
 Kind = Literal["digital_input", "digital_output", "analog_input", "analog_output"]
 #: Kind → its object, what a channel without a name is called, channels a subindex.
@@ -60,7 +61,7 @@ class ChannelSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     ] = None
 
 
-class ModuleSettings(msgspec.Struct, frozen=True, kw_only=True):
+class ModuleSettings(NodeSettings, frozen=True, kw_only=True):
     """The driver's own keys in a robot file."""
 
     eds: Annotated[
@@ -71,31 +72,11 @@ class ModuleSettings(msgspec.Struct, frozen=True, kw_only=True):
         Meta(
             description="channels with names: door = { kind, number, unit, scale, offset, lower, upper, stop }"
         ),
-    ] = {}
+    ] = msgspec.field(default_factory=dict[str, ChannelSettings])
     every_s: Annotated[
         float,
         Meta(gt=0, description="how often all channels are read over SDO, beside PDOs (s), 0.5 when absent"),
     ] = 0.5
-    heartbeat_ms: Annotated[
-        int, Meta(ge=0, description="the module's heartbeat (ms), 500 when absent; 0 leaves it as it is")
-    ] = 500
-    watchdog_ms: Annotated[
-        int,
-        Meta(
-            ge=0,
-            le=0xFFFF,
-            description=(
-                "how long outputs that were set stay without the host's heartbeat, where the module's file has object 1016"
-                " (ms), 500 when absent; 0: for ever"
-            ),
-        ),
-    ] = 500
-    host_node: Annotated[
-        int, Meta(ge=1, le=127, description="the node number of the host's heartbeat, 127 when absent")
-    ] = 127
-    sdo_timeout_s: Annotated[
-        float, Meta(gt=0, description="how long an SDO answer may take (s), 0.3 when absent")
-    ] = 0.3
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,15 @@ from dataclasses import dataclass
 from math import tau
 from typing import Annotated, Literal
 
-import msgspec
 from msgspec import Meta
 
 from aces_bus.device import Joint
 from aces_bus.errors import CallerError
 
+from ..canopen_node.settings import NodeSettings
 
-class DriveSettings(msgspec.Struct, frozen=True, kw_only=True):
+
+class DriveSettings(NodeSettings, frozen=True, kw_only=True):
     """The driver's own keys in a robot file."""
 
     eds: Annotated[
@@ -56,26 +57,6 @@ class DriveSettings(msgspec.Struct, frozen=True, kw_only=True):
         float | None,
         Meta(description="the rated torque (N·m, of the joint); when absent torques are shares of it"),
     ] = None
-    heartbeat_ms: Annotated[
-        int, Meta(ge=0, description="the drive's heartbeat (ms), 500 when absent; 0 leaves it as it is")
-    ] = 500
-    watchdog_ms: Annotated[
-        int,
-        Meta(
-            ge=0,
-            le=0xFFFF,
-            description=(
-                "how long an enabled drive whose file has object 1016 goes on without the host's heartbeat (ms), 500 when"
-                " absent; 0: for ever"
-            ),
-        ),
-    ] = 500
-    host_node: Annotated[
-        int, Meta(ge=1, le=127, description="the node number of the host's heartbeat, 127 when absent")
-    ] = 127
-    sdo_timeout_s: Annotated[
-        float, Meta(gt=0, description="how long an SDO answer may take (s), 0.3 when absent")
-    ] = 0.3
 
 
 @dataclass(frozen=True)

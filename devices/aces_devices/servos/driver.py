@@ -11,6 +11,7 @@ temperature, voltage and errors, and whether the servo still has what it was giv
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -124,9 +125,9 @@ class ServoDevice(RegisterDevice):
         """What its joint is commanded by: position, speed, current or duty."""
         return self.joints[0].command if self.joints else "position"
 
+    @abstractmethod
     def range_counts(self) -> tuple[int, int]:
         """The counts that a goal may have."""
-        raise NotImplementedError
 
     def signed(self, raw: int) -> int:
         """A raw number of position or speed as counts with a sign."""

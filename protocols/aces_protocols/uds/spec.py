@@ -343,6 +343,19 @@ _says(
 # ---------------------------------------------------------------------- trouble codes
 
 _MASK = "status" / Flags(Byte, STATUS)
+
+
+def _asks_codes(name: str, kind: int, doc: str) -> tuple[Any, ...]:
+    """A request for codes, or how many they are, by their status."""
+    return _asks(
+        name,
+        0x19,
+        Struct(Const(kind, Byte), _MASK),
+        doc=doc,
+        examples=[(f"7E0#03 19 {kind:02X} 08 00 00 00 00", {"ecu": 0, "status": ["confirmed"]})],
+    )
+
+
 _CODES = GreedyRange(Struct("code" / LongCode, "status" / Flags(Byte, STATUS)))
 _says(
     "CodeCount",
@@ -351,13 +364,7 @@ _says(
     "available" / Flags(Byte, STATUS),
     "format" / Byte,
     "count" / Int16ub,
-    to=_asks(
-        "CountCodes",
-        0x19,
-        Struct(Const(0x01, Byte), _MASK),
-        doc="How many codes have one of these bits of status?",
-        examples=[("7E0#03 19 01 08 00 00 00 00", {"ecu": 0, "status": ["confirmed"]})],
-    ),
+    to=_asks_codes("CountCodes", 0x01, "How many codes have one of these bits of status?"),
     doc="How many there are; `available` are the bits of status that this ECU has, `format` 1 is ISO 14229-1's.",
     examples=[("7E8#06 59 01 2F 01 00 01 00", {"ecu": 0, "format": 1, "count": 1})],
 )
@@ -367,13 +374,7 @@ _says(
     Const(0x02, Byte),
     "available" / Flags(Byte, STATUS),
     "codes" / _CODES,
-    to=_asks(
-        "ReadCodes",
-        0x19,
-        Struct(Const(0x02, Byte), _MASK),
-        doc="Ask for the codes that have one of these bits of status.",
-        examples=[("7E0#03 19 02 08 00 00 00 00", {"ecu": 0, "status": ["confirmed"]})],
-    ),
+    to=_asks_codes("ReadCodes", 0x02, "Ask for the codes that have one of these bits of status."),
     doc="Codes with their status.",
     examples=[
         (
