@@ -51,7 +51,7 @@ def _fitting(link: str, piece: Any) -> Iterator[FittingProtocol]:
             text += f"@{configuration}" if configuration else ""
             variant = protocol.variant(dialect or None, configuration or None)
             found.append(FittingProtocol(_share(variant, piece), text, variant))
-        best = max(found, key=lambda one: one.share)
+        best = max(found, key=lambda one: (one.share, one.name))
         if best.share >= FITS:
             yield best
 

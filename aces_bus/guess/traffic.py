@@ -181,8 +181,9 @@ def _one_table(tables: list[FrameTable]) -> FrameTable:
     first = tables[0].channels
     if all(table.channels is first for table in tables):
         return FrameTable.concat(tables)
-    owners = {id(table.channels): number for number, table in reversed(list(enumerate(tables)))}
-    numbered = {owner: number for number, owner in enumerate(owners)}
+    numbered: dict[int, int] = {}
+    for table in tables:
+        numbered.setdefault(id(table.channels), len(numbered) % 256)
     moved = [
         FrameTable(
             t.time,
