@@ -24,6 +24,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from construct import Byte, GreedyBytes, Int16ub, Int16ul, Struct, this
 
+from ..errors import AcesError
 from ..protocol.columns.checks import parameters_of
 from ..protocol.columns.table import Array
 from ..protocol.declare.checks import Check, Crc, InvertedSum, Sum, Xor
@@ -335,13 +336,15 @@ def framings_of(sample: Sample) -> list[FramingGuess]:
         left = sum(end - start for start, end in free)
         if left < max(8, 0.02 * total):
             break
-        best: tuple[tuple[float, ...], FramingGuess, list[Span]] | None = None
+        judged: list[tuple[tuple[float, ...], FramingGuess, list[Span]]] = []
         for candidate in _candidates(sample, free):
-            judged = _judged(sample, candidate, len(found), left)
-            if judged is not None and (best is None or judged[0] > best[0]):
-                best = judged
-                if judged[1].is_checked and judged[1].share > 0.98 and judged[1].kind != "silence":
+            one = _judged(sample, candidate, len(found), left)
+            if one is not None:
+                judged.append(one)
+                if one[1].is_checked and one[1].share > 0.98 and one[1].kind != "silence":
                     break
+        judged.sort(key=lambda one: one[0], reverse=True)
+        best = next((one for one in judged if _go_together([*found, one[1]])), None)
         if best is None:
             break
         found.append(best[1])
@@ -349,12 +352,19 @@ def framings_of(sample: Sample) -> list[FramingGuess]:
     return found
 
 
+def _go_together(guesses: Sequence[FramingGuess]) -> bool:
+    """Whether one protocol can have these framings: no packet may be of two."""
+    try:
+        spans_of(guesses, ())
+    except AcesError:
+        return False
+    return True
+
+
 def _judged(
     sample: Sample, guess: FramingGuess, number: int, left: int
 ) -> tuple[tuple[float, ...], FramingGuess, list[Span]] | None:
     """How good a guess is by what the scanner finds with it in the bytes that are left."""
-    from ..errors import AcesError
-
     free = sample.free()
     try:
         some = spans_of([guess], [[(sample.data[start:end], None)] for start, end in free])
@@ -630,7 +640,7 @@ def _of_vote(sample: Sample, vote: _Vote) -> FramingGuess:
     whole = ends <= len(array)
     hits, ends = hits[whole], ends[whole]
     packets = [sample.data[start:end] for start, end in zip(hits.tolist(), ends.tolist(), strict=True)]
-    length = length and _wider(array, hits, length)
+    length = length and _wider(array, hits, length, len(sync))
     while len(sync) > 2 and 0 < sync[-1] < LEAST_SYNC:
         sync = sync[:-1]
     limit = length.offset if length is not None else (size or 0)
@@ -670,10 +680,17 @@ def _of_vote(sample: Sample, vote: _Vote) -> FramingGuess:
     return _stuffed(guess, packets)
 
 
-def _wider(array: Array, hits: Array, length: LengthRule) -> LengthRule:
-    """A byte of length with a byte behind it that is always 0 is one of two bytes, of which long packets are rare."""
+def _wider(array: Array, hits: Array, length: LengthRule, first: int) -> LengthRule:
+    """A length of one byte beside a byte that is hardly ever anything but 0 is one of two bytes: long packets are rare."""
+    if length.width > 1:
+        return length
     behind = array[np.minimum(hits + length.offset + 1, len(array) - 1)]
-    return length._replace(width=2, order="little") if length.width == 1 and not behind.any() else length
+    if (behind != 0).mean() < 0.05:
+        return length._replace(width=2, order="little")
+    before = array[hits + length.offset - 1]
+    if length.offset > first and (before != 0).mean() < 0.05:
+        return length._replace(offset=length.offset - 1, width=2, order="big")
+    return length
 
 
 def _max_size(length: LengthRule | None, most: int) -> int:

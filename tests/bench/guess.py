@@ -29,7 +29,7 @@ from aces_bus.guess import FramingGuess, StreamTraffic, checks_of, fields_of
 from aces_bus.guess.framings import framing_check
 from aces_bus.hardware.simulated.bus import ListeningNode, SimulatedBus
 from aces_bus.protocol import Protocol, load_protocol
-from aces_bus.protocol.declare.framing import Framing
+from aces_bus.protocol.declare.framing import Framing, Verdict
 from aces_bus.robot.buses import VirtualRobot
 from aces_bus.robot.file import parse_robot
 from aces_bus.testing.conformance import enable
@@ -458,6 +458,28 @@ def twin_traffic(driver: str) -> Iterator[tuple[str, Any, list[Any]]]:
 # ---------------------------------------------------------------------- streams
 
 
+def true_packets(chunks: Sequence[tuple[bytes, float | None]], protocol: Any) -> Iterator[tuple[int, int]]:
+    """Packets by the rule of the protocol's own framings, also those that it has no message for."""
+    data = b"".join(chunk for chunk, _ in chunks)
+    silences: set[int] = set()
+    offset = 0
+    for (chunk, time), (_, following) in pairwise([*chunks, (b"", None)]):
+        offset += len(chunk)
+        if time is None or following is None or following - time > 0.001:
+            silences.add(offset)
+    extras = {framing: framing.extras_of(protocol.messages.values()) for framing in protocol.framings}
+    at = 0
+    while at < len(data):
+        end = (
+            min((one for one in silences if one > at), default=len(data)) if len(silences) > 1 else len(data)
+        )
+        verdicts = (framing.judge(data[:end], at, extras=extras[framing]) for framing in protocol.framings)
+        size = next((one.size for one in verdicts if one.verdict is Verdict.WHOLE), 0)
+        if size:
+            yield at, at + size
+        at += size or 1
+
+
 def score_stream(
     name: str, chunks: Sequence[tuple[bytes, float | None]], protocol: Any, framing: Framing | None
 ) -> Scores:
@@ -467,16 +489,7 @@ def score_stream(
     for data, time in chunks:
         traffic.add(data, time)
     guess = traffic.guess(known=False)
-    scanner = protocol.scanner(direction="both")
-    records: list[Any] = []
-    last: float | None = None
-    for data, time in chunks:
-        if time is not None and last is not None and time - last > 0.001 and framing is None:
-            records += scanner.idle()
-        records += scanner.feed(data)
-        last = time
-    records += scanner.close()
-    truth = {(r.meta.offset, r.meta.offset + r.meta.size) for r in records if r.meta.message}
+    truth = set(true_packets(chunks, protocol))
     said = {(span.start, span.end) for line in guess.spans for span in line}
     # Marks in front of a packet belong to neither.
     scores.by["packets"].add(len(truth & said), len(said), len(truth))
@@ -532,6 +545,18 @@ def drawn_packets(protocol: Protocol, seed: int = 1) -> bytes:
     return b"".join(draw_packet(picker.choice(messages), dice).image for _ in range(DRAWN))
 
 
+SERIAL_TWINS = (
+    ("robotis_rx", "robotis"),
+    ("feetech", "feetech"),
+    ("dynamixel", "dynamixel"),
+    ("modbus", "modbus"),
+    ("nmea0183", "nmea0183"),
+    ("ubx", "ubx"),
+    ("vesc_uart", "vesc_uart"),
+    ("minihubo_adc", "minihubo_adc"),
+)
+
+
 def streams_of_specs() -> Iterator[tuple[str, Sequence[tuple[bytes, float | None]], Any, Framing | None]]:
     """Twins on serial lines, and packets drawn of specs that have none."""
     from tests.specs.cobs import cobs
@@ -539,25 +564,12 @@ def streams_of_specs() -> Iterator[tuple[str, Sequence[tuple[bytes, float | None
     from tests.specs.slip import slip
     from tests.specs.xbus_like import xbus_like
 
-    for driver, name in (
-        ("robotis_rx", "robotis"),
-        ("feetech", "feetech"),
-        ("dynamixel", "dynamixel"),
-        ("modbus", "modbus"),
-    ):
+    for driver, name in SERIAL_TWINS:
         protocol = load_protocol(name)
         for wire, _, heard in twin_traffic(driver):
             framings = protocol.framings
             yield f"twin {driver} {wire}", heard, protocol, framings[0] if len(framings) == 1 else None
-    for protocol in (
-        load_protocol("ubx"),
-        load_protocol("nmea0183"),
-        load_protocol("vesc_uart"),
-        cobs,
-        slip,
-        mavlink1,
-        xbus_like,
-    ):
+    for protocol in (load_protocol("ubx"), load_protocol("vesc_uart"), cobs, slip, mavlink1, xbus_like):
         data = drawn_packets(protocol)
         yield f"drawn {protocol.name}", [(data, None)], protocol, protocol.framings[0]
 
