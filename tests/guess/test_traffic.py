@@ -147,8 +147,8 @@ def test_packets_are_recognised_and_drafted_with_their_transport(tmp_path: Path)
     for number in range(12):
         send("Ask", bytes([0x22, number]), ecu=0)
         send("Answer", bytes([0x62, number] * 15), ecu=0)
-        for group in ("1F805", "1FA04", "1F801"):
-            send(f"Group{group}", bytes([number] * 20))
+        for name in ("Group1F805", "Group1FA04", "Group1F801"):
+            send(name, bytes([number] * 20))
     guess = guessed(frames)
     assert [one.name for one in guess.protocols] == ["NMEA 2000", "ISO-TP", "fast packet"]
     assert {one.transport for one in guess.messages} == {"IsoTp()", "FastPacket()"}
