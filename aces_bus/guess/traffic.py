@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -126,14 +126,14 @@ class TrafficGuess:
         }
 
 
-@dataclass
 class Traffic:
     """Frames as they are read; `guess` says what they are."""
 
-    frames: int = 0
-    errors: int = 0
-    _tables: list[FrameTable] = field(default_factory=list[FrameTable])
-    _kept: int = 0
+    def __init__(self) -> None:
+        #: Frames that were added, and the error frames among them.
+        self.frames = self.errors = 0
+        self._tables: list[FrameTable] = []
+        self._kept = 0
 
     def add(self, table: FrameTable) -> None:
         """More frames of the same recordings; the tables of one recording share their channels."""
