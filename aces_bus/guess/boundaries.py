@@ -71,7 +71,7 @@ def _joined(sample: Rows, free: Array) -> dict[int, int]:
     return up
 
 
-def together(
+def merged_pieces(
     sample: Rows, pieces: list[tuple[list[int], ByteOrder]], free: Array
 ) -> list[tuple[list[int], ByteOrder]]:
     """The pieces; those of one byte that change at the same time are one, with the constant bits between them.
