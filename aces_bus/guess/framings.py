@@ -341,7 +341,7 @@ def framings_of(sample: Sample) -> list[FramingGuess]:
             one = _judged(sample, candidate, len(found), left)
             if one is not None:
                 judged.append(one)
-                if one[1].is_checked and one[1].share > 0.98 and one[1].kind != "silence":
+                if one[1].is_checked and one[1].share > 0.98 and one[1].kind != "silence" and one[0][2]:
                     break
         judged.sort(key=lambda one: one[0], reverse=True)
         best = next((one for one in judged if _go_together([*found, one[1]])), None)
@@ -383,13 +383,11 @@ def _judged(
     if guess.bits < ENOUGH_BITS or len(spans) < 3 or share < 0.02:
         return None
     made = replace(guess, packets=len(spans), bytes=covered, share=share)
-    # What has a check is sure; beyond that, what explains more, and of equals the one of more packets: three packets are no
-    # one packet.
-    return (
-        (round(share + 0.25 * guess.is_checked, 2), guess.kind == "lines", guess.bits * len(spans)),
-        made,
-        spans,
-    )
+    # What has a check is sure; beyond that, what explains plainly more. Where bytes are constant behind a packet, it could
+    # as well begin with them: recordings begin with packets. And of equals the one of more packets: three are no one packet.
+    begins = any(span.start in sample.borders for span in spans)
+    rank = (round(share + 0.25 * guess.is_checked, 1), guess.kind == "lines", begins, guess.bits * len(spans))
+    return rank, made, spans
 
 
 def _candidates(sample: Sample, free: list[tuple[int, int]]) -> Iterator[FramingGuess]:
