@@ -89,7 +89,10 @@ def payload_lines(fields: Sequence[FieldGuess], size: int, trailing: bool = Fals
 def field_name(one: FieldGuess) -> str:
     """What a field is called: its kind and where it is, by byte and, where that is not its first, bit."""
     bit = one.start % 8
-    return f"{one.kind}_{one.first_byte}" + (f"_{bit}" if bit or one.length < 8 else "")
+    if one.kind == "multiplexer":
+        return f"{one.kind}_{one.first_byte}"
+    when = f"_at_{one.when[0]}" if one.when else ""
+    return f"{one.kind}_{one.first_byte}" + (f"_{bit}" if bit or one.length < 8 else "") + when
 
 
 # ---------------------------------------------------------------------- the head

@@ -119,9 +119,9 @@ def above(bit: int, order: ByteOrder) -> int:
 
 
 class Rows:
-    """A sample of the payloads of a message: its bits, and which rows follow each other."""
+    """A sample of `of` payloads of a message at most: its bits, and which rows follow each other."""
 
-    def __init__(self, rows: Array) -> None:
+    def __init__(self, rows: Array, of: int = SAMPLE) -> None:
         count, self.size = rows.shape
         self.total = count
         flat = rows if count else np.zeros((1, self.size), np.uint8)
@@ -129,8 +129,8 @@ class Rows:
         #: Which bits ever change; (8 × size,)
         self.varies = np.unpackbits(changes.astype(np.uint8), bitorder="little").astype(bool)
         self.follows = np.ones(max(0, count - 1), bool)
-        if count > SAMPLE:
-            each = SAMPLE // RUNS
+        if count > of:
+            each = of // RUNS
             starts = np.linspace(0, count - each, RUNS).astype(np.int64)
             places = np.unique((starts[:, None] + np.arange(each)).ravel())
             self.follows = np.diff(places) == 1
@@ -162,26 +162,70 @@ def fields_of(rows: Array, times_ns: Array | None = None, prefix: bytes | Array 
     None where the recording does not say. `prefix` are bytes before the payload that a check may cover too, for all rows or
     uint8 of shape (n, bytes): an identifier, highest byte first. Payloads are cut at `LONGEST` bytes.
     """
-    from .boundaries import split, together, whole_bytes
-    from .kinds import classified, plain_fields
+    from .kinds import plain_fields
+    from .multiplex import selector_of
 
-    sample = Rows(rows[:, :LONGEST])
-    if not sample.size:
+    rows = rows[:, :LONGEST]
+    if not rows.size:
         return []
-    found = plain_fields(sample, rows[:, :LONGEST], prefix)
-    taken = np.zeros(8 * sample.size, bool)
-    for one in found:
-        taken[list(one.positions)] = True
-    free = ~taken & sample.varies
-    pieces = together(sample, split(sample, free), ~taken) if sample.steps >= STEPS else whole_bytes(free)
-    found += [classified(sample, piece) for piece in pieces]
-    return whole(sample, found)
-
-
-def whole(sample: Rows, found: Iterable[FieldGuess]) -> list[FieldGuess]:
-    """The guesses, widened by zeros that fill their bytes, and constants for all bits that are left."""
-    found = list(found)
+    sample = Rows(rows)
+    plain = plain_fields(sample, rows, prefix)
     free = np.ones(8 * sample.size, bool)
+    selector = selector_of(sample, plain)
+    if selector is not None:
+        plain = [*(one for one in plain if one.start != selector.start), selector]
+    for one in plain:
+        free[list(one.positions)] = False
+    found = list(plain)
+    if selector is not None:
+        found += _selected(rows, selector, free)
+        for one in found:
+            free[list(one.positions)] = False
+    return whole(sample, found + _split(sample, free), np.ones(8 * sample.size, bool))
+
+
+def _split(sample: Rows, free: Array) -> list[FieldGuess]:
+    """The fields of what is left."""
+    from .boundaries import split, together, whole_bytes
+    from .kinds import classified
+
+    changing = free & sample.varies
+    pieces = (
+        together(sample, split(sample, changing), free) if sample.steps >= STEPS else whole_bytes(changing)
+    )
+    return [classified(sample, piece) for piece in pieces]
+
+
+def _selected(rows: Array, selector: FieldGuess, free: Array) -> list[FieldGuess]:
+    """The fields that are there at one value of the multiplexer each; those that are there at all of them, once."""
+    from .kinds import plain_fields
+
+    values = Rows(rows, of=len(rows)).values(selector.positions)
+    found: list[list[FieldGuess]] = []
+    for value in selector.values:
+        some = rows[values == value]
+        sample = Rows(some)
+        own = free.copy()
+        plain = [one for one in plain_fields(sample, None, b"") if free[list(one.positions)].all()]
+        for one in plain:
+            own[list(one.positions)] = False
+        fields = whole(sample, [*plain, *_split(sample, own)], free)
+        found.append([one for one in fields if one.kind != "constant"])
+    places = [{one.positions for one in some} for some in found]
+    common = set.intersection(*places)
+    if common and all(place == common for place in places):
+        return []
+    return [
+        replace(one, when=(value,), selector=f"{selector.kind}_{selector.first_byte}")
+        for value, some in zip(selector.values, found, strict=True)
+        for one in some
+    ]
+
+
+def whole(sample: Rows, found: Iterable[FieldGuess], free: Array) -> list[FieldGuess]:
+    """The guesses, widened by zeros that fill their bytes, and constants for all bits of `free` that are left."""
+    found = list(found)
+    free = free.copy()
     for one in found:
         free[list(one.positions)] = False
     constant = free & ~sample.varies

@@ -24,8 +24,8 @@ CHARACTERS, PRINTABLE = 3, 0.95
 EXPONENTS, SPREAD = (97, 161), 12
 
 
-def plain_fields(sample: Rows, rows: Array, prefix: bytes | Array) -> list[FieldGuess]:
-    """Checks, text, counters and floats: what is known by itself, whatever is beside it."""
+def plain_fields(sample: Rows, rows: Array | None, prefix: bytes | Array) -> list[FieldGuess]:
+    """Checks, text, counters and floats: what is known by itself, whatever is beside it. Checks are sought in `rows`."""
     found: list[FieldGuess] = []
     free = np.ones(8 * sample.size, bool)
     for make in (lambda *_: _checks(rows, prefix), _texts, _counters, _floats):
@@ -36,8 +36,8 @@ def plain_fields(sample: Rows, rows: Array, prefix: bytes | Array) -> list[Field
     return found
 
 
-def _checks(rows: Array, prefix: bytes | Array) -> Iterator[FieldGuess]:
-    for one in checks_of(rows, prefix):
+def _checks(rows: Array | None, prefix: bytes | Array) -> Iterator[FieldGuess]:
+    for one in checks_of(rows, prefix) if rows is not None else ():
         order: ByteOrder = "big" if one.size > 1 and one.check.order == "big" else "little"
         start = 8 * (one.offset + (one.size - 1 if order == "big" else 0))
         yield FieldGuess(start, 8 * one.size, order, "check", one.confidence, one.evidence, check=one)

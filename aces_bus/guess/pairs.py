@@ -21,7 +21,7 @@ AMONG, LOOKED_AT = 1024, 200_000
 TIMES, NEXT, ANSWERED = 6, 0.8, 0.5
 #: A reply comes within so many ns.
 SOON_NS = 200_000_000
-#: Values that a byte must have had for its coming back to be no accident.
+#: Different steps that a byte must have made for its coming back to be no accident.
 VALUES = 3
 
 
@@ -57,7 +57,8 @@ def pairs_of(frames: FrameTable, clocked: Collection[int] = ()) -> list[PairGues
     frames = frames.take(slice(0, LOOKED_AT))
     for some in (frames, frames.take(~np.isin(frames.key, np.array(list(clocked), np.uint32)))):
         for one in _pairs_among(some):
-            if one.reply not in found or found[one.reply].confidence < one.confidence:
+            best = found.get(one.reply)
+            if best is None or (best.confidence, best.count) < (one.confidence, one.count):
                 found[one.reply] = one
     return sorted(found.values(), key=lambda one: -one.confidence)
 
@@ -128,8 +129,9 @@ def _echo(frames: FrameTable, at: Array) -> str | None:
     size = min(8, int(frames.length[at].min()), int(frames.length[at + 1].min()))
     asked, answered = frames.data[at, :size], frames.data[at + 1, :size]
     for byte in range(size):
-        if len(np.unique(asked[:, byte])) < VALUES:
-            continue
+        steps, repeats = np.unique(np.diff(asked[:, byte]), return_counts=True)
+        if len(steps) < VALUES or repeats.max() > 0.9 * len(at):
+            continue  # it never changes, or counts: whatever counts, too, is no answer
         for place in range(size):
             values, counts = np.unique(answered[:, place] - asked[:, byte], return_counts=True)
             if counts.max() >= 0.95 * len(at):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 from .._lazy import np
@@ -180,8 +181,9 @@ def _one_table(tables: list[FrameTable]) -> FrameTable:
     first = tables[0].channels
     if all(table.channels is first for table in tables):
         return FrameTable.concat(tables)
-    owners = {id(table.channels): number for number, table in reversed(list(enumerate(tables)))}
-    numbered = {owner: number for number, owner in enumerate(owners)}
+    numbered: dict[int, int] = {}
+    for table in tables:
+        numbered.setdefault(id(table.channels), len(numbered) % 256)
     moved = [
         FrameTable(
             t.time,
@@ -201,8 +203,8 @@ def by_key(frames: FrameTable) -> Iterator[tuple[int, Array]]:
     """Each key with its rows, in order, channel by channel: those of the one where it has most frames first."""
     order = np.argsort(frames.key, kind="stable")
     keys = frames.key[order]
-    starts = np.flatnonzero(np.diff(keys, prepend=~keys[:1])) if len(keys) else []
-    for start, end in zip(starts, [*starts[1:], len(keys)], strict=True):
+    starts = np.flatnonzero(np.diff(keys, prepend=~keys[:1])).tolist()
+    for start, end in pairwise([*starts, len(keys)]):
         rows = order[start:end]
         channels = frames.channel[rows]
         if (channels != channels[0]).any():

@@ -91,6 +91,8 @@ def run(arguments: argparse.Namespace) -> int:
                     for chunk in patience.each(recording):
                         stream.add(*chunk)
                 report_unreadable(recording, is_over=True)
+            if patience.is_over:
+                break
     if stream.bytes and traffic.frames:
         raise CallerError("recordings of a CAN bus and of a serial line: guess one after the other")
     if stream.bytes:
@@ -159,7 +161,7 @@ def _show_stream(guess: StreamGuess, arguments: argparse.Namespace) -> None:
             sizes = packet.sizes
             size = f"{sizes[0]} bytes" if len(sizes) == 1 else f"{sizes[0]} to {sizes[-1]} bytes"
             page.lines(["", page.paint("message", f"packet{code}  {packet.count:,} of {size}")])
-            if not arguments.quiet and packet.fields:
+            if packet.fields:
                 page.table(
                     ("field", "bits", "kind", "sure", "evidence"), [_cells(one) for one in packet.fields]
                 )
@@ -205,8 +207,7 @@ def _show(guess: TrafficGuess, arguments: argparse.Namespace) -> None:
     for message in guess.messages:
         page.lines([""])
         page.lines([page.paint("message", printable(_headline(message)))])
-        if not arguments.quiet:
-            page.table(("field", "bits", "kind", "sure", "evidence"), [_cells(one) for one in message.fields])
+        page.table(("field", "bits", "kind", "sure", "evidence"), [_cells(one) for one in message.fields])
     if guess.pairs:
         page.lines(["", "requests and replies"])
         page.table(
@@ -254,6 +255,8 @@ def _cells(one: FieldGuess) -> tuple[str, ...]:
         size = f"{'s' if one.signed else 'u'}{one.length}" if one.kind != "float" else f"{one.length}"
         order = f" {one.order}" if first // 8 != last // 8 else ""
         kind = f"{one.kind} {size}{order}"  # type: ignore[assignment]  # text from here on
+    if one.when:
+        where += f" at {one.when[0]}"
     return (_name(one), where, kind, f"{one.confidence:.2f}", one.evidence)
 
 

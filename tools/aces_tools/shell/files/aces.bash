@@ -5,7 +5,7 @@
 #    source ~/.local/share/bash_completion/aces
 # See also: https://github.com/scop/bash-completion/blob/main/doc/configuration.md
 
-_shtab_aces_spec_subparsers=(new check show explain stubs export import)
+_shtab_aces_spec_subparsers=(new check guess show explain stubs export import)
 _shtab_aces_subparsers=(decode plot convert sniff send play bridge bus robot devices device discover sim run protocols spec fuzz demo bench completion)
 
 _shtab_aces_decode_option_strings=(-h --help -p --protocol --direction --format -o --output --filter -m --message --where --signals --from --to --unknown -q --quiet --strict --names --float32 --jobs -t --time -n --count --color --no-color)
@@ -25,6 +25,7 @@ _shtab_aces_run_option_strings=(-h --help --tx --ask --replay --for --rate --log
 _shtab_aces_protocols_option_strings=(-h --help --json --source --color --no-color -q --quiet)
 _shtab_aces_spec_new_option_strings=(-h --help --link -o --output --json -q --quiet)
 _shtab_aces_spec_check_option_strings=(-h --help --notes --apart --against --suggest --direction --for --json --color --no-color -q --quiet)
+_shtab_aces_spec_guess_option_strings=(-h --help -o --output --force --no-known --json --color --no-color -q --quiet)
 _shtab_aces_spec_show_option_strings=(-h --help --source --plan --paths --diff --svg --json --color --no-color -q --quiet)
 _shtab_aces_spec_explain_option_strings=(-h --help --at -n --count --direction --json --svg --color --no-color -q --quiet)
 _shtab_aces_spec_stubs_option_strings=(-h --help -o --output --check -q --quiet)
@@ -92,6 +93,7 @@ _shtab_aces_protocols_pos_0_COMPGEN=_aces_protocols
 _shtab_aces_spec_check_pos_0_COMPGEN=_aces_protocols
 _shtab_aces_spec_check___against_COMPGEN=_shtab_compgen_files
 _shtab_aces_spec_check___suggest_COMPGEN=_shtab_compgen_files
+_shtab_aces_spec_guess_pos_0_COMPGEN=_shtab_compgen_files
 _shtab_aces_spec_show_pos_0_COMPGEN=_aces_protocols
 _shtab_aces_spec_show___svg_COMPGEN=_shtab_compgen_files
 _shtab_aces_spec_explain_pos_0_COMPGEN=_aces_protocols
@@ -137,7 +139,7 @@ _shtab_aces_robot_pos_0_choices=(check list show import)
 _shtab_aces_run___at_end_choices=(disable hold)
 _shtab_aces_spec_new___link_choices=(can serial datagram)
 _shtab_aces_spec_export___format_choices=(c dbc markdown wireshark)
-_shtab_aces_spec_pos_0_choices=(new check show explain stubs export import)
+_shtab_aces_spec_pos_0_choices=(new check guess show explain stubs export import)
 _shtab_aces_bench_pos_0_choices=(live columns text bus control robot)
 _shtab_aces_completion_pos_0_choices=(bash zsh fish)
 _shtab_aces_completion___list_choices=(protocols drivers robots devices buses)
@@ -297,6 +299,16 @@ _shtab_aces_spec_check___color_nargs=0
 _shtab_aces_spec_check___no_color_nargs=0
 _shtab_aces_spec_check__q_nargs=0
 _shtab_aces_spec_check___quiet_nargs=0
+_shtab_aces_spec_guess_pos_0_nargs=+
+_shtab_aces_spec_guess__h_nargs=0
+_shtab_aces_spec_guess___help_nargs=0
+_shtab_aces_spec_guess___force_nargs=0
+_shtab_aces_spec_guess___no_known_nargs=0
+_shtab_aces_spec_guess___json_nargs=0
+_shtab_aces_spec_guess___color_nargs=0
+_shtab_aces_spec_guess___no_color_nargs=0
+_shtab_aces_spec_guess__q_nargs=0
+_shtab_aces_spec_guess___quiet_nargs=0
 _shtab_aces_spec_show__h_nargs=0
 _shtab_aces_spec_show___help_nargs=0
 _shtab_aces_spec_show___source_nargs=0

@@ -50,7 +50,7 @@ function _shtab_aces_using
   test "$_shtab_aces_cmdpath" = "$argv"
 end
 
-set -g _shtab_aces_commands decode plot convert sniff send play bridge bus robot devices device discover sim run protocols spec 'spec new' 'spec check' 'spec show' 'spec explain' 'spec stubs' 'spec export' 'spec import' fuzz demo bench completion
+set -g _shtab_aces_commands decode plot convert sniff send play bridge bus robot devices device discover sim run protocols spec 'spec new' 'spec check' 'spec guess' 'spec show' 'spec explain' 'spec stubs' 'spec export' 'spec import' fuzz demo bench completion
 set -g _shtab_aces_opts_with_value --against --at --at-end --base --baud --bitrate --break-time --bus --bus-kwargs --channel --compare --corpus --count --data-bitrate --diff --direction --driver --every --examples --expand --failures --fault --faults --filter --for --format --frames --from --gap --hold-for --input-format --interface --jobs --law --link --list --log --loop --map --message --most --name --on-trip --output --port --pose --protocol --rate --record --rename --replay --reply --robot --rotate --rows-hz --save --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --time --timing --title --to --udp --unix --unknown --where --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
 
 complete -c aces -e
@@ -325,7 +325,7 @@ complete -c aces -n '_shtab_aces_using protocols' -l source -d 'print the Python
 complete -c aces -n '_shtab_aces_using protocols' -l color -l no-color -d 'colour always, or never (default: on a terminal)'
 complete -c aces -n '_shtab_aces_using protocols' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using protocols; and test $_shtab_aces_npos -eq 0' -ka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'as -p of '"'"'aces decode'"'"''
-complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a spec -d 'for authors of protocols: new, check, show, explain, export, …'
+complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a spec -d 'for authors of protocols: new, check, guess, show, explain, …'
 complete -c aces -n '_shtab_aces_using spec' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using spec; and test $_shtab_aces_npos -eq 0' -a new -d 'begin a protocol: a commented spec, a test, a README'
 complete -c aces -n '_shtab_aces_using spec new' -s h -l help -d 'show this help message and exit'
@@ -345,6 +345,15 @@ complete -c aces -n '_shtab_aces_using spec check' -l json -d 'everything, notes
 complete -c aces -n '_shtab_aces_using spec check' -l color -l no-color -d 'colour always, or never (default: on a terminal)'
 complete -c aces -n '_shtab_aces_using spec check' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using spec check; and test $_shtab_aces_npos -ge 0' -ka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'specs, databases, installed protocols, robots'
+complete -c aces -n '_shtab_aces_using spec; and test $_shtab_aces_npos -eq 0' -a guess -d 'guess the spec of a recording that no protocol reads'
+complete -c aces -n '_shtab_aces_using spec guess' -s h -l help -d 'show this help message and exit'
+complete -c aces -n '_shtab_aces_using spec guess' -s o -l output -x -d 'write the draft of a spec there'
+complete -c aces -n '_shtab_aces_using spec guess' -l force -d 'overwrite a draft that is there already'
+complete -c aces -n '_shtab_aces_using spec guess' -l no-known -d 'guess everything, also what an installed protocol decodes'
+complete -c aces -n '_shtab_aces_using spec guess' -l json -d 'all guesses as JSON'
+complete -c aces -n '_shtab_aces_using spec guess' -l color -l no-color -d 'colour always, or never (default: on a terminal)'
+complete -c aces -n '_shtab_aces_using spec guess' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
+complete -c aces -n '_shtab_aces_using spec guess; and test $_shtab_aces_npos -ge 0' -ka "(__fish_complete_path (commandline -ct))" -d 'recordings of one bus or line, any format; '"'"'-'"'"': standard input'
 complete -c aces -n '_shtab_aces_using spec; and test $_shtab_aces_npos -eq 0' -a show -d 'show how messages are laid out and decoded; compare specs'
 complete -c aces -n '_shtab_aces_using spec show' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using spec show' -l source -d 'the Python generated from the spec'

@@ -1,0 +1,156 @@
+"""Fields found in payloads of which nothing is known but the bytes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from aces_bus.guess import FieldGuess, fields_of
+from aces_bus.guess.fields import ByteOrder, positions_of
+from aces_bus.protocol import Crc
+
+STEPS = 1500
+
+
+def wave(span: float, period: float, seed: int = 0) -> Any:
+    """A quantity that swings around 0, with a little noise."""
+    noise = np.random.default_rng(seed).normal(0, max(0.6, span / 200), STEPS)
+    return np.round(span * np.sin(np.arange(STEPS) / period + seed) + noise).astype(np.int64)
+
+
+def payloads(size: int, *fields: tuple[int, int, ByteOrder, Any]) -> Any:
+    """Rows of bytes with numbers at (lowest bit, length, byte order)."""
+    bits = np.zeros((STEPS, 8 * size), np.uint8)
+    for start, length, order, values in fields:
+        for number, at in enumerate(positions_of(start, length, order)):
+            bits[:, at] = np.asarray(values, np.int64) >> number & 1
+    return np.packbits(bits, axis=1, bitorder="little")
+
+
+def found(rows: Any) -> dict[int, FieldGuess]:
+    """What is no constant, by its lowest bit; every bit is in one guess."""
+    guesses = fields_of(rows)
+    assert sorted(bit for one in guesses for bit in one.positions) == list(range(8 * rows.shape[1]))
+    assert all(0 <= one.confidence <= 1 and one.evidence for one in guesses)
+    return {one.start: one for one in guesses if one.kind != "constant"}
+
+
+@pytest.mark.parametrize("order", ["little", "big"])
+@pytest.mark.parametrize("is_signed", [True, False])
+def test_a_number_of_two_bytes_has_its_order_and_sign(order: ByteOrder, is_signed: bool) -> None:
+    """Its neighbours, which move too, stay by themselves."""
+    start = 16 if order == "little" else 24
+    values = wave(9000, 40) + (0 if is_signed else 20000)
+    rows = payloads(
+        8,
+        (start, 16, order, values),
+        (0, 8, order, wave(60, 90, 1) + 128),
+        (40, 8, order, wave(50, 25, 2) + 120),
+    )
+    number = found(rows)[start]
+    assert (number.length, number.order, number.kind, number.signed) == (16, order, "number", is_signed)
+    assert len(found(rows)) == 3
+
+
+def test_a_number_of_twelve_bits_beside_one_of_four() -> None:
+    """A border inside a byte is found where nothing carries over it."""
+    rows = payloads(4, (0, 12, "little", wave(1500, 30) + 2000), (12, 4, "little", wave(6, 50, 3) + 8))
+    assert {(one.start, one.length) for one in found(rows).values()} == {(0, 12), (12, 4)}
+
+
+@pytest.mark.parametrize(("width", "modulus"), [(4, 16), (8, 256), (4, 15)])
+def test_a_counter_says_where_it_begins_anew(width: int, modulus: int) -> None:
+    """And is one although some messages were lost."""
+    kept = np.random.default_rng(1).random(2 * STEPS) < 0.97
+    values = (np.arange(2 * STEPS) % modulus)[kept][:STEPS]
+    guess = found(payloads(8, (8, width, "little", values), (32, 16, "little", wave(3000, 40))))[8]
+    assert (guess.kind, guess.length, guess.value, guess.modulus) == ("counter", width, 1, modulus)
+
+
+def test_a_check_is_of_the_bytes_beside_it() -> None:
+    """The counter that moves it stays a counter."""
+    rows = payloads(8, (0, 8, "little", np.arange(STEPS) % 256), (16, 16, "little", wave(9000, 40)))
+    check = Crc("CRC8-SAE-J1850")
+    rows[:, 7] = [check.compute(row[:7].tobytes()) for row in rows]
+    guesses = found(rows)
+    assert {one.start: one.kind for one in guesses.values()} == {0: "counter", 16: "number", 56: "check"}
+    assert guesses[56].check is not None
+    assert "CRC8-SAE-J1850" in guesses[56].check.declared
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_floats_are_floats(order: str) -> None:
+    """In both byte orders, beside a number that is none."""
+    rows = payloads(8, (32, 16, "little", wave(9000, 40)))
+    rows[:, :4] = (np.sin(np.arange(STEPS) / 40) * 3.3).astype(f"{order}f4").view(np.uint8).reshape(-1, 4)
+    (guess,) = [one for one in found(rows).values() if one.kind == "float"]
+    assert (guess.first_byte, guess.length, guess.order) == (0, 32, "little" if order == "<" else "big")
+
+
+def test_text_flags_and_enumerations() -> None:
+    """Each by what its values do."""
+    moved = np.random.default_rng(5).random(STEPS) < 0.02
+    state = np.array([0, 5, 3, 6])[np.cumsum(moved) % 4]
+    rows = payloads(8, (0, 3, "little", state), (7, 1, "little", np.arange(STEPS) // 300 % 2))
+    for row in range(STEPS):
+        rows[row, 3:8] = np.frombuffer(b"STOP " if row % 700 < 300 else b"DRIVE", np.uint8)
+    kinds = {one.start: one.kind for one in found(rows).values()}
+    assert kinds == {0: "enumeration", 7: "flag", 24: "text"}
+
+
+def test_what_never_changes_is_a_constant_of_this_recording() -> None:
+    """With as much confidence as there are messages."""
+    few, many = (fields_of(np.full((count, 3), 0x5A, np.uint8)) for count in (2, 200))
+    assert [one.kind for one in few + many] == ["constant"] * 2
+    assert few[0].confidence < 0.5 < many[0].confidence
+    assert many[0].evidence == "always 5A 5A 5A in 200 messages"
+
+
+def test_few_messages_say_which_bytes_change_and_no_more() -> None:
+    """Below eight steps no bit is judged."""
+    rows = np.zeros((5, 4), np.uint8)
+    rows[:, 2] = [0, 1, 3, 9, 8]
+    (guess,) = [one for one in fields_of(rows) if one.kind != "constant"]
+    assert (guess.start, guess.length, guess.kind, guess.confidence) == (16, 8, "number", 0.2)
+
+
+@pytest.mark.parametrize(
+    "rows", [np.zeros((0, 8), np.uint8), np.zeros((3, 0), np.uint8), np.zeros((1, 1), np.uint8)]
+)
+def test_nothing_is_no_reason_to_fail(rows: Any) -> None:
+    """No rows, no bytes, one row."""
+    assert all(one.kind == "constant" for one in fields_of(rows))
+
+
+@pytest.mark.parametrize("size", [1, 8, 64])
+def test_noise_is_not_made_into_anything_sure(size: int) -> None:
+    """No counter, check, float or text is seen in random bytes."""
+    rows = np.random.default_rng(size).integers(0, 256, (STEPS, size), np.uint8)
+    assert {one.kind for one in fields_of(rows)} <= {"number", "enumeration", "flag"}
+
+
+@pytest.mark.parametrize("is_cyclic", [True, False])
+def test_a_multiplexer_is_what_makes_the_rest_smooth(is_cyclic: bool) -> None:
+    """Its pages have fields of their own, and one that is always there is there always."""
+    page = np.arange(STEPS) % 3 if is_cyclic else np.random.default_rng(2).integers(0, 3, STEPS)
+    rows = payloads(8, (0, 8, "little", page), (48, 16, "big", wave(9000, 700)))
+    long, short = wave(9000, 90, 1) + 20000, wave(40, 90, 2) + 100
+    pages = [
+        payloads(8, (16, 16, "little", long)),
+        payloads(8, (16, 8, "little", short), (24, 8, "little", short[::-1])),
+        payloads(8, (24, 16, "big", long[::-1])),
+    ]
+    for number, content in enumerate(pages):
+        rows[page == number, 2:4] = content[page == number, 2:4]
+    guesses = [one for one in fields_of(rows) if one.kind != "constant"]
+    (selector,) = [one for one in guesses if one.kind == "multiplexer"]
+    assert (selector.start, selector.length, selector.values) == (0, 8, (0, 1, 2))
+    selected = {(one.when, one.start, one.length, one.order) for one in guesses if one.start in (16, 24)}
+    assert selected == {
+        ((0,), 16, 16, "little"),
+        ((1,), 16, 8, "little"),
+        ((1,), 24, 8, "little"),
+        ((2,), 24, 16, "big"),
+    }
