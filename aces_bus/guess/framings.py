@@ -384,9 +384,11 @@ def _judged(
         return None
     made = replace(guess, packets=len(spans), bytes=covered, share=share)
     # What has a check is sure; beyond that, what explains plainly more. Where bytes are constant behind a packet, it could
-    # as well begin with them: recordings begin with packets. And of equals the one of more packets: three are no one packet.
+    # as well begin with them: recordings begin with packets. Two sync bytes are seldom one that repeats; and three packets
+    # are no one packet.
     begins = any(span.start in sample.borders for span in spans)
-    rank = (round(share + 0.25 * guess.is_checked, 1), guess.kind == "lines", begins, guess.bits * len(spans))
+    sure = round(share + (1.0 if share > 0.1 else 0.25) * guess.is_checked, 1)
+    rank = (sure, guess.kind == "lines", begins, len(guess.sync) > 1, guess.bits * len(spans))
     return rank, made, spans
 
 
@@ -402,6 +404,8 @@ def _candidates(sample: Sample, free: list[tuple[int, int]]) -> Iterator[Framing
 
 _CHARACTERS = np.zeros(256, bool)
 _CHARACTERS[32:127] = _CHARACTERS[[9, 10, 13]] = True
+#: A line among other bytes.
+_SENTENCE = re.compile(rb"[!$#][ -~]{4,}\r?\n")
 #: A check at the end of a line: a character that is no digit, then hexadecimal digits.
 _WRITTEN = re.compile(rb"([^0-9A-Za-z])([0-9A-Fa-f]{2}|[0-9A-Fa-f]{4})$")
 
@@ -411,8 +415,8 @@ def _lines(sample: Sample, free: list[tuple[int, int]]) -> Iterator[FramingGuess
     texts: list[bytes] = []
     for start, end in free:
         data = sample.data[start:end]
-        if _CHARACTERS[np.frombuffer(data, np.uint8)].mean() >= TEXT:
-            texts.append(data)
+        is_text = _CHARACTERS[np.frombuffer(data, np.uint8)].mean() >= TEXT
+        texts += [data] if is_text else _SENTENCE.findall(data)
     if not texts:
         return
     whole = b"".join(texts)

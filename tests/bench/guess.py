@@ -37,7 +37,7 @@ from aces_bus.testing.packets import draw_packet
 from aces_bus.testing.source import Dice
 
 Array = Any
-SHARED = Path("/work/shared/captures")
+SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "captures"
 #: Seconds of virtual time that twins are recorded, and packets that are drawn of a spec without a twin.
 TWINS_S, DRAWN = 8.0, 400
 #: Rows below which nothing is scored.
@@ -402,7 +402,7 @@ def can_rows(frames: Sequence[Any], protocol: Any) -> Iterator[tuple[str, Array,
     by: dict[tuple[int, bool], list[bytes]] = {}
     names: dict[tuple[int, bool], Counter[str]] = {}
     for frame in frames:
-        for record in scanner.feed(frame):
+        for record in scanner.feed([frame]):
             key = frame.arbitration_id, frame.is_extended_id
             names.setdefault(key, Counter())[record.meta.message or ""] += 1
         by.setdefault((frame.arbitration_id, frame.is_extended_id), []).append(bytes(frame.data))
