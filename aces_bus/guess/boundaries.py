@@ -178,7 +178,7 @@ def _carries(d_low: Array, d_high: Array) -> Array:
     mean = product.mean(axis=1)
     variance = _dot(product, product) / n - mean**2
     carried = -_dot(d_low, d_low) / n
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         likelihood = n / (2 * variance) * (mean**2 - (mean - carried) ** 2)
     found: Array = np.where(variance > 1e-12, likelihood, 0.0)
     return found

@@ -136,6 +136,9 @@ def checks_of(rows: Array, prefix: bytes | Array = b"", *, least_share: float = 
 def checks_of_packets(packets: Iterable[bytes], *, least_share: float = SHARE) -> list[CheckGuess]:
     """The checks of packets of any lengths, at the same place from their end, over the bytes from the same start on."""
     known = [packet for packet in dict.fromkeys(packets) if 2 <= len(packet) <= LONGEST]
+    # The few shortest ones would bound where what is covered may begin, and may be no packets at all.
+    least = sorted(map(len, known))[len(known) // 16] if known else 0
+    known = [packet for packet in known if len(packet) >= least]
     short = [packet for packet in known if len(packet) <= SHORT]
     some = _spread(short if len(short) >= FEWEST else known, ROWS)
     if len(some) < 4:

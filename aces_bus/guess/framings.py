@@ -341,7 +341,7 @@ def framings_of(sample: Sample) -> list[FramingGuess]:
             one = _judged(sample, candidate, len(found), left)
             if one is not None:
                 judged.append(one)
-                if one[1].is_checked and one[1].share > 0.98 and one[1].kind != "silence":
+                if one[1].is_checked and one[1].share > 0.98 and one[1].kind != "silence" and one[0][2]:
                     break
         judged.sort(key=lambda one: one[0], reverse=True)
         best = next((one for one in judged if _go_together([*found, one[1]])), None)
@@ -383,13 +383,13 @@ def _judged(
     if guess.bits < ENOUGH_BITS or len(spans) < 3 or share < 0.02:
         return None
     made = replace(guess, packets=len(spans), bytes=covered, share=share)
-    # What has a check is sure; beyond that, what explains more, and of equals the one of more packets: three packets are no
-    # one packet.
-    return (
-        (round(share + 0.25 * guess.is_checked, 2), guess.kind == "lines", guess.bits * len(spans)),
-        made,
-        spans,
-    )
+    # What has a check is sure; beyond that, what explains plainly more. Where bytes are constant behind a packet, it could
+    # as well begin with them: recordings begin with packets. Two sync bytes are seldom one that repeats; and three packets
+    # are no one packet.
+    begins = any(span.start in sample.borders for span in spans)
+    sure = round(share + (1.0 if share > 0.1 else 0.25) * guess.is_checked, 1)
+    rank = (sure, guess.kind == "lines", begins, len(guess.sync) > 1, guess.bits * len(spans))
+    return rank, made, spans
 
 
 def _candidates(sample: Sample, free: list[tuple[int, int]]) -> Iterator[FramingGuess]:
@@ -404,6 +404,8 @@ def _candidates(sample: Sample, free: list[tuple[int, int]]) -> Iterator[Framing
 
 _CHARACTERS = np.zeros(256, bool)
 _CHARACTERS[32:127] = _CHARACTERS[[9, 10, 13]] = True
+#: A line among other bytes.
+_SENTENCE = re.compile(rb"[!$#][ -~]{4,}\r?\n")
 #: A check at the end of a line: a character that is no digit, then hexadecimal digits.
 _WRITTEN = re.compile(rb"([^0-9A-Za-z])([0-9A-Fa-f]{2}|[0-9A-Fa-f]{4})$")
 
@@ -413,8 +415,8 @@ def _lines(sample: Sample, free: list[tuple[int, int]]) -> Iterator[FramingGuess
     texts: list[bytes] = []
     for start, end in free:
         data = sample.data[start:end]
-        if _CHARACTERS[np.frombuffer(data, np.uint8)].mean() >= TEXT:
-            texts.append(data)
+        is_text = _CHARACTERS[np.frombuffer(data, np.uint8)].mean() >= TEXT
+        texts += [data] if is_text else _SENTENCE.findall(data)
     if not texts:
         return
     whole = b"".join(texts)
