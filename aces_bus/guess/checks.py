@@ -32,6 +32,8 @@ from ..protocol.declare.checks import Check, Covered, Crc, Fletcher, IdBytes, Or
 
 #: Different rows that are looked at, and of these the ones that a trial sees first.
 ROWS, FIRST = 256, 24
+#: The share of these that must agree: where one row in twenty is no packet, one pair in ten is none.
+TRIAL = 0.65
 #: Pairs of rows that a CRC is tried on first.
 PAIRS = 12
 #: Bits of evidence beyond all trials together: a chance of one in 1e9.
@@ -134,6 +136,9 @@ def checks_of(rows: Array, prefix: bytes | Array = b"", *, least_share: float = 
 def checks_of_packets(packets: Iterable[bytes], *, least_share: float = SHARE) -> list[CheckGuess]:
     """The checks of packets of any lengths, at the same place from their end, over the bytes from the same start on."""
     known = [packet for packet in dict.fromkeys(packets) if 2 <= len(packet) <= LONGEST]
+    # The few shortest ones would bound where what is covered may begin, and may be no packets at all.
+    least = sorted(map(len, known))[len(known) // 16] if known else 0
+    known = [packet for packet in known if len(packet) >= least]
     short = [packet for packet in known if len(packet) <= SHORT]
     some = _spread(short if len(short) >= FEWEST else known, ROWS)
     if len(some) < 4:
@@ -389,7 +394,7 @@ class _Search:
         """Ranges in which nearly all rows leave the same rest."""
         self.tried += len(starts)
         few = rest[self.few]
-        if max(int((few == few[one]).sum(axis=0).max()) for one in (0, len(few) // 2, -1)) < 0.8 * len(few):
+        if max(int((few == few[one]).sum(axis=0).max()) for one in (0, len(few) // 2, -1)) < TRIAL * len(few):
             return
         for start, column in zip(starts.tolist(), rest.T, strict=True):
             values, counts = np.unique(column, return_counts=True)
@@ -421,7 +426,7 @@ class _Search:
                 stored = _number(place.own, order).astype(np.uint32)
                 if len(later):
                     target = stored[later] ^ stored[base]
-                    agree = (linear == target[None, :, None]).sum(axis=1) >= 0.8 * len(later)
+                    agree = (linear == target[None, :, None]).sum(axis=1) >= TRIAL * len(later)
                     some = np.argwhere(agree).tolist()
                 else:
                     some = _by_model(families, linear ^ stored[which][None, :, None], pick + 1 + gap)
@@ -609,7 +614,7 @@ def _by_model(families: Sequence[_Family], rest: Array, counts: Array) -> list[l
         agree = np.zeros(rest.shape[2], bool)
         for model in family.models:
             wanted = family.constants(model.init, int(counts.max()))[counts] ^ np.uint32(model.xorout)
-            agree |= (rest[number] == wanted).sum(axis=0) >= 0.8 * len(rest[number])
+            agree |= (rest[number] == wanted).sum(axis=0) >= TRIAL * len(rest[number])
         found += [[number, column] for column in np.flatnonzero(agree).tolist()]
     return found
 

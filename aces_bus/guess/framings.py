@@ -24,6 +24,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from construct import Byte, GreedyBytes, Int16ub, Int16ul, Struct, this
 
+from ..errors import AcesError
 from ..protocol.columns.table import Array
 from ..protocol.declare.checks import Check, Crc, InvertedSum, Sum, Xor
 from ..protocol.declare.framing import Framing
@@ -334,13 +335,15 @@ def framings_of(sample: Sample) -> list[FramingGuess]:
         left = sum(end - start for start, end in free)
         if left < max(8, 0.02 * total):
             break
-        best: tuple[tuple[float, ...], FramingGuess, list[Span]] | None = None
+        judged: list[tuple[tuple[float, ...], FramingGuess, list[Span]]] = []
         for candidate in _candidates(sample, free):
-            judged = _judged(sample, candidate, len(found), left)
-            if judged is not None and (best is None or judged[0] > best[0]):
-                best = judged
-                if judged[1].is_checked and judged[1].share > 0.98 and judged[1].kind != "silence":
+            one = _judged(sample, candidate, len(found), left)
+            if one is not None:
+                judged.append(one)
+                if one[1].is_checked and one[1].share > 0.98 and one[1].kind != "silence" and one[0][2]:
                     break
+        judged.sort(key=lambda one: one[0], reverse=True)
+        best = next((one for one in judged if _go_together([*found, one[1]])), None)
         if best is None:
             break
         found.append(best[1])
@@ -348,12 +351,19 @@ def framings_of(sample: Sample) -> list[FramingGuess]:
     return found
 
 
+def _go_together(guesses: Sequence[FramingGuess]) -> bool:
+    """Whether one protocol can have these framings: no packet may be of two."""
+    try:
+        spans_of(guesses, ())
+    except AcesError:
+        return False
+    return True
+
+
 def _judged(
     sample: Sample, guess: FramingGuess, number: int, left: int
 ) -> tuple[tuple[float, ...], FramingGuess, list[Span]] | None:
     """How good a guess is by what the scanner finds with it in the bytes that are left."""
-    from ..errors import AcesError
-
     free = sample.free()
     try:
         some = spans_of([guess], [[(sample.data[start:end], None)] for start, end in free])
@@ -372,13 +382,13 @@ def _judged(
     if guess.bits < ENOUGH_BITS or len(spans) < 3 or share < 0.02:
         return None
     made = replace(guess, packets=len(spans), bytes=covered, share=share)
-    # What has a check is sure; beyond that, what explains more, and of equals the one of more packets: three packets are no
-    # one packet.
-    return (
-        (round(share + 0.25 * guess.is_checked, 2), guess.kind == "lines", guess.bits * len(spans)),
-        made,
-        spans,
-    )
+    # What has a check is sure; beyond that, what explains plainly more. Where bytes are constant behind a packet, it could
+    # as well begin with them: recordings begin with packets. Two sync bytes are seldom one that repeats; and three packets
+    # are no one packet.
+    begins = any(span.start in sample.borders for span in spans)
+    sure = round(share + (1.0 if share > 0.1 else 0.25) * guess.is_checked, 1)
+    rank = (sure, guess.kind == "lines", begins, len(guess.sync) > 1, guess.bits * len(spans))
+    return rank, made, spans
 
 
 def _candidates(sample: Sample, free: list[tuple[int, int]]) -> Iterator[FramingGuess]:
@@ -393,6 +403,8 @@ def _candidates(sample: Sample, free: list[tuple[int, int]]) -> Iterator[Framing
 
 _CHARACTERS = np.zeros(256, bool)
 _CHARACTERS[32:127] = _CHARACTERS[[9, 10, 13]] = True
+#: A line among other bytes.
+_SENTENCE = re.compile(rb"[!$#][ -~]{4,}\r?\n")
 #: A check at the end of a line: a character that is no digit, then hexadecimal digits.
 _WRITTEN = re.compile(rb"([^0-9A-Za-z])([0-9A-Fa-f]{2}|[0-9A-Fa-f]{4})$")
 
@@ -402,8 +414,8 @@ def _lines(sample: Sample, free: list[tuple[int, int]]) -> Iterator[FramingGuess
     texts: list[bytes] = []
     for start, end in free:
         data = sample.data[start:end]
-        if _CHARACTERS[np.frombuffer(data, np.uint8)].mean() >= TEXT:
-            texts.append(data)
+        is_text = _CHARACTERS[np.frombuffer(data, np.uint8)].mean() >= TEXT
+        texts += [data] if is_text else _SENTENCE.findall(data)
     if not texts:
         return
     whole = b"".join(texts)
@@ -629,7 +641,7 @@ def _of_vote(sample: Sample, vote: _Vote) -> FramingGuess:
     whole = ends <= len(array)
     hits, ends = hits[whole], ends[whole]
     packets = [sample.data[start:end] for start, end in zip(hits.tolist(), ends.tolist(), strict=True)]
-    length = length and _wider(array, hits, length)
+    length = length and _wider(array, hits, length, len(sync))
     while len(sync) > 2 and 0 < sync[-1] < LEAST_SYNC:
         sync = sync[:-1]
     limit = length.offset if length is not None else (size or 0)
@@ -669,10 +681,17 @@ def _of_vote(sample: Sample, vote: _Vote) -> FramingGuess:
     return _stuffed(guess, packets)
 
 
-def _wider(array: Array, hits: Array, length: LengthRule) -> LengthRule:
-    """A byte of length with a byte behind it that is always 0 is one of two bytes, of which long packets are rare."""
+def _wider(array: Array, hits: Array, length: LengthRule, first: int) -> LengthRule:
+    """A length of one byte beside a byte that is hardly ever anything but 0 is one of two bytes: long packets are rare."""
+    if length.width > 1:
+        return length
     behind = array[np.minimum(hits + length.offset + 1, len(array) - 1)]
-    return length._replace(width=2, order="little") if length.width == 1 and not behind.any() else length
+    if (behind != 0).mean() < 0.05:
+        return length._replace(width=2, order="little")
+    before = array[hits + length.offset - 1]
+    if length.offset > first and (before != 0).mean() < 0.05:
+        return length._replace(offset=length.offset - 1, width=2, order="big")
+    return length
 
 
 def _max_size(length: LengthRule | None, most: int) -> int:

@@ -21,6 +21,8 @@ from .fields import Array
 
 #: Frames and bytes on which protocols are tried; the share from which on one fits.
 TRIED_FRAMES, TRIED_BYTES, FITS = 20_000, 1 << 18, 0.8
+#: Frames that are tried first, and the share of them below which a protocol is not tried on more.
+FIRST, HOPELESS = 1000, 0.3
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ def _fitting(link: str, piece: Any) -> Iterator[FittingProtocol]:
             text += f"@{configuration}" if configuration else ""
             variant = protocol.variant(dialect or None, configuration or None)
             found.append(FittingProtocol(_share(variant, piece), text, variant))
-        best = max(found, key=lambda one: one.share)
+        best = max(found, key=lambda one: (one.share, one.name))
         if best.share >= FITS:
             yield best
 
@@ -62,6 +64,10 @@ def _scanner(variant: Variant, **keywords: Any) -> Any:
 
 
 def _share(variant: Variant, piece: Any) -> float:
+    if isinstance(piece, FrameTable) and len(piece) > 2 * FIRST:
+        first = _share(variant, piece.take(slice(0, FIRST)))
+        if first < HOPELESS:
+            return first
     scanner = _scanner(variant)
     scanner.feed(piece) if variant.link == "can" else feed(scanner, piece, None)
     scanner.close()

@@ -147,8 +147,8 @@ def test_packets_are_recognised_and_drafted_with_their_transport(tmp_path: Path)
     for number in range(12):
         send("Ask", bytes([0x22, number]), ecu=0)
         send("Answer", bytes([0x62, number] * 15), ecu=0)
-        for group in ("1F805", "1FA04", "1F801"):
-            send(f"Group{group}", bytes([number] * 20))
+        for name in ("Group1F805", "Group1FA04", "Group1F801"):
+            send(name, bytes([number] * 20))
     guess = guessed(frames)
     assert [one.name for one in guess.protocols] == ["NMEA 2000", "ISO-TP", "fast packet"]
     assert {one.transport for one in guess.messages} == {"IsoTp()", "FastPacket()"}
@@ -205,3 +205,16 @@ def test_any_frames_make_a_draft_that_accounts_for_them(seed: int, tmp_path: Pat
 def test_no_frames_are_no_messages() -> None:
     """Of an empty recording nothing is said."""
     assert guessed([]).as_dict()["messages"] == []
+
+
+def test_work_is_bounded_by_bytes_not_by_identifiers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Beyond them messages are declared, and their bytes are left alone."""
+    monkeypatch.setattr("aces_bus.guess.traffic.BYTES", 20)
+    frames = [
+        Frame(0x100 + one * 0x111, bytes([number] * 8), number / 100, "can0")
+        for one in range(5)
+        for number in range(9)
+    ]
+    guess = guessed(frames)
+    assert [len(one.fields) > 0 for one in guess.messages] == [True, True, True, False, False]
+    assert accounted(drafted(guess, tmp_path), frames) == "total=45 decoded=45 records=45"

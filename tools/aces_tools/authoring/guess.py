@@ -91,6 +91,8 @@ def run(arguments: argparse.Namespace) -> int:
                     for chunk in patience.each(recording):
                         stream.add(*chunk)
                 report_unreadable(recording, is_over=True)
+            if patience.is_over:
+                break
     if stream.bytes and traffic.frames:
         raise CallerError("recordings of a CAN bus and of a serial line: guess one after the other")
     if stream.bytes:
@@ -159,7 +161,7 @@ def _show_stream(guess: StreamGuess, arguments: argparse.Namespace) -> None:
             sizes = packet.sizes
             size = f"{sizes[0]} bytes" if len(sizes) == 1 else f"{sizes[0]} to {sizes[-1]} bytes"
             page.lines(["", page.paint("message", f"packet{code}  {packet.count:,} of {size}")])
-            if not arguments.quiet and packet.fields:
+            if packet.fields:
                 page.table(
                     ("field", "bits", "kind", "sure", "evidence"), [_cells(one) for one in packet.fields]
                 )
@@ -189,6 +191,8 @@ def _show(guess: TrafficGuess, arguments: argparse.Namespace) -> None:
     )
     if guess.kept < guess.frames - guess.errors:
         page.lines([f"only the first {guess.kept:,} frames were looked at"])
+    if guess.beyond:
+        page.lines([f"{counted(guess.beyond, 'frame')} of still more identifiers were not looked at"])
     files = " ".join("-" if one == "-" else shlex.quote(one) for one in arguments.files)
     for known in guess.known[:LISTED]:
         page.lines([printable(f"{known.share:4.0%} is {known.name}:  aces decode {files} -p {known.name}")])
@@ -205,8 +209,7 @@ def _show(guess: TrafficGuess, arguments: argparse.Namespace) -> None:
     for message in guess.messages:
         page.lines([""])
         page.lines([page.paint("message", printable(_headline(message)))])
-        if not arguments.quiet:
-            page.table(("field", "bits", "kind", "sure", "evidence"), [_cells(one) for one in message.fields])
+        page.table(("field", "bits", "kind", "sure", "evidence"), [_cells(one) for one in message.fields])
     if guess.pairs:
         page.lines(["", "requests and replies"])
         page.table(

@@ -50,8 +50,8 @@ function _shtab_aces_using
   test "$_shtab_aces_cmdpath" = "$argv"
 end
 
-set -g _shtab_aces_commands decode plot convert sniff send play bridge bus robot devices device discover sim run protocols spec 'spec new' 'spec check' 'spec guess' 'spec show' 'spec explain' 'spec stubs' 'spec export' 'spec import' fuzz demo bench fleet 'fleet status' completion
-set -g _shtab_aces_opts_with_value --against --at --at-end --base --baud --bitrate --break-time --bus --bus-kwargs --channel --cluster --compare --corpus --count --data-bitrate --diff --direction --driver --every --examples --expand --failures --fault --faults --filter --for --format --foxglove --foxglove-origin --frames --from --gap --hold-for --input-format --interface --jobs --law --link --list --log --loop --map --message --most --name --on-trip --output --port --pose --protocol --rate --record --rename --replay --reply --robot --rotate --rows-hz --save --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --time --timing --title --to --udp --unix --unknown --where --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
+set -g _shtab_aces_commands decode plot convert sniff send play bridge bus robot devices device discover sim run protocols spec 'spec new' 'spec check' 'spec guess' 'spec show' 'spec explain' 'spec stubs' 'spec export' 'spec import' fuzz demo bench completion
+set -g _shtab_aces_opts_with_value --against --at --at-end --base --baud --bitrate --break-time --bus --bus-kwargs --channel --compare --corpus --count --data-bitrate --diff --direction --driver --every --examples --expand --failures --fault --faults --filter --for --format --frames --from --gap --hold-for --input-format --interface --jobs --law --link --list --log --loop --map --message --most --name --on-trip --output --port --pose --protocol --rate --record --rename --replay --reply --robot --rotate --rows-hz --save --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --time --timing --title --to --udp --unix --unknown --where --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
 
 complete -c aces -e
 complete -c aces -f
@@ -76,7 +76,6 @@ complete -c aces -n '_shtab_aces_using decode' -l strict -d 'exit 1 when anythin
 complete -c aces -n '_shtab_aces_using decode' -l names -d 'tables: enumerations as names instead of numbers'
 complete -c aces -n '_shtab_aces_using decode' -l float32 -d 'tables: physical values in half the size, and less exact'
 complete -c aces -n '_shtab_aces_using decode' -l jobs -x -d 'tables: so many processes (default: 1; 0: one a processor); each message is then a folder of parts (Parquet, Arrow)'
-complete -c aces -n '_shtab_aces_using decode' -l cluster -x -d 'tables, of many files and URIs, into a dataset: here (this process), local:4 (processes) or a Dask scheduler'"'"'s address; see below'
 complete -c aces -n '_shtab_aces_using decode' -s t -l time -xka "relative absolute delta date" -d 'from the first on, since 1970, since the line before, or local; also candump'"'"'s z a d A (default: relative)'
 complete -c aces -n '_shtab_aces_using decode' -s n -l count -x -d 'end after so many lines'
 complete -c aces -n '_shtab_aces_using decode' -l color -l no-color -d 'colour always, or never (default: on a terminal)'
@@ -132,8 +131,6 @@ complete -c aces -n '_shtab_aces_using sniff' -s o -l output -xka "(__fish_compl
 complete -c aces -n '_shtab_aces_using sniff' -l rotate -x -d 'begin the next file (FILE-00002 …) after so much, such as 100MB, or so long, such as 10min'
 complete -c aces -n '_shtab_aces_using sniff' -s q -l quiet -d 'print no lines, only the summary'
 complete -c aces -n '_shtab_aces_using sniff' -l record -xka "(__fish_complete_path (commandline -ct))" -d 'write all that is received there; see below'
-complete -c aces -n '_shtab_aces_using sniff' -l foxglove -x -d 'show it live to Foxglove, at this port of this machine (default: 8765); needs '"'"'aces-bus[foxglove]'"'"''
-complete -c aces -n '_shtab_aces_using sniff' -l foxglove-origin -x -d 'let web pages of ORIGIN look on, beside Foxglove'"'"'s own and this machine'"'"'s, such as http://lab:8080'
 complete -c aces -n '_shtab_aces_using sniff' -l screen -d 'a table of all that repeats, live; needs '"'"'aces-bus[screen]'"'"''
 complete -c aces -n '_shtab_aces_using sniff' -l color -l no-color -d 'colour always, or never (default: on a terminal)'
 complete -c aces -n '_shtab_aces_using sniff' -s c -l channel -x -d 'Most backend interfaces require some sort of channel. For example with the serial interface the channel might be a rfcomm device: "/dev/rfcomm0". With the socketcan interface valid channel examples include: "can0", "vcan0".'
@@ -181,9 +178,6 @@ complete -c aces -n '_shtab_aces_using play' -l gap -x -d 'make no silence longe
 complete -c aces -n '_shtab_aces_using play' -l rate -x -d 'CAN: at most N frames a second'
 complete -c aces -n '_shtab_aces_using play' -l filter -x -d 'CAN: only what candump'"'"'s filters pass, such as 060:7F0; by the recording'"'"'s channels'
 complete -c aces -n '_shtab_aces_using play' -l map -x -d 'CAN: channel OLD onto the bus NEW'
-complete -c aces -n '_shtab_aces_using play' -l foxglove -x -d 'show it live to Foxglove as it is played, also without --tx, at this port of this machine (default: 8765); needs '"'"'aces-bus[foxglove]'"'"''
-complete -c aces -n '_shtab_aces_using play' -l foxglove-origin -x -d 'let web pages of ORIGIN look on, beside Foxglove'"'"'s own and this machine'"'"'s, such as http://lab:8080'
-complete -c aces -n '_shtab_aces_using play' -s p -l protocol -xka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'with --foxglove: what is spoken, as of '"'"'aces decode'"'"'; the first wins'
 complete -c aces -n '_shtab_aces_using play' -l direction -x -d 'serial: only what went to, or came from, the device'
 complete -c aces -n '_shtab_aces_using play' -s c -l channel -x -d 'Most backend interfaces require some sort of channel. For example with the serial interface the channel might be a rfcomm device: "/dev/rfcomm0". With the socketcan interface valid channel examples include: "can0", "vcan0".'
 complete -c aces -n '_shtab_aces_using play' -s i -l interface -xka "aces aces-replay canalystii cantact etas gs_usb iscan ixxat kvaser neousys neovi nican nixnet pcan robotell seeedstudio serial slcan socketcan socketcand systec udp_multicast usb2can vector virtual" -d 'Specify the backend CAN interface to use. If left blank,'
@@ -288,8 +282,6 @@ complete -c aces -n '_shtab_aces_using sim' -l list-faults -d 'list how the devi
 complete -c aces -n '_shtab_aces_using sim' -l for -x -d 'end after so long (default: Ctrl-C)'
 complete -c aces -n '_shtab_aces_using sim' -l seed -x -d 'of noise and chance (default: 0)'
 complete -c aces -n '_shtab_aces_using sim' -l pose -x -d 'where a twin'"'"'s joint is at first: 0.3 (rad, m) or 20deg'
-complete -c aces -n '_shtab_aces_using sim' -l foxglove -x -d 'show it live to Foxglove, at this port of this machine (default: 8765); needs '"'"'aces-bus[foxglove]'"'"''
-complete -c aces -n '_shtab_aces_using sim' -l foxglove-origin -x -d 'let web pages of ORIGIN look on, beside Foxglove'"'"'s own and this machine'"'"'s, such as http://lab:8080'
 complete -c aces -n '_shtab_aces_using sim' -l json -d 'the buses, and at the end the counts, as JSON'
 complete -c aces -n '_shtab_aces_using sim' -s r -l robot -xka "(aces completion --list robots --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'a robot that ships, or a file (default: $ACES_ROBOT)'
 complete -c aces -n '_shtab_aces_using sim' -l bus -xka "(aces completion --list buses --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'where a bus is: can0, unix:can0, /dev/ttyUSB0, HOST:PORT (default: what the file says)'
@@ -305,8 +297,6 @@ complete -c aces -n '_shtab_aces_using run' -l replay -xka "(__fish_complete_pat
 complete -c aces -n '_shtab_aces_using run' -l for -x -d 'run so long: 10s, 2min (default: to the end)'
 complete -c aces -n '_shtab_aces_using run' -l rate -x -d 'of buses, players and logs (default: the robot'"'"'s)'
 complete -c aces -n '_shtab_aces_using run' -l log -xka "(__fish_complete_path (commandline -ct))" -d 'record states (default: those of the controllers) into .csv, .txt, .db, .parquet, .mcap'
-complete -c aces -n '_shtab_aces_using run' -l foxglove -x -d 'show it live to Foxglove, at this port of this machine (default: 8765); needs '"'"'aces-bus[foxglove]'"'"''
-complete -c aces -n '_shtab_aces_using run' -l foxglove-origin -x -d 'let web pages of ORIGIN look on, beside Foxglove'"'"'s own and this machine'"'"'s, such as http://lab:8080'
 complete -c aces -n '_shtab_aces_using run' -l home -d 'make what is driven find its home position first'
 complete -c aces -n '_shtab_aces_using run' -l no-enable -d 'do not enable what is driven before it runs'
 complete -c aces -n '_shtab_aces_using run' -l on-trip -x -d 'what a fault leads to: hold, disable, ignore, degrade[:NAME], or a function of a FILE.py; without KIND, all others (default: disable)'
@@ -440,13 +430,6 @@ complete -c aces -n '_shtab_aces_using bench' -l compare -xka "(__fish_complete_
 complete -c aces -n '_shtab_aces_using bench' -l json -d 'one JSON object a row instead of the table'
 complete -c aces -n '_shtab_aces_using bench' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using bench; and test $_shtab_aces_npos -eq 0' -ka "live columns text bus control robot" -d 'live: one frame or chunk at a time, beside cantools and dynamixel_sdk; columns: whole recordings, beside cantools, python-can, polars, asammdf and C; text: whole recordings to lines, beside cantools decode; bus: the virtual bus, beside python-can'"'"'s; control: states, filters and controllers of a control loop, beside deque, np.interp and scipy; robot: a complete robot on served buses in real time, beside the same with threads'
-complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a fleet -d 'datasets that many recordings became: status'
-complete -c aces -n '_shtab_aces_using fleet' -s h -l help -d 'show this help message and exit'
-complete -c aces -n '_shtab_aces_using fleet; and test $_shtab_aces_npos -eq 0' -a status -d 'say what a dataset of a fleet consists of, and what is missing'
-complete -c aces -n '_shtab_aces_using fleet status' -s h -l help -d 'show this help message and exit'
-complete -c aces -n '_shtab_aces_using fleet status' -l faults -d 'each fault in a line'
-complete -c aces -n '_shtab_aces_using fleet status' -l json -d 'JSON on standard output, for programs'
-complete -c aces -n '_shtab_aces_using fleet status' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a completion -d 'print what completes aces in bash, zsh and fish'
 complete -c aces -n '_shtab_aces_using completion' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using completion' -l list -xka "protocols drivers robots devices buses" -d 'names, as the scripts ask: protocols, drivers, robots, devices, buses'
