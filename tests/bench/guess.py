@@ -27,6 +27,7 @@ import numpy as np
 from construct import Byte, Struct, this
 
 from aces_bus.device.drivers import load_driver
+from aces_bus.errors import AcesError
 from aces_bus.guess import FramingGuess, StreamTraffic, checks_of, fields_of
 from aces_bus.guess.framings import framing_check
 from aces_bus.hardware.simulated.bus import ListeningNode, SimulatedBus
