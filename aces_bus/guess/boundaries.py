@@ -71,7 +71,7 @@ def _joined(sample: Rows, free: Array) -> dict[int, int]:
     return up
 
 
-def together(
+def merged_pieces(
     sample: Rows, pieces: list[tuple[list[int], ByteOrder]], free: Array
 ) -> list[tuple[list[int], ByteOrder]]:
     """The pieces; those of one byte that change at the same time are one, with the constant bits between them.
@@ -98,16 +98,17 @@ def together(
         whole = list(range(8 * byte, 8 * byte + 8))
         if others and len(runs) == 1 and all(constant[bit] or bit in runs[0] for bit in whole):
             runs = [whole]
-        found += [(run, "little") for run in runs]
+        for run in runs:
+            found.append((run, "little"))
     return found
 
 
 def whole_bytes(free: Array) -> list[tuple[list[int], ByteOrder]]:
     """The bytes of which any bit is free, each by itself."""
-    return [
-        (list(range(8 * byte, 8 * byte + 8)), "little")
-        for byte in np.flatnonzero(free.reshape(-1, 8).any(axis=1)).tolist()
-    ]
+    found: list[tuple[list[int], ByteOrder]] = []
+    for byte in np.flatnonzero(free.reshape(-1, 8).any(axis=1)).tolist():
+        found.append((list(range(8 * byte, 8 * byte + 8)), "little"))
+    return found
 
 
 def _are_simultaneous(sample: Rows, one: list[int], other: list[int]) -> bool:

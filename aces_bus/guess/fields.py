@@ -181,17 +181,19 @@ def fields_of(rows: Array, times_ns: Array | None = None, prefix: bytes | Array 
         found += _selected(rows, selector, free)
         for one in found:
             free[list(one.positions)] = False
-    return whole(sample, found + _split(sample, free), np.ones(8 * sample.size, bool))
+    return filled(sample, found + _split(sample, free), np.ones(8 * sample.size, bool))
 
 
 def _split(sample: Rows, free: Array) -> list[FieldGuess]:
     """The fields of what is left."""
-    from .boundaries import split, together, whole_bytes
+    from .boundaries import merged_pieces, split, whole_bytes
     from .kinds import classified
 
     changing = free & sample.varies
     pieces = (
-        together(sample, split(sample, changing), free) if sample.steps >= STEPS else whole_bytes(changing)
+        merged_pieces(sample, split(sample, changing), free)
+        if sample.steps >= STEPS
+        else whole_bytes(changing)
     )
     return [classified(sample, piece) for piece in pieces]
 
@@ -209,7 +211,7 @@ def _selected(rows: Array, selector: FieldGuess, free: Array) -> list[FieldGuess
         plain = [one for one in plain_fields(sample, None, b"") if free[list(one.positions)].all()]
         for one in plain:
             own[list(one.positions)] = False
-        fields = whole(sample, [*plain, *_split(sample, own)], free)
+        fields = filled(sample, [*plain, *_split(sample, own)], free)
         found.append([one for one in fields if one.kind != "constant"])
     places = [{one.positions for one in some} for some in found]
     common = set.intersection(*places)
@@ -222,7 +224,7 @@ def _selected(rows: Array, selector: FieldGuess, free: Array) -> list[FieldGuess
     ]
 
 
-def whole(sample: Rows, found: Iterable[FieldGuess], free: Array) -> list[FieldGuess]:
+def filled(sample: Rows, found: Iterable[FieldGuess], free: Array) -> list[FieldGuess]:
     """The guesses, widened by zeros that fill their bytes, and constants for all bits of `free` that are left."""
     found = list(found)
     free = free.copy()

@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -23,6 +23,8 @@ from .protocols import ProtocolGuess, recognised
 
 #: Frames that are kept, and identifiers that are looked at.
 FRAMES, IDENTIFIERS = 2_000_000, 2048
+#: Bytes of payloads, of all messages together, whose fields are sought: 1024 messages of 8 bytes. Others stay bytes.
+BYTES = 8192
 #: Transports by the names of standards, as a spec declares them.
 TRANSPORTS = {"ISO-TP": "IsoTp()", "fast packet": "FastPacket()"}
 #: Lengths of one identifier that become messages of their own.
@@ -126,14 +128,14 @@ class TrafficGuess:
         }
 
 
-@dataclass
 class Traffic:
     """Frames as they are read; `guess` says what they are."""
 
-    frames: int = 0
-    errors: int = 0
-    _tables: list[FrameTable] = field(default_factory=list[FrameTable])
-    _kept: int = 0
+    def __init__(self) -> None:
+        #: Frames that were added, and the error frames among them.
+        self.frames = self.errors = 0
+        self._tables: list[FrameTable] = []
+        self._kept = 0
 
     def add(self, table: FrameTable) -> None:
         """More frames of the same recordings; the tables of one recording share their channels."""
@@ -238,8 +240,10 @@ def _messages(frames: FrameTable, carried: Mapping[int, str]) -> tuple[list[Mess
         lengths = tuple(np.unique(frames.length[rows]).tolist())
         groups.append(Members((key,), rows, lengths, timing_of(frames.time[own])))
     found: list[MessageGuess] = []
+    looked_at = 0
     for group in families(frames, [one for one in groups if one.keys[0] not in carried]):
-        found += _messages_of(frames, group)
+        found += _messages_of(frames, group, with_fields=looked_at < BYTES)
+        looked_at += sum(group.lengths[-LENGTHS:])
     for group in groups:
         if group.keys[0] in carried:
             found.append(_packets(frames, group, carried[group.keys[0]]))
@@ -254,24 +258,26 @@ def _packets(frames: FrameTable, group: Members, transport: str) -> MessageGuess
     )
 
 
-def _messages_of(frames: FrameTable, group: Members) -> Iterator[MessageGuess]:
+def _messages_of(frames: FrameTable, group: Members, with_fields: bool) -> Iterator[MessageGuess]:
     """The messages of an identifier: one a length where there are few, else one of what all lengths have."""
     name = _name(group)
     if len(group.lengths) == 1 or group.keys[0] & REMOTE:
-        yield _message(frames, group, name, group.rows, group.lengths[0])
+        yield _message(frames, group, name, group.rows, group.lengths[0], with_fields)
     elif len(group.lengths) <= LENGTHS:
         for length in group.lengths:
             rows = group.rows[frames.length[group.rows] == length]
-            yield _message(frames, group, f"{name}Length{length}", rows, length)
+            yield _message(frames, group, f"{name}Length{length}", rows, length, with_fields)
     else:
-        yield _message(frames, group, name, group.rows, None)
+        yield _message(frames, group, name, group.rows, None, with_fields)
 
 
-def _message(frames: FrameTable, group: Members, name: str, rows: Array, length: int | None) -> MessageGuess:
+def _message(
+    frames: FrameTable, group: Members, name: str, rows: Array, length: int | None, with_fields: bool
+) -> MessageGuess:
     size = group.lengths[0] if length is None else length
     key = group.keys[0]
     fields: list[FieldGuess] = []
-    if not key & REMOTE and size:
+    if with_fields and not key & REMOTE and size:
         digits = 4 if key & EXTENDED else 2
         prefix = (frames.id[rows].astype(">u4").view(np.uint8).reshape(-1, 4))[:, 4 - digits :]
         fields = fields_of(rows_at(frames.data, rows)[:, :size], frames.time[rows], prefix)

@@ -205,3 +205,16 @@ def test_any_frames_make_a_draft_that_accounts_for_them(seed: int, tmp_path: Pat
 def test_no_frames_are_no_messages() -> None:
     """Of an empty recording nothing is said."""
     assert guessed([]).as_dict()["messages"] == []
+
+
+def test_work_is_bounded_by_bytes_not_by_identifiers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Beyond them messages are declared, and their bytes are left alone."""
+    monkeypatch.setattr("aces_bus.guess.traffic.BYTES", 20)
+    frames = [
+        Frame(0x100 + one * 0x111, bytes([number] * 8), number / 100, "can0")
+        for one in range(5)
+        for number in range(9)
+    ]
+    guess = guessed(frames)
+    assert [len(one.fields) > 0 for one in guess.messages] == [True, True, True, False, False]
+    assert accounted(drafted(guess, tmp_path), frames) == "total=45 decoded=45 records=45"

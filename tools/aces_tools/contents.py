@@ -281,5 +281,7 @@ def _advise(page: Page, name: str, link: str, piece: Any) -> None:
         page.lines([printable(f"{one.share:4.0%} is {one.name}:  {command} -p {one.name}")])
     if not fitting:
         page.lines(
-            ["no installed protocol fits (aces protocols); a database: -p car.dbc; your own: aces spec new"]
+            [
+                "no installed protocol fits (aces protocols); a database: -p car.dbc; your own: aces spec guess, aces spec new"
+            ]
         )

@@ -191,6 +191,8 @@ def _show(guess: TrafficGuess, arguments: argparse.Namespace) -> None:
     )
     if guess.kept < guess.frames - guess.errors:
         page.lines([f"only the first {guess.kept:,} frames were looked at"])
+    if guess.beyond:
+        page.lines([f"{counted(guess.beyond, 'frame')} of still more identifiers were not looked at"])
     files = " ".join("-" if one == "-" else shlex.quote(one) for one in arguments.files)
     for known in guess.known[:LISTED]:
         page.lines([printable(f"{known.share:4.0%} is {known.name}:  aces decode {files} -p {known.name}")])
