@@ -39,6 +39,7 @@ FLOORS: dict[str, set[str]] = {
     "runtime": set(),
     "protocol": set(),  # no I/O, no clock, no device
     "recordings": {"protocol"},
+    "compare": {"protocol", "recordings"},  # what differs between two recordings
     "export": {"protocol"},  # tables on disk, whole or kill-safe
     "hardware": {"runtime", "recordings"},  # replays recordings; knows no protocol
     "device": {"runtime", "protocol"},  # one node, whatever the bus

@@ -26,11 +26,11 @@ from aces_bus.recordings import (
     parse_filter,
 )
 from aces_bus.recordings.serial.raw import RawCapture
+from aces_bus.recordings.window import TimeWindow
 
 from .console import Patience, abandon_stdout, report_unreadable, say, say_note
 from .output.shape import Plans, plans_of
 from .protocols_arg import parse_protocols
-from .window import TimeWindow
 
 T = TypeVar("T")
 Link = Literal["can", "serial"]
