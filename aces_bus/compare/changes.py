@@ -304,7 +304,7 @@ def _byte(both: _Sides, byte: int) -> Iterator[TrafficChange]:
     ones_b, zeros_b = _seen(b.ones, byte), _seen(b.zeros, byte)
     new = ones_b & ~ones_a | zeros_b & ~zeros_a
     varying = ones_a & zeros_a
-    values = {"a": values_text(seen_a), "b": values_text(seen_b), "byte": byte, "frames": n_b}
+    values: dict[str, Any] = {"a": values_text(seen_a), "b": values_text(seen_b), "byte": byte, "frames": n_b}
     found: list[TrafficChange] = []
     if new:
         bits = _bits_of(new)

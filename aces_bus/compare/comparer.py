@@ -33,7 +33,7 @@ Span = tuple[float | None, float | None]
 #: Frames that are counted at once, at least.
 PIECE = 1 << 17
 #: A change that is less telling is left out by default.
-LEAST = 0.1
+LEAST = 0.2
 
 
 class ComparedSide:

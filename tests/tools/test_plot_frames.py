@@ -181,7 +181,7 @@ def test_a_narrow_terminal_is_kept_to(bus: Path) -> None:
     from aces_bus.recordings import open_recording
 
     images = BitImages()
-    with open_recording(str(bus)) as capture:
+    with open_recording(str(bus), link="can") as capture:
         for table in capture.tables():
             images.add(table)
     picture = BitPicture(images, list(images.images.values()), "A title that is long beyond measure")

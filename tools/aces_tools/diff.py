@@ -218,10 +218,9 @@ class Comparing:
 
     def _open(self, name: str) -> CanRecording | SerialRecording:
         links = {"can" if variant.link == "can" else "serial" for variant in self.variants}
-        if len(links) == 1:
-            link: Any = links.pop()
-            return open_recording(name, link=link)
-        return open_any(name)
+        if len(links) != 1:
+            return open_any(name)
+        return open_recording(name, link="can") if "can" in links else open_recording(name, link="serial")
 
     def _read(self, name: str, sides: str, patience: Patience, progress: Progress) -> None:
         with patience.waiting():
@@ -291,8 +290,10 @@ class Comparing:
                     for one in found.changes
                 ],
             )
-        elif not found.weaker:
-            page.lines(["no difference"])
+        else:
+            page.lines(["nothing that tells much" if found.weaker else "no difference"])
+        if found.weaker:
+            say_note(f"less telling: {counted(found.weaker, 'change')}; --least 0 lists all")
 
 
 def _sizes(side: ComparedSide) -> list[tuple[str, int]]:

@@ -224,7 +224,8 @@ class ByteDrawing(FrameDrawing):
                 x = (self.frames + rows).astype(np.float64)
             else:
                 x = (table.time[rows] - self.clock.origin) / 1e9
-                rows, lengths, x = (one[table.time[rows] != NO_TIME] for one in (rows, lengths, x))
+                known = table.time[rows] != NO_TIME
+                rows, lengths, x = rows[known], lengths[known], x[known]
             for byte in range(int(lengths.max(initial=0))):
                 if byte == len(series):
                     series.append(_series(identifier, byte))

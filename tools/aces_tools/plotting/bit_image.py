@@ -70,9 +70,8 @@ class BitImage:
         self._last = data[-1], int(lengths[-1])
         if (bins[1:] < bins[:-1]).any():
             order = np.argsort(bins, kind="stable")
-            bins, data, flipped, there, follows = (
-                one[order] for one in (bins, data, flipped, there, follows)
-            )
+            bins, data, flipped = bins[order], data[order], flipped[order]
+            there, follows = there[order], follows[order]
         starts = np.flatnonzero(np.concatenate(([True], bins[1:] != bins[:-1])))
         which = bins[starts]
         self.frames[which] += np.diff(np.append(starts, len(bins))).astype(np.uint32)
@@ -112,7 +111,8 @@ class BitImage:
         size = -(-used // count)
         padded = np.zeros((size * count, *array.shape[1:]), np.int64)
         padded[:used] = array[:used]
-        return padded.reshape(size, count, *array.shape[1:]).sum(axis=1)
+        sums: Array = padded.reshape(size, count, *array.shape[1:]).sum(axis=1)
+        return sums
 
     def _between(self, count: int, used: int) -> Array:
         """Which joined bins without a frame are between two frames that are no further apart than usual: no gaps."""

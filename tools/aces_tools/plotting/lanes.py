@@ -98,7 +98,9 @@ class LanePicture:
 
         images = self._images[part]
         low, high = images.seconds()
-        shades = colours.LinearSegmentedColormap.from_list("lanes", SHADES).with_extremes(bad="white")
+        shades = colours.LinearSegmentedColormap.from_list("lanes", SHADES).with_extremes(
+            bad=(1.0, 1.0, 1.0, 0.0)
+        )
         for row, change in enumerate(changes):
             image = _image(images, change.identifier)
             if image is None:
@@ -151,5 +153,5 @@ def _shade(ax: Any, images: BitImages, b: ComparedSide, lanes: int) -> None:
         start, stop = ((None if at is None else (at - images.start) / images.unit) for at in window.bounds)
         begin, end = low if start is None else max(low, start), high if stop is None else min(high, stop)
         if end > begin:
-            ax.axvspan(begin, end, color=B_COLOUR, alpha=0.16, linewidth=0, zorder=5)
+            ax.axvspan(begin, end, color=B_COLOUR, alpha=0.3, linewidth=0, zorder=-1)
             ax.plot([begin, end], [0, 0], color=B_COLOUR, linewidth=4, clip_on=False, zorder=6)

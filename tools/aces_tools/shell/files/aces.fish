@@ -113,7 +113,7 @@ complete -c aces -n '_shtab_aces_using diff' -l marks -xka "(__fish_complete_pat
 complete -c aces -n '_shtab_aces_using diff' -l for -x -d 'a mark lasts so long: 500ms, 2s'
 complete -c aces -n '_shtab_aces_using diff' -s p -l protocol -xka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'what is spoken: messages and signals are compared; serial lines need it'
 complete -c aces -n '_shtab_aces_using diff' -l filter -x -d 'CAN: only what candump'"'"'s filters pass, such as 060:7F0 or can0,150~7FF'
-complete -c aces -n '_shtab_aces_using diff' -l least -x -d 'leave out what is less telling, 0 to 1 (default: 0.1; 0: nothing)'
+complete -c aces -n '_shtab_aces_using diff' -l least -x -d 'leave out what is less telling, 0 to 1 (default: 0.2; 0: nothing)'
 complete -c aces -n '_shtab_aces_using diff' -l json -d 'JSON on standard output, for programs'
 complete -c aces -n '_shtab_aces_using diff' -s o -l output -xka "(__fish_complete_path (commandline -ct))" -d 'draw what changed over time into FILE.png, FILE.svg or FILE.pdf'
 complete -c aces -n '_shtab_aces_using diff' -l color -l no-color -d 'colour always, or never (default: on a terminal)'
