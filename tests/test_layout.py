@@ -40,6 +40,7 @@ FLOORS: dict[str, set[str]] = {
     "protocol": set(),  # no I/O, no clock, no device
     "recordings": {"protocol"},
     "guess": {"protocol"},  # drafts of specs out of recordings
+    "compare": {"protocol", "recordings"},  # what differs between two recordings
     "export": {"protocol"},  # tables on disk, whole or kill-safe
     "fleet": {"protocol", "recordings", "export"},  # many recordings, many machines
     "hardware": {"runtime", "recordings"},  # replays recordings; knows no protocol

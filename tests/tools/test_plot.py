@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import NO_TIME, Channels
 from aces_bus.protocol.columns.table import Column, ColumnKind, MessageTable
+from aces_bus.recordings.window import TimeWindow
 from aces_tools.main import main
 from aces_tools.plotting import terminal
 from aces_tools.plotting.picture import Picture, PlotLine, PlotPanel, value_changes
@@ -46,7 +47,6 @@ from aces_tools.plotting.series import (
     thin,
 )
 from aces_tools.protocols_arg import parse_protocols
-from aces_tools.window import TimeWindow
 
 from .conftest import Aces
 

@@ -14,10 +14,10 @@ from aces_bus.errors import CallerError
 from aces_bus.frame_table import FrameTable
 from aces_bus.protocol import Unknown, make_scanner
 from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.recordings.window import TimeWindow
 from aces_bus.testing import strategies
 from aces_tools.output.shape import plans_of
 from aces_tools.where import Where, WhereColumns
-from aces_tools.window import TimeWindow
 from tests.specs.catalogue import SPECS
 
 META = ("time", "channel", "direction", "identifier", "extended", "fd", "remote", "is_rx", "offset", "size")

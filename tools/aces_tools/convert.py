@@ -32,11 +32,11 @@ from aces_bus.frame_table import ERROR, NO_TIME, FrameTable, to_ns
 from aces_bus.recordings import CanRecording, SerialRecording, formats, open_recording, parse_filter
 from aces_bus.recordings.filters import passing
 from aces_bus.recordings.merge import Relabel, merge_by_time
+from aces_bus.recordings.window import TimeWindow
 from aces_bus.recordings.write import FORMATS, FormatOut, OpenWriter, open_writer, split_suffix, writer_format
 
 from .console import SHOWN, Patience, Progress, abandon_stdout, report_unreadable, say
 from .options import FILTER, FROM, MAP, STRICT, TO, Arguments, argument, flag
-from .window import TimeWindow
 
 #: Suffixes that promise no format: recordings of many programs have them.
 PLAIN = (".log", ".txt", ".bin", ".raw")

@@ -26,11 +26,11 @@ from aces_bus.recordings import (
 )
 from aces_bus.recordings.pieces import CaptureReading, Direction, SerialWays, open_any
 from aces_bus.recordings.totals import Totals
+from aces_bus.recordings.window import TimeWindow
 
 from .console import Patience, abandon_stdout, report_unreadable, say, say_note
 from .output.shape import Plans, plans_of
 from .protocols_arg import parse_protocols
-from .window import TimeWindow
 
 #: Options that leave something out, by the names of their arguments.
 FILTERS = (

@@ -4,6 +4,8 @@
   aces plot walk.log -p hubo 'Encoder[board=3].*' - 'Current.*' -o walk.png
   aces plot walk.log -p hubo --list
   candump can0 | aces plot - -p car.py 'Motor.speed:r-' , 'Motor.torque' --show
+  aces plot walk.log --bits -o bits.png              no protocol: flips of bits
+  aces plot walk.log --raw 2A0                       the bytes of an identifier
 
 CAPTUREs come first, then SIGNALs; - as the first is standard input. Without
 SIGNALs what each message has is drawn; of many signals those that say most.
@@ -70,14 +72,22 @@ def axis_number(text: str) -> float:
     return value
 
 
-USAGE = "%(prog)s CAPTURE… -p PROTOCOL [SIGNAL | - | ,]… [options]"
+USAGE = "%(prog)s CAPTURE… {-p PROTOCOL [SIGNAL | - | ,]… | --bits [ID] | --raw ID} [options]"
 ARGUMENTS: Arguments = (
     argument(
-        "items", nargs="+", metavar="CAPTURE… SIGNAL…", help="recordings (- is standard input), then signals"
+        "items", nargs="*", metavar="CAPTURE… SIGNAL…", help="recordings (- is standard input), then signals"
     ),
-    PROTOCOL.but(default=None, required=True),
+    PROTOCOL,
     DIRECTION,
     flag("--list", help="list the signals that occur, with count, range and unit"),
+    argument(
+        "--bits",
+        nargs="?",
+        const="",
+        metavar="ID",
+        help="without a protocol: how often the bits of each identifier flip, as images; or of these only: 2A0,18FEF100,3*",
+    ),
+    argument("--raw", metavar="ID", help="without a protocol: the bytes of this identifier as steps"),
     OUTPUT.but(help="draw into FILE.png, FILE.svg or FILE.pdf"),
     flag("--terminal", help="draw in the terminal, as without -o and --show"),
     flag("--show", help="open a window"),
@@ -111,7 +121,19 @@ DEFAULTS: dict[str, Any] = {"message": [], "filter": [], "strict": False}
 
 
 def run(arguments: argparse.Namespace) -> int:
+    if not arguments.items and arguments.bits:
+        arguments.items, arguments.bits = [arguments.bits], ""  # a file behind the option
+    if not arguments.items:
+        raise CallerError("name a recording: aces plot walk.log -p hubo (- is standard input)")
     files, signals = split_arguments(arguments.items)
+    if arguments.bits is not None or arguments.raw is not None:
+        from .plot_frames import plot_frames
+
+        return plot_frames(arguments, files, signals)
+    if not arguments.protocol:
+        raise CallerError(
+            "what is spoken? -p NAME; 'aces decode FILE' says what fits a recording; --bits and --raw ID need no protocol"
+        )
     if not signals and not arguments.list and all(os.path.isfile(file) for file in files):
         survey = SignalSurvey(argparse.Namespace(**vars(arguments)))
         survey.run()

@@ -73,18 +73,24 @@ def save_figure(picture: Picture, path: str) -> None:
     for panel in picture.panels:
         for line in panel.lines:  # files need not be larger than what is seen of them
             line.x, line.y = thin(line.x, line.y, 2 * round(WIDTH * DPI))
-    kind = os.path.splitext(path)[1].lower()[1:]
-    metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
-    with _styled(picture):
+    with styled(picture.style):
         figure = Figure(figsize=(WIDTH, height_of(picture)), layout="constrained")
         draw_figure(picture, figure)
-        staging = Staging(path, is_folder=False)
-        try:
-            with telling(path):
-                figure.savefig(staging.temporary, format=kind, dpi=DPI, metadata=metadata)
-            staging.commit()
-        finally:
-            staging.discard()
+        write_figure(figure, path)
+
+
+def write_figure(figure: Any, path: str) -> None:
+    """A matplotlib figure as a file, inside of `styled`. Raises `CallerError` when it cannot be written, and leaves what
+    was there before."""
+    kind = os.path.splitext(path)[1].lower()[1:]
+    metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
+    staging = Staging(path, is_folder=False)
+    try:
+        with telling(path):
+            figure.savefig(staging.temporary, format=kind, dpi=DPI, metadata=metadata)
+        staging.commit()
+    finally:
+        staging.discard()
 
 
 def show_figure(picture: Picture) -> None:
@@ -94,14 +100,15 @@ def show_figure(picture: Picture) -> None:
 
     if matplotlib.get_backend().lower() in ("agg", "pdf", "svg", "ps", "cairo", "template", "pgf"):
         raise CallerError("--show: no display, or no window toolkit (such as python3-tk); use -o FILE.png")
-    with _styled(picture):
+    with styled(picture.style):
         figure = pyplot.figure(figsize=(WIDTH, min(height_of(picture), 8.0)), layout="constrained")
         draw_figure(picture, figure)
         pyplot.show()
 
 
 @contextmanager
-def _styled(picture: Picture) -> Generator[None, None, None]:
+def styled(style: str | None) -> Generator[None, None, None]:
+    """Draw inside of this: in the style of this name, or in ours."""
     import matplotlib
     import matplotlib.style as styles
 
@@ -110,7 +117,7 @@ def _styled(picture: Picture) -> Generator[None, None, None]:
         "svg.hashsalt": "aces",
         "text.usetex": False,
     }
-    if picture.style is None:
+    if style is None:
         ours |= {
             "font.size": 9,
             "axes.grid": True,
@@ -123,7 +130,7 @@ def _styled(picture: Picture) -> Generator[None, None, None]:
             "axes.titlelocation": "left",
             "lines.linewidth": 1.2,
         }
-    with matplotlib.rc_context(), styles.context(picture.style or "default"), matplotlib.rc_context(ours):
+    with matplotlib.rc_context(), styles.context(style or "default"), matplotlib.rc_context(ours):
         yield
 
 
@@ -138,7 +145,7 @@ def _height(panel: PlotPanel) -> float:
         return max(0.7, 0.24 * len(panel.lines) + 0.45)
     if panel.sort == "names":
         return max(1.1, 0.24 * min(len(panel.categories), 24) + 0.6, legend)
-    return max(2.3, legend)
+    return max(1.15 if panel.is_small else 2.3, legend)
 
 
 def draw_figure(picture: Picture, figure: Any) -> None:

@@ -57,6 +57,8 @@ class PlotPanel:
     units: list[str] = field(default_factory=list)
     captions: list[str] = field(default_factory=list)
     limits: list[Limits] = field(default_factory=list)
+    #: One of many of a kind, for which little height will do.
+    is_small: bool = False
     #: Of an enumeration: the names at 0, 1, 2, ….
     categories: list[str] = field(default_factory=list)
 

@@ -6,8 +6,8 @@
    field; by their full names they can be had.
 
 A field that says whose values a message carries splits its signals into one line a device: what the protocol captures
-from the identifier, and integers that are named like it (`DEVICE_NAMES`). Any other field does so where a pattern names
-it in brackets: `Get[selector=*].value`.
+from the identifier, and integers that are named like it (`is_device_column`). Any other field does so where a pattern
+names it in brackets: `Get[selector=*].value`.
 
 `:FMT` behind a signal is a colour, marker and line style, as matplotlib and `cantools plot` write them; it means the same in
 a file and in the terminal:
@@ -27,13 +27,10 @@ from functools import cached_property
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Variant
+from aces_bus.protocol.columns.devices import is_device_column
 from aces_bus.protocol.columns.table import ColumnKind, kinds_of
 from aces_bus.protocol.plan import nodes as p
 
-#: Names of top-level integers that say whose values a message carries.
-DEVICE_NAMES = frozenset(
-    {"address", "board", "device", "id", "joint", "motor", "node", "sender", "servo", "slave", "source"}
-)
 #: The pseudo field by which a pattern names the bus.
 CHANNEL = "channel"
 NEAR = 5
@@ -142,9 +139,7 @@ def _declared(protocol: str, message: str, plan: p.MessagePlan) -> Declared:
     devices: list[str] = []
     for kind, leaf in zip(kinds_of(plan), plan.columns, strict=True):
         path, node = leaf.path, leaf.node
-        is_device = isinstance(node, p.FromIdentifier) or (
-            len(leaf.way) == 1 and path in DEVICE_NAMES and isinstance(node, p.Scalar) and node.kind == "uint"
-        )
+        is_device = is_device_column(leaf)
         if is_device:
             devices.append(path)
         conditional = bool(leaf.whens) or isinstance(leaf, p.ItemPath)

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from typing import Any
 
-from aces_bus.errors import CallerError
-from aces_bus.frame_table import NO_TIME
+from ..errors import CallerError
+from ..frame_table import NO_TIME
 
 #: Seconds from which on a time is absolute: 3 March 1973.
 ABSOLUTE_S = 10**8
@@ -28,29 +28,42 @@ class TimeWindow:
 
     start: int | datetime.time | None
     stop: int | datetime.time | None
+    #: Instead of `stop`: it ends so long after its start.
+    lasting_ns: int | None = None
     #: Items without a time, which are never inside.
     untimed: int = 0
     _first: int | None = None
 
     @classmethod
-    def parse(cls, start: str | None, stop: str | None) -> TimeWindow | None:
-        """The window of two options, None when neither is given; raises `CallerError` for what is no time."""
+    def parse(
+        cls, start: str | None, stop: str | None, names: tuple[str, str] = ("--from", "--to")
+    ) -> TimeWindow | None:
+        """The window of two texts, None when neither is given. `names` are what the caller calls them.
+
+        Raises `CallerError` for what is no time, and for an end that is not later than its start.
+        """
         if start is None and stop is None:
             return None
-        window = cls(_ns("--from", start), _ns("--to", stop))
+        window = cls(_ns(names[0], start), _ns(names[1], stop))
         if (
             isinstance(window.start, int)
             and isinstance(window.stop, int)
             and window.stop <= window.start
             and _is_absolute(window.start) == _is_absolute(window.stop)
         ):
-            raise CallerError(f"--to {stop} is not later than --from {start}")
+            raise CallerError(f"{names[1]} {stop} is not later than {names[0]} {start}")
         return window
 
     @property
     def first(self) -> int | None:
         """The first instant of the file, once one has come."""
         return self._first
+
+    @property
+    def bounds(self) -> tuple[int | None, int | None]:
+        """Start and stop as instants (ns), as soon as the first one of the file is known; None is open."""
+        start, stop = self._bound(self.start), self._bound(self.stop)
+        return start, start + self.lasting_ns if self.lasting_ns is not None and start is not None else stop
 
     def begin(self) -> None:
         """Another file, with a first frame of its own."""
@@ -62,7 +75,7 @@ class TimeWindow:
         if self._first is None and known.any():
             self._first = int(time[known][0])
         kept = known
-        start, stop = self._bound(self.start), self._bound(self.stop)
+        start, stop = self.bounds
         if start is not None:
             kept = kept & (time >= start)
         if stop is not None:
@@ -99,7 +112,7 @@ def _is_absolute(ns: int) -> bool:
     return ns >= ABSOLUTE_S * 10**9
 
 
-def _ns(option: str, text: str | None) -> int | datetime.time | None:
+def _ns(name: str, text: str | None) -> int | datetime.time | None:
     if text is None:
         return None
     try:
@@ -117,7 +130,7 @@ def _ns(option: str, text: str | None) -> int | datetime.time | None:
             if found is not None and found.tzinfo is None:
                 return found
         raise CallerError(
-            f"{option} {text!r} is not a time; write seconds from the first frame (12.5) or since 1970 (1436509052.25),"
+            f"{name} {text!r} is not a time; write seconds from the first frame (12.5) or since 1970 (1436509052.25),"
             " 14:05:30, or 2026-11-22T14:05:30"
         ) from None
     return int(number.scaleb(9))

@@ -1,0 +1,21 @@
+"""Which columns of a message say whose it is: a board's number, a servo's id."""
+
+from __future__ import annotations
+
+from ..plan import nodes as p
+
+#: Names of top-level integers that say whose values a message carries.
+DEVICE_NAMES = frozenset(
+    {"address", "board", "device", "id", "joint", "motor", "node", "sender", "servo", "slave", "source"}
+)
+
+
+def is_device_column(leaf: p.NodePath) -> bool:
+    """Whether a column is captured from the identifier, or an integer of the payload that is named like a device."""
+    node = leaf.node
+    return isinstance(node, p.FromIdentifier) or (
+        len(leaf.way) == 1
+        and leaf.path in DEVICE_NAMES
+        and isinstance(node, p.Scalar)
+        and node.kind == "uint"
+    )
