@@ -73,18 +73,23 @@ def save_figure(picture: Picture, path: str) -> None:
     for panel in picture.panels:
         for line in panel.lines:  # files need not be larger than what is seen of them
             line.x, line.y = thin(line.x, line.y, 2 * round(WIDTH * DPI))
-    kind = os.path.splitext(path)[1].lower()[1:]
-    metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
     with _styled(picture):
         figure = Figure(figsize=(WIDTH, height_of(picture)), layout="constrained")
         draw_figure(picture, figure)
-        staging = Staging(path, is_folder=False)
-        try:
-            with telling(path):
-                figure.savefig(staging.temporary, format=kind, dpi=DPI, metadata=metadata)
-            staging.commit()
-        finally:
-            staging.discard()
+        write_figure(figure, path)
+
+
+def write_figure(figure: Any, path: str) -> None:
+    """Write a figure whole, or leave what was there before; raises `CallerError` when that cannot be."""
+    kind = os.path.splitext(path)[1].lower()[1:]
+    metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
+    staging = Staging(path, is_folder=False)
+    try:
+        with telling(path):
+            figure.savefig(staging.temporary, format=kind, dpi=DPI, metadata=metadata)
+        staging.commit()
+    finally:
+        staging.discard()
 
 
 def show_figure(picture: Picture) -> None:
