@@ -258,19 +258,11 @@ class _Watch:
         self.clock = VirtualClock()
         self.protocols = spoken_on(robot, load)
         self.logs = {name: _Log() for name in self.protocols}
-        wires = {
+        self.wires = {
             name: wire_of(robot.buses[name], protocol, self.clock)
             for name, protocol in self.protocols.items()
         }
-        self.wires = wires
-        hosts = {
-            name: _Tap(port_of(wire, name=f"{name} host"), self.logs[name], True)
-            for name, wire in wires.items()
-        }
-        twins = {
-            name: _Tap(port_of(wire, name=f"{name} twins"), self.logs[name], False)
-            for name, wire in wires.items()
-        }
+        hosts, twins = self._taps("host"), self._taps("twins")
         self.rig: Rig = connect(robot, hosts, rate_hz=rate_hz, load=load)
         self.twins: Simulation = simulate(robot, twins, load=load)
         #: When each poll is first due, as the hosts spread them.
@@ -283,6 +275,13 @@ class _Watch:
             for place, slot in enumerate(slot for host in self.rig.hosts.values() for slot in host.slots)
         }
         self.notes: list[str] = []
+
+    def _taps(self, end: str) -> dict[str, Any]:
+        """A port of each wire for one end of it, which notes what is sent."""
+        return {
+            name: _Tap(port_of(wire, name=f"{name} {end}"), self.logs[name], end == "host")
+            for name, wire in self.wires.items()
+        }
 
     def traffic(self) -> RobotTraffic:
         period_s = 1 / min(host.rate_hz or self.rate_hz for host in self.rig.hosts.values())

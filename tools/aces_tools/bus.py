@@ -1,4 +1,4 @@
-"""Virtual buses for several programs, what is going on on a bus, and what a robot's buses must carry.
+"""Virtual buses, what is going on on a bus, and what a robot's buses must carry.
 
   aces bus serve                        can0 at 500 kbit/s, for this user
   aces bus serve can0 can1 -b 1000000 --socketcand

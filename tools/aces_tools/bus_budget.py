@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from aces_bus.errors import CallerError
 from aces_bus.plain_text import printable
 
-from .console import print_json, say_note
+from .console import print_json, say, say_note
 from .options import duration
 from .robot_arg import chosen_robot
 
@@ -53,6 +53,8 @@ def show_budget(arguments: argparse.Namespace) -> int:
         _print(found, twice, is_long=arguments.all)
     if arguments.output is not None:
         say_note(f"wrote {arguments.output}")
+    for note in traffic.notes:  # without those the numbers are too low
+        say(printable(note))
     return 0 if found.is_met else 1
 
 
@@ -102,8 +104,6 @@ def _print(found: RobotBudget, twice: RobotBudget, *, is_long: bool) -> None:
         for line in _missed(bus, "misses its deadline", "miss their deadlines"):
             page.beside("missed:", [line], "place")
         page.beside("at twice the rate:", [_twice(twice.buses[name])], "place")
-    for note in found.traffic.notes:
-        say_note(note)
 
 
 def _head(bus: BusBudget) -> str:

@@ -59,7 +59,7 @@ def _draw(axis: Any, bus: BusBudget, rows: Sequence[tuple[str, list[MessageBudge
     tick = bus.traffic.tick_ns / 1e6
     latest = [one.response_ns / 1e6 for one in bus.messages if one.response_ns is not None]
     is_ticked = any(one.sent.is_ticked for one in bus.messages)
-    right = max([*latest, *([tick] if is_ticked else [])], default=tick) * 1.04
+    right = 1.04 * max([*latest, tick] if is_ticked else latest, default=tick)
     for number, (_, some) in enumerate(rows):
         for one in some:
             if one.response_ns is None:
