@@ -150,16 +150,17 @@ def _bus_budget(bus: BusTraffic, assumptions: Assumptions) -> BusBudget:
                 before = found.get(name)
                 if before is None or _longer(one.response_ns, before.response_ns):
                     found[name] = one
+    round_ns = None if None in ends else max((end for end in ends if end is not None), default=0)
     messages = []
     for message in bus.messages:
         times_of = found.get(message.name)
         deadline = bus.tick_ns if message.is_ticked else message.period_ns
         response = None if times_of is None else times_of.response_ns
+        if bus.one_by_one and response is not None and (message.after or message.timeout_ns):
+            response = round_ns  # where the line is asked one by one, whose turn is the last changes
         is_carried = times_of is None or message.name in put_off
         messages.append(MessageBudget(message, wires[message.name], response, deadline, is_carried))
     loads = [sum(wires[one.name] / one.period_ns for one in way) for way in ways]
-    known = [end for end in ends if end is not None]
-    round_ns = max(known, default=0) if len(known) == len(ends) else None
     return BusBudget(bus, max(loads), tuple(messages), round_ns, _silent_ns(bus, messages, round_ns))
 
 
@@ -299,12 +300,12 @@ def _silent_ns(bus: BusTraffic, messages: Sequence[MessageBudget], round_ns: int
     """When a tick is over in which one device does not answer, where the host waits for that."""
     if not bus.one_by_one or round_ns is None:
         return None
-    asked = {one.name: one for one in messages if one.sent.timeout_ns}
-    lost = []
-    for one in messages:
-        request = asked.get(one.sent.after)
-        if request is not None and one.response_ns is not None and request.response_ns is not None:
-            lost.append(request.sent.timeout_ns - (one.response_ns - request.response_ns))
+    timeouts = {one.name: one.sent.timeout_ns for one in messages if one.sent.timeout_ns}
+    lost = [
+        timeouts[one.sent.after] - one.sent.delay_ns - one.wire_ns
+        for one in messages
+        if one.sent.after in timeouts and one.response_ns is not None
+    ]
     return round_ns + max(lost) if lost else None
 
 

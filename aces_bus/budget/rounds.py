@@ -256,7 +256,9 @@ class _Round:
             for index, frame in enumerate(self.frames)
         ]
         there = {message.node for message in self.others.messages}
-        queues = {node: queue for node, queue in self.others.queues.items() if node in there}
+        queues: dict[str, Queue] = {
+            node: queue for node, queue in self.others.queues.items() if node in there
+        }
         found = response_times(
             MessageSet((*self.others.messages, *known), self.others.bit_ns, queues, self.others.errors)
         )

@@ -25,6 +25,7 @@ from ..device.poll import PollSlot
 from ..errors import AcesError, CallerError
 from ..frames import Frame
 from ..hardware.ports import port_of
+from ..hardware.simulated.bus import SimulatedBus
 from ..protocol import make_scanner
 from ..protocol.record import Unknown
 from ..robot.buses import is_half_duplex, wire_of
@@ -38,6 +39,8 @@ USUAL_RATE_HZ = 100.0
 #: Enabling may take so long (s), is followed by this, and so is the driven robot watched twice: while it is asked
 #: everything, and then in its usual course. The devices alone are watched for longer: some send once a second.
 ENABLE_S, SETTLE_S, ALONE_S = 10.0, 0.3, 2.5
+#: What was asked has been answered so long after the host fell silent (ns).
+QUIET_NS = 200_000_000
 #: Ticks for which the driven robot is watched at least, each time.
 TICKS = 40
 
@@ -67,6 +70,11 @@ class SentMessage:
     extended: bool = False
     fd: bool = False
     bitrate_switch: bool = False
+
+    @property
+    def message(self) -> str:
+        """Its protocol's name for it: what it has in common with those of other devices."""
+        return self.name.removeprefix(f"{self.device}.").partition(" ")[0]
 
 
 @dataclass(frozen=True)
@@ -250,26 +258,30 @@ class _Watch:
         self.clock = VirtualClock()
         self.protocols = spoken_on(robot, load)
         self.logs = {name: _Log() for name in self.protocols}
-        wires = {
+        self.wires = {
             name: wire_of(robot.buses[name], protocol, self.clock)
             for name, protocol in self.protocols.items()
         }
-        self.wires = wires
-        hosts = {
-            name: _Tap(port_of(wire, name=f"{name} host"), self.logs[name], True)
-            for name, wire in wires.items()
-        }
-        twins = {
-            name: _Tap(port_of(wire, name=f"{name} twins"), self.logs[name], False)
-            for name, wire in wires.items()
-        }
+        hosts, twins = self._taps("host"), self._taps("twins")
         self.rig: Rig = connect(robot, hosts, rate_hz=rate_hz, load=load)
         self.twins: Simulation = simulate(robot, twins, load=load)
         #: When each poll is first due, as the hosts spread them.
         self.first = {
             id(slot): slot.due - self.clock.now() for host in self.rig.hosts.values() for slot in host.slots
         }
+        #: In which order they are asked, as long as a tick has room for all.
+        self.order = {
+            id(slot): place
+            for place, slot in enumerate(slot for host in self.rig.hosts.values() for slot in host.slots)
+        }
         self.notes: list[str] = []
+
+    def _taps(self, end: str) -> dict[str, Any]:
+        """A port of each wire for one end of it, which notes what is sent."""
+        return {
+            name: _Tap(port_of(wire, name=f"{name} {end}"), self.logs[name], end == "host")
+            for name, wire in self.wires.items()
+        }
 
     def traffic(self) -> RobotTraffic:
         period_s = 1 / min(host.rate_hz or self.rate_hz for host in self.rig.hosts.values())
@@ -288,6 +300,9 @@ class _Watch:
                 alone = self.clock.now()
                 for host in self.rig.hosts.values():
                     host.passive = True
+                for wire in self.wires.values():  # what a full bus has not carried yet, it need not
+                    for node in wire.nodes if isinstance(wire, SimulatedBus) else ():
+                        node.abort()
                 self._advance(ALONE_S)
             finally:
                 self.rig.close()
@@ -351,7 +366,7 @@ class _Watch:
         self._name(host, words)
         tick = round(1e9 / (host.rate_hz or self.rate_hz))
         streams = _streams([one for one in words if driven <= one.instant < alone])
-        silent = _streams([one for one in words if one.instant >= alone + 2 * tick])
+        silent = _streams([one for one in words if one.instant >= alone + QUIET_NS])
         by_itself = {
             key: one for key, one in silent.items() if one.node != HOST and len(set(one.instants)) > 1
         }
@@ -406,7 +421,7 @@ class _Watch:
         made: list[SentMessage] = []
         requests: list[_Stream] = []
         periods: dict[str, int] = {}
-        for one in streams:
+        for one in sorted(streams, key=lambda one: -1 if one.slot is None else self.order[id(one.slot)]):
             if one.node != HOST:
                 continue
             number, more = 1, dict[str, int]()

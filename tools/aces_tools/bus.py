@@ -1,4 +1,4 @@
-"""Virtual buses for several programs, and what is going on on a bus.
+"""Virtual buses, what is going on on a bus, and what a robot's buses must carry.
 
   aces bus serve                        can0 at 500 kbit/s, for this user
   aces bus serve can0 can1 -b 1000000 --socketcand
@@ -7,6 +7,10 @@
                                         that python-can finds
   aces bus load can0                    frames, load, errors: a line a second
   aces bus load -i socketcan -c can0 -b 500000
+  aces bus budget hubo2plus             whether a robot's buses can carry it: how
+                                        long each message takes at most; 1 when
+                                        a deadline cannot be kept
+  aces bus budget arm.toml --rate 500 -o budget.png
 
 Any program with python-can joins: -i aces -c unix:can0, or -i socketcand.
 A served bus has bit rate, arbitration, acknowledgement and errors like a real
@@ -28,7 +32,18 @@ from aces_bus.errors import AcesError, CallerError, UnknownNameError
 
 from .bus_arg import ChosenBus, can_options, chosen_bus
 from .console import ENDLESS, Patience, print_json, say, say_note
-from .options import FOR, JSON, SEED, Arguments, Group, argument, flag
+from .options import (
+    FOR,
+    JSON,
+    SEED,
+    Arguments,
+    Group,
+    argument,
+    duration_or_none,
+    flag,
+    positive,
+    several,
+)
 
 if TYPE_CHECKING:
     from aces_bus.hardware.simulated.bus import Faults
@@ -42,11 +57,19 @@ _BEACON_NS = 3_500_000_000
 
 
 ARGUMENTS: Arguments = (
-    argument("what", choices=["serve", "load", "list"], metavar="{serve,load,list}", help="what to do"),
     argument(
-        "channels", nargs="*", metavar="CHANNEL", help="names (default: can0); load: one, or an address"
+        "what",
+        choices=["serve", "load", "list", "budget"],
+        metavar="{serve,load,list,budget}",
+        help="what to do",
     ),
-    can_options("bit rates of a served bus; the bus to measure (python-can's options)"),
+    argument(
+        "channels",
+        nargs="*",
+        metavar="CHANNEL",
+        help="names (default: can0); load: one, or an address; budget: a robot, or its file",
+    ),
+    can_options("bit rates of a served bus, or of a robot's; the bus to measure (python-can's options)"),
     Group(
         "serve",
         (
@@ -78,10 +101,60 @@ ARGUMENTS: Arguments = (
         "load, list",
         (
             flag("--once", help="load: one second, and every node; then end"),
-            JSON.but(help="one JSON object a line"),
+            JSON.but(help="one JSON object a line; budget: one object"),
             FOR.but(
                 default="1s",
                 help="list: how long to look (default: %(default)s; from 3.5s on for socketcand's beacons too)",
+            ),
+        ),
+    ),
+    Group(
+        "budget",
+        (
+            argument(
+                "--rate",
+                type=positive,
+                metavar="HZ",
+                help="of the host's ticks, where the file states none for a bus (default: the robot's, else 100)",
+            ),
+            several(
+                "--queue",
+                metavar="NODE=KIND",
+                help="how a node sends: fifo, or priority (default: host=fifo, devices by priority)",
+            ),
+            argument(
+                "--errors",
+                metavar="N,EVERY",
+                help="CAN: so many frames destroyed at once, and one in each such time, as 2,100ms (default: none)",
+            ),
+            argument(
+                "--jitter",
+                type=duration_or_none,
+                default=0,
+                metavar="DURATION",
+                help="a tick is so late at most",
+            ),
+            argument(
+                "--answer",
+                type=duration_or_none,
+                default=0,
+                metavar="DURATION",
+                help="devices take so long to answer (default: as their twins)",
+            ),
+            argument(
+                "--latency",
+                type=duration_or_none,
+                default=0,
+                metavar="DURATION",
+                help="the host takes so long from an answer to the next request, on half-duplex lines",
+            ),
+            flag("--together", help="polls that are not sent in each tick may all be due in one"),
+            flag("--all", help="each message of each device in the table"),
+            argument("-o", "--output", metavar="FILE", help="draw it, too: .png, .svg or .pdf"),
+            several(
+                "--driver",
+                metavar="FILE.py",
+                help="use the drivers of a Python file, too; it is run with your rights",
             ),
         ),
     ),
@@ -95,6 +168,10 @@ def run(arguments: argparse.Namespace) -> int:
         return _serve(arguments)
     if arguments.what == "list":
         return _list(arguments)
+    if arguments.what == "budget":
+        from .bus_budget import show_budget
+
+        return show_budget(arguments)
     return _load(arguments)
 
 
