@@ -81,6 +81,16 @@ class Pump(Device):
 
     stop_motion = halt
 
+    def confirm_stopped(self) -> Job:
+        """It says that it does not turn."""
+
+        def steps(job: Job) -> Steps:
+            state = yield self.ask("Ask", reply="State")
+            if state.speed:
+                raise DeviceError(f"it still turns at {state.speed} rpm")
+
+        return self.job("check that it stopped", steps)
+
     def turn(self) -> Job:
         """It must be at 100 rpm when that was set."""
 
