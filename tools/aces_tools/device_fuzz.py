@@ -53,6 +53,7 @@ from .robot_arg import ROBOT_AND_BUSES, chosen_robot, use_driver_files
 
 if TYPE_CHECKING:
     from aces_bus.device import Robot
+    from aces_bus.device.config import Bus
     from aces_bus.testing.device_fuzz import DeviceFinding, DeviceFuzzer
     from aces_bus.testing.device_trial import Expectations
 
@@ -377,9 +378,9 @@ class Searching:
         play = f"aces play {file} {_where(bus.link, channel, 'aces')} --tx"
         return [again, f"aces sim{robot}{more}     # and in another window:", play]
 
-    def _given_channel(self, bus: Any) -> str | None:
+    def _given_channel(self, bus: Bus) -> str | None:
         for text in self.arguments.bus:
-            name, equals, channel = text.partition("=")
+            name, equals, channel = str(text).partition("=")
             if not equals or name == bus.name:
                 return channel if equals else name
         return bus.channel
