@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta
+from msgspec.structs import replace
 
 from ..errors import CallerError, UnknownNameError
 from ..protocol import Protocol
@@ -420,3 +421,11 @@ def tables_of(protocol: Protocol) -> list[tuple[str, str]]:
     """The configuration tables that a protocol's messages depend on, each with the field that it maps."""
     found = {(condition.key, condition.capture): None for m in protocol.declared for condition in m.when}
     return list(found)
+
+
+def alone(robot: Robot, name: str) -> Robot:
+    """The robot with this device only: nothing is sent to others. Raises `UnknownNameError`."""
+    if name not in robot.devices:
+        raise UnknownNameError(f"device of {robot.name}", name, robot.devices)
+    devices = {n: replace(c, active=c.active and n == name) for n, c in robot.devices.items()}
+    return replace(robot, devices=devices)

@@ -12,7 +12,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from typing import Any
 from msgspec import structs
 
 from ..device import Driver, Robot, load_driver
+from ..device.config import alone
 from ..errors import CallerError, UnknownNameError
 from ..frame_table import Channels, FrameTable
 from ..frames import Frame
@@ -151,6 +152,9 @@ class DeviceFuzzer:
         if not driver.virtual:
             raise CallerError(f"{name}: the twin of {driver.name} runs on real time only")
         first = self._fresh_trial(False)
+        for action in self.expected.actions:
+            if action not in first.device.actions:
+                raise UnknownNameError(f"action of {name} ({driver.name})", action, first.device.actions)
         self.variant, self.link = first.tester.variant, first.tester.variant.link
         self.rules = rules_of(self.variant, first.config.credentials, only=only, leave_out=leave_out)
         self.words = DeviceWords(self.rules)
@@ -466,14 +470,6 @@ def example_of(driver: Driver) -> tuple[Robot, str]:
     return robot, names[0]
 
 
-def alone(robot: Robot, name: str) -> Robot:
-    """The robot with this device only. Raises `UnknownNameError`."""
-    if name not in robot.devices:
-        raise UnknownNameError(f"device of {robot.name}", name, robot.devices)
-    devices = {n: structs.replace(c, active=n == name) for n, c in robot.devices.items()}
-    return structs.replace(robot, devices=devices)
-
-
 def rules_of(
     variant: Variant,
     credentials: Any,
@@ -481,6 +477,7 @@ def rules_of(
     only: Collection[str] = (),
     leave_out: Sequence[str] = (),
     strictly: bool = False,
+    fixed: Mapping[str, Mapping[str, Collection[Any]]] | None = None,
 ) -> SendRules:
     """What may be sent of a variant's messages; raises `UnknownNameError` for names that are none."""
     sent = [m.name for m in variant.messages_for("to device")]
@@ -492,6 +489,7 @@ def rules_of(
         credentials,
         allowed=frozenset(only) or None,
         left_out=[LeftOut.parse(text, variant) for text in leave_out],
+        fixed=fixed,
         strictly=strictly,
     )
 
@@ -499,7 +497,7 @@ def rules_of(
 # ---------------------------------------------------------------------- captures
 
 
-def steps_of(path: str, link: str) -> list[SentStep]:
+def capture_steps(path: str, link: str) -> list[SentStep]:
     """The steps of a capture: what went to the device, with the pauses between. Raises `CaptureError`, `CallerError`."""
     words: list[tuple[float, Any]] = []
     with open_recording(path, link="can" if link == "can" else "serial") as capture:
@@ -525,9 +523,8 @@ def steps_of(path: str, link: str) -> list[SentStep]:
 __all__ = [
     "DeviceFinding",
     "DeviceFuzzer",
-    "alone",
+    "capture_steps",
     "example_of",
     "fuzz_device",
     "rules_of",
-    "steps_of",
 ]

@@ -20,6 +20,7 @@ from ..protocol import StreamScanner, Variant, make_scanner
 from ..protocol import Unknown as UnknownWord
 from ..protocol.declare.message import Message
 from ..protocol.declare.pattern import IdPattern
+from ..protocol.plan.nodes import NodePath
 from .packets import DrawnPacket, UndrawableError, draw_values, image_frame
 from .scenes import FRAME_DAMAGES, PACKET_DAMAGES, cast, damaged_frame, damaged_packet, garbage
 from .source import ChoiceSource
@@ -301,8 +302,8 @@ def _edges(message: Message) -> tuple[tuple[tuple[str | int, ...], tuple[int, ..
     """The ways to the whole numbers of a message's payload, with their raw edges."""
     found: list[tuple[tuple[str | int, ...], tuple[int, ...]]] = []
     for leaf in message.plan.leaves if message.plan.is_flat else ():
-        ends = leaf.node.raw_range
-        if ends is None or leaf.way[0] in message.outer_names:
+        ends, way = leaf.node.raw_range, plain_way(leaf)
+        if ends is None or way is None or way[0] in message.outer_names:
             continue
         numbers = {ends[0], ends[1], ends[0] + 1, ends[1] - 1, 0, 1}
         scale = leaf.node.scale
@@ -310,8 +311,14 @@ def _edges(message: Message) -> tuple[tuple[tuple[str | int, ...], tuple[int, ..
             for limit in scale.limits:
                 raw = round((limit - scale.offset) / scale.scale)
                 numbers |= {raw - 1, raw, raw + 1}
-        found.append((leaf.way, tuple(sorted(n for n in numbers if ends[0] <= n <= ends[1]))))
+        found.append((way, tuple(sorted(n for n in numbers if ends[0] <= n <= ends[1]))))
     return tuple(found)
+
+
+def plain_way(leaf: NodePath) -> tuple[str | int, ...] | None:
+    """The steps to a leaf's value in a record; None for what is inside of a list."""
+    steps = [step for step in leaf.way if isinstance(step, (str, int))]
+    return tuple(steps) if len(steps) == len(leaf.way) else None
 
 
 def _with(values: Any, way: Sequence[str | int], number: int) -> Any:
@@ -330,4 +337,4 @@ def _with(values: Any, way: Sequence[str | int], number: int) -> Any:
     return made
 
 
-__all__ = ["AnyWord", "DeviceWords", "LeftOut", "SendRules", "at_an_edge", "is_for"]
+__all__ = ["AnyWord", "DeviceWords", "LeftOut", "SendRules", "at_an_edge", "is_for", "plain_way"]

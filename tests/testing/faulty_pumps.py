@@ -12,6 +12,7 @@ from aces_bus.device import Device, Driver, Job, Poll, Twin, on, signal
 from aces_bus.device.ticket import Steps
 from aces_bus.errors import DeviceError
 from aces_bus.protocol import Enumeration, IdField, InvertedSum, Protocol, Quantity
+from aces_bus.runtime import Timer
 from aces_bus.testing.device_trial import Expectations
 
 #: Without a set-point for so long (ns) the pump stops.
@@ -37,9 +38,9 @@ ANSWERS: Mapping[str, Any] = {
 can_pump = Protocol("can_pump", link="can", bitrate=500_000)
 Node = IdField("node", range(1, 16))
 for _number, (_name, _payload) in enumerate(PAYLOADS.items()):
-    _length = {"length": range(8)} if _name == "Data" else {}
+    _lengths = range(8) if _name == "Data" else None
     can_pump.message(
-        _name, id=0x100 + 0x10 * _number + Node, direction="to device", payload=_payload, **_length
+        _name, id=0x100 + 0x10 * _number + Node, direction="to device", payload=_payload, length=_lengths
     )
 for _number, (_name, _payload) in enumerate(ANSWERS.items()):
     can_pump.message(_name, id=0x200 + 0x10 * _number + Node, direction="from device", payload=_payload)
@@ -81,6 +82,16 @@ class Pump(Device):
 
     stop_motion = halt
 
+    def confirm_stopped(self) -> Job:
+        """It says that it does not turn."""
+
+        def steps(job: Job) -> Steps:
+            state = yield self.ask("Ask", reply="State")
+            if state.speed:
+                raise DeviceError(f"it still turns at {state.speed} rpm")
+
+        return self.job("check that it stopped", steps)
+
     def turn(self) -> Job:
         """It must be at 100 rpm when that was set."""
 
@@ -107,7 +118,9 @@ class PumpTwin(Twin):
     protocol: ClassVar[str | Protocol] = can_pump
 
     def setup(self) -> None:
-        self.state, self.speed, self.commands, self.watchdog = "idle", 0, 0, None
+        self.state: str | int = "idle"
+        self.speed = self.commands = 0
+        self.watchdog: Timer | None = None
         self.loaded = b""
         self.is_hung = False
 

@@ -10,6 +10,8 @@
   aces device RHY set position=0.2 --enable --for 3s --tx
   aces device RHY set position=30deg --enable --tx
   aces device RHY set_gains kp=200 ki=0 kd=500 --tx
+  aces device fuzz RHY --virtual        search for what breaks it ('aces device
+                                        fuzz --help')
 
 The robot is that of --robot or of the variable ACES_ROBOT. With --virtual
 simulated devices answer, in virtual time, and nothing else is needed. A joint
@@ -25,9 +27,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from msgspec.structs import replace
-
 from aces_bus.device import Device, DeviceConfig, Robot
+from aces_bus.device.config import alone as alone
 from aces_bus.errors import CallerError, NotStoppedError, UnknownNameError
 
 from .console import say
@@ -84,6 +85,8 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.values.insert(0, signal)
     elif signal is not None:
         raise CallerError(f"{name} is the device: aces device {name} {action or 'get'} {signal} …")
+    if action == "fuzz":
+        raise CallerError(f"the device comes behind it: aces device fuzz {arguments.name} …")
     config = config_of(robot, name)
     described = described_device(robot, config.name)
     part = None if name == config.name else name
@@ -164,12 +167,6 @@ def config_of(robot: Robot, name: str) -> DeviceConfig:
     if not robot.devices[device].active:
         raise CallerError(f"{device} is listed as inactive in {robot.name}; set active = true in its file")
     return robot.devices[device]
-
-
-def alone(robot: Robot, name: str) -> Robot:
-    """The robot with this device only: nothing is sent to others."""
-    devices = {n: replace(c, active=c.active and n == name) for n, c in robot.devices.items()}
-    return replace(robot, devices=devices)
 
 
 def described_device(robot: Robot, name: str) -> Device:

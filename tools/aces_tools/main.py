@@ -51,11 +51,12 @@ VERBS: dict[str, tuple[str, str]] = {
 #: Other names of verbs.
 ALIASES = {"scan": "discover"}
 
-#: Verb → its actions, of the same form; one without an action is a verb itself.
+#: Verb → its actions, of the same form. A verb with a module of its own has these beside what it takes.
 ACTIONS: dict[str, dict[str, tuple[str, str]]] = {
     "fleet": {
         "status": ("fleet_status", "say what a dataset of a fleet consists of, and what is missing"),
     },
+    "device": {"fuzz": ("device_fuzz", "search for what breaks a device: a twin, or a real one (--tx)")},
     "spec": {
         "new": ("authoring.new", "begin a protocol: a commented spec, a test, a README"),
         "check": (
@@ -145,7 +146,8 @@ def _run(arguments: list[str]) -> int:
         raise UnknownNameError("option", verb, ["--help", "--version"])
     if verb not in VERBS:
         raise UnknownNameError("verb", verb, VERBS)
-    if actions := ACTIONS.get(verb):
+    actions = ACTIONS.get(verb)
+    if actions and not (VERBS[verb][0] and (len(arguments) < 2 or arguments[1] not in actions)):
         if len(arguments) < 2:
             raise CallerError(
                 f"which action of 'aces {verb}'? {', '.join(actions)} (see 'aces {verb} --help')"

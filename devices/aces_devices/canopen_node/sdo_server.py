@@ -17,7 +17,10 @@ from canopen.sdo.server import SdoServer
 BLOCK, ROOM = 127, 7
 #: Bits 1–0 of what the client says in a block transfer.
 _BEGIN, _END, _TAKEN, _GO = range(4)
+#: Commands of a segment, down and up.
+_SEGMENTS = (0, 3)
 #: Abort codes (CiA 301, 7.2.4.3.17).
+_COMMAND = 0x05040001
 _BLOCK_SIZE, _SEQUENCE, _CRC = 0x05040002, 0x05040003, 0x05040004
 _READ_ONLY, _NO_OBJECT, _NO_SUBINDEX = 0x06010002, 0x06020000, 0x06090011
 _LENGTH, _TOO_LONG, _GENERAL = 0x06070010, 0x06070012, 0x08000000
@@ -69,11 +72,16 @@ class BlockSdoServer(SdoServer):
             return
         if data[0] >> 5 not in (5, 6) or data[0] & 3 == _BEGIN:
             self._download = self._upload = None
+        if self._buffer is None and data[0] >> 5 in _SEGMENTS:
+            self.abort(_COMMAND)  # canopen's own server would look into a transfer that never began
+            return
         super().on_request(can_id, data, timestamp)  # type: ignore[no-untyped-call]
 
     def abort(self, abort_code: int = _GENERAL) -> None:
         """Abort the transfer under way."""
         self._download = self._upload = None
+        if self._index is None:  # nothing was asked for yet
+            self._index = self._subindex = 0
         super().abort(abort_code)  # type: ignore[no-untyped-call]
 
     def block_download(self, data: Any) -> None:

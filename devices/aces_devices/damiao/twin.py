@@ -8,10 +8,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, ClassVar
 
 from aces_bus.device import JointScale, Twin, on
-from aces_protocols.damiao.spec import INTEGERS, MODELS, READ_ONLY, REGISTERS, SHARE
+from aces_protocols.damiao.spec import INTEGERS, MODELS, READ_ONLY, REGISTERS, SHARE, Master
 
 from ..joint_model import AMBIENT, MotorModel, joint_of
 
@@ -191,11 +192,19 @@ class DamiaoTwin(Twin):
 
     @on("WriteFloat", "WriteInteger")
     def write(self, request: Any) -> None:
-        """Take it, unless it can only be read."""
+        """Take it, unless it can only be read, or cannot be: the answer says what it is then."""
         number = REGISTERS.get(request.register)
-        if number is not None and number not in READ_ONLY:
+        if number is not None and number not in READ_ONLY and self._can_be(number, request.value):
             self.registers[number] = request.value
         self.tell(request, "Write")
+
+    def _can_be(self, number: int, value: float) -> bool:
+        """Whether a register can have a value: a mode that there is, an identifier that its answers can come under."""
+        if number == 10:
+            return value in _MODES
+        if number == 7:
+            return value in Master.values
+        return number not in INTEGERS or (math.isfinite(value) and 0 <= value < 1 << 32)
 
     def tell(self, request: Any, verb: str) -> None:
         """The register of a request."""

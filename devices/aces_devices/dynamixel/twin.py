@@ -12,7 +12,7 @@ from aces_bus.device import on
 from aces_bus.device.register_device import RegisterCodec
 from aces_protocols.dynamixel.control_table import ANGLE, HARDWARE_ERRORS, MODES, SPEED, WATCHDOG_ERROR
 from aces_protocols.dynamixel.models import MODEL_NAMES, MODELS
-from aces_protocols.dynamixel.spec import BROADCAST, CRC, control_table
+from aces_protocols.dynamixel.spec import BROADCAST, CRC, control_table, packet
 
 from ..servos.motion import SteadyShaft
 from ..servos.twin import WRITE, RegisterTable, ServoTwin, alarm_registers
@@ -256,8 +256,13 @@ class DynamixelTwin(ServoTwin):
         self._jointly(_areas(request))
 
     def _jointly(self, areas: Sequence[tuple[int, int, int]]) -> None:
-        """The first servo sends what all of them send one behind another; it ends before the first that is not there."""
+        """The first servo sends what all of them send one behind another; it ends before the first that is not there.
+
+        There is no answer to a request of more than one packet holds.
+        """
         if not areas or areas[0][0] != self.credentials["id"]:
+            return
+        if 10 + sum(4 + count for _, _, count in areas) > packet.max_size:
             return
         present = {
             other.credentials["id"]: other

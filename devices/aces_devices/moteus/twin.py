@@ -142,7 +142,12 @@ class MoteusTwin(Twin):
         """Write registers, then answer what is read."""
         self._write(register_values(request.subframes))
         self._sync()
-        reads = [one for one in request.subframes if str(one.kind).startswith("read_") and one.reason is None]
+        # An error is what a controller answers; sent to one, it asks for nothing.
+        reads = [
+            one
+            for one in request.subframes
+            if str(one.kind).startswith("read_") and one.kind != "read_error" and one.reason is None
+        ]
         items = [item for one in reads for item in self._answers(str(one.kind).split("_")[1], one.data)]
         if sum(len(one.data) for one in reads) > SURE:
             while len(bytes_of(items)) > FD_LENGTHS[-1]:

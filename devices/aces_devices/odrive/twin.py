@@ -11,6 +11,7 @@ from math import tau
 from typing import Any, ClassVar
 
 from aces_bus.device import JointScale, Twin, on
+from aces_protocols.odrive.spec import Node
 
 from ..joint_model import MotorModel, joint_of
 
@@ -235,8 +236,9 @@ class OdriveTwin(Twin):
 
     @on("SetNodeId")
     def renumber(self, request: Any) -> None:
-        """Another number."""
-        self.twins.renumber(self, node=request.new_node)
+        """Another number, if there is such a number."""
+        if request.new_node in Node.values:
+            self.twins.renumber(self, node=request.new_node)
 
     @on("RxSdo")
     def access(self, request: Any) -> None:

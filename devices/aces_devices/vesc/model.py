@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import tau
+from math import inf, tau
 from typing import Any
 
 from aces_bus.device import Twin
@@ -20,6 +20,8 @@ TIMEOUT_S = 1.0
 #: The motor: rad/s at full duty, rad/s a A when nothing holds it, s to follow.
 SPEED, PER_AMPERE = 600.0, 30.0
 DRIVEN_S, PUSHED_S, BRAKED_S, FREE_S = 0.05, 0.5, 0.1, 0.5
+#: A greater current than this is limited to it, as firmware limits by its settings (A). A choice.
+MOST_CURRENT = 120.0
 #: Volts of the supply; °C.
 SUPPLY, WARM = 48.2, 31.0
 #: Firmware 6.05 on hardware "60".
@@ -106,7 +108,11 @@ class VescModel:
         if "deaf" in self.faults:
             return
         self.mode, field = SET_POINTS[type(request).__name__]
-        self.given = float(getattr(request, field))
+        given = float(getattr(request, field))
+        most = {"duty": 1.0, "current": MOST_CURRENT, "speed": SPEED * 60 / tau * self.pole_pairs}.get(
+            field, inf
+        )
+        self.given = max(-most, min(most, given))
         self.lead()
         self.keep_alive()
 

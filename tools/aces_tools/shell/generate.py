@@ -54,7 +54,11 @@ def generated() -> dict[str, str]:
 
 def verbs() -> list[str]:
     """Every verb, with its action where it has some: `decode`, `spec check`."""
-    return [f"{verb} {action}".strip() for verb in VERBS for action in ACTIONS.get(verb) or [""]]
+    return [
+        f"{verb} {action}".strip()
+        for verb, (module, _) in VERBS.items()
+        for action in (*([""] if module else []), *ACTIONS.get(verb, ()))
+    ]
 
 
 def _purpose(verb: str) -> str:
@@ -71,7 +75,7 @@ def whole_parser() -> Parser:
     whole.add_argument("-V", "--version", action="store_true", help="print the version")
     subparsers = whole.add_subparsers(dest="verb")
     for verb, (_, purpose) in VERBS.items():
-        if verb not in ACTIONS:
+        if VERBS[verb][0]:
             made = parser_of(verb, subparsers.add_parser(verb, help=purpose, description=purpose))
             _complete(verb, made)
             continue
