@@ -26,7 +26,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 TWICE = $(1) || { echo "once more, in 10 s" >&2; sleep 10; $(1); }
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-slow test-oracles test-lerobot test-long test-steady constraints test-socketcan docs first-hour soak stops teleoperation budget compiled test-compiled check lint types mypy pyright pristine format bench bench-framings guess-score golden clean
+.PHONY: help venv demo test test-slow test-oracles test-lerobot test-long test-steady constraints test-socketcan docs first-hour soak stops teleoperation budget compiled test-compiled check lint types mypy pyright pristine format bench bench-framings guess-score golden clean fleet
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -138,6 +138,11 @@ teleoperation: $(VENV)/.dev ## SO-101, leader to follower over two pseudo-termin
 
 budget: $(VENV)/.dev ## response times against the virtual bus: SETS (1000) drawn message sets, 10 s over 20 phases each, and an hour
 	HYPOTHESIS_PROFILE=long ACES_SETS=$(or $(SETS),1000) $(BIN)/python -m pytest -q -n 0 -m long tests/budget $(ARGS)
+# Inputs of the test in which workers die; `make test-slow` takes fewer.
+fleet: export ACES_FLEET_INPUTS ?= 200
+fleet: $(VENV)/.oracles ## fleets: workers that die among 200 recordings, stores, and the figures of docs/fleets.md (minutes)
+	$(BIN)/python -m pytest tests/fleet --benchmark-disable -q $(ARGS)
+	$(BIN)/python -m tests.fleet.measure
 
 compiled: $(VENV)/.dev ## the same sources, virtual time's modules compiled by mypyc, in build/compiled (minutes; needs gcc)
 	@$(BIN)/python -c 'import setuptools' 2>/dev/null || $(PIP) setuptools

@@ -262,9 +262,10 @@ class StoreReader:
         self.digest = hashlib.blake2b(digest_size=20)
         self.failure: StoreError | None = None
         place = Place(uri)
-        self._open = lambda: place.fs.open(place.path, "rb", block_size=BLOCK)
+        self._open: Callable[[], Any] = partial(place.fs.open, place.path, "rb", block_size=BLOCK)
         self._file: Any = patiently(uri, self._open)
-        self._place, self._stop = (0, None) if span is None else span
+        self._place: int = 0 if span is None else span[0]
+        self._stop: int | None = None if span is None else span[1]
         self._ready = memoryview(b"")
         if self._place:
             patiently(uri, lambda: self._file.seek(self._place))
