@@ -425,12 +425,7 @@ class LiveStates:
         clock = getattr(rig, "clock", None) or next((state.clock for state in found.values()), None)
         if clock is not None:
             self.view.use_clock(clock)
-        self.read(
-            {
-                name: (getattr(state, "unit", "") or "", lambda state=state: state[0])
-                for name, state in found.items()
-            }
-        )
+        self.read({name: (getattr(one, "unit", "") or "", _newest(one)) for name, one in found.items()})
 
     def read(self, reads: Mapping[str, tuple[str, Callable[[], Any]]]) -> None:
         """Have these quantities: name → unit, and what gives the value (whatever is no number is unknown)."""
@@ -463,6 +458,10 @@ class LiveStates:
             instant, values = items[-1]
             known = {name: value for name, value in zip(names, values, strict=True) if value is not None}
             view.send(self._transforms, instant, self._encode(_transforms(self._links, known, instant)))
+
+
+def _newest(state: Any) -> Callable[[], Any]:
+    return lambda: state[0]
 
 
 def _number(read: Callable[[], Any]) -> float | None:

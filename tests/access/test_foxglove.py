@@ -83,13 +83,12 @@ def test_events_and_logs_arrive(view: LiveView) -> None:
     logger.addHandler(lines)
     try:
         with Viewer(view.address) as viewer:
-            viewer.until(
-                lambda: viewer.has("/log", 2) and viewer.has("/events"),
-                lambda: (
-                    view.event(1_500_000_000, "silent", "JMC3", "no reply for 0.1 s", "error"),
-                    logger.warning("the left foot is %s", "late"),
-                ),
-            )
+
+            def happen() -> None:
+                view.event(1_500_000_000, "silent", "JMC3", "no reply for 0.1 s", "error")
+                logger.warning("the left foot is %s", "late")
+
+            viewer.until(lambda: viewer.has("/log", 2) and viewer.has("/events"), happen)
     finally:
         logger.removeHandler(lines)
     assert viewer.channels["/log"]["schemaName"] == "foxglove.Log"
@@ -262,10 +261,12 @@ def test_a_feed_that_raises_ends_nothing(view: LiveView) -> None:
             raise ValueError("odd")
 
     with Viewer(view.address) as viewer:
-        viewer.until(
-            lambda: viewer.has("/log"),
-            lambda: (view.put(Broken(), 1), view.log(0, "info", "test", "after")),
-        )
+
+        def happen() -> None:
+            view.put(Broken(), 1)
+            view.log(0, "info", "test", "after")
+
+        viewer.until(lambda: viewer.has("/log"), happen)
     assert told(view)[0] == "live view: ValueError: odd"
     assert len(told(view)) == 1
 
