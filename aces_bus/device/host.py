@@ -23,7 +23,8 @@ from ..runtime import Timer
 from .carried_port import CarriedPort
 from .coalesce import CoalescingRule, OutgoingMessage, Setpoint, per_device
 from .config import DeviceConfig, Robot
-from .device import DUPLICATES, Device, Poll
+from .declared import Poll
+from .device import DUPLICATES, Device
 from .events import DeviceEvent, EventLog, Kind
 from .half_duplex import NEVER_NS, HalfDuplexLine, ask_less
 from .poll import HostCounts, PollSlot
