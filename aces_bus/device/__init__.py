@@ -8,7 +8,8 @@ from __future__ import annotations
 from .client import Client
 from .coalesce import CoalescingRule, OutgoingMessage, Setpoint, per_device, uncoalesced
 from .config import Bus, Compliance, DeviceConfig, Gains, Home, Joint, Robot, Sensor
-from .device import Device, Poll, signal
+from .declared import Poll, signal
+from .device import Device
 from .drivers import Driver, list_drivers, load_driver, use_driver_file
 from .events import DeviceEvent, EventLog
 from .host import Host

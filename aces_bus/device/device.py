@@ -23,13 +23,14 @@ import math
 from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..errors import CallerError, UnknownNameError
 from ..protocol import Protocol, Variant
 from .coalesce import CoalescingRule, Setpoint
 from .config import DeviceConfig, Robot
+from .declared import Poll, SignalSpec, field_reader, same, slot_of
 from .signals import Signal
 from .station import EndpointMember, refuse_shadowing
 from .ticket import Job, Steps, Ticket
@@ -37,58 +38,6 @@ from .ticket import Job, Steps, Ticket
 if TYPE_CHECKING:
     from .events import Kind
     from .host import Host
-
-
-@dataclass(frozen=True)
-class Poll:
-    """What is asked again and again: `message` with `fields`, answered by one of `reply`.
-
-    `every_s` None: in each tick of the host. `timeout_s` counts from the end of the request on the wire. `asked_by`:
-    set-points that are answered, too, and by which message: in a tick that sends one, this is not sent besides. `together`
-    is the message that asks several devices for the same at once (`Device.word_together`); empty: there is none.
-    """
-
-    message: str
-    reply: str | tuple[str, ...]
-    fields: Mapping[str, Any] = field(default_factory=dict[str, Any])
-    every_s: float | None = None
-    timeout_s: float = 0.05
-    asked_by: Mapping[str, str] = field(default_factory=dict[str, str])
-    together: str = ""
-
-    @property
-    def replies(self) -> frozenset[str]:
-        """The names of the messages that answer."""
-        return frozenset((self.reply,) if isinstance(self.reply, str) else self.reply)
-
-
-@dataclass(frozen=True)
-class SignalSpec:
-    """A quantity as a driver declares it: `signal("speed", unit="rad/s", of="State.speed")`.
-
-    It is read from the field `of` and set through the field `set` ("Message.field" or "Message.field.1"). `unit` is SI;
-    SI = field × `scale` + `offset`. `lower` and `upper` limit what is set, in SI. `stale_s` is how old a value may be
-    (default: five polls, at least 0.1 s).
-    """
-
-    name: str
-    unit: str = field(default="", kw_only=True)
-    of: str | None = field(default=None, kw_only=True)
-    set: str | None = field(default=None, kw_only=True)
-    scale: float = field(default=1, kw_only=True)
-    offset: float = field(default=0, kw_only=True)
-    lower: float | None = field(default=None, kw_only=True)
-    upper: float | None = field(default=None, kw_only=True)
-    stale_s: float | None = field(default=None, kw_only=True)
-    doc: str = field(default="", kw_only=True)
-    source: str = field(default="", kw_only=True)
-
-
-signal = SignalSpec
-
-
-def _same(value: Any) -> Any:
-    return value
 
 
 #: So many second answers in a short time are another device's.
@@ -240,8 +189,8 @@ class Device(EndpointMember):
             unit=spec.unit,
             of=spec.of,
             set=spec.set,
-            to_si=_same if plain else lambda value: value * scale + offset,
-            from_si=_same if plain else lambda value: (value - offset) / scale,
+            to_si=same if plain else lambda value: value * scale + offset,
+            from_si=same if plain else lambda value: (value - offset) / scale,
             lower=spec.lower,
             upper=spec.upper,
             stale_s=spec.stale_s,
@@ -257,8 +206,8 @@ class Device(EndpointMember):
         of: str | Sequence[str] | None = None,
         set: str | None = None,
         setter: Callable[[Any], None] | None = None,
-        to_si: Callable[[Any], Any] = _same,
-        from_si: Callable[[Any], Any] = _same,
+        to_si: Callable[[Any], Any] = same,
+        from_si: Callable[[Any], Any] = same,
         lower: float | None = None,
         upper: float | None = None,
         stale_s: float | None = None,
@@ -311,7 +260,7 @@ class Device(EndpointMember):
             self._usual_age.append((made, messages))
         for one in sources:
             message, path = self._field(one)
-            self._updates.setdefault(message, []).append((_reader(path, to_si), made))
+            self._updates.setdefault(message, []).append((field_reader(path, to_si), made))
         self.signals[whole] = made
         return made
 
@@ -608,28 +557,3 @@ class Device(EndpointMember):
             self.tell_event("alarm", f"{who}{', '.join(sorted(now))}")
         elif before and not now:
             self.tell_event("alarm over", f"{who}{', '.join(sorted(before))}")
-
-
-def slot_of(path: str) -> tuple[str, str, int | None]:
-    """`position.1` with its field and its place in it; None: the field itself."""
-    name, _, index = path.partition(".")
-    return path, name, int(index) if index else None
-
-
-def _reader(path: str, to_si: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """The value at `position.1` of a record, converted; None where the record has none."""
-    name, _, index = path.partition(".")
-    if not index:
-        if to_si is _same:
-            return lambda record: getattr(record, name)
-
-        def plain(record: Any) -> Any:
-            value = getattr(record, name)
-            return None if value is None else to_si(value)
-
-        return plain
-    if not index.isdigit():
-        inner = _reader(index, to_si)
-        return lambda record: inner(getattr(record, name))
-    number = int(index)
-    return lambda record: to_si(getattr(record, name)[number])

@@ -5,13 +5,13 @@
    What did not fit is first in the next tick.
 3. A missing answer, a duplicate reply, a malformed frame and an unknown device are reported by name, and stop nothing.
 
-On a half-duplex line one speaks at a time (`half_duplex.py`).
+On a half-duplex line one speaks at a time (`half_duplex.py`); what comes and is none of its devices' is `strangers.py`'s.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -23,18 +23,18 @@ from ..runtime import Timer
 from .carried_port import CarriedPort
 from .coalesce import CoalescingRule, OutgoingMessage, Setpoint, per_device
 from .config import DeviceConfig, Robot
-from .device import DUPLICATES, Device, Poll
+from .declared import Poll
+from .device import Device
 from .events import DeviceEvent, EventLog, Kind
 from .half_duplex import NEVER_NS, HalfDuplexLine, ask_less
 from .poll import HostCounts, PollSlot
 from .port import Left, Port
 from .station import BusEndpoint, shown
+from .strangers import Strangers
 from .ticket import Steps, Ticket
 
 #: An answer this soon (ns) after another to the same request is a second device's.
 DUPLICATE_REPLY_NS = 20_000_000
-#: Second answers that come within so long (ns) are not a receiver's, who may get a frame twice (an error in its last bit).
-DUPLICATES_NS = 1_000_000_000
 #: An answer that is later than this (ns) does not come any more.
 LATE_REPLY_NS = 500_000_000
 #: When this machine itself was held up for so long (ns), what has come meanwhile is heard before anybody is missed.
@@ -45,8 +45,6 @@ PROBED = Robot(name="probed", buses={}, devices={}, joints={}, sensors={})
 ASKED_AGAIN = 2
 #: A bus on which nothing came for this part of a tick has nothing under way.
 QUIET_SHARE = 5
-#: So many unknown devices are told apart; a bus may claim millions.
-UNKNOWN_DEVICES = 10_000
 #: Why a passive host sends nothing.
 LISTENS = "this bus is only listened to"
 #: The share of a tick that polls may fill by default.
@@ -85,11 +83,11 @@ class Host(BusEndpoint[Device]):
         self.rules = dict(rules or {})
         self.events = events if events is not None else EventLog()
         self.counts = HostCounts()
+        self._strangers = Strangers(self)
         #: Words that were not understood, by reason; records of unknown devices, by message and credentials.
-        self.unknown: Counter[str] = Counter()
+        self.unknown, self.unknown_devices = self._strangers.words, self._strangers.devices
         #: Who is shown the words that were not understood: scans, which do not know yet what is there.
-        self.unknown_handlers: list[Callable[[UnknownWord, int], None]] = []
-        self.unknown_devices: Counter[str] = Counter()
+        self.unknown_handlers = self._strangers.handlers
         self.slots: deque[PollSlot] = deque()
         #: By device and message of set-points: the poll that it stands for, and what answers it.
         self._asked_by: dict[tuple[str, str], tuple[PollSlot, frozenset[str]]] = {}
@@ -733,77 +731,19 @@ class Host(BusEndpoint[Device]):
         elif expected:  # this one was asked for, too: on a full bus the first was only slow
             device.second_answers[name] = expected - 1
         elif before is not None and instant - before < DUPLICATE_REPLY_NS:
-            self._duplicate(device, f"{name} came twice", instant)
+            self._strangers.duplicate(device, f"{name} came twice", instant)
 
     # ------------------------------------------------------------------ what is wrong
 
     def _not_understood(self, word: UnknownWord, instant: int) -> None:
-        self.unknown[word.reason] += 1
-        for handler in self.unknown_handlers:
-            handler(word, instant)
-        if not word.reason.startswith("malformed"):
-            if word.reason.startswith("unknown: needs request") and self._line is not None:
-                self._answered_twice(self._line.spoke_last, word, instant)
-            return
-        device = self._suspect(word)
-        raw = word.meta.raw.hex(" ")
-        where = f"{word.meta.identifier:#05x} " if word.meta.identifier is not None else ""
-        self.tell("malformed", device.name if device is not None else "", f"{where}{raw}: {word.reason[11:]}")
-        if device is not None:
-            device.malformed(word.reason, instant)
+        self._strangers.not_understood(word, instant, self._line)
 
-    def _answered_twice(self, device: Device | None, word: UnknownWord, instant: int) -> None:
-        """An unrequested answer on a half-duplex line: it is late, or two devices answer to what `device` was asked last."""
-        detail = f"{word.meta.raw.hex(' ')}: was not requested"
-        if device is None:
-            self.tell("duplicate reply", "", detail)
-        else:
-            self._duplicate(device, detail, instant)
-
-    def _duplicate(self, device: Device, detail: str, instant: int) -> None:
-        """A second answer to one request: once it is a fault of the bus, again and again a second device."""
-        self.tell("duplicate reply", device.name, detail)
-        device.duplicates.append(instant)
-        if len(device.duplicates) == DUPLICATES and instant - device.duplicates[0] < DUPLICATES_NS:
-            device.duplicates.clear()
-            who = shown(device.credentials)
-            self.tell("two devices", device.name, f"{detail}; are there two devices with {who}?")
-
-    def _suspect(self, word: UnknownWord) -> Device | None:
-        """The device that may have sent it: by its identifier, or the one that has the line."""
-        identifier = word.meta.identifier
-        if identifier is None:
-            return self._line.speaker if self._line is not None else None
-        for variant in self.variants.values():
-            for message in variant.messages_for("from device"):
-                captures = message.identifier.match(identifier) or {}
-                for device in self.members.values():
-                    if device.variant is variant and any(
-                        device.credentials.get(name) == value for name, value in captures.items()
-                    ):
-                        return device
-        return None
+    def _unaddressed(self, record: Any, instant: int) -> None:
+        self._strangers.unaddressed(record)
 
     def _bus_event(self, kind: Any, detail: str) -> None:
         """Something happened to the bus itself."""
         self.tell(kind, "", detail)
-
-    def _unaddressed(self, record: Any, instant: int) -> None:
-        kind = type(record)
-        names = {name for device in self.members.values() for name in device.credentials}
-        who = ", ".join(
-            f"{n} {getattr(record, n):#04x}"
-            for n in sorted(names)
-            if isinstance(getattr(record, n, None), int)
-        )
-        name = f"{kind.__name__} {who}"
-        if name in self.unknown_devices or len(self.unknown_devices) < UNKNOWN_DEVICES:
-            self.unknown_devices[name] += 1
-        self.tell(
-            "unknown device",
-            "",
-            f"{kind.__name__} of {who or 'an unknown device'}, which is not on this bus in the robot's file",
-        )
 
     def tell(self, kind: Kind, device: str, detail: str = "") -> None:
         """Report what has happened; see `EventLog.tell` for how often."""

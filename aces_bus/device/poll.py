@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from .config import priority_of
-from .device import Device, Poll
+from .declared import Poll
+from .device import Device
 from .station import tags_of
 from .ticket import Ticket
 

@@ -24,7 +24,8 @@ import construct as c
 from ..errors import CallerError, DeviceError, UnknownNameError
 from ..protocol import RegisterMap
 from .coalesce import OutgoingMessage, Setpoint
-from .device import Device, Poll
+from .declared import Poll
+from .device import Device
 from .signals import Signal
 from .ticket import Job, Steps, Ticket
 
