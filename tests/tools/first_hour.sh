@@ -56,12 +56,17 @@ says 'frames=1243' 'aces decode walk.log -p hubo:D08@hubo2 --format jsonl --mess
 says 'frames=1243' 'aces decode drive.blf -p car.dbc -o drive.parquet'
 says 'frames=1243' "aces plot walk.log -p hubo 'Encoder[board=3].position.*' - 'Current.*' -o walk.png"
 says 'frames=1243' 'aces convert drive.mf4 drive.asc.gz'
+left_out "aces decode 's3://logs/**/*.mf4' -p truck.dbc -o s3://lake/truck/ --cluster local:4" 'needs an object store'
+says 'messages guessed' 'aces spec guess walk.log --no-known -o draft.py'
+STATUS=1 says 'changes=' 'aces diff walk.log walk.log --a 0..0.3 --b 0.3..0.6'
+says 'no flip' 'aces plot walk.log --bits'
 left_out 'aces sniff can0 -p hubo --record walk.blf' 'does not end by itself'
 left_out 'aces sniff can0 -p hubo -o walk.parquet --rotate 100MB' 'does not end by itself'
 left_out 'aces sniff can0 -p hubo --screen' 'needs a terminal'
 says '012#' 'aces send Reference board=2 position=[100,-40] -p hubo'
 left_out 'aces send Reference board=2 position=[100,-40] -p hubo -i socketcan -c can0 --tx --every 10ms' 'needs SocketCAN'
 left_out 'aces play walk.blf -i socketcan -c can0 --tx' 'needs SocketCAN'
+left_out 'aces play walk.log -p hubo --foxglove' 'needs the extra [foxglove]'
 left_out 'aces bridge can0 unix:can0 --tx --filter 060:7F0' 'needs SocketCAN'
 left_out 'aces bus serve can0' 'does not end by itself'
 aces bus serve can0 > serve.txt 2>&1 & # instead
@@ -77,6 +82,8 @@ left_out 'aces device RHP home -r hubo2plus --bus lower=can0 -i socketcan --tx' 
 left_out 'aces sim -r hubo2plus' 'does not end by itself'
 says 'devices are there' 'aces sim -r hubo2plus --for 0.2s' # instead
 left_out 'aces discover -p robotis --bus /dev/ttyUSB0 > found.toml' 'needs a line'
+says 'at twice the rate' 'aces bus budget hubo2plus'
+says 'nothing found' 'aces device fuzz hubo_ft --twin --frames 2000'
 left_out 'aces run -r hubo2plus examples/walk_controller.py --virtual' 'does not end by itself'
 says 'seconds=2.000' 'aces run -r hubo2plus examples/walk_controller.py --virtual --for 2s' # instead
 left_out 'aces run -r examples/minihubo_like_hubo.toml examples/walk_controller.py --virtual' 'does not end by itself'
