@@ -280,8 +280,5 @@ def _advise(page: Page, name: str, link: str, piece: Any) -> None:
     for one in fitting:
         page.lines([printable(f"{one.share:4.0%} is {one.name}:  {command} -p {one.name}")])
     if not fitting:
-        page.lines(
-            [
-                "no installed protocol fits (aces protocols); a database: -p car.dbc; your own: aces spec guess, aces spec new"
-            ]
-        )
+        page.lines(["no installed protocol fits (aces protocols); a database: -p car.dbc;"])
+        page.lines(["your own: aces spec guess makes a draft of the recording, aces spec new an empty one"])
