@@ -280,5 +280,8 @@ def _advise(page: Page, name: str, link: str, piece: Any) -> None:
     for one in fitting:
         page.lines([printable(f"{one.share:4.0%} is {one.name}:  {command} -p {one.name}")])
     if not fitting:
-        page.lines(["no installed protocol fits (aces protocols); a database: -p car.dbc;"])
-        page.lines(["your own: aces spec guess makes a draft of the recording, aces spec new an empty one"])
+        page.lines(
+            [
+                "no installed protocol fits (aces protocols); a database: -p car.dbc; yours: aces spec guess, spec new"
+            ]
+        )
