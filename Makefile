@@ -26,7 +26,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 TWICE = $(1) || { echo "once more, in 10 s" >&2; sleep 10; $(1); }
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-slow test-oracles test-lerobot test-long test-steady constraints test-socketcan docs first-hour soak stops teleoperation compiled test-compiled check lint types mypy pyright pristine format bench bench-framings golden clean
+.PHONY: help venv demo test test-slow test-oracles test-lerobot test-long test-steady constraints test-socketcan docs first-hour soak stops teleoperation compiled test-compiled check lint types mypy pyright pristine format bench bench-framings guess-score golden clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -170,6 +170,9 @@ bench: $(VENV)/.bench ## measure beside the peers, on this machine
 
 bench-framings: $(VENV)/.bench ## UBX, MAVLink and NMEA beside their usual libraries
 	$(BIN)/python -m tests.bench.framings
+
+guess-score: $(VENV)/.dev ## precision and recall of `aces spec guess` where the spec is known, beside READ (some minutes)
+	$(BIN)/python -m tests.bench.guess $(ARGS)
 
 golden: $(VENV)/.dev ## write the golden files anew; read the diff before you commit it
 	$(BIN)/python -m pytest tests -q --update-golden $(ARGS)

@@ -413,8 +413,8 @@ _WRITTEN = re.compile(rb"([^0-9A-Za-z])([0-9A-Fa-f]{2}|[0-9A-Fa-f]{4})$")
 def _lines(sample: Sample, free: list[tuple[int, int]]) -> Iterator[FramingGuess]:
     """Text that ends by a line end, of each first character a framing."""
     texts: list[bytes] = []
-    for start, end in free:
-        data = sample.data[start:end]
+    for start, stop in free:
+        data = sample.data[start:stop]
         is_text = _CHARACTERS[np.frombuffer(data, np.uint8)].mean() >= TEXT
         texts += [data] if is_text else _SENTENCE.findall(data)
     if not texts:
@@ -508,9 +508,9 @@ def _with_check(guess: FramingGuess, packets: Sequence[bytes], least_share: floa
         tail, count = tails.most_common(1)[0]
         if check.covers[-1][1] is None or (behind and count < 0.9 * len(packets)):
             continue
-        words = (f"{check.evidence}",)
+        words = [check.evidence]
         if tail:
-            words += (f"{tail.hex(' ').upper()} behind the check of {count} packets",)
+            words.append(f"{tail.hex(' ').upper()} behind the check of {count} packets")
         return replace(
             guess, check=check, tail=tail, bits=guess.bits + check.bits, evidence=(*guess.evidence, *words)
         )

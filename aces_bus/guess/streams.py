@@ -320,7 +320,7 @@ def _shared(values: Array, kinds: Array, count: int) -> float:
     expected = table.sum(axis=1, keepdims=True) * table.sum(axis=0, keepdims=True)
     there = table > 0
     bits = float((table[there] * np.log2(table[there] / expected[there])).sum())
-    return max(0.0, bits - (number - 1) * (count - 1) / (2 * len(values) * np.log(2)))
+    return max(0.0, bits - float((number - 1) * (count - 1) / (2 * len(values) * np.log(2))))
 
 
 def _word_of(framing: FramingGuess, packets: Sequence[bytes]) -> tuple[int, int] | None:

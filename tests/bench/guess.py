@@ -17,18 +17,21 @@ import argparse
 import random
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from construct import Byte, Struct, this
 
 from aces_bus.device.drivers import load_driver
+from aces_bus.errors import AcesError
 from aces_bus.guess import FramingGuess, StreamTraffic, checks_of, fields_of
 from aces_bus.guess.framings import framing_check
 from aces_bus.hardware.simulated.bus import ListeningNode, SimulatedBus
-from aces_bus.protocol import Protocol, load_protocol
+from aces_bus.protocol import Fletcher, Protocol, load_protocol
 from aces_bus.protocol.declare.framing import Framing, Verdict
 from aces_bus.robot.buses import VirtualRobot
 from aces_bus.robot.file import parse_robot
@@ -249,11 +252,11 @@ def score_fields(
     # ---- checks
     checks = checks_of(rows, prefix)
     place = next((min(one.positions) // 8 for one in live if one.kind == "check"), None)
-    right = sum(
+    agreeing = sum(
         one.offset == place and (not check or check in (one.check.describe, one.declared)) for one in checks
     )
-    scores.by["checks"].add(right, len(checks), int(place is not None))
-    if right != len(checks) or right != int(place is not None):
+    scores.by["checks"].add(agreeing, len(checks), int(place is not None))
+    if agreeing != len(checks) or agreeing != int(place is not None):
         scores.wrong.append(
             f"{name}: check {check or 'none'} at {place}, said {[one.declared for one in checks]}"
         )
@@ -332,8 +335,8 @@ def drawn_database(
         if kind:
             check = {"xor": Xor(), "sum": Sum()}.get(kind) or Crc("CRC8-SAE-J1850" if kind == "id" else kind)
             lead = prefix[2:] if kind == "id" else b""
-            for row in data:
-                row[7] = check.compute(lead + row[:7].tobytes())
+            for packet in data:
+                packet[7] = check.compute(lead + packet[:7].tobytes())
             truths.append(Truth("check", tuple(range(56, 64)), "little", None, "check"))
             described = check.describe
         yield f"drawn {seed}.M{number}", data, truths, prefix, described
@@ -345,7 +348,8 @@ def _walk(numbers: Any, signal: Any, truth: Truth, rows: int) -> Array:
     if truth.kind == "counter":
         return np.arange(rows) % (1 << length)
     if truth.kind in ("flag", "enumeration"):
-        out, values = [], 1 << length
+        out: list[int] = []
+        values = 1 << length
         value = int(numbers.integers(values))
         hold = numbers.uniform(5, 60)
         while len(out) < rows:
@@ -414,7 +418,7 @@ def can_rows(frames: Sequence[Any], protocol: Any) -> Iterator[tuple[str, Array,
             continue
         message = protocol.messages.get(next(iter(said))) if hasattr(protocol, "messages") else None
         truth = truth_of(message, size) if message is not None else None
-        if truth is None or not truth:
+        if message is None or not truth:
             continue
         rows = np.array([list(data) for data in datas], np.uint8)
         if not (rows != rows[0]).any():
@@ -456,7 +460,8 @@ def twin_traffic(driver: str) -> Iterator[tuple[str, Any, list[Any]]]:
             for number, (one, start) in enumerate(settable):
                 low = max(start - 0.5, -np.inf if one.lower is None else one.lower)
                 high = min(start + 0.5, np.inf if one.upper is None else one.upper)
-                one.set(type(start)((low + high) / 2 + 0.4 * (high - low) * np.sin(step / 8 + number)))
+                with suppress(AcesError):  # a joint that is stopped takes none
+                    one.set(type(start)((low + high) / 2 + 0.4 * (high - low) * np.sin(step / 8 + number)))
             robot.advance(TWINS_S / steps)
     for name, (node, heard) in recorders.items():
         yield name, robot, list(node.frames()) if node is not None else heard
@@ -587,7 +592,18 @@ def streams_of_specs() -> Iterator[tuple[str, Sequence[tuple[bytes, float | None
 def streams_of_others(
     shared: Path,
 ) -> Iterator[tuple[str, Sequence[tuple[bytes, float | None]], Any, Framing | None]]:
-    """Recordings made by others."""
+    """Recordings made by others; of MIP's the framing as its maker describes it."""
+    mip = Protocol("mip", link="serial")
+    whole = mip.framing(
+        sync=b"\x75\x65",
+        header=Struct("set" / Byte, "length" / Byte),
+        size=this.length + 6,
+        max_size=261,
+        check=Fletcher(over=slice(0, -2)),
+    )
+    if (shared / "streams/mip-imu.part.bin").exists():
+        data = (shared / "streams/mip-imu.part.bin").read_bytes()
+        yield "streams/mip-imu.part.bin", [(data, None)], mip, whole
     for path, name in (
         ("streams/ubx-nav.bin", "ubx"),
         ("streams/ubx-mon.bin", "ubx"),
