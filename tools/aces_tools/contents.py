@@ -282,6 +282,6 @@ def _advise(page: Page, name: str, link: str, piece: Any) -> None:
     if not fitting:
         page.lines(
             [
-                "no installed protocol fits (aces protocols); a database: -p car.dbc; your own: aces spec guess, spec new"
+                "no installed protocol fits (aces protocols); a database: -p car.dbc; yours: aces spec guess, spec new"
             ]
         )
