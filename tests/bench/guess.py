@@ -358,7 +358,7 @@ def _walk(numbers: Any, signal: Any, truth: Truth, rows: int) -> Array:
         return np.array(out[:rows])
     low, high = (-(1 << length - 1), (1 << length - 1) - 1) if signal.is_signed else (0, (1 << length) - 1)
     time = np.arange(rows)
-    swing = sum(
+    swing: Array = sum(
         numbers.uniform(0.2, 1)
         * np.sin(2 * np.pi * time / numbers.uniform(150, 1500) + numbers.uniform(0, 6.3))
         for _ in range(3)

@@ -34,6 +34,7 @@ def sealed(rows: Any, check: Check, at: int, lead: bytes = b"", trail: bytes = b
     return rows
 
 
+@pytest.mark.slow
 def test_every_crc_of_the_catalogue_is_found_by_its_name() -> None:
     """Of 8, 16, 24 and 32 bits, in whatever byte order."""
     names = [name for name, model in anycrc.models.items() if model.width in (8, 16, 24, 32)]

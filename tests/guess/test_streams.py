@@ -66,6 +66,7 @@ def test_a_length_a_check_and_an_instruction_are_found() -> None:
     assert records[0].meta.message == "Packet_02"
 
 
+@pytest.mark.slow
 def test_what_is_broken_or_between_packets_is_left_over() -> None:
     """Every byte is in a packet or unknown; packets do not overlap."""
     data = bytearray(b"\x07\x08" + servo() + b"\x09")
@@ -93,6 +94,7 @@ def test_lengths_of_two_bytes_in_either_order(order: str) -> None:
     assert framing.check.check.describe == "CRC16-MODBUS"
 
 
+@pytest.mark.slow
 def test_packets_of_one_size_without_a_check() -> None:
     """As converters stream: what repeats is the header, and which bytes it has cannot hide behind multiples of the size."""
     data, value = b"", 2000
