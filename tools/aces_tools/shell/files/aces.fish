@@ -105,7 +105,7 @@ complete -c aces -n '_shtab_aces_using plot' -l style -x -d 'a style of matplotl
 complete -c aces -n '_shtab_aces_using plot' -l color -l no-color -d 'colour always, or never (default: on a terminal)'
 complete -c aces -n '_shtab_aces_using plot' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using plot; and test $_shtab_aces_npos -ge 0' -ka "(__fish_complete_path (commandline -ct))" -d 'recordings (- is standard input), then signals'
-complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a diff -d 'compare two recordings, or two times of one: identifiers, bits, signals'
+complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a diff -d 'compare recordings, or times of one: identifiers, bits, signals'
 complete -c aces -n '_shtab_aces_using diff' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using diff' -l a -x -d 'when A is: START..STOP, or the name of a mark'
 complete -c aces -n '_shtab_aces_using diff' -l b -x -d 'when B is; of one recording A is then all the rest'
