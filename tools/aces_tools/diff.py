@@ -1,14 +1,14 @@
-"""What differs between two recordings, or between two times of one; most telling first.
+"""What differs between two recordings, or two times of one; most telling first.
 
   aces diff before.log after.log
-  aces diff run.log --b 10..12               while I pressed the button: B; A is the rest
+  aces diff run.log --b 10..12               B: I pressed a button; A: the rest
   aces diff run.log --a 0..10 --b 10..20
   aces diff run.log --marks marks.txt        B are the times that the file names
   aces diff run.log --marks marks.txt --a released --b pressed -o diff.png
   aces diff before.log after.log -p car.dbc  messages and signals as well
 
-Without a protocol: identifiers that appear, vanish, come at another period or with
-another length; bytes and bits that change in B only, and values seen in B only.
+Without a protocol: identifiers that appear, vanish, come at another period or
+with another length; bits that change in B only, and values seen in B only.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ EPILOG = f"""\
 what a line says:
 {_KINDS}
 
-  The number in front is how telling a change is: how sure it is that it does not come
-  of having looked at another time. It weighs how much A has seen, in how many
-  of B's times the change is there, and how often A brings something new
-  by itself: counters and noise come last.
+  The number in front is how telling a change is: how sure it is that it does
+  not come of having looked at another time. It weighs how much A has seen, in
+  how many of B's times the change is there, and how often A brings something
+  new by itself: counters and noise come last.
 
 times (--a, --b): START..STOP, either of which may be empty; also several times
   12.5..14       seconds from the first frame of the recording, or since 1970

@@ -26,7 +26,7 @@ from .console import abandon_stdout, say, show_notes
 VERBS: dict[str, tuple[str, str]] = {
     "decode": ("decode", "decode recordings: candump, BLF, ASC, MF4, serial captures, pipes"),
     "plot": ("plot", "draw signals over time: in the terminal, PNG, SVG, PDF"),
-    "diff": ("diff", "compare two recordings, or two times of one: identifiers, bits, signals"),
+    "diff": ("diff", "compare recordings, or times of one: identifiers, bits, signals"),
     "convert": ("convert", "convert recordings: candump, ASC, BLF, TRC, MF4, pcapng, serial"),
     "sniff": ("sniff", "listen to a bus: decoded lines, filters, recordings; cannot send"),
     "send": ("send", "send a message, once or periodically; only with --tx"),

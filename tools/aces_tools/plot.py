@@ -72,7 +72,9 @@ def axis_number(text: str) -> float:
     return value
 
 
-USAGE = "%(prog)s CAPTURE… {-p PROTOCOL [SIGNAL | - | ,]… | --bits [ID] | --raw ID} [options]"
+USAGE = """\
+%(prog)s CAPTURE… -p PROTOCOL [SIGNAL | - | ,]… [options]
+       %(prog)s CAPTURE… {--bits [ID] | --raw ID} [options]"""
 ARGUMENTS: Arguments = (
     argument(
         "items", nargs="*", metavar="CAPTURE… SIGNAL…", help="recordings (- is standard input), then signals"

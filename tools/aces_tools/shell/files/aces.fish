@@ -50,8 +50,8 @@ function _shtab_aces_using
   test "$_shtab_aces_cmdpath" = "$argv"
 end
 
-set -g _shtab_aces_commands decode plot convert sniff send play bridge bus robot devices device discover sim run protocols spec 'spec new' 'spec check' 'spec show' 'spec explain' 'spec stubs' 'spec export' 'spec import' fuzz demo bench completion
-set -g _shtab_aces_opts_with_value --against --answer --at --at-end --base --baud --bitrate --break-time --bus --bus-kwargs --channel --compare --corpus --count --data-bitrate --diff --direction --driver --errors --every --examples --expand --failures --fault --faults --filter --for --format --frames --from --gap --hold-for --input-format --interface --jitter --jobs --latency --law --link --list --log --loop --map --message --most --name --on-trip --output --port --pose --protocol --queue --rate --record --rename --replay --reply --robot --rotate --rows-hz --save --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --time --timing --title --to --udp --unix --unknown --where --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
+set -g _shtab_aces_commands decode plot diff convert sniff send play bridge bus robot devices device discover sim run protocols spec 'spec new' 'spec check' 'spec show' 'spec explain' 'spec stubs' 'spec export' 'spec import' fuzz demo bench completion
+set -g _shtab_aces_opts_with_value --a --against --at --at-end --b --base --baud --bitrate --bits --break-time --bus --bus-kwargs --channel --compare --corpus --count --data-bitrate --diff --direction --driver --every --examples --expand --failures --fault --faults --filter --for --format --frames --from --gap --hold-for --input-format --interface --jobs --law --least --link --list --log --loop --map --marks --message --most --name --on-trip --output --port --pose --protocol --rate --raw --record --rename --replay --reply --robot --rotate --rows-hz --save --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --time --timing --title --to --udp --unix --unknown --where --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
 
 complete -c aces -e
 complete -c aces -f
@@ -85,6 +85,8 @@ complete -c aces -n '_shtab_aces_using plot' -s h -l help -d 'show this help mes
 complete -c aces -n '_shtab_aces_using plot' -s p -l protocol -xka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'what is spoken, as of '"'"'aces decode'"'"'; the first wins'
 complete -c aces -n '_shtab_aces_using plot' -l direction -x -d 'which way the bytes went: to or from the device; both pairs requests and replies'
 complete -c aces -n '_shtab_aces_using plot' -l list -d 'list the signals that occur, with count, range and unit'
+complete -c aces -n '_shtab_aces_using plot' -l bits -x -d 'without a protocol: how often the bits of each identifier flip, as images; or of these only: 2A0,18FEF100,3*'
+complete -c aces -n '_shtab_aces_using plot' -l raw -x -d 'without a protocol: the bytes of this identifier as steps'
 complete -c aces -n '_shtab_aces_using plot' -s o -l output -xka "(__fish_complete_path (commandline -ct))" -d 'draw into FILE.png, FILE.svg or FILE.pdf'
 complete -c aces -n '_shtab_aces_using plot' -l terminal -d 'draw in the terminal, as without -o and --show'
 complete -c aces -n '_shtab_aces_using plot' -l show -d 'open a window'
@@ -103,6 +105,20 @@ complete -c aces -n '_shtab_aces_using plot' -l style -x -d 'a style of matplotl
 complete -c aces -n '_shtab_aces_using plot' -l color -l no-color -d 'colour always, or never (default: on a terminal)'
 complete -c aces -n '_shtab_aces_using plot' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using plot; and test $_shtab_aces_npos -ge 0' -ka "(__fish_complete_path (commandline -ct))" -d 'recordings (- is standard input), then signals'
+complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a diff -d 'compare recordings, or times of one: identifiers, bits, signals'
+complete -c aces -n '_shtab_aces_using diff' -s h -l help -d 'show this help message and exit'
+complete -c aces -n '_shtab_aces_using diff' -l a -x -d 'when A is: START..STOP, or the name of a mark'
+complete -c aces -n '_shtab_aces_using diff' -l b -x -d 'when B is; of one recording A is then all the rest'
+complete -c aces -n '_shtab_aces_using diff' -l marks -xka "(__fish_complete_path (commandline -ct))" -d 'times with names, a line each: '"'"'12.3 pressed'"'"''
+complete -c aces -n '_shtab_aces_using diff' -l for -x -d 'a mark lasts so long: 500ms, 2s'
+complete -c aces -n '_shtab_aces_using diff' -s p -l protocol -xka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'what is spoken: messages and signals are compared; serial lines need it'
+complete -c aces -n '_shtab_aces_using diff' -l filter -x -d 'CAN: only what candump'"'"'s filters pass, such as 060:7F0 or can0,150~7FF'
+complete -c aces -n '_shtab_aces_using diff' -l least -x -d 'leave out what is less telling, 0 to 1 (default: 0.2; 0: nothing)'
+complete -c aces -n '_shtab_aces_using diff' -l json -d 'JSON on standard output, for programs'
+complete -c aces -n '_shtab_aces_using diff' -s o -l output -xka "(__fish_complete_path (commandline -ct))" -d 'draw what changed over time into FILE.png, FILE.svg or FILE.pdf'
+complete -c aces -n '_shtab_aces_using diff' -l color -l no-color -d 'colour always, or never (default: on a terminal)'
+complete -c aces -n '_shtab_aces_using diff' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
+complete -c aces -n '_shtab_aces_using diff; and test $_shtab_aces_npos -ge 0' -ka "(__fish_complete_path (commandline -ct))" -d 'one recording, or A and B; - is standard input'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a convert -d 'convert recordings: candump, ASC, BLF, TRC, MF4, pcapng, serial'
 complete -c aces -n '_shtab_aces_using convert' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using convert' -l format -x -d 'the format written (default: by the suffix)'
@@ -222,21 +238,11 @@ complete -c aces -n '_shtab_aces_using bus' -l seed -x -d 'of the faults (defaul
 complete -c aces -n '_shtab_aces_using bus' -l no-ack -d 'acknowledge nothing: a sender with only listeners gets errors'
 complete -c aces -n '_shtab_aces_using bus' -l no-physics -d 'no bit rate, no arbitration, no errors'
 complete -c aces -n '_shtab_aces_using bus' -l once -d 'load: one second, and every node; then end'
-complete -c aces -n '_shtab_aces_using bus' -l json -d 'one JSON object a line; budget: one object'
+complete -c aces -n '_shtab_aces_using bus' -l json -d 'one JSON object a line'
 complete -c aces -n '_shtab_aces_using bus' -l for -x -d 'list: how long to look (default: 1s; from 3.5s on for socketcand'"'"'s beacons too)'
-complete -c aces -n '_shtab_aces_using bus' -l rate -x -d 'of the host'"'"'s ticks, where the file states none for a bus (default: the robot'"'"'s, else 100)'
-complete -c aces -n '_shtab_aces_using bus' -l queue -x -d 'how a node sends: fifo, or priority (default: host=fifo, devices by priority)'
-complete -c aces -n '_shtab_aces_using bus' -l errors -x -d 'CAN: so many frames destroyed at once, and one in each such time, as 2,100ms (default: none)'
-complete -c aces -n '_shtab_aces_using bus' -l jitter -x -d 'a tick is so late at most'
-complete -c aces -n '_shtab_aces_using bus' -l answer -x -d 'devices take so long to answer (default: as their twins)'
-complete -c aces -n '_shtab_aces_using bus' -l latency -x -d 'the host takes so long from an answer to the next request, on half-duplex lines'
-complete -c aces -n '_shtab_aces_using bus' -l together -d 'polls that are not sent in each tick may all be due in one'
-complete -c aces -n '_shtab_aces_using bus' -l all -d 'each message of each device in the table'
-complete -c aces -n '_shtab_aces_using bus' -s o -l output -xka "(__fish_complete_path (commandline -ct))" -d 'draw it, too: .png, .svg or .pdf'
-complete -c aces -n '_shtab_aces_using bus' -l driver -xka "(__fish_complete_path (commandline -ct))" -d 'use the drivers of a Python file, too; it is run with your rights'
 complete -c aces -n '_shtab_aces_using bus' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
-complete -c aces -n '_shtab_aces_using bus; and test $_shtab_aces_npos -eq 0' -ka "serve load list budget" -d 'what to do'
-complete -c aces -n '_shtab_aces_using bus; and test $_shtab_aces_npos -ge 1' -ka "(aces completion --list buses --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'names (default: can0); load: one, or an address; budget: a robot, or its file'
+complete -c aces -n '_shtab_aces_using bus; and test $_shtab_aces_npos -eq 0' -ka "serve load list" -d 'what to do'
+complete -c aces -n '_shtab_aces_using bus; and test $_shtab_aces_npos -ge 1' -ka "(aces completion --list buses --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'names (default: can0); load: one, or an address'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a robot -d 'robots as files: check, show, list; import from other programs'
 complete -c aces -n '_shtab_aces_using robot' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using robot' -l json -d 'JSON on standard output, for programs'
