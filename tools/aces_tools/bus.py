@@ -7,9 +7,9 @@
                                         that python-can finds
   aces bus load can0                    frames, load, errors: a line a second
   aces bus load -i socketcan -c can0 -b 500000
-  aces bus budget hubo2plus             whether a robot's buses can carry it: how
-                                        long each message takes at most; 1 when
-                                        a deadline cannot be kept
+  aces bus budget hubo2plus             how full a robot's buses are, how long a
+                                        message takes at most; 1 when a deadline
+                                        cannot be kept
   aces bus budget arm.toml --rate 500 -o budget.png
 
 Any program with python-can joins: -i aces -c unix:can0, or -i socketcand.
@@ -69,7 +69,7 @@ ARGUMENTS: Arguments = (
         metavar="CHANNEL",
         help="names (default: can0); load: one, or an address; budget: a robot, or its file",
     ),
-    can_options("bit rates of a served bus, or of a robot's; the bus to measure (python-can's options)"),
+    can_options("bit rates of a bus, or of a robot's; which bus to measure (python-can's)"),
     Group(
         "serve",
         (
