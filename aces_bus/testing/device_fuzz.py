@@ -448,8 +448,10 @@ def fuzz_device(
         device, found = example_of(driver)
         name = name or found
 
-        def load(wanted: str) -> Driver:
+        def loading(wanted: str) -> Driver:
             return driver if wanted == driver.name else others(wanted)
+
+        load = loading
 
     if name is None:
         raise CallerError(f"which device of {device.name}? {', '.join(device.devices)}")

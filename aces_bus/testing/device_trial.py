@@ -109,7 +109,8 @@ class TapEnd:
 
     def __init__(self, tap: Tap) -> None:
         port = tap.port
-        self.tap, self.link, self.clock, self.name = tap, port.link, port.clock, port.name
+        self.tap, self.clock, self.name = tap, port.clock, port.name
+        self.link: Literal["can", "serial", "datagram"] = port.link
         self.half_duplex = port.half_duplex
         self._received: Callable[[Any, int], Any] | None = None
 
@@ -141,7 +142,7 @@ class TapEnd:
 
     def close(self) -> None:
         """Receive no more; the port below stays open for the other ends."""
-        if self._received in self.tap.ends:
+        if self._received is not None and self._received in self.tap.ends:
             self.tap.ends.remove(self._received)
 
 

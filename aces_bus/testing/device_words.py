@@ -245,7 +245,7 @@ class DeviceWords:
         if packet.message.transport is None:
             return image_frame(packet.image)
         carried = tuple(packet.carried(source.integer(0, 3)))
-        return carried if len(carried) > 1 else carried[0]
+        return _one_or_all(carried)
 
     def _damaged(self, packet: DrawnPacket, source: ChoiceSource) -> AnyWord | None:
         if not self.is_can:
@@ -255,8 +255,7 @@ class DeviceWords:
             at = source.integer(0, len(word) - 1)
             how = source.integer(0, 3)
             if how == 0:
-                left = (*word[:at], *word[at + 1 :])
-                return left if len(left) > 1 else left[0]
+                return _one_or_all((*word[:at], *word[at + 1 :]))
             if how == 1:
                 return (*word[: at + 1], *word[at:])
             made = self._damaged_frame(word[at], packet.message, source)
@@ -277,6 +276,11 @@ class DeviceWords:
         return Frame(
             frame.arbitration_id, source.bytes(source.integer(0, 8)), is_extended_id=frame.is_extended_id
         )
+
+
+def _one_or_all(frames: Sequence[Frame]) -> AnyWord:
+    """A frame alone, or the frames of a packet."""
+    return tuple(frames) if len(frames) > 1 else frames[0]
 
 
 def at_an_edge(packet: DrawnPacket, source: ChoiceSource) -> DrawnPacket | None:

@@ -80,7 +80,7 @@ class BlockSdoServer(SdoServer):
     def abort(self, abort_code: int = _GENERAL) -> None:
         """Abort the transfer under way."""
         self._download = self._upload = None
-        if self._index is None:  # nothing was asked for yet
+        if getattr(self, "_index", None) is None:  # nothing was asked for yet
             self._index = self._subindex = 0
         super().abort(abort_code)  # type: ignore[no-untyped-call]
 
