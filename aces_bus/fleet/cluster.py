@@ -18,6 +18,7 @@ import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
+from importlib import import_module
 from typing import Any, NamedTuple
 
 from ..errors import CallerError
@@ -104,14 +105,15 @@ class DaskWorkers(Workers):
         self._owns = client is None
         try:
             if processes:
-                self._cluster = distributed.LocalCluster(
-                    n_workers=processes,
-                    threads_per_worker=1,
-                    host="127.0.0.1",
-                    dashboard_address="127.0.0.1:0",
-                    security=True,
-                    silence_logs=logging.CRITICAL,
-                )
+                with import_module("dask").config.set({"distributed.worker.profile.enabled": False}):
+                    self._cluster = distributed.LocalCluster(
+                        n_workers=processes,
+                        threads_per_worker=1,
+                        host="127.0.0.1",
+                        dashboard_address="127.0.0.1:0",
+                        security=True,
+                        silence_logs=logging.CRITICAL,
+                    )
                 address = self._cluster
             self.client = distributed.Client(address, set_as_default=False) if client is None else client
             self.client.wait_for_workers(1, timeout=WORKERS_S)

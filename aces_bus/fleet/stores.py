@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from datetime import datetime
 from functools import partial
+from importlib import import_module
 from typing import Any, NamedTuple, TypeVar
 
 from ..errors import CallerError
@@ -59,8 +60,9 @@ class StoredFile(NamedTuple):
 def load_fsspec() -> Any:
     """The library; raises `CallerError` with how to install it."""
     try:
-        import fsspec.core
-        from fsspec.implementations import local  # noqa: F401 - used by name below
+        fsspec = import_module("fsspec")
+        for part in ("core", "implementations.local"):
+            import_module(f"fsspec.{part}")
     except ImportError as missing:
         raise CallerError(f"fleets need fsspec: pip install 'aces-bus[fleet]' ({missing})") from missing
     return fsspec
@@ -89,7 +91,9 @@ def said(error: BaseException) -> str:
 def stamp_of(info: Mapping[str, Any]) -> str:
     """What changes with a file's contents; empty where the store does not say."""
     for name in _STAMPS:
-        if (found := info.get(name)) is not None:  # a time may be a number in a listing, and none in a file's own entry
+        if (
+            found := info.get(name)
+        ) is not None:  # a time may be a number in a listing, and none in a file's own entry
             return str(found.timestamp() if isinstance(found, datetime) else found)
     return ""
 

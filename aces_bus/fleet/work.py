@@ -221,8 +221,10 @@ class InputWork:
         parts = self._parts(folder, self.variants[capture.link])
         with capture:
             try:
-                taken = self._can if isinstance(capture, CanRecording) else self._serial
-                taken(capture, parts, totals)
+                if isinstance(capture, CanRecording):
+                    self._can(capture, parts, totals)
+                else:
+                    self._serial(capture, parts, totals)
             except CaptureError as error:
                 if isinstance(source, StoreReader) and source.failure is not None:
                     parts.abandon()
@@ -357,7 +359,8 @@ class InputWork:
             defer=True,
         )
         totals = Totals()
-        capture = open_part(reader, span)
+        file: Any = reader
+        capture = open_part(file, span)
         try:
             with self._folder() as folder:
                 parts = self._parts(folder, self.variants["can"], absolute)
@@ -378,7 +381,7 @@ class InputWork:
             raise reader.failure or StoreError(str(error)) from error
         finally:
             reader.close()
-        problems = [tuple(one) for one in capture.problems]
+        problems = [(one.line, one.reason, one.excerpt) for one in capture.problems]
         return PieceDone(entry, scanner.hand_over(), problems, capture.lines)
 
     def joined(self, absolute: bool | None, pieces: Sequence[PieceDone]) -> FleetInput:

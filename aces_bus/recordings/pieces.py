@@ -119,7 +119,8 @@ class SerialWays:
         make: Callable[[Direction | None], Any],
         feed: Callable[[Any, bytes, float | None], Any],
     ) -> None:
-        self._variants, self._direction, self._make, self._feed = variants, direction, make, feed
+        self._variants, self._make, self._feed = variants, make, feed
+        self._direction: Direction | None = direction
         self._used: dict[Direction | None, Any] = {}
         self._requests = Requests(variants)
 

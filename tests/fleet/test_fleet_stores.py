@@ -180,7 +180,7 @@ class _Ranges(http.server.SimpleHTTPRequestHandler):
         self.wfile.write(part)
         return None
 
-    def log_message(self, *_: Any) -> None:
+    def log_message(self, format: str, *args: Any) -> None:
         """Nothing."""
 
 
