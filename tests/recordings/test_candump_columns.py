@@ -333,7 +333,9 @@ def test_a_part_needs_a_file_that_has_it(tmp_path: Path) -> None:
     path.write_bytes(b"(1.5) can0 123#11\n")
     with pytest.raises(CallerError, match="no part of a file"):
         ByteSource(path, span=(5, 4))
-    assert b"".join(ByteSource(io.BytesIO(b"abc"), span=(7, 10)).blocks()) == b"abc"  # which gives the part already
+    assert (
+        b"".join(ByteSource(io.BytesIO(b"abc"), span=(7, 10)).blocks()) == b"abc"
+    )  # which gives the part already
     reading, writing = os.pipe()
     os.close(writing)
     with open(reading, "rb") as pipe, pytest.raises(CallerError, match="only of a plain file"):
