@@ -13,9 +13,9 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -34,6 +34,8 @@ from .manifest import FLEET, Dataset, FleetInput, InputState, uri_key
 from .parts import DayParts, LocalPart
 from .recipe import Recipe
 from .stores import Place, StoreError, StoreReader, hash_of_file, said
+
+T = TypeVar("T")
 
 #: Seconds before an input is begun anew, once.
 AGAIN_S = 1.0
@@ -118,7 +120,7 @@ class InputWork:
         except Exception as error:
             return self.entry("missing", faults=[_words(self.task.uri, error)])
 
-    def _tried(self, call: Any) -> Any:
+    def _tried(self, call: Callable[[], T]) -> T:
         try:
             return call()
         except StoreError:  # which has been patient already: of what cannot be read on, or has changed

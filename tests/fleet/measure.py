@@ -10,7 +10,6 @@ from __future__ import annotations
 import os
 import resource
 import shutil
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -69,7 +68,9 @@ def main() -> None:
     def cpu() -> float:
         """Seconds of processor time: of this process with the schedulers, and of all workers."""
         return time.process_time() + sum(
-            seconds for one in clusters.values() for seconds in one.client.run(time.process_time).values()
+            float(seconds)
+            for one in clusters.values()
+            for seconds in one.client.run(time.process_time).values()
         )
 
     def with_jobs(number: int) -> None:
@@ -127,4 +128,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 
@@ -156,7 +156,7 @@ def test_sftp(
 class _Ranges(http.server.SimpleHTTPRequestHandler):
     """Files with ranges of their bytes, as servers of files have them; every fifth answer fails."""
 
-    asked: list[str]
+    asked: ClassVar[list[str]]
     count = 0
 
     def send_head(self) -> Any:
@@ -189,11 +189,17 @@ def test_http_with_ranges(drives: list[Path], tmp_path: Path, monkeypatch: pytes
     pytest.importorskip("aiohttp", reason="needs aiohttp: make test-oracles")
     monkeypatch.setattr(stores, "BLOCK", 1500)
     monkeypatch.setattr(stores, "WAITS_S", (0.0, 0.0, 0.0))
-    handler = type("Handler", (_Ranges,), {"asked": [], "count": 0})
+
+    class Handler(_Ranges):
+        """With counts of its own."""
+
+        asked: ClassVar[list[str]] = []
+        count = 0
+
     root = tmp_path / "drives"
     record(root, 0, 400)  # of several blocks
     server = http.server.ThreadingHTTPServer(
-        ("127.0.0.1", 0), lambda *given: handler(*given, directory=str(root))
+        ("127.0.0.1", 0), lambda *given: Handler(*given, directory=str(root))
     )
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:
@@ -202,7 +208,7 @@ def test_http_with_ranges(drives: list[Path], tmp_path: Path, monkeypatch: pytes
         run = fleet.decode(f"{before}*", dbc, str(tmp_path / "lake"))
         assert run.failed == []
         assert dataset_rows(tmp_path / "lake") == renamed(rows_of_one_process(drives, dbc, tmp_path), before)
-        assert len({line for line in handler.asked if "drive-000.log" in line}) > 1
+        assert len({line for line in Handler.asked if "drive-000.log" in line}) > 1
         assert fleet.decode(f"{before}*", dbc, str(tmp_path / "lake")).stood == 3
     finally:
         server.shutdown()

@@ -37,6 +37,7 @@ from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
 from aces_bus.protocol import (
     BitLayout,
+    CanScanner,
     Enumeration,
     Items,
     Protocol,
@@ -319,7 +320,7 @@ def test_packets_of_several_frames(name: str, tmp_path: Path) -> None:
     shown = tshark(tmp_path, source, record(tmp_path, frames), "-2", "-R", "frame")
     wanted: dict[int, list[Any]] = {}
     for raw in (True, False):
-        found, origins = make_scanner([variant], include_unknown=True, raw=raw).feed_numbered(
+        found, origins = CanScanner([variant], include_unknown=True, raw=raw).feed_numbered(
             frames, range(len(frames))
         )
         for one, origin in zip(found, origins, strict=True):

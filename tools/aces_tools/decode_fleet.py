@@ -108,11 +108,11 @@ def _summary(run: FleetRun, arguments: argparse.Namespace) -> int:
     total = run.total
     unread = any(one.state != "done" or not _is_read(one) for one in run.failed)
     status = 2 if unread else 0
-    if arguments.strict and (faults := [fault for one in total.values() for fault in one.faults]):
+    if arguments.strict and (faults := [fault for bins in total.values() for fault in bins.faults]):
         say(f"--strict: {', '.join(faults)}")
         status = status or 1
-    for link, one in total.items():
-        say(one.line(link), who="")
+    for link, bins in total.items():
+        say(bins.line(link), who="")
     if run.interrupted:
         say(f"interrupted: {len(run.inputs)} inputs are done, the same call goes on")
         return 130

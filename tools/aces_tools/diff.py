@@ -27,6 +27,7 @@ from aces_bus.errors import CallerError, CaptureError
 from aces_bus.plain_text import printable
 from aces_bus.protocol import Variant
 from aces_bus.recordings import CanRecording, SerialRecording, open_recording, parse_filter
+from aces_bus.recordings.pieces import open_any
 from aces_bus.recordings.window import TimeWindow
 
 from .console import (
@@ -40,7 +41,6 @@ from .console import (
     say,
     say_note,
 )
-from .decoding import open_any
 from .options import COLOR, FILTER, JSON, OUTPUT, PROTOCOL, Arguments, argument, duration, several
 from .output.columns import Page
 from .protocols_arg import parse_protocols

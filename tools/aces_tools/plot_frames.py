@@ -13,10 +13,10 @@ from aces_bus.errors import CallerError, CaptureError
 from aces_bus.frame_table import KEY_REMOTE, NO_TIME, FrameTable
 from aces_bus.protocol.columns.table import ColumnKind
 from aces_bus.recordings import CanRecording
+from aces_bus.recordings.pieces import open_any
 from aces_bus.recordings.window import TimeWindow
 
 from .console import Patience, Progress, check_not_read, counted, report_unreadable, say, say_note
-from .decoding import open_any
 from .plotting.bit_image import BitImage, BitImages
 from .plotting.bits import BitPicture, print_bits, save_bits
 from .plotting.identifiers import choose_identifiers, parse_identifiers

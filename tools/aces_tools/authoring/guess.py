@@ -40,6 +40,7 @@ from aces_bus.guess import (
 )
 from aces_bus.plain_text import printable
 from aces_bus.recordings import CanRecording
+from aces_bus.recordings.pieces import open_any
 
 from ..console import (
     Patience,
@@ -51,7 +52,6 @@ from ..console import (
     say_note,
     write_text,
 )
-from ..decoding import open_any
 from ..options import COLOR, JSON, OUTPUT, Arguments, argument, flag
 from ..output.columns import Page
 
