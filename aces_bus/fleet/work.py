@@ -13,9 +13,9 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -34,6 +34,8 @@ from .manifest import FLEET, Dataset, FleetInput, InputState, uri_key
 from .parts import DayParts, LocalPart
 from .recipe import Recipe
 from .stores import Place, StoreError, StoreReader, hash_of_file, said
+
+T = TypeVar("T")
 
 #: Seconds before an input is begun anew, once.
 AGAIN_S = 1.0
@@ -118,7 +120,7 @@ class InputWork:
         except Exception as error:
             return self.entry("missing", faults=[_words(self.task.uri, error)])
 
-    def _tried(self, call: Any) -> Any:
+    def _tried(self, call: Callable[[], T]) -> T:
         try:
             return call()
         except StoreError:  # which has been patient already: of what cannot be read on, or has changed
@@ -347,8 +349,7 @@ class InputWork:
 
     def piece(self, number: int, span: tuple[int, int], absolute: bool | None) -> PieceDone:
         """Decode and place one of several pieces; what hangs on others is handed over."""
-        done: PieceDone = self._tried(lambda: self._piece(number, span, absolute))
-        return done
+        return self._tried(lambda: self._piece(number, span, absolute))
 
     def _piece(self, number: int, span: tuple[int, int], absolute: bool | None) -> PieceDone:
         reader = StoreReader(self.task.uri, span)
@@ -440,7 +441,8 @@ class InputWork:
 
 def _least(some: Sequence[int | None], choose: Any) -> int | None:
     known = [one for one in some if one is not None]
-    return choose(known) if known else None
+    found: int | None = choose(known) if known else None
+    return found
 
 
 def _words(uri: str, error: BaseException) -> str:
