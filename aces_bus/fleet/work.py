@@ -349,8 +349,7 @@ class InputWork:
 
     def piece(self, number: int, span: tuple[int, int], absolute: bool | None) -> PieceDone:
         """Decode and place one of several pieces; what hangs on others is handed over."""
-        done: PieceDone = self._tried(lambda: self._piece(number, span, absolute))
-        return done
+        return self._tried(lambda: self._piece(number, span, absolute))
 
     def _piece(self, number: int, span: tuple[int, int], absolute: bool | None) -> PieceDone:
         reader = StoreReader(self.task.uri, span)
@@ -442,7 +441,8 @@ class InputWork:
 
 def _least(some: Sequence[int | None], choose: Any) -> int | None:
     known = [one for one in some if one is not None]
-    return choose(known) if known else None
+    found: int | None = choose(known) if known else None
+    return found
 
 
 def _words(uri: str, error: BaseException) -> str:
