@@ -132,7 +132,7 @@ def wrapped(text: str, first: str, others: str) -> list[str]:
 def _message(message: MessageGuess, own: str, nodes: dict[str, str]) -> Iterator[str]:
     key = message.keys[0]
     said = f"{message.shown}: {message.frames:,} frames"
-    if message.timing is not None:
+    if message.timing is not None and message.frames > 2:
         rate = f"every {message.timing.period_ns / 1e6:.4g} ms"
         said += f", {rate}" if message.timing.is_regular else f", at no fixed rate (mostly {rate})"
     if message.node is not None:

@@ -282,7 +282,7 @@ def _constants(sample: Rows, free: Array) -> list[FieldGuess]:
                 "little",
                 "constant",
                 confidence,
-                f"{shown} in {sample.total} messages",
+                f"{shown} in {sample.total} message{'s' if sample.total > 1 else ''}",
                 value=value,
             )
         )

@@ -234,7 +234,7 @@ def _identifier(key: int) -> str:
 
 def _headline(message: MessageGuess) -> str:
     parts = [f"{message.shown}  {counted(message.frames, 'frame')}"]
-    if message.timing is not None:
+    if message.timing is not None and message.frames > 2:
         period, jitter = message.timing.period_ns / 1e6, message.timing.jitter_ns / 1e6
         parts.append(
             f"every {period:.4g} ms ± {jitter / 2:.2g}" if message.timing.is_regular else "at no fixed rate"

@@ -219,6 +219,12 @@ class BitImages:
         zero = self.start if origin is None else origin
         return (self.start - zero) / self.unit, (self.start + self.used * self.width - zero) / self.unit
 
+    def begin(self, image: BitImage, origin: int | None = None) -> float:
+        """When the first frame of an image came: its joined bins may begin before it."""
+        (there,) = image.frames.nonzero()
+        place = int(there[0]) if len(there) else 0
+        return self.extent(1, place, origin)[1]
+
     def extent(self, count: int, size: int, origin: int | None = None) -> tuple[float, float]:
         """Where an array of `size` columns of `count` bins begins and ends."""
         begin, _ = self.seconds(origin)

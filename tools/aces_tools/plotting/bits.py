@@ -75,6 +75,7 @@ def save_bits(picture: BitPicture, path: str) -> None:
 def draw_bits(picture: BitPicture, figure: Any) -> None:
     """Draw into a matplotlib figure, and make it as large as it needs to be."""
     import matplotlib.colors as colours
+    from matplotlib.patches import Rectangle
 
     chosen, images = picture.chosen, picture.images
     count = len(chosen)
@@ -110,6 +111,8 @@ def draw_bits(picture: BitPicture, figure: Any) -> None:
                 cmap=shades,
                 norm=norm,
             )
+            first = images.begin(image)
+            drawn.set_clip_path(Rectangle((first, 0), high - first, rates.shape[0], transform=ax.transData))
             ax.set_xlim(low, max(high, low + 1e-9))
             ax.grid(False)
             for edge in range(8, rates.shape[0] if image.length <= 16 else 0, 8):

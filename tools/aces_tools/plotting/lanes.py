@@ -68,10 +68,10 @@ class LanePicture:
             ax = figure.add_axes((left / WIDTH, BELOW / tall, wide / WIDTH, height / tall))
             left += wide + BETWEEN
             self._lanes(ax, part, changes, max(1, round(wide * DPI)))
+            _shade(ax, self._images[part], found.a if part == "a" else found.b)
             if len(parts) > 1:
                 ax.set_title(f"{part.upper()}  {names['ab'.index(part)]}", parse_math=False)
             else:
-                _shade(ax, self._images[part], found.b, len(changes))
                 ax.set_title(f"A  {names[0]}      B (orange)  {names[1]}", parse_math=False)
             if part == parts[0]:
                 labels = [f"{one.subject}  {one.place or one.kind}" for one in changes]
@@ -95,6 +95,7 @@ class LanePicture:
 
     def _lanes(self, ax: Any, part: str, changes: Sequence[TrafficChange], pixels: int) -> None:
         import matplotlib.colors as colours
+        from matplotlib.patches import Rectangle
 
         images = self._images[part]
         low, high = images.seconds()
@@ -107,7 +108,7 @@ class LanePicture:
                 continue
             count, lane = _lane(images, image, change, pixels)
             begin, end = images.extent(count, len(lane))
-            ax.imshow(
+            drawn = ax.imshow(
                 np.ma.masked_invalid(lane)[None, :],
                 extent=(begin, end, row + 0.92, row + 0.08),
                 aspect="auto",
@@ -116,6 +117,8 @@ class LanePicture:
                 vmin=0.0,
                 vmax=1.0,
             )
+            first = images.begin(image)
+            drawn.set_clip_path(Rectangle((first, row), high - first, 1, transform=ax.transData))
         ax.set_xlim(low, max(high, low + 1e-9))
         ax.set_ylim(len(changes), 0)
         ax.grid(False)
@@ -146,10 +149,12 @@ def _lane(images: BitImages, image: BitImage, change: TrafficChange, pixels: int
     return count, mine[:, list(bits)] @ weights / weights.sum()
 
 
-def _shade(ax: Any, images: BitImages, b: ComparedSide, lanes: int) -> None:
-    """Show B's times."""
+def _shade(ax: Any, images: BitImages, side: ComparedSide) -> None:
+    """Show the times of a side, where it is not the whole recording."""
     low, high = images.seconds()
-    for window in b.windows:
+    for window in side.windows:
+        if window.bounds == (None, None):
+            continue
         start, stop = ((None if at is None else (at - images.start) / images.unit) for at in window.bounds)
         begin, end = low if start is None else max(low, start), high if stop is None else min(high, stop)
         if end > begin:
