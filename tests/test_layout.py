@@ -33,6 +33,7 @@ FLOORS: dict[str, set[str]] = {
     "frames": set(),
     "frame_table": set(),  # the same frames as columns
     "plain_text": set(),  # text of others, made harmless for terminals and sheets
+    "loopback": set(),  # which addresses are of this machine
     "compiling": set(),  # what modules that may be compiled say of their classes
     "_lazy": set(),  # public names imported on use
     "plugins": set(),  # what installed packages bring
@@ -65,7 +66,7 @@ FLOORS: dict[str, set[str]] = {
     "budget": {"runtime", "protocol", "hardware", "device", "robot"},
     "testing": {"runtime", "protocol", "recordings", "hardware", "device", "state", "controller", "robot"},
 }
-EVERYONE = {"errors", "frames", "frame_table", "plain_text", "compiling", "_lazy", "plugins"}
+EVERYONE = {"errors", "loopback", "frames", "frame_table", "plain_text", "compiling", "_lazy", "plugins"}
 
 
 def module_name(path: Path) -> tuple[str, bool]:

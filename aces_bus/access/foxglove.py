@@ -31,11 +31,12 @@ from ..errors import CallerError
 from ..export.base import Dataset, Datasets, Options
 from ..export.topics import STATES_TOPIC, TableTopics, states_schema
 from ..kinematics import Body, Links
+from ..loopback import is_loopback
 from ..protocol import CanScanner, Variant, make_scanner
 from ..protocol.columns.scanner import RecordColumns
 from ..protocol.declare.message import Direction
 from ..runtime import Clock, RealClock
-from .origins import OriginGate, hidden_host, is_loopback
+from .origins import OriginGate, hidden_host
 
 #: Foxglove's own port.
 HOST, PORT = "127.0.0.1", 8765

@@ -19,6 +19,7 @@ from contextlib import contextmanager, suppress
 from urllib.parse import urlsplit
 
 from ..errors import CallerError
+from ..loopback import is_loopback
 
 #: The app in the browser; the desktop's pages are files.
 APP_ORIGINS = frozenset(("https://app.foxglove.dev", "file://"))
@@ -37,15 +38,10 @@ def hidden_host() -> str:
     return f"127.{a}.{b}.{1 + c % 254}"
 
 
-def is_loopback(host: str) -> bool:
-    """Whether an address or name is of this machine alone."""
-    return host in ("localhost", "::1") or (host.startswith("127.") and host.count(".") == 3)
-
-
 def is_allowed(origin: str, origins: Collection[str] = ()) -> bool:
     """Whether a page may look: the app, pages of this machine, and those of `origins`.
 
-    >>> is_allowed("https://app.foxglove.dev"), is_allowed("http://localhost:8080"), is_allowed("https://evil.example")
+    >>> is_allowed("https://app.foxglove.dev"), is_allowed("http://localhost:8080"), is_allowed("https://127.0.evil.example")
     (True, True, False)
     """
     if origin in APP_ORIGINS or origin in origins:

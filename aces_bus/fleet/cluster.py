@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import logging
 import os
 import re
@@ -22,6 +21,7 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 from ..errors import CallerError
+from ..loopback import is_loopback
 
 #: Seconds that a cluster may take until it has a worker.
 WORKERS_S = 120
@@ -183,10 +183,7 @@ def exposure(cluster: Any) -> str | None:
     if not found or scheme in ("tls", "inproc", "wss"):
         return None
     host = rest.rpartition(":")[0].strip("[]") or rest
-    with suppress(ValueError):
-        if ipaddress.ip_address(host).is_loopback:
-            return None
-    if host == "localhost":
+    if is_loopback(host):
         return None
     return (
         f"{address} is not tls://: whoever reaches this scheduler runs programs on its workers, and reads what they say"

@@ -285,3 +285,20 @@ def test_the_end_is_clean() -> None:
         assert not thread.is_alive(), thread.name
     with socket.create_server(("127.0.0.1", view.port)):
         pass
+
+
+@pytest.mark.parametrize(
+    ("origin", "may"),
+    [
+        ("http://127.0.0.1:3000", True),
+        ("https://localhost", True),
+        ("http://[::1]:8080", True),
+        ("https://127.evil.example.com", False),
+        ("https://localhost.evil.example", False),
+        ("null", False),
+        ("https://app.foxglove.dev.evil.example", False),
+    ],
+)
+def test_which_pages_may_look(origin: str, may: bool) -> None:
+    """Pages of this machine; not of a name that looks like one of its addresses."""
+    assert is_allowed(origin) is may

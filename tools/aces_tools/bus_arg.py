@@ -24,6 +24,7 @@ from glob import glob
 from typing import TYPE_CHECKING, Any, Literal
 
 from aces_bus.errors import CallerError, first_names
+from aces_bus.loopback import is_loopback
 from aces_bus.protocol import Variant
 
 from .options import Group, argument, at_least, flag
@@ -143,7 +144,7 @@ class ChosenBus:
         host, port = self.options["address"]
         if listen_only:
             return DatagramGate((host, port), name=self.name, listen_only=True)
-        near = LOOPBACK if host.startswith("127.") or host == "localhost" else "0.0.0.0"
+        near = LOOPBACK if is_loopback(host) else "0.0.0.0"
         return DatagramGate((near, 0), peer=(host, port), name=self.name)
 
     def start(self, gate: AnyGate) -> None:

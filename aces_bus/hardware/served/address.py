@@ -9,7 +9,6 @@ says where they listen; that is how `aces bus list` and `can.detect_available_co
 
 from __future__ import annotations
 
-import ipaddress
 import json
 import os
 import socket
@@ -23,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import CallerError
+from ...loopback import is_loopback
 
 #: socketcand's port; the one after it is ours.
 SOCKETCAND_PORT, PORT = 29536, 29537
@@ -107,7 +107,7 @@ def check_loopback(host: str, port: int) -> None:
     except OSError as error:
         raise CallerError(f"{host}: {error.strerror or error}") from error
     for _, _, _, _, where in found:
-        if not ipaddress.ip_address(str(where[0]).partition("%")[0]).is_loopback:
+        if not is_loopback(str(where[0])):
             raise CallerError(
                 f"{host} can be reached from other machines, and whoever does may send; say --bind-anywhere if you mean it"
             )
