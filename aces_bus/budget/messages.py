@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from ..errors import CallerError, UnknownNameError
-from ..frames import Frame
+from ..frames import FD_LENGTHS, Frame
 from ..hardware.simulated.bus import arbitration
 from ..hardware.simulated.frame_time import INTERMISSION, longest_bits
 
@@ -23,8 +23,14 @@ _SECOND = 1_000_000_000
 
 
 def bits_ns(bits: int, bitrate: int) -> int:
-    """How long so many bits are (ns, rounded up)."""
+    """How long so many bits are (ns, rounded up). Raises `CallerError` for a rate that is none."""
+    _check_rate(bitrate)
     return -(-bits * _SECOND // bitrate)
+
+
+def _check_rate(rate: int | None) -> None:
+    if rate is not None and rate <= 0:
+        raise CallerError(f"{rate} bit/s is no rate of a bus")
 
 
 def frame_ns(
@@ -38,8 +44,12 @@ def frame_ns(
 ) -> int:
     """The longest that a data frame of `size` bytes can occupy the bus (ns, rounded up), its intermission included.
 
-    Rates are in bit/s; `data_bitrate` counts with `bitrate_switch` only.
+    Rates are in bit/s; `data_bitrate` counts with `bitrate_switch` only. Raises `CallerError` for what no frame can be.
     """
+    if size not in (FD_LENGTHS if fd else range(9)):
+        raise CallerError(f"no {'CAN FD' if fd else 'classic CAN'} frame has {size} bytes")
+    _check_rate(bitrate)
+    _check_rate(data_bitrate)
     found = longest_bits(size, extended=extended, fd=fd, bitrate_switch=bitrate_switch)
     rate = (data_bitrate if bitrate_switch else None) or bitrate
     bits = (found.nominal + INTERMISSION) * rate + found.data * bitrate
@@ -95,7 +105,6 @@ def can_message(
     >>> can_message("speed", 0x120, 8, 10_000_000, bitrate=1_000_000).wire_ns
     135000
     """
-    frame = Frame(identifier, bytes(size), is_extended_id=extended, is_fd=fd, bitrate_switch=bitrate_switch)
     wire_ns = frame_ns(
         size,
         bitrate,
@@ -104,6 +113,7 @@ def can_message(
         bitrate_switch=bitrate_switch,
         data_bitrate=data_bitrate,
     )
+    frame = Frame(identifier, bytes(size), is_extended_id=extended, is_fd=fd, bitrate_switch=bitrate_switch)
     return BusMessage(name, arbitration(frame), wire_ns, period_ns, jitter_ns, deadline_ns, node)
 
 

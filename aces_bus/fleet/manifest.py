@@ -97,7 +97,7 @@ def uri_key(uri: str) -> str:
     return hashlib.blake2b(uri.encode("utf-8", "surrogateescape"), digest_size=10).hexdigest()
 
 
-class Dataset:
+class FleetDataset:
     """The folder of a run: parts, manifest, journal. Raises `CallerError` for a folder that holds something else."""
 
     def __init__(self, uri: str) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ..errors import CallerError
 from ..recordings.base import Link
 from ..recordings.totals import Totals
-from .manifest import Dataset, FleetInput, InputState, joined_totals
+from .manifest import FleetDataset, FleetInput, InputState, joined_totals
 
 
 @dataclass
@@ -54,7 +54,7 @@ class FleetStatus:
 
 def status(dataset: str) -> FleetStatus:
     """What a dataset consists of; also while a run writes it. Raises `CallerError` where there is none."""
-    place = Dataset(dataset)
+    place = FleetDataset(dataset)
     place.check()
     inputs = place.manifest()
     journal = place.journal()

@@ -74,21 +74,30 @@ class FleetProtocol(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
         return cls(name=protocol, files=files, dialect=dialect, configuration=tables, channel=channel)
 
     def variant(self, folder: str) -> Variant:
-        """The protocol in its dialect and configuration; its files are written into a folder of their own in `folder`."""
-        where = self.name
-        if self.files:
-            place = tempfile.mkdtemp(dir=folder)
-            for name, data in self.files.items():
-                if os.path.basename(name) != name or name in ("", ".", ".."):
-                    raise CallerError(f"{name!r} is no name of a file beside the protocol's")
-                with open(os.path.join(place, name), "wb") as file:
-                    file.write(data)
-            where = os.path.join(place, self.name)
+        """The protocol in its dialect and configuration; its files are written into a folder of their own in `folder`.
+
+        Raises `CallerError` where they cannot be.
+        """
+        where = os.path.join(self._written(folder), self.name) if self.files else self.name
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what of a database is left out was said where the run began
             protocol = load_protocol(where)
         found = protocol.variant(self.dialect, self.configuration or None)
         return found if self.channel is None else found.on(self.channel)
+
+    def _written(self, folder: str) -> str:
+        """The folder with the protocol's files."""
+        for name in self.files:
+            if os.path.basename(name) != name or name in ("", ".", ".."):
+                raise CallerError(f"{name!r} is no name of a file beside the protocol's")
+        try:
+            place = tempfile.mkdtemp(dir=folder)
+            for name, data in self.files.items():
+                with open(os.path.join(place, name), "wb") as file:
+                    file.write(data)
+        except (OSError, ValueError) as error:
+            raise CallerError(f"{folder!r}: {error}") from error
+        return place
 
 
 def _read_files(path: str) -> dict[str, bytes]:

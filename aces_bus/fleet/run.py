@@ -24,9 +24,9 @@ from ..recordings.pieces import Direction
 from ..recordings.source import cut_lines
 from ..recordings.totals import Totals
 from .cluster import Workers, exposure, open_workers
-from .manifest import Dataset, FleetInput, joined_totals, uri_key
+from .manifest import FleetDataset, FleetInput, joined_totals, uri_key
 from .recipe import FleetProtocol, Recipe, Unknown
-from .stores import Place, StoredFile, StoreError, StoreReader, said
+from .stores import Place, StoredFile, StoreError, StoreReader, cause_of
 from .work import FleetTask, decode_input, decode_piece, finish_input
 
 #: Seconds between two writings of the manifest, at least; and how much longer than one writing takes.
@@ -131,13 +131,15 @@ def decode(
     )
     if exposed := exposure(cluster):
         note(exposed)
-    run = _Run(Dataset(dataset), recipe, progress or (lambda _: None))
+    run = _Run(FleetDataset(dataset), recipe, progress or (lambda _: None))
     run.plan([inputs] if isinstance(inputs, str) else inputs)
     return run.run(cluster)
 
 
 class _Run:
-    def __init__(self, dataset: Dataset, recipe: Recipe, progress: Callable[[FleetProgress], object]) -> None:
+    def __init__(
+        self, dataset: FleetDataset, recipe: Recipe, progress: Callable[[FleetProgress], object]
+    ) -> None:
         self.dataset, self.tell = dataset, progress
         dataset.check()
         data = recipe.encoded()
@@ -260,11 +262,11 @@ class _Run:
             ) as error:  # Dask's: a worker died over it again and again, or the cluster is gone
                 kind = type(error).__name__
                 if kind in ("CancelledError", "FutureCancelledError", "CommClosedError"):
-                    raise CallerError(f"the cluster is gone: {said(error)}") from error
+                    raise CallerError(f"the cluster is gone: {cause_of(error)}") from error
                 if kind == "KilledWorker" and not again:
                     suspects.append(task)
                     continue
-                words = "its workers died: too little memory?" if kind == "KilledWorker" else said(error)
+                words = "its workers died: too little memory?" if kind == "KilledWorker" else cause_of(error)
                 yield self._missing(task, f"{task.uri}: {words}")
 
     def _missing(self, task: FleetTask, fault: str) -> FleetInput:

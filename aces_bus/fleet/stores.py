@@ -75,12 +75,12 @@ def patiently(name: str, call: Callable[[], T]) -> T:
             return call()
         except Exception as error:  # each store raises its own
             if isinstance(error, _FINAL) or wait is None:
-                raise StoreError(f"{name}: {said(error)}") from error
+                raise StoreError(f"{name}: {cause_of(error)}") from error
         time.sleep(wait)
     raise AssertionError
 
 
-def said(error: BaseException) -> str:
+def cause_of(error: BaseException) -> str:
     """What a store's exception says, in one line."""
     if isinstance(error, FileNotFoundError):
         return "no such file"
@@ -106,9 +106,9 @@ class Place:
         try:
             self.fs, self.path = fsspec.core.url_to_fs(uri)
         except (ImportError, ValueError) as error:
-            raise CallerError(f"{uri}: {said(error)}") from error
+            raise CallerError(f"{uri}: {cause_of(error)}") from error
         except Exception as error:  # a store that connects at once
-            raise StoreError(f"{uri}: {said(error)}") from error
+            raise StoreError(f"{uri}: {cause_of(error)}") from error
         self.is_local = isinstance(self.fs, fsspec.implementations.local.LocalFileSystem)
         #: The URI's part that is not the path: `sftp://user@host:22`.
         self._before = ""

@@ -30,10 +30,10 @@ from ..recordings.base import Link
 from ..recordings.open import open_part
 from ..recordings.pieces import CaptureReading, SerialWays, make_can_scanner, open_any, pieces_of
 from ..recordings.totals import Totals
-from .manifest import FLEET, Dataset, FleetInput, InputState, uri_key
+from .manifest import FLEET, FleetDataset, FleetInput, InputState, uri_key
 from .parts import DayParts, LocalPart
 from .recipe import Recipe
-from .stores import Place, StoreError, StoreReader, hash_of_file, said
+from .stores import Place, StoreError, StoreReader, hash_of_file, cause_of
 
 T = TypeVar("T")
 
@@ -70,7 +70,7 @@ class PieceDone(msgspec.Struct):
 _loaded: dict[str, tuple[Recipe, dict[Link, list[Variant]], Any]] = {}
 
 
-def _recipe_of(dataset: Dataset, task: FleetTask) -> tuple[Recipe, dict[Link, list[Variant]]]:
+def _recipe_of(dataset: FleetDataset, task: FleetTask) -> tuple[Recipe, dict[Link, list[Variant]]]:
     if task.version != __version__:
         raise CallerError(
             f"a worker has aces-bus {__version__}, and the run is of {task.version}: install the same on all"
@@ -107,7 +107,7 @@ class InputWork:
 
     def __init__(self, task: FleetTask) -> None:
         self.task = task
-        self.dataset = Dataset(task.dataset)
+        self.dataset = FleetDataset(task.dataset)
         self.recipe, self.variants = _recipe_of(self.dataset, task)
         self._began = time.monotonic()
 
@@ -148,7 +148,7 @@ class InputWork:
                 entry.hash = found
                 self._place(entry, parts)
         except OSError as error:
-            raise StoreError(f"{task.uri}: {said(error)}") from error
+            raise StoreError(f"{task.uri}: {cause_of(error)}") from error
         finally:
             if reader is not None:
                 reader.close()
@@ -447,5 +447,5 @@ def _least(some: Sequence[int | None], choose: Any) -> int | None:
 
 def _words(uri: str, error: BaseException) -> str:
     """What is said of an input that could not be decoded for another reason than its contents."""
-    text = str(error) if isinstance(error, AcesError) else f"{type(error).__name__}: {said(error)}"
+    text = str(error) if isinstance(error, AcesError) else f"{type(error).__name__}: {cause_of(error)}"
     return text if uri in text else f"{uri}: {text}"

@@ -34,18 +34,18 @@ class FittingProtocol:
     variant: Variant
 
 
-def fitting_protocols(link: str, piece: Any) -> list[FittingProtocol]:
-    """The installed protocols that decode most of a piece (a `FrameTable` where `link` is "can", else bytes), best first."""
-    return sorted(_fitting(link, piece), key=lambda one: -one.share)
+def fitting_protocols(piece: FrameTable | bytes) -> list[FittingProtocol]:
+    """The installed protocols that decode most of some CAN frames, or of the bytes of a serial line, best first."""
+    return sorted(_fitting(piece), key=lambda one: -one.share)
 
 
-def _fitting(link: str, piece: Any) -> Iterator[FittingProtocol]:
+def _fitting(piece: FrameTable | bytes) -> Iterator[FittingProtocol]:
     for name in list_protocols():
         try:
             protocol = load_protocol(name)
         except AcesError:
             continue
-        if (protocol.link == "can") != (link == "can"):
+        if (protocol.link == "can") != isinstance(piece, FrameTable):
             continue
         found: list[FittingProtocol] = []
         for dialect, configuration in product(protocol.dialects or [""], protocol.configurations or [""]):

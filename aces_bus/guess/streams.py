@@ -126,7 +126,7 @@ class StreamTraffic:
         """What is in it; with `known` installed protocols are tried first, and where one fits nothing is guessed."""
         lines = list(self._lines.values())
         whole = b"".join(data for line in lines for data, _ in line.chunks)
-        fitting = tuple(fitting_protocols("serial", whole[:TRIED_BYTES])) if known and whole else ()
+        fitting = tuple(fitting_protocols(whole[:TRIED_BYTES])) if known and whole else ()
         if fitting:
             return StreamGuess((), (), (), self.bytes, self.kept, 0, fitting)
         framings = framings_of(_sample(lines))

@@ -156,7 +156,7 @@ class Traffic:
         fitting: list[FittingProtocol] = []
         decoded = 0
         if known and len(frames):
-            fitting = fitting_protocols("can", frames.take(slice(0, TRIED_FRAMES)))
+            fitting = fitting_protocols(frames.take(slice(0, TRIED_FRAMES)))
             if fitting:
                 left = undecoded(fitting[0].variant, frames)
                 decoded = len(frames) - len(left)

@@ -34,8 +34,8 @@ from .source import Dice
 
 #: Words a second, where the caller says nothing.
 RATE = 50.0
-#: How long the driver has to set the device up (ns).
-SET_UP_NS = 1_000_000_000
+#: How long the driver has to set the device up (ns), and how often it is waited for so long until something comes.
+SET_UP_NS, SET_UP_TRIES = 1_000_000_000, 10
 
 
 def asking_rules(device: Device) -> tuple[frozenset[str], dict[str, dict[str, Collection[Any]]]]:
@@ -120,8 +120,11 @@ class LiveDeviceFuzzer:
         self.clock.call(self.tester.open)
         for host in self.rig.hosts.values():
             host.open()
-        self.tester.pass_time(SET_UP_NS)
-        fresh = self._fresh = measured(self.tester)
+        for _ in range(SET_UP_TRIES):
+            self.tester.pass_time(SET_UP_NS)
+            fresh = self._fresh = measured(self.tester)
+            if fresh.answers or fresh.periods:
+                break
         if not fresh.answers and not fresh.periods:
             raise DeviceError(
                 f"{self.name} neither answers its polls nor sends anything: nothing was sent to it"

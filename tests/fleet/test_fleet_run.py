@@ -16,7 +16,7 @@ from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.fleet import cluster as clusters
 from aces_bus.fleet import run as runs
 from aces_bus.fleet import stores
-from aces_bus.fleet.manifest import Dataset
+from aces_bus.fleet.manifest import FleetDataset
 from aces_bus.fleet.recipe import FleetProtocol, Recipe
 from aces_bus.fleet.stores import Place, StoreError
 from aces_bus.recordings import open as parts
@@ -262,7 +262,7 @@ def test_a_recipe_is_used_as_it_was_sent(drives: list[Path], dbc: str, tmp_path:
     assert Recipe.decoded(data, recipe.stem).protocols[0].files["truck.dbc"]
     with pytest.raises(CallerError, match="was changed: it is not used"):
         Recipe.decoded(data.replace(b"hide", b"show") + b" ", recipe.stem)
-    Dataset(str(lake)).check()
+    FleetDataset(str(lake)).check()
 
 
 def test_a_store_that_fails_and_is_slow(

@@ -337,7 +337,7 @@ def test_packets_of_several_frames(name: str, tmp_path: Path) -> None:
                 assert [one.get("problem") for one in messages] == [[reason]], (number, both[0])
         else:
             compare(variant, both[0], both[1], messages[0])
-    assert sum(reason.startswith("malformed: frame") for reason in reasons) >= 2, reasons
+    assert any(reason.startswith("malformed: frame") for reason in reasons), reasons
 
 
 def check_stream(folder: Path, variant: Variant, direction: Any, words: Sequence[bytes]) -> set[str]:

@@ -44,7 +44,7 @@ def forget() -> None:
     for name, module in list(sys.modules.items()):
         if name.startswith("aces_bus"):
             for value in list(vars(module).values()):
-                if hasattr(value, "cache_clear"):
+                if hasattr(type(value), "cache_clear"):
                     value.cache_clear()
 
 

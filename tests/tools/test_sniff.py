@@ -247,7 +247,7 @@ def test_filters_apply_to_what_is_shown_and_not_to_what_is_recorded(
     opened.then(walk(node))
     wanted = f"{node.channel},060:7F0"
     found = aces("sniff", *node.options, "-p", arm, "--filter", wanted, "-n", 3, "--record", record)
-    assert len([line for line in found.out.splitlines() if " 06" in line]) == 3
+    assert len([line for line in found.out.splitlines() if "rx  06" in line]) == 3
     assert found.summary["filtered"] == 2
     assert len(list(open_recording(record, link="can"))) == 5
     opened.event.clear()

@@ -274,7 +274,7 @@ def _advise(page: Page, name: str, link: str, piece: Any) -> None:
     """Say what to type next."""
     if piece is None:
         return
-    fitting = fitting_protocols(link, piece)[:NAMED]
+    fitting = fitting_protocols(piece)[:NAMED]
     command = "… | aces decode" if name == "-" else f"aces decode {shlex.quote(name)}"
     page.lines([""])
     for one in fitting:

@@ -167,7 +167,7 @@ class ColumnDecoding(TableDecoding):
     def __init__(self, arguments: argparse.Namespace, form: str) -> None:
         super().__init__(arguments)
         self.where = WhereColumns(arguments.where, self.plans) if arguments.where else None
-        self.columns = named_columns(arguments.signals, self.plans)
+        self.columns = wanted_columns(arguments.signals, self.plans)
         show = arguments.unknown or "hide"
         self.shows_records, self.shows_losses = show != "only", show != "hide"
         # Filters by frame and by time also refuse what is not decoded: they need to see it.
@@ -248,7 +248,7 @@ class ColumnDecoding(TableDecoding):
         self.export.write(shown, source=self.source, columns=self.columns)
 
 
-def named_columns(texts: Sequence[str], plans: Plans) -> dict[str, list[str]] | None:
+def wanted_columns(texts: Sequence[str], plans: Plans) -> dict[str, list[str]] | None:
     """The columns that --signals names, of each message that has some; None: all."""
     globs = [one.strip() for text in texts for one in text.split(",")]
     if not globs:

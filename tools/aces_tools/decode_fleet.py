@@ -14,7 +14,7 @@ from aces_bus.fleet import FleetInput, FleetProgress, FleetProtocol, FleetRun
 from aces_bus.fleet import decode as decode_with_fleet
 
 from .console import SHOWN, StatusLine, say, say_note
-from .decode_columns import named_columns
+from .decode_columns import wanted_columns
 from .decoding import named_messages
 from .output.shape import plans_of
 from .protocols_arg import named_protocol
@@ -50,7 +50,7 @@ def decode_fleet(arguments: argparse.Namespace) -> int:
             cluster=arguments.cluster,
             direction=arguments.direction,
             message=named_messages(arguments.message, plans),
-            columns=named_columns(arguments.signals, plans),
+            columns=wanted_columns(arguments.signals, plans),
             unknown=arguments.unknown or "hide",
             names=arguments.names,
             float32=arguments.float32,

@@ -3,10 +3,10 @@
   aces spec guess drive.log             what is on this bus: messages, rates,
                                         fields, requests and replies
   aces spec guess drive.log -o draft.py
-                                        a spec of it that loads and decodes, with
-                                        the evidence in comments, for you to edit
+                                        a spec of it that loads and decodes,
+                                        evidence in comments, for you to edit
   aces spec guess a.log b.log           several recordings of one bus
-  aces spec guess gnss.bin              a serial line: sync bytes, length, check,
+  aces spec guess gnss.bin              a serial line: sync, length, check,
                                         what tells packets apart, their fields
   aces spec guess drive.log --no-known  do not try the installed protocols first
   aces spec guess drive.log --json      all guesses, for programs
