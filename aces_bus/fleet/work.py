@@ -33,7 +33,7 @@ from ..recordings.totals import Totals
 from .manifest import FLEET, FleetDataset, FleetInput, InputState, uri_key
 from .parts import DayParts, LocalPart
 from .recipe import Recipe
-from .stores import Place, StoreError, StoreReader, hash_of_file, cause_of
+from .stores import Place, StoreError, StoreReader, cause_of, hash_of_file
 
 T = TypeVar("T")
 

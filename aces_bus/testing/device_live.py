@@ -120,17 +120,21 @@ class LiveDeviceFuzzer:
         self.clock.call(self.tester.open)
         for host in self.rig.hosts.values():
             host.open()
+        fresh = self._after_set_up()
         for _ in range(SET_UP_TRIES):
-            self.tester.pass_time(SET_UP_NS)
-            fresh = self._fresh = measured(self.tester)
-            if fresh.answers or fresh.periods:
-                break
+            if not fresh.answers and not fresh.periods:
+                fresh = self._after_set_up()
         if not fresh.answers and not fresh.periods:
             raise DeviceError(
                 f"{self.name} neither answers its polls nor sends anything: nothing was sent to it"
             )
         self.tester.ignored = {one.key for one in fresh.problems}
         self.tester.problems.clear()
+
+    def _after_set_up(self) -> FreshDevice:
+        self.tester.pass_time(SET_UP_NS)
+        self._fresh = measured(self.tester)
+        return self._fresh
 
     def run(self, words: int, progress: Callable[[], bool] | None = None) -> DeviceFinding | None:
         """Send so many words, or until something is wrong: what was found."""
