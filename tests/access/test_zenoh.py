@@ -187,7 +187,7 @@ def test_a_controller_that_falls_silent_is_told_to_the_robot(loop: Loop, endpoin
         assert [event.kind for event in side.publisher.events.last] == ["lost"]
         states["knee"].set(2.0)
         assert soon(lambda: side.taken == [1.0, 2.0])
-        assert soon(lambda: len(called) == 2)
+        assert soon(lambda: len(called) >= 2, 30.0)
 
 
 def test_junk_is_counted_on_both_sides(loop: Loop, endpoint: str) -> None:

@@ -136,6 +136,7 @@ def test_what_is_no_message_is_refused() -> None:
         ErrorModel(-1)
 
 
+@pytest.mark.slow
 def test_drawn_sets_take_no_longer_on_the_simulated_bus() -> None:
     """Twenty sets, every other one with FIFOs, from the critical instant and other phasings: nothing is beyond its bound."""
     assert not check_sets(20, 2, seconds=10, phasings=2)

@@ -74,6 +74,7 @@ def latest_seen(robot: VirtualRobot, bus: str, seconds: float, tick_ns: int) -> 
     return seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "bus", "rate_hz"),
     [("quadruped", "LF", 500.0), pytest.param("hubo2plus", "lower", 200.0, marks=pytest.mark.slow)],

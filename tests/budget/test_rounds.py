@@ -92,6 +92,7 @@ def played(
     return worst
 
 
+@pytest.mark.slow
 def test_no_schedule_is_longer_than_its_bound() -> None:
     """Host queues of both kinds, answers as late as they may be or sooner, overruns, messages that come by themselves."""
     bounded, near = 0, list[float]()

@@ -24,6 +24,7 @@ from aces_bus.export.files import AppendFile
 from aces_bus.robot import run_virtual
 from aces_bus.runtime import RealClock, VirtualClock
 from tests.device.fan import ROBOT, drivers, robot_of
+from tests.limits import small_disk
 
 MS = 1_000_000
 SUFFIXES = ["txt", "csv", "db", "parquet", "mcap"]
@@ -130,18 +131,11 @@ def test_a_slow_disk_never_holds_control_up(tmp_path: Path, monkeypatch: pytest.
     assert threading.active_count() == 1 or not any(t.name == log.name for t in threading.enumerate())
 
 
-@pytest.fixture
-def small_disk() -> Iterator[int]:
-    """No file may grow beyond 60 kB: the system refuses, as a full disk does."""
-    resource = pytest.importorskip("resource")
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, hard))
-    try:
+@pytest.fixture(name="small_disk")
+def of_60_kb() -> Iterator[int]:
+    """No file may grow beyond 60 kB."""
+    with small_disk(60_000):
         yield 60_000
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
-        signal.signal(signal.SIGXFSZ, before)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)

@@ -29,6 +29,7 @@ from aces_bus.protocol import Enumeration, Protocol, Quantity, Variant
 from aces_bus.protocol.columns.layout import DatasetLayout
 from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.columns.table import MessageTable
+from tests.limits import small_disk
 
 pq = pytest.importorskip("pyarrow.parquet")
 pa = pytest.importorskip("pyarrow")
@@ -392,7 +393,6 @@ def test_a_disk_that_fills_while_writing(
     form: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     """The one error names the export and not its temporary files, no library says more beside it, and no file stays."""
-    resource = pytest.importorskip("resource")
     path = f"{tmp_path}/{PLACES[form]}"
     export = open_export(path, variants=[ARM])
     several = [table for number in range(50) for table in tables(state(number, number))]
@@ -402,13 +402,10 @@ def test_a_disk_that_fills_while_writing(
             export.write(several)
         export.close()
 
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, before[1]))
     try:
-        with pytest.raises(CallerError) as raised:
+        with small_disk(2000), pytest.raises(CallerError) as raised:
             write()
     finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
         export.abandon()
     assert str(raised.value).startswith(f"{path.rstrip('/')}: cannot be written: ")
     assert capfd.readouterr() == ("", "")

@@ -138,6 +138,7 @@ class Killed(BaseException):
     """The process is gone: nothing that it meant to do afterwards happens."""
 
 
+@pytest.mark.slow
 def test_a_death_at_any_moment_loses_and_doubles_nothing(
     drives: list[Path], dbc: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -163,6 +163,7 @@ def test_stuffed_packets(name: str, stuffing: Cobs | Slip, mark: bytes) -> None:
     assert scanner.counts.decoded == len(data)
 
 
+@pytest.mark.slow
 def test_packets_between_silences_need_times() -> None:
     """As Modbus has them: no sync bytes, no length, a CRC at the end."""
     pieces, times, now = [], [], 0.0
@@ -180,6 +181,7 @@ def test_packets_between_silences_need_times() -> None:
     assert guess.decoded == sum(map(len, pieces))
 
 
+@pytest.mark.slow
 def test_two_framings_of_one_line() -> None:
     """Sentences between packets, as receivers of satellites send them."""
     data = b""

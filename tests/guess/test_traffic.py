@@ -187,6 +187,7 @@ def test_what_an_installed_protocol_decodes_is_not_guessed(monkeypatch: pytest.M
     assert len(guessed(frames).messages) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_any_frames_make_a_draft_that_accounts_for_them(seed: int, tmp_path: Path) -> None:
     """Noise of all kinds of frames and lengths, few and many."""

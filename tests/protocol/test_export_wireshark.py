@@ -308,6 +308,7 @@ def disturbed(frames: Sequence[Frame], rng: random.Random) -> list[Frame]:
     return [replace(frame, timestamp=0.01 * n + (5.0 if n > 60 else 0.0)) for n, frame in enumerate(found)]
 
 
+@pytest.mark.slow
 @needs_tshark
 @pytest.mark.parametrize("name", CARRIED)
 def test_packets_of_several_frames(name: str, tmp_path: Path) -> None:

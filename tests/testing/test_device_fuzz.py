@@ -71,6 +71,7 @@ def test_the_same_seed_finds_the_same(tmp_path: Path) -> None:
     assert one.save(tmp_path / "a.log").read_bytes() == other.save(tmp_path / "b.log").read_bytes()
 
 
+@pytest.mark.slow
 def test_what_is_left_out_is_not_sent() -> None:
     """A message, or one with some values of a field, however its frame was made; what there is not is named."""
     driver = pump(HangsOnABoundary)

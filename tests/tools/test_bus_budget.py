@@ -39,6 +39,7 @@ def test_a_budget_as_json_and_as_a_picture(aces: Aces, tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["budget.png"]
 
 
+@pytest.mark.slow
 def test_a_deadline_that_is_missed_is_status_1(aces: Aces) -> None:
     """It is named, with the time it has; assumptions are options."""
     result = aces("bus", "budget", "omnibot", "--rate", "300", "--all")

@@ -11,6 +11,7 @@ import pytest
 from aces_bus.recordings import open as parts
 from aces_tools import decode_jobs
 from aces_tools.main import main
+from tests.limits import small_disk
 
 pytest.importorskip("pyarrow")
 from pyarrow import parquet
@@ -135,14 +136,9 @@ def test_what_cannot_be_shared_is_said(log: Path, tmp_path: Path, capfd: Any) ->
 
 def test_a_full_disk_is_said_once(log: Path, tmp_path: Path, capfd: Any) -> None:
     """Whichever process meets it, the error names the output, ends the run, and leaves nothing."""
-    resource = pytest.importorskip("resource")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
     out = tmp_path / "out.parquet"
-    try:
+    with small_disk(1000):
         status, said, found = decoded(log, out, "--jobs", "2", capfd=capfd)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert (status, found) == (2, {})
     assert [line for line in said if "written" in line] == [f"aces: {out}: cannot be written: File too large"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["walk.log"]

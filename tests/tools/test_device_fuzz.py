@@ -70,6 +70,7 @@ def test_nothing_found(aces: Aces) -> None:
     assert made.err.endswith("seed=1: nothing found\n")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "link"), [("can_pump", "can"), ("serial_pump", "serial")])
 def test_what_play_repeats_breaks_a_fresh_twin(aces: Aces, name: str, link: str) -> None:
     """`aces sim` serves one, the printed `aces play` breaks it."""
@@ -87,6 +88,7 @@ def test_what_play_repeats_breaks_a_fresh_twin(aces: Aces, name: str, link: str)
         assert served.loop.wait(lambda: bool(vars(twin)["is_hung"]), WAIT_NS)
 
 
+@pytest.mark.slow
 def test_a_real_device(aces: Aces) -> None:
     """Without --tx nothing is sent, and what would be is said; with it the device is asked, and stopped at the end."""
     call = [

@@ -150,6 +150,7 @@ def test_a_protocol_names_signals(aces: Aces, arm: str, tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_streams_need_a_protocol(aces: Aces) -> None:
     """By name, with what to do; with one, messages are compared."""
     adc = ROOT / "examples" / "captures" / "adc.bin"
@@ -192,6 +193,7 @@ def test_a_wrong_call_is_refused(
     assert len(result.err.splitlines()) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["png", "svg"])
 def test_a_picture_has_a_lane_for_each_change(
     aces: Aces, car: Path, marks: Path, tmp_path: Path, suffix: str

@@ -111,7 +111,7 @@ def test_what_was_committed_reads_back_at_any_moment(tmp_path: Path, suffix: str
 
 def test_a_write_that_fails_leaves_what_was_committed(tmp_path: Path) -> None:
     """A full disk takes nothing of a piece, and the file still reads back whole, header and all."""
-    from tests.tools.conftest import small_disk
+    from tests.limits import small_disk
 
     path = tmp_path / "walk.blf"
     log = LogSeries(str(path), Rotation(), lambda name: LiveRecording(name, "can", "-o"), option="-o")

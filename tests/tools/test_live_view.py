@@ -88,6 +88,7 @@ def test_play_shows_a_recording_without_sending_it() -> None:
     assert 1000 < looker.viewer.messages["/hubo/Encoder"][0][0] / 1e9 < 1001
 
 
+@pytest.mark.slow
 def test_sniff_shows_what_it_prints(aces: Aces, monkeypatch: pytest.MonkeyPatch) -> None:
     """What filters let pass, also with -q; frames without a protocol are on /_lost."""
     opened, node, port = Opened(monkeypatch), Node(), free_port()
@@ -148,6 +149,7 @@ def test_a_port_that_is_taken_ends_a_command_before_it_touches_a_bus(aces: Aces)
     ]
 
 
+@pytest.mark.slow
 def test_who_else_can_look_is_said(aces: Aces) -> None:
     """An address that is not this machine's own warns, also with -q."""
     made = aces("play", HUBO, "-p", "hubo", "-q", "--foxglove", f"0.0.0.0:{free_port()}")

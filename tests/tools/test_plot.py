@@ -47,6 +47,7 @@ from aces_tools.plotting.series import (
     thin,
 )
 from aces_tools.protocols_arg import parse_protocols
+from tests.limits import small_disk
 
 from .conftest import Aces
 
@@ -557,16 +558,11 @@ def test_a_limit_far_from_all_values_is_drawn(
 
 def test_a_picture_that_cannot_be_written_leaves_what_was_there(aces: Aces, walk: Path, arm: str) -> None:
     """The picture of before, and no part of the new one."""
-    resource = pytest.importorskip("resource")
     out = walk.with_name("walk.png")
     out.write_bytes(b"before")
     files = sorted(walk.parent.glob("[!_]*"))
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
-    try:
+    with small_disk(1000):
         result = aces("plot", walk, "State.load", "-p", arm, "-o", out)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert result.status == 2
     assert f"{out}: cannot be written" in result.err
     assert out.read_bytes() == b"before"

@@ -206,6 +206,7 @@ def test_pictures_are_the_same_each_time(aces: Aces, bus: Path, tmp_path: Path, 
     assert path.read_bytes() == first
 
 
+@pytest.mark.slow
 def test_fifty_identifiers_have_room(aces: Aces, tmp_path: Path) -> None:
     """Each has its image, in three columns; of FD frames no byte is missing."""
     pytest.importorskip("matplotlib")

@@ -19,7 +19,8 @@ from aces_tools.running.figures import Watch
 from aces_tools.running.loading import default_states, load_controllers, make_loggers
 from aces_tools.running.panel import panel, plain_line, to_rich
 from tests.device.fan import ROBOT, drivers
-from tests.tools.conftest import Aces, small_disk
+from tests.limits import small_disk
+from tests.tools.conftest import Aces
 
 FANS = """
 name = "boards"

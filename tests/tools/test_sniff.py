@@ -36,7 +36,7 @@ from aces_bus.recordings.write.candump import CandumpWriter
 from aces_tools.live import BusEventLines
 from aces_tools.live_text import CandumpLines, Times
 from aces_tools.options import duration
-from tests.tools.conftest import small_disk
+from tests.limits import small_disk
 from tests.tools.live import WAIT_S, Node, Opened, interrupt
 
 Aces = Callable[..., Any]
