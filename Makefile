@@ -97,7 +97,7 @@ test-slow: $(VENV)/.dev ## the tests that take over half a second each: programs
 	$(PYTEST) -m slow $(ARGS)
 
 test-oracles: $(VENV)/.oracles ## vendors' own programs and peer libraries against our specs and twins
-	$(PYTEST) tests/oracles $(ARGS)
+	$(PYTEST) tests/oracles tests/fleet/test_fleet_stores.py $(ARGS)
 
 # LeRobot asks for far more than its bus class imports: that alone is installed, with PyTorch (TORCH names another build of it).
 LEROBOT := $(VENV)-lerobot
