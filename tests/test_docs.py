@@ -43,3 +43,10 @@ def test_each_job_of_the_python_page_takes_six_lines() -> None:
     typed = {job.partition("\n")[0]: len(re.findall(r"^(?:>>>|\.\.\.) ", job, re.MULTILINE)) for job in jobs}
     assert len(typed) >= 8
     assert {job: lines for job, lines in typed.items() if lines > 6} == {}
+
+
+def test_every_page_has_its_place_in_the_site() -> None:
+    """A page that is in no table of contents fails the build of the site, which is made less often than the tests."""
+    builder = (ROOT / "docs" / "build_site.py").read_text(encoding="utf-8")
+    pages = {path.stem for path in (ROOT / "docs").glob("*.md")} - {"index"}
+    assert {page for page in pages if f'"{page}"' not in builder} == set()
