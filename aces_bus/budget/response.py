@@ -4,7 +4,7 @@ one another.
 1. Exact for nodes that send by priority: Davis, Burns, Bril, Lukkien, *Controller Area Network (CAN) schedulability
    analysis: Refuted, revisited and revised*, Real-Time Systems 35 (2007): all instances within a busy period.
 2. For nodes that send in order (FIFO) a bound as of Davis, Kollmann, Pollex, Slomka, *CAN schedulability analysis with FIFO
-   queues*, ECRTS 2011: what waits in a FIFO competes as its least urgent message, and what stands behind others there comes
+   queues*, ECRTS 2011: what waits in a FIFO competes as its least urgent message, and what was queued behind others comes
    to the bus with that much more jitter.
 3. A number that is not found within `LONGEST_NS` is None: there is no bound, or none that is of use.
 

@@ -1,4 +1,4 @@
-"""What comes over a host's bus and is none of its devices' messages: each is reported by name, and stops nothing.
+"""Messages on a host's bus that belong to none of its devices: each is reported by name, and stops nothing.
 
 1. A malformed word is laid to the device that may have sent it; an answer that nothing asked for, to who was asked last.
 2. A second answer to one request is a fault of the bus; several within a short time are a second device with one number.
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 #: Second answers that come within so long (ns) are not a receiver's, who may get a frame twice (an error in its last bit).
 DUPLICATES_NS = 1_000_000_000
-#: So many unknown devices are told apart; a bus may claim millions.
+#: At most so many unknown devices are reported one by one; a bus may claim millions.
 UNKNOWN_DEVICES = 10_000
 
 

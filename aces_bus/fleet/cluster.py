@@ -175,7 +175,7 @@ def open_workers(cluster: Any) -> Workers:
 
 
 def exposure(cluster: Any) -> str | None:
-    """What is to be said of a scheduler that others may reach: whoever does runs programs on its workers. None: nothing."""
+    """A warning for a scheduler that other machines can reach, as they could run programs on its workers; else None."""
     address = (
         cluster if isinstance(cluster, str) else getattr(getattr(cluster, "scheduler", None), "address", "")
     )
@@ -186,6 +186,6 @@ def exposure(cluster: Any) -> str | None:
     if is_loopback(host):
         return None
     return (
-        f"{address} is not tls://: whoever reaches this scheduler runs programs on its workers, and reads what they say"
+        f"{address} is not tls://: anybody who reaches this scheduler can run programs on its workers and read their traffic"
         " (docs/fleets.md shows certificates)"
     )

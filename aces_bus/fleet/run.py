@@ -340,7 +340,7 @@ def cut_input(uri: str, size: int, pieces: int) -> tuple[list[tuple[int, int]], 
                 return None
             absolute = next((is_absolute(table.time) for table in capture.tables()), None)
     except CaptureError:
-        return None  # whoever decodes it says why
+        return None  # the worker that decodes it reports why
     finally:
         reader.close()
     return cut_lines(reader.read_at, size, pieces, LEAST), bool(absolute)

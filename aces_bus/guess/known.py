@@ -1,7 +1,7 @@
 """Which of the installed protocols a recording is, before anything is guessed.
 
 1. A protocol is tried in every dialect and configuration, on the first piece of a recording; the best one counts.
-2. One that cannot be imported is left out: whoever lists protocols is told what is wrong with it.
+2. A protocol that cannot be imported is left out; `aces protocols` reports what is wrong with it.
 """
 
 from __future__ import annotations

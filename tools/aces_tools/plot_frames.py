@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import os
+from abc import ABC, abstractmethod
 
 import numpy as np
 
@@ -63,22 +64,22 @@ def plot_frames(arguments: argparse.Namespace, files: list[str], signals: list[s
     return drawing.run(files)
 
 
-class FrameDrawing:
+class FrameDrawing(ABC):
     """Reads recordings and draws them."""
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         self.arguments = arguments
         self.window = TimeWindow.parse(arguments.start, arguments.stop)
 
+    @abstractmethod
     def add(self, table: FrameTable) -> None:
         """Frames that --from and --to let pass."""
-        raise NotImplementedError
 
+    @abstractmethod
     def draw(self) -> None:
         """All has been read."""
-        raise NotImplementedError
 
-    def see(self, table: FrameTable) -> None:
+    def see(self, table: FrameTable) -> None:  # noqa: B027  # only one kind of drawing has to know
         """All frames, before --from and --to."""
 
     def run(self, files: list[str]) -> int:
@@ -140,7 +141,9 @@ class BitDrawing(FrameDrawing):
     def __init__(self, arguments: argparse.Namespace) -> None:
         super().__init__(arguments)
         self.images = BitImages()
-        self.add = self.images.add  # type: ignore[method-assign]
+
+    def add(self, table: FrameTable) -> None:
+        self.images.add(table)
 
     def draw(self) -> None:
         arguments, images = self.arguments, self.images
