@@ -14,15 +14,27 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 from .._lazy import np
 from ..frame_table import Ints
-from .gaps import GapCounts
-from .traffic import BusIdentifier, IdentifierTraffic, TrafficProfile
+from ..traffic import ArrivalCount, BusIdentifier, GapCounts
+from .exposure import Exposure
+from .signals import DeviceMessage
+from .traffic import BITS_OF_VALUES, IdentifierTraffic, TrafficProfile
 
 ChangeKind = Literal[
-    "appears", "vanishes", "changes", "differs", "values", "range", "period", "rate", "length", "constant"
+    "appears",
+    "vanishes",
+    "changes",
+    "differs",
+    "mostly",
+    "values",
+    "range",
+    "period",
+    "rate",
+    "length",
+    "constant",
 ]
 #: What each kind means, in words.
 KINDS: Mapping[ChangeKind, str] = {
@@ -30,6 +42,7 @@ KINDS: Mapping[ChangeKind, str] = {
     "vanishes": "is in A only",
     "changes": "constant in A, changes in B",
     "differs": "constant in both, another value in B",
+    "mostly": "is in most of B what it hardly ever is in A: a mark came late",
     "values": "changes in both, has values in B that it never has in A",
     "range": "leaves in B the range that it has in A",
     "period": "comes at another period in B",
@@ -43,10 +56,13 @@ PERIOD_FACTOR, RATE_FACTOR = 1.1, 1.5
 WEIGHTS: Mapping[ChangeKind, float] = {
     "length": 0.95,
     "rate": 0.9,
+    "mostly": 0.9,
     "values": 0.8,
     "range": 0.8,
     "constant": 0.5,
 }
+#: What is in so large a share of B is in most of it; in A it is rare with so small a part of that share.
+MOST, RARE = 0.5, 0.2
 #: Values that are listed.
 LISTED = 4
 #: Standard deviations of a count by chance that a rate must differ by.
@@ -58,9 +74,9 @@ class TrafficChange:
     """Something that is another in B.
 
     `subject` is the identifier as candump writes it (behind its channel where there are several), or the message and its
-    device. `byte` and `bits` (0 is the lowest) say which bytes, `signal` which signal; None and () where it is the whole.
-    `a` and `b` say what is seen on either side. `count` of the `frames` that B has of the subject show it; it occurs in
-    `seen_in` of the `windows` of B that have the subject.
+    device, which `device_message` has in parts. `byte` and `bits` (0 is the lowest) say which bytes, `signal` which signal;
+    None and () where it is the whole. `a` and `b` say what is seen on either side. `count` of the `frames` that B has of
+    the subject show it; it occurs in `seen_in` of the `windows` of B that have the subject.
     """
 
     score: float
@@ -69,7 +85,7 @@ class TrafficChange:
     a: str
     b: str
     identifier: BusIdentifier | None = None
-    message: str | None = None
+    device_message: DeviceMessage | None = None
     byte: int | None = None
     bits: tuple[int, ...] = ()
     signal: str | None = None
@@ -77,6 +93,11 @@ class TrafficChange:
     frames: int = 0
     seen_in: int = 0
     windows: int = 0
+
+    @property
+    def message(self) -> str | None:
+        """The message's name."""
+        return None if self.device_message is None else self.device_message.message
 
     @property
     def place(self) -> str:
@@ -96,7 +117,8 @@ class TrafficChange:
                 "identifier": self.identifier.number,
                 "extended": self.identifier.is_extended,
             }
-        out |= {} if self.message is None else {"message": self.message}
+        if self.device_message is not None:
+            out |= {"message": self.message, "device": dict(self.device_message.device)}
         out |= {} if self.byte is None else {"byte": self.byte, "bits": list(self.bits)}
         out |= {} if self.signal is None else {"signal": self.signal}
         out |= {"a": self.a, "b": self.b}
@@ -126,47 +148,6 @@ def bits_text(bits: tuple[int, ...]) -> str:
     return f"bit{'s' if len(bits) > 1 else ''} {' '.join(texts)}"
 
 
-class SideProfile(Protocol):
-    """What was seen of one side."""
-
-    frames: int
-
-    @property
-    def seconds(self) -> float | None: ...
-
-
-class Occurrence(Protocol):
-    """How often one subject came, and how far apart."""
-
-    frames: int
-    gaps: GapCounts
-
-
-@dataclass(frozen=True)
-class Exposure:
-    """How much of the same each side would have seen, had nothing changed: seconds, or where there are no times frames."""
-
-    a: float
-    b: float
-    is_time: bool
-
-    @classmethod
-    def of(cls, a: SideProfile, b: SideProfile) -> Exposure:
-        """Of two profiles; frames count where one has no times, or all of its frames at one instant."""
-        if a.seconds and b.seconds:
-            return cls(a.seconds, b.seconds, True)
-        return cls(float(a.frames), float(b.frames), False)
-
-    def lone_score(self, kind: ChangeKind, frames: int) -> float:
-        """How sure it is that the other side would have had one of these frames, too, if they came as often there.
-
-        Of a rate that gives n frames here, none comes there with probability exp(-n x there / here). Where a side has
-        seen nothing at all, nothing is sure.
-        """
-        here, there = (self.b, self.a) if kind == "appears" else (self.a, self.b)
-        return -math.expm1(-frames * there / here) if here and there else 0.5
-
-
 @dataclass
 class _Sides:
     """One subject on both sides."""
@@ -183,12 +164,11 @@ class _Sides:
         )
 
 
-def traffic_changes(a: TrafficProfile, b: TrafficProfile) -> list[TrafficChange]:
+def traffic_changes(a: TrafficProfile, b: TrafficProfile, exposure: Exposure) -> list[TrafficChange]:
     """What differs between the identifiers of two profiles, in no order.
 
     Where each side has one channel the two are compared, whatever they are called.
     """
-    exposure = Exposure.of(a, b)
     channels = [{one.channel for one in side.identifiers} for side in (a, b)]
     by_name = any(len(names) > 1 for names in channels)
     sides = [
@@ -213,7 +193,11 @@ def traffic_changes(a: TrafficProfile, b: TrafficProfile) -> list[TrafficChange]
 
 
 def _lone(
-    kind: ChangeKind, subject: str, identifier: BusIdentifier, traffic: IdentifierTraffic, exposure: Exposure
+    kind: Literal["appears", "vanishes"],
+    subject: str,
+    identifier: BusIdentifier,
+    traffic: IdentifierTraffic,
+    exposure: Exposure,
 ) -> TrafficChange:
     """An identifier of one side."""
     there = occurrence_text(traffic.frames, "frame", traffic.gaps)
@@ -243,7 +227,7 @@ def _changes_of(both: _Sides) -> Iterator[TrafficChange]:
 
 
 def timing_change(
-    a: Occurrence, b: Occurrence, exposure: Exposure, what: str
+    a: ArrivalCount, b: ArrivalCount, exposure: Exposure, what: str
 ) -> tuple[ChangeKind, float, str, str] | None:
     """The change of period or rate of one subject: kind, score before its weight, and both sides in words; None: none."""
     before, after = a.gaps.median_ns, b.gaps.median_ns
@@ -287,6 +271,25 @@ def _lengths(both: _Sides) -> Iterator[TrafficChange]:
             count=int(b[new].sum()),
             frames=both.b.frames,
         )
+        return
+    usual = int(b.argmax())
+    count_a, n_a, count, n_b = int(a[usual]), int(a.sum()), int(b[usual]), int(b.sum())
+    score = rarity(count_a, n_a, count, n_b, len(both.b.ones))
+    if score and n_b > 1:
+        before = f"{_listed_lengths(a)} ({usual}: {count_a} of {n_a})"
+        yield both.change("mostly", score, before, _listed_lengths(b), count=count, frames=n_b)
+
+
+def rarity(count_a: int, n_a: int, count_b: int, n_b: int, windows: int) -> float:
+    """How telling it is that `count_a` of A's n_a are what `count_b` of B's n_b are, over so many times of B; 0: not at all.
+
+    One time of B may have it by chance, the likelier the more of A has it; all of several times hardly do.
+    """
+    share_a, share_b = count_a / n_a, count_b / n_b
+    if share_b < MOST or share_a > RARE * share_b:
+        return 0.0
+    chance = (share_a / share_b / RARE) ** max(1, windows)
+    return (share_b - share_a) * (1 - chance) * n_a / (n_a + 1)
 
 
 def _listed_lengths(counts: Ints) -> str:
@@ -319,6 +322,8 @@ def _byte(both: _Sides, byte: int) -> Iterator[TrafficChange]:
         found.append(
             both.change(kind, score, **values, bits=bits, count=count, seen_in=seen_in, windows=windows)
         )
+    else:
+        found += _mostly(both, byte, values)
     fresh = (seen_b > 0) & (seen_a == 0)
     count = int(seen_b[fresh].sum())
     if count and varying:
@@ -330,12 +335,42 @@ def _byte(both: _Sides, byte: int) -> Iterator[TrafficChange]:
     if gone:
         flips = a.flips[byte][list(_bits_of(gone))]
         chance = float(flips.max()) * n_b / n_a
+        # The more bits change in A, the likelier one of them pauses by chance.
+        pauses = np.count_nonzero(a.flips) * math.exp(-chance)
         yield both.change(
             "constant",
-            -math.expm1(-chance) * n_b / (n_b + 1),
+            max(0.0, 1 - float(pauses)) * n_b / (n_b + 1),
             **values,
             bits=_bits_of(gone),
         )
+
+
+def _mostly(both: _Sides, byte: int, values: Mapping[str, Any]) -> Iterator[TrafficChange]:
+    """Bits that are most of B what they hardly ever are in A."""
+    a, b = both.a, both.b
+    seen_a, seen_b = a.values[byte], b.values[byte]
+    n_a, n_b = int(seen_a.sum()), int(seen_b.sum())
+    set_a, set_b = BITS_OF_VALUES @ seen_a, BITS_OF_VALUES @ seen_b
+    is_set = 2 * set_b > n_b
+    rare, usual = np.where(is_set, set_a, n_a - set_a), np.where(is_set, set_b, n_b - set_b)
+    windows = int(np.count_nonzero(b.ones[:, byte] | b.zeros[:, byte]))
+    bits = tuple(
+        bit for bit in range(8) if rarity(int(rare[bit]), n_a, int(usual[bit]), n_b, windows) and n_b > 1
+    )
+    if not bits:
+        return
+    bit = min(bits, key=lambda bit: float(rare[bit]) / float(usual[bit]))
+    seen_in = int(np.count_nonzero((b.ones if is_set[bit] else b.zeros)[:, byte] >> bit & 1))
+    score = rarity(int(rare[bit]), n_a, int(usual[bit]), n_b, windows) * seen_in / windows
+    others = (np.arange(256) >> bit & 1) != is_set[bit]
+    if np.count_nonzero(seen_a[others]) > 1:
+        score *= 1 - by_itself(a.visits[byte][others])
+    if _may_carry(a, byte, bits[0]):
+        score /= 2
+    own: dict[str, Any] = {**values, "a": f"{values['a']} ({int(rare[bit])} of {n_a})"}
+    yield both.change(
+        "mostly", score, **own, bits=bits, count=int(usual[bit]), seen_in=seen_in, windows=windows
+    )
 
 
 def _seen(polarities: Ints, byte: int) -> int:

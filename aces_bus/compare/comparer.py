@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import typing
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, BinaryIO
@@ -16,14 +17,17 @@ import numpy as np
 from ..errors import CallerError
 from ..frame_table import NO_TIME, FrameTable, Ints, to_ns
 from ..protocol import Protocol, Variant, load_protocol
-from ..protocol.columns.decode import capture_pieces, feed
+from ..protocol.columns.decode import feed
 from ..protocol.columns.scanner import make_column_scanner
+from ..protocol.columns.table import Array, MessageTable
 from ..protocol.exchange import SUFFIXES, load_database
 from ..recordings import CanFilter, CanRecording, SerialRecording, open_recording
 from ..recordings.filters import passing
+from ..recordings.pieces import Direction, SerialWays
 from ..recordings.source import PathSource
 from ..recordings.window import TimeWindow
 from .changes import TrafficChange, traffic_changes
+from .exposure import Exposure, WatchedTime
 from .signal_changes import message_changes
 from .signals import MessageProfile
 from .traffic import TrafficProfile
@@ -49,19 +53,15 @@ class ComparedSide:
         self.windows = list(windows)
         self.rest_of = rest_of
         number = len(rest_of.windows) + 1 if rest_of is not None else max(1, len(self.windows))
+        self.watched = WatchedTime(number)
         self.traffic = TrafficProfile(number)
-        self.messages = MessageProfile(variants, number)
+        self.messages = MessageProfile(variants)
         self.untimed = 0
 
     @property
     def is_windowed(self) -> bool:
         """Whether only a part of the recording is its."""
         return bool(self.windows) or self.rest_of is not None
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing was seen."""
-        return not self.traffic.frames and not self.messages.frames
 
     def places(self, times: Ints) -> Ints:
         """The window that each instant is in, -1 for none. What is left beside the other's windows is numbered by how many
@@ -104,16 +104,32 @@ class RecordingComparison:
         return f"<{len(self.changes)} changes, and {self.weaker} less telling>"
 
 
+class ComparisonWatcher(typing.Protocol):
+    """Looks on while recordings are compared, to draw them. `sides` says whose recording it is: "a", "b" or "ab"."""
+
+    def watch_times(self, times: Ints, sides: str) -> None:
+        """Instants (ns) of all that is read, before what belongs to them."""
+
+    def watch_frames(self, table: FrameTable, sides: str) -> None:
+        """Frames that are compared, in pieces."""
+
+    def watch_messages(self, table: MessageTable, sides: str) -> None:
+        """Messages that are compared; each piece behind its frames."""
+
+
 @dataclass
 class RecordingComparer:
-    """Reads recordings for two sides, and compares these. With a filter only frames that it lets pass are counted."""
+    """Reads recordings for two sides, and compares these. With a filter only frames that it lets pass are counted, with
+    `selected` only messages that it says of a table's rows; frames that are not decoded then are left out."""
 
     a: ComparedSide
     b: ComparedSide
     variants: Sequence[Variant] = ()
     wanted: CanFilter | None = None
-    #: Called with all frames that the filter lets pass, in pieces, and with the sides whose recording it is: for pictures.
-    watch: Callable[[FrameTable, str], None] | None = None
+    selected: Callable[[MessageTable], Array] | None = None
+    #: Which way the bytes of a line went, where they do not tell and the recording does not say.
+    direction: Direction | None = None
+    watcher: ComparisonWatcher | None = None
     _decoded: set[int] = field(default_factory=set)
     _unknown: set[int] = field(default_factory=set)
 
@@ -141,9 +157,9 @@ class RecordingComparer:
         if isinstance(capture, CanRecording):
             self._can(capture, chosen, sides, variants, each)
         else:
-            self._serial(capture, chosen, variants, each)
+            self._serial(capture, chosen, sides, variants, each)
         for side in chosen:
-            if side.is_windowed and side.is_empty and side.untimed:
+            if side.is_windowed and not side.watched.frames and side.untimed:
                 raise CallerError(f"{capture.name}: has no times, and none of its frames is in a window")
 
     def _can(
@@ -154,45 +170,64 @@ class RecordingComparer:
         variants: Sequence[Variant],
         each: Callable[[Iterable[Any]], Iterable[Any]],
     ) -> None:
-        scanner = make_column_scanner(variants, include_unknown=True) if variants else None
+        scanner = (
+            make_column_scanner(variants, direction=self.direction, include_unknown=True)
+            if variants
+            else None
+        )
         passed: list[Ints] = []
-        first = 0
         for frames in _joined(each(capture.tables())):
             kept = np.ones(len(frames), bool) if self.wanted is None else passing(self.wanted, frames)
             mine = frames if self.wanted is None else frames.take(np.flatnonzero(kept))
-            if scanner is not None:
+            if self.wanted is not None and scanner is not None:
                 passed.append(kept)
             for side in reversed(chosen):  # what A is may hang on B's windows, which see the first instant
                 side.untimed += int(np.count_nonzero(mine.time == NO_TIME))
                 _see(side, frames.time)
-                side.traffic.add(mine, side.places(mine.time))
-            if self.watch is not None:
-                self.watch(mine, sides)
+                places = side.places(frames.time)
+                side.watched.add(frames.time, places)
+                if self.selected is None:
+                    side.traffic.add(mine, places if mine is frames else places[kept])
+            if self.watcher is not None:
+                self.watcher.watch_times(frames.time, sides)
+                if self.selected is None:
+                    self.watcher.watch_frames(mine, sides)
             if scanner is not None:
-                self._take(scanner.feed(frames), chosen, passed)
-            first += len(frames)
+                self._take(scanner.feed(frames), chosen, sides, passed)
         if scanner is not None:
-            self._take(scanner.close(), chosen, passed)
+            self._take(scanner.close(), chosen, sides, passed)
 
     def _serial(
         self,
         capture: SerialRecording,
         chosen: Sequence[ComparedSide],
+        sides: str,
         variants: Sequence[Variant],
         each: Callable[[Iterable[Any]], Iterable[Any]],
     ) -> None:
-        scanners: dict[Any, Any] = {}
-        for words, way, time in capture_pieces(each(capture), variants[0]):
+        ways = SerialWays(
+            variants, self.direction, lambda way: make_column_scanner(variants, direction=way), feed
+        )
+        for chunk in each(ways.chunks(capture)):
+            times = np.array([to_ns(chunk.time)])
             for side in reversed(chosen):
-                side.untimed += time is None
-                _see(side, np.array([to_ns(time)]))
-            if way not in scanners:
-                scanners[way] = make_column_scanner(variants, direction=way)
-            self._take(feed(scanners[way], words, time), chosen, None)
-        for scanner in scanners.values():
-            self._take(scanner.close(), chosen, None)
+                side.untimed += chunk.time is None
+                _see(side, times)
+            if self.watcher is not None:
+                self.watcher.watch_times(times, sides)
+            for tables in ways.feed(chunk):
+                self._take(tables, chosen, sides)
+        for tables in ways.close():
+            self._take(tables, chosen, sides)
 
-    def _take(self, tables: Iterable[Any], chosen: Sequence[ComparedSide], passed: list[Ints] | None) -> None:
+    def _take(
+        self,
+        tables: Iterable[MessageTable],
+        chosen: Sequence[ComparedSide],
+        sides: str,
+        passed: Sequence[Ints] = (),
+    ) -> None:
+        kept = np.concatenate(passed) if self.wanted is not None and passed else None
         for table in tables:
             if not len(table):
                 continue
@@ -200,20 +235,28 @@ class RecordingComparer:
                 (self._decoded if table.message else self._unknown).update(np.unique(table.key).tolist())
             if not table.message:
                 continue
-            if self.wanted is not None and passed is not None:
-                table = table.take(np.flatnonzero(np.concatenate(passed)[table.row]))
+            if table.is_stream:
+                for side in chosen:
+                    side.watched.add(table.time, side.places(table.time))
+            if kept is not None:
+                table = table.take(np.flatnonzero(kept[table.row]))
+            if self.selected is not None:
+                table = table.take(np.flatnonzero(self.selected(table)))
             for side in reversed(chosen):
                 side.messages.add(table, side.places(table.time))
+            if self.watcher is not None:
+                self.watcher.watch_messages(table, sides)
 
     def compare(self, least: float = LEAST) -> RecordingComparison:
         """What differs, as far as it was read.
 
         Identifiers of which every frame was decoded are compared by their messages and signals alone.
         """
-        changes = traffic_changes(self.a.traffic, self.b.traffic)
+        exposure = Exposure.of(self.a.watched, self.b.watched)
+        changes = traffic_changes(self.a.traffic, self.b.traffic, exposure)
         whole = self._decoded - self._unknown
         changes = [one for one in changes if one.identifier is None or one.identifier.key not in whole]
-        changes += message_changes(self.a.messages, self.b.messages)
+        changes += message_changes(self.a.messages, self.b.messages, exposure)
         changes.sort(key=lambda one: -one.score)
         telling = [one for one in changes if one.score >= least]
         return RecordingComparison(self.a, self.b, telling, len(changes) - len(telling))
@@ -246,6 +289,8 @@ def compare_recordings(
     b_times: Iterable[Span | TimeWindow] = (),
     protocol: Protocol | Variant | str | None = None,
     wanted: CanFilter | None = None,
+    selected: Callable[[MessageTable], Array] | None = None,
+    direction: Direction | None = None,
     least: float = LEAST,
 ) -> RecordingComparison:
     """What differs between two recordings, or between two times of one: `compare_recordings("run.log", b_times=[(10, 12)])`.
@@ -253,12 +298,15 @@ def compare_recordings(
     `a` and `b` are paths, "-" or open files. Times are pairs of seconds from the first frame (or since 1970), None open, or
     windows of `aces_bus.compare.parse_marks`' kind; without `b`, A is by default all of the recording but B's times.
     `protocol` compares decoded messages and signals as well, and is necessary for serial lines: a protocol, the name of an
-    installed one, the path of a database. `wanted` is a filter of `parse_filter`. Changes that are less telling than
-    `least` (0 … 1) are counted only.
+    installed one, the path of a database. `wanted` is a filter of `parse_filter`; `selected` says which rows of a
+    `MessageTable` are compared (an array of bool), and then nothing but messages is. `direction` is that of
+    `aces_bus.decode`. Changes that are less telling than `least` (0 … 1) are counted only.
 
     Raises `CaptureError` for what is no recording, `CallerError` for one recording without times, bytes without a protocol,
-    and times that no frame is in.
+    a selection without one, and times that no frame is in.
     """
+    if selected is not None and protocol is None:
+        raise CallerError("messages are selected where a protocol says what they are (protocol=)")
     variants = [] if protocol is None else [_variant(protocol)]
     windows = [
         [one if isinstance(one, TimeWindow) else _window(one) for one in times]
@@ -270,14 +318,16 @@ def compare_recordings(
         )
     side_b = ComparedSide(windows[1], variants)
     rest = side_b if b is None and not windows[0] else None
-    comparer = RecordingComparer(ComparedSide(windows[0], variants, rest), side_b, variants, wanted)
+    comparer = RecordingComparer(
+        ComparedSide(windows[0], variants, rest), side_b, variants, wanted, selected, direction
+    )
     unreadable = 0
     for source, sides in [(a, "ab")] if b is None else [(a, "a"), (b, "b")]:
         with open_recording(source, link=_link(variants)) as capture:
             comparer.read(capture, sides)
         unreadable += capture.lines_unreadable
     for name, side in (("A", comparer.a), ("B", comparer.b)):
-        if side.is_windowed and side.is_empty:
+        if side.is_windowed and not side.watched.frames:
             raise CallerError(f"nothing of the recording is in the times of {name}")
     found = comparer.compare(least)
     found.lines_unreadable = unreadable

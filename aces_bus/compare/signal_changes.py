@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -12,13 +12,14 @@ from .changes import (
     LISTED,
     WEIGHTS,
     ChangeKind,
-    Exposure,
     TrafficChange,
     by_itself,
     novelty,
     occurrence_text,
+    rarity,
     timing_change,
 )
+from .exposure import Exposure
 from .signals import DeviceMessage, MessageProfile, MessageTraffic, SignalValues
 
 #: Values up to which those of a number are listed, and further ones are a range.
@@ -27,9 +28,8 @@ FEW = 16
 ONE_WAY = 0.25
 
 
-def message_changes(a: MessageProfile, b: MessageProfile) -> list[TrafficChange]:
+def message_changes(a: MessageProfile, b: MessageProfile, exposure: Exposure) -> list[TrafficChange]:
     """What differs between the messages of two profiles, in no order."""
-    exposure = Exposure.of(a, b)
     by_name = any(len({one.channel for one in side.subjects}) > 1 for side in (a, b))
     sides = [
         {one if by_name else one._replace(channel=None): traffic for one, traffic in side.subjects.items()}
@@ -42,11 +42,11 @@ def message_changes(a: MessageProfile, b: MessageProfile) -> list[TrafficChange]
         if in_a is not None and in_b is not None:
             found += _changes_of(name, key, in_a, in_b, exposure)
         elif (there := in_b or in_a) is not None:
-            kind: ChangeKind = "appears" if in_a is None else "vanishes"
+            kind: Literal["appears", "vanishes"] = "appears" if in_a is None else "vanishes"
             text = occurrence_text(there.frames, "message", there.gaps)
             both = ("", text) if kind == "appears" else (text, "")
             score = exposure.lone_score(kind, there.frames)
-            found.append(TrafficChange(score, kind, name, *both, message=key.message))
+            found.append(TrafficChange(score, kind, name, *both, device_message=key))
     return found
 
 
@@ -62,7 +62,7 @@ def _changes_of(
     timing = timing_change(a, b, exposure, "message")
     if timing is not None:
         kind, score, before, after = timing
-        yield TrafficChange(WEIGHTS.get(kind, 1.0) * score, kind, name, before, after, message=key.message)
+        yield TrafficChange(WEIGHTS.get(kind, 1.0) * score, kind, name, before, after, device_message=key)
     for path, values in a.signals.items():
         found = _signal(values, b.signals[path])
         if found is not None:
@@ -73,7 +73,7 @@ def _changes_of(
                 name,
                 _text(values),
                 _text(b.signals[path]),
-                message=key.message,
+                device_message=key,
                 signal=path,
                 **more,
             )
@@ -105,6 +105,9 @@ def _signal(a: SignalValues, b: SignalValues) -> tuple[ChangeKind, float, dict[s
         kind: ChangeKind = "differs" if len(b.values) == 1 and not b.is_more else "changes"
         share = more["seen_in"] / more["windows"] if more["windows"] else 1.0
         return kind, a.count / (a.count + 1) * share * (1 - 0.3 / count), more
+    mostly = None if count else _mostly(a, b, windows_b.bit_count())
+    if mostly is not None:
+        return mostly
     if len(b.values) == 1 and not b.is_more and next(iter(b.values)) in a.values:
         return (
             "constant",
@@ -128,6 +131,25 @@ def _signal(a: SignalValues, b: SignalValues) -> tuple[ChangeKind, float, dict[s
     overshoot = beyond / (a.high - a.low) if a.high > a.low else 1.0
     score = overshoot / (overshoot + 0.25)
     return "range", score * (ONE_WAY if a.is_monotone else 1.0), {"frames": b.count}
+
+
+def _mostly(
+    a: SignalValues, b: SignalValues, windows: int
+) -> tuple[ChangeKind, float, dict[str, Any]] | None:
+    """A value that is most of B and hardly any of A; None where there is none."""
+    if a.is_more or b.is_more or b.count < 2:
+        return None
+    value, usual = max(b.values.items(), key=lambda one: one[1].count)
+    rare = a.values.get(value)
+    score = 0.0 if rare is None else rarity(rare.count, a.count, usual.count, b.count, windows)
+    if not score:
+        return None
+    score *= 1 - by_itself(np.array([found.visits for found in a.values.values()]))
+    if a.is_monotone and a.kind.names is None:
+        score *= ONE_WAY
+    seen_in = usual.windows.bit_count()
+    more = {"count": usual.count, "frames": b.count, "seen_in": seen_in, "windows": windows}
+    return "mostly", score * seen_in / max(1, windows), more
 
 
 def _union(found: Any) -> int:

@@ -13,12 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..frame_table import NO_TIME
 from ..protocol import Variant
 from ..protocol.columns.devices import is_device_column
 from ..protocol.columns.table import Array, Column, ColumnKind, MessageTable, kinds_of
 from ..protocol.plan import nodes as p
-from .gaps import GapCounts
+from ..traffic import ArrivalCount, rows_of_each
 
 #: Values of a signal that are kept one by one.
 MOST_VALUES = 256
@@ -138,24 +137,13 @@ class SignalValues:
         return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-class MessageTraffic:
+class MessageTraffic(ArrivalCount):
     """A message of one device on one side."""
 
     def __init__(self, subject: DeviceMessage, kinds: Mapping[str, ColumnKind]) -> None:
+        super().__init__()
         self.subject = subject
-        self.frames = 0
-        self.gaps = GapCounts()
         self.signals = {name: SignalValues(kind) for name, kind in kinds.items()}
-        self._last: tuple[int, int] = (NO_TIME, -1)
-
-    def add(self, times: Array, windows: Array) -> None:
-        """Count messages, in order."""
-        previous = np.concatenate(([self._last[0]], times[:-1]))
-        same = np.concatenate(([self._last[1]], windows[:-1])) == windows
-        timed = same & (times != NO_TIME) & (previous != NO_TIME)
-        self.frames += len(times)
-        self.gaps.add((times - previous)[timed])
-        self._last = int(times[-1]), int(windows[-1])
 
 
 @dataclass(frozen=True)
@@ -171,21 +159,12 @@ class _Layout:
 class MessageProfile:
     """The messages of one side."""
 
-    def __init__(self, variants: Sequence[Variant], windows: int = 1) -> None:
-        self.windows = windows
+    def __init__(self, variants: Sequence[Variant]) -> None:
         self.frames = 0
         self.beyond = 0
         self.subjects: dict[DeviceMessage, MessageTraffic] = {}
         self._variants = {variant.name: variant for variant in variants}
         self._layouts: dict[tuple[str, str], _Layout] = {}
-        self._first: Array = np.full(windows, np.iinfo(np.int64).max, np.int64)
-        self._end: Array = np.full(windows, NO_TIME, np.int64)
-
-    @property
-    def seconds(self) -> float | None:
-        """How long the windows are together, from the first message of each to its last; None without times."""
-        seen = self._end != NO_TIME
-        return float((self._end - self._first)[seen].sum()) / 1e9 if seen.any() else None
 
     def add(self, table: MessageTable, windows: Array) -> None:
         """Decoded messages, and the window that each is in; -1 is none."""
@@ -195,9 +174,6 @@ class MessageProfile:
         if not len(table):
             return
         self.frames += len(table)
-        known = table.time != NO_TIME
-        np.minimum.at(self._first, windows[known], table.time[known])
-        np.maximum.at(self._end, windows[known], table.time[known])
         layout = self._layout(table)
         for subject, rows in _devices(table, layout.devices):
             found = self.subjects.get(subject)
@@ -206,7 +182,7 @@ class MessageProfile:
                     self.beyond += len(rows)
                     continue
                 found = self.subjects[subject] = MessageTraffic(subject, layout.signals)
-            found.add(table.time[rows], windows[rows])
+            found.arrive(table.time[rows], windows[rows])
             for name, signal in found.signals.items():
                 _take(signal, table, rows, windows[rows], is_conditional=name in layout.conditional)
 
@@ -267,9 +243,8 @@ def _devices(table: MessageTable, names: Sequence[str]) -> Iterator[tuple[Device
     for column in columns:
         _, inverse = np.unique(column, return_inverse=True)
         code = np.unique(code * (int(inverse.max()) + 1) + inverse, return_inverse=True)[1]
-    order = np.argsort(code, kind="stable")
     shown = {name: table[name] for name in names}
-    for rows in np.split(order, np.flatnonzero(np.diff(code[order])) + 1):
+    for rows in rows_of_each(code):
         first = int(rows[0])
         device = tuple((name, str(_one(column, first))) for name, column in shown.items())
         channel = table.channels.names[int(table.channel[first])]

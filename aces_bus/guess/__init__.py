@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+from .carried import CarriedGuess
 from .checks import CheckGuess, checks_of, checks_of_packets
 from .draft import draft_source
 from .draft_stream import stream_source
@@ -22,6 +23,7 @@ from .traffic import MessageGuess, TimingGuess, Traffic, TrafficGuess
 __all__ = [
     "TRIED_BYTES",
     "TRIED_FRAMES",
+    "CarriedGuess",
     "CheckGuess",
     "FieldGuess",
     "FieldKind",

@@ -10,25 +10,21 @@ table for each byte and distance to the end, exclusive-ored from the end on: all
 constants afterwards. Sums and exclusive or are found in the same way. Constant bytes in front of what is covered say nothing
 of a linear check; of ranges that differ in them only, the one whose constants the catalogue explains is taken, the
 longest first.
-
-Evidence in bits: of a CRC or an exclusive or each linearly independent difference between rows is worth the check's
-width; of a sum each further row is worth what a step of the check tells (its entropy). A byte that another byte gives alone
-is a mirror, not a check.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from math import log2
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..protocol.columns.checks import CrcColumns
 from ..protocol.columns.table import Array
 from ..protocol.declare.checks import Check, Covered, Crc, Fletcher, IdBytes, Order, Sum, Xor
+from .check_evidence import entropy_bits, independent_rows, stored_numbers, sum_bits
+from .crc_families import CrcFamily, CrcModel, bytes_giving, crc_families, stacked_tables
 
 #: Different rows that are looked at, and of these the ones that a trial sees first.
 ROWS, FIRST = 256, 24
@@ -48,8 +44,8 @@ STARTS = 40
 SHORT, FEWEST = 128, 12
 #: Longer rows are not looked at.
 LONGEST = 1024
-#: CRCs that are named first where bytes of several of the same polynomial fit as well (AUTOSAR's libraries, SAE J1850).
-USUAL = frozenset({"CRC8-SAE-J1850", "CRC8-AUTOSAR", "CRC16-IBM-3740", "CRC32-ISO-HDLC"})
+#: What spreads a byte over a number of 64 bits: 2^64 by the golden ratio, odd (Knuth, TAOCP 3, 6.4), and half its bits.
+_MIX, _HALF = np.uint64(0x9E37_79B9_7F4A_7C15), np.uint64(32)
 
 
 @dataclass(frozen=True)
@@ -151,94 +147,20 @@ def checks_of_packets(packets: Iterable[bytes], *, least_share: float = SHARE) -
     return _Search(data, lengths, lead, from_end=True, least_share=least_share).guesses()
 
 
+def _different(lengths: Array, *parts: Array) -> Array:
+    """The first row of each content, in order; int64. Rows are told apart by a number of 64 bits made of all their bytes."""
+    mixed = lengths.astype(np.uint64)
+    for part in parts:
+        for column in part.T:
+            mixed = (mixed ^ mixed >> _HALF) * _MIX + column
+    return np.sort(np.unique(mixed, return_index=True)[1])
+
+
 def _spread(items: Sequence[Any], most: int) -> list[Any]:
     """At most so many, evenly over all."""
     if len(items) <= most:
         return list(items)
     return [items[index] for index in np.linspace(0, len(items) - 1, most).astype(int).tolist()]
-
-
-# ---------------------------------------------------------------------- the catalogue, as linear maps
-
-
-class _Model(NamedTuple):
-    name: str
-    init: int
-    xorout: int
-
-
-class _Family:
-    """The CRCs of the catalogue that differ in their constants only, as one linear map."""
-
-    def __init__(self, width: int, poly: int, refin: bool, refout: bool) -> None:
-        self.width, self.poly, self.refin, self.refout = width, poly, refin, refout
-        self.models: list[_Model] = []
-        self._tables = np.zeros((0, 256), np.uint32)
-        #: What the register is behind the last distance of the tables.
-        self._register: Array | None = None
-        self._constants: dict[int, Array] = {}
-
-    def columns(self, init: int = 0) -> CrcColumns:
-        return CrcColumns(
-            Crc(width=self.width, poly=self.poly, init=init, refin=self.refin, refout=self.refout)
-        )
-
-    def tables(self, count: int) -> Array:
-        """What a byte gives at each distance from the end, uint32 (count, 256)."""
-        if len(self._tables) < count:
-            crc, nothing = self.columns(), np.zeros((1, 1), np.uint8)
-            if self._register is None:
-                self._register = crc.over(crc.begin(256), np.arange(256, dtype=np.uint8)[:, None])
-            steps: list[Array] = []
-            for _ in range(max(64, 1 << (count - 1).bit_length()) - len(self._tables)):
-                steps.append(self._register)
-                self._register = crc.over(self._register, nothing)
-            more = crc.end(np.concatenate(steps)).astype(np.uint32).reshape(-1, 256)
-            self._tables = np.concatenate([self._tables, more])
-        return self._tables[:count]
-
-    def constants(self, init: int, count: int) -> Array:
-        """What the initial value gives behind 0, 1 … `count` bytes, uint32."""
-        known = self._constants.get(init)
-        if known is None or len(known) <= count:
-            count = max(64, 1 << count.bit_length())
-            crc, nothing = self.columns(init), np.zeros((1, 1), np.uint8)
-            register = crc.begin(1)
-            out = [crc.end(register)]
-            for _ in range(count):
-                register = crc.over(register, nothing)
-                out.append(crc.end(register))
-            known = self._constants[init] = np.concatenate(out).astype(np.uint32)
-        return known
-
-    def arguments(self, model: _Model, constant: int) -> dict[str, Any]:
-        """What `Crc` takes: the model's name, or the parameters with what is left as the final value."""
-        if model.name:
-            return {"name": model.name}
-        linear = {"width": self.width, "poly": self.poly, "init": model.init}
-        return {**linear, "refin": self.refin, "refout": self.refout, "xorout": constant}
-
-
-@cache
-def _families(size: int) -> tuple[_Family, ...]:
-    """The catalogue's CRCs of `size` bytes, by what is linear in them."""
-    import anycrc
-
-    found: dict[tuple[int, int, bool, bool], _Family] = {}
-    for name, model in anycrc.models.items():
-        if model.width == 8 * size:
-            linear = model.width, model.poly, model.refin, model.refout
-            family = found.setdefault(linear, _Family(*linear))
-            family.models.append(_Model(name, model.init, model.xorout))
-    for family in found.values():
-        family.models.sort(key=lambda model: model.name not in USUAL)
-    return tuple(found.values())
-
-
-@cache
-def _stacked(size: int, count: int) -> Array:
-    """The tables of all families of a size, uint32 (families, count, 256)."""
-    return np.stack([family.tables(count)[:count] for family in _families(size)])
 
 
 # ---------------------------------------------------------------------- the search
@@ -292,10 +214,7 @@ class _Search:
     def __init__(
         self, data: Array, lengths: Array, lead: Array, *, from_end: bool, least_share: float
     ) -> None:
-        _, first = np.unique(
-            np.concatenate([lead, data, lengths[:, None]], axis=1), axis=0, return_index=True
-        )
-        which = np.array(_spread(np.sort(first).tolist(), ROWS))
+        which = np.array(_spread(_different(lengths, lead, data).tolist(), ROWS))
         self.data, self.lengths, self.lead = data[which], lengths[which], lead[which]
         self.from_end, self.least_share = from_end, least_share
         self.count = len(which)
@@ -375,7 +294,7 @@ class _Search:
         total = np.cumsum(covering.back, axis=1, dtype=np.int64)[rows, pick]
         mask = (1 << 8 * place.size) - 1
         for order in _orders(place.size):
-            stored = _number(place.own, order)[:, None]
+            stored = stored_numbers(place.own, order)[:, None]
             yield from self._rest("sum", order, stored - total & mask, place, covering, starts)
             yield from self._rest("negated", order, stored + total & mask, place, covering, starts)
         if place.size == 1:
@@ -385,7 +304,7 @@ class _Search:
             # The byte j places before the end is added j + 1 times.
             weights = np.arange(1, covering.back.shape[1] + 1)
             twice = np.cumsum(covering.back * weights, axis=1, dtype=np.int64)[rows, pick]
-            rest = (total & 0xFF | (twice & 0xFF) << 8) ^ _number(place.own, "little")[:, None]
+            rest = (total & 0xFF | (twice & 0xFF) << 8) ^ stored_numbers(place.own, "little")[:, None]
             yield from self._rest("fletcher", "little", rest, place, covering, starts)
 
     def _rest(
@@ -404,13 +323,13 @@ class _Search:
             if agreeing < self.least_share * self.count or made is None:
                 continue
             good = column == constant
-            bits = _sum_bits(kind, place.own[good], covering.covered(start)[good])
+            bits = sum_bits(kind, place.own[good], covering.covered(start)[good])
             yield _Fit(*made, start, agreeing, bits)
 
     # ------------------------------------------------------------------ CRCs
 
     def _crcs(self, place: _Place, covering: _Covering, starts: Array) -> Iterator[_Fit]:
-        families = _families(place.size)
+        families = crc_families(place.size)
         length = covering.back.shape[1]
         later, base = self.pairs
         which = later if len(later) else self.few
@@ -419,11 +338,11 @@ class _Search:
         # Behind what is covered there may be constant bytes that are not sent: the data id of AUTOSAR's profiles 2 and 5.
         for gap in (0, place.size) if place.size <= 2 and not self.from_end else (0,):
             self.tried += len(families) * len(starts) * len(_orders(place.size))
-            tables = _stacked(place.size, 1 << (length + gap - 1).bit_length())
+            tables = stacked_tables(place.size, 1 << (length + gap - 1).bit_length())
             linear = np.bitwise_xor.accumulate(tables[:, np.arange(length) + gap, probe], axis=2)
             linear = linear[:, np.arange(len(which))[:, None], pick]
             for order in _orders(place.size):
-                stored = _number(place.own, order).astype(np.uint32)
+                stored = stored_numbers(place.own, order).astype(np.uint32)
                 if len(later):
                     target = stored[later] ^ stored[base]
                     agree = (linear == target[None, :, None]).sum(axis=1) >= TRIAL * len(later)
@@ -439,7 +358,7 @@ class _Search:
 
     def _constants(
         self,
-        family: _Family,
+        family: CrcFamily,
         gap: int,
         order: Order,
         stored: Array,
@@ -453,14 +372,14 @@ class _Search:
         parts = family.tables(covered.shape[1] + gap)[distance, covered]
         rest = np.bitwise_xor.reduce(parts, axis=1) ^ stored
         counts = covering.ends - start + gap
-        unnamed = [_Model("", init, 0) for init in ((0,) if self.is_even else (0, (1 << family.width) - 1))]
+        unnamed = [CrcModel("", init, 0) for init in ((0,) if self.is_even else (0, (1 << family.width) - 1))]
         best: _Fit | None = None
         for model in (*family.models, *([] if gap else unnamed)):
             left = rest ^ family.constants(model.init, int(counts.max()))[counts] ^ np.uint32(model.xorout)
             values, numbers = np.unique(left, return_counts=True)
             common = int(np.argmax(numbers))
             constant, agreeing = int(values[common]), int(numbers[common])
-            behind = _bytes_giving(family, gap, constant) if gap and constant else b""
+            behind = bytes_giving(family, gap, constant) if gap and constant else b""
             if behind is None or (model.name and bool(constant) != bool(gap)):
                 continue
             if agreeing < self.least_share * self.count or (best is not None and agreeing <= best.agreeing):
@@ -469,7 +388,7 @@ class _Search:
             if place.size > 1:
                 arguments["order"] = order
             good = covered[left == constant]
-            bits = float(family.width * _rank(good))
+            bits = float(family.width * independent_rows(good))
             best = _Fit("Crc", arguments, behind, start, agreeing, bits)
         return best
 
@@ -503,7 +422,7 @@ class _Search:
             is_named,
             prefix == 0,
             len(places) - prefix,
-            round(_entropy(place.own[:, 0])),
+            round(entropy_bits(place.own[:, 0])),
             place.offset,
         )
         return _Found(guess, relation, rank)
@@ -589,25 +508,7 @@ def _sum_of(kind: str, order: Order, size: int, constant: int) -> tuple[str, dic
     return "Sum", {**wide, "negated": True} if kind == "negated" else wide, bytes([short]) if short else b""
 
 
-def _sum_bits(kind: str, own: Array, covered: Array) -> float:
-    """How much it says that a sum of `covered` gives `own` in all rows; 0 where another byte alone gives it."""
-    varying = covered[:, (covered != covered[0]).any(axis=0)]
-    if varying.shape[1] < 2:
-        return 0.0
-    if kind != "fletcher":
-        for byte in varying.T:
-            for one in own.T:
-                if any((mirror == mirror[0]).all() for mirror in (one - byte, one + byte, one ^ byte)):
-                    return 0.0
-    different = len(np.unique(varying, axis=0))
-    steps = np.diff(_number(own, "little"))
-    # How evenly the check's steps are spread, beside what so few of them can be.
-    spread = _entropy(steps) / log2(max(2, min(len(steps), 1 << 8 * own.shape[1])))
-    bits = (different - 1) * 8.0 * own.shape[1] * min(spread, 1.0)
-    return float(min(bits, 8.0 * _rank(varying)) if kind == "xor" else bits)
-
-
-def _by_model(families: Sequence[_Family], rest: Array, counts: Array) -> list[list[int]]:
+def _by_model(families: Sequence[CrcFamily], rest: Array, counts: Array) -> list[list[int]]:
     """Where there are no two rows of a length: families of which a model's constants explain most rows."""
     found: list[list[int]] = []
     for number, family in enumerate(families):
@@ -617,48 +518,3 @@ def _by_model(families: Sequence[_Family], rest: Array, counts: Array) -> list[l
             agree |= (rest[number] == wanted).sum(axis=0) >= TRIAL * len(rest[number])
         found += [[number, column] for column in np.flatnonzero(agree).tolist()]
     return found
-
-
-def _entropy(column: Array) -> float:
-    """How many bits a value tells."""
-    _, counts = np.unique(column, return_counts=True)
-    share = counts / counts.sum()
-    return float(-(share * np.log2(share)).sum())
-
-
-def _number(own: Array, order: Order) -> Array:
-    """The bytes of checks as numbers, int64."""
-    out = np.zeros(len(own), np.int64)
-    for byte in own.T if order == "big" else own.T[::-1]:
-        out = out << 8 | byte
-    return out
-
-
-def _bytes_giving(family: _Family, size: int, constant: int) -> bytes | None:
-    """The `size` bytes behind what is covered that give a constant, first byte first."""
-    tables = family.tables(size)
-    if size == 1:
-        found = np.flatnonzero(tables[0] == constant)
-        return bytes([int(found[0])]) if len(found) else None
-    both = tables[1][:, None] ^ tables[0][None, :]
-    pairs = np.argwhere(both == constant)
-    return bytes(pairs[0].tolist()) if len(pairs) else None
-
-
-def _rank(covered: Array) -> int:
-    """How many differences of rows are linearly independent over the field of two elements, counted up to 64."""
-    if not covered.shape[1]:
-        return 0
-    basis: dict[int, int] = {}
-    first = int.from_bytes(covered[0].tobytes(), "big")
-    for row in covered[1:]:
-        number = int.from_bytes(row.tobytes(), "big") ^ first
-        while number:
-            top = number.bit_length()
-            if top not in basis:
-                basis[top] = number
-                break
-            number ^= basis[top]
-        if len(basis) >= 64:
-            break
-    return len(basis)

@@ -2,7 +2,8 @@
 
 1. What is printed loads, passes `aces spec check`, and accounts for every frame that it was guessed from.
 2. A constant in a recording is no promise: bytes that never changed belong to no field, and are kept as `reserved`.
-3. Nothing of a recording reaches the source but numbers and printable ASCII in comments.
+3. An enumeration has the values that occurred, named by their numbers; another one decodes to its number.
+4. Nothing of a recording reaches the source but numbers and printable ASCII in comments.
 """
 
 from __future__ import annotations
@@ -18,14 +19,24 @@ from .fields import FieldGuess
 from .traffic import MessageGuess, TrafficGuess
 
 TITLE = '"""A draft by `aces spec guess`: yours to name and to correct from here on."""'
-#: Columns of a comment.
+#: Columns of a comment, and of a field.
 WIDTH = 110
 #: What comes from aces_bus.protocol, and from construct.
 _OURS = frozenset(
     (
-        *("AsciiText", "BitLayout", "Cobs", "Counter", "Crc", "Delimited", "Extra", "FastPacket", "Fletcher"),
-        *("IdBytes", "IdField", "Insert", "InvertedSum", "IsoTp", "Multiplexed", "Protocol", "Slip", "Sum"),
-        *("Text", "Xor", "bits", "float_bits"),
+        *("AsciiText", "BitLayout", "Cobs", "Counter", "Crc", "Delimited", "Enumeration"),
+        *("Extra", "FastPacket", "Fletcher"),
+        *(
+            "IdBytes",
+            "IdField",
+            "Insert",
+            "InvertedSum",
+            "IsoTp",
+            "J1939Transport",
+            "Multiplexed",
+            "Protocol",
+        ),
+        *("Slip", "Sum", "TailByte", "Text", "Xor", "bits", "float_bits"),
     )
 )
 _CONSTRUCTS = frozenset(("Byte", "Bytes", "GreedyBytes", "Int16ub", "Int16ul", "Struct", "this"))
@@ -122,8 +133,15 @@ def plain(text: str) -> str:
 
 
 def wrapped(text: str, first: str, others: str) -> list[str]:
-    """A comment in lines that are no wider than `WIDTH`."""
-    return textwrap.wrap(text, WIDTH, initial_indent=first, subsequent_indent=others, break_on_hyphens=False)
+    """A comment, or code without texts, in lines that are no wider than `WIDTH` where there are blanks."""
+    return textwrap.wrap(
+        text,
+        WIDTH,
+        initial_indent=first,
+        subsequent_indent=others,
+        break_on_hyphens=False,
+        break_long_words=False,
+    )
 
 
 # ---------------------------------------------------------------------- messages
@@ -237,7 +255,7 @@ def _layout(fields: Sequence[FieldGuess], first: int, size: int, trailing: bool)
 
 def _commented(one: FieldGuess, code: str, fields: Sequence[FieldGuess] = ()) -> list[str]:
     text = f"{one.evidence} ({one.confidence:.2f})"
-    return [*(f"    {line}" for line in wrapped(plain(text), "# ", "# ")), f"    {code}"]
+    return [f"    {line}" for line in (*wrapped(plain(text), "# ", "# "), *wrapped(code, "", "    "))]
 
 
 def _field(one: FieldGuess, first: int, is_big: bool) -> str:
@@ -252,6 +270,8 @@ def _field(one: FieldGuess, first: int, is_big: bool) -> str:
         made = f"bits({arguments}{', signed=True' if one.signed else ''}{order})"
     if one.kind == "counter" and one.value == 1 and one.modulus:
         made = f"Counter({made}{f', {one.modulus}' if one.modulus != 1 << one.length else ''})"
+    if one.kind == "enumeration" and one.values:
+        made = f"Enumeration({made}, {', '.join(f'value_{value}={value}' for value in one.values)})"
     if one.when:
         made = f'Multiplexed("{one.selector}", {_set(one.when)}, {made})'
     return made

@@ -181,13 +181,13 @@ def fields_of(rows: Array, times_ns: Array | None = None, prefix: bytes | Array 
         found += _selected(rows, selector, free)
         for one in found:
             free[list(one.positions)] = False
-    return filled(sample, found + _split(sample, free), np.ones(8 * sample.size, bool))
+    return filled(sample, found + _split(rows, sample, free), np.ones(8 * sample.size, bool))
 
 
-def _split(sample: Rows, free: Array) -> list[FieldGuess]:
-    """The fields of what is left."""
+def _split(rows: Array, sample: Rows, free: Array) -> list[FieldGuess]:
+    """The fields of what is left; `sample` is of `rows`."""
     from .boundaries import merged_pieces, split, whole_bytes
-    from .kinds import classified
+    from .kinds import classified, with_all_values
 
     changing = free & sample.varies
     pieces = (
@@ -195,7 +195,7 @@ def _split(sample: Rows, free: Array) -> list[FieldGuess]:
         if sample.steps >= STEPS
         else whole_bytes(changing)
     )
-    return [classified(sample, piece) for piece in pieces]
+    return [with_all_values(classified(sample, piece), rows) for piece in pieces]
 
 
 def _selected(rows: Array, selector: FieldGuess, free: Array) -> list[FieldGuess]:
@@ -211,7 +211,7 @@ def _selected(rows: Array, selector: FieldGuess, free: Array) -> list[FieldGuess
         plain = [one for one in plain_fields(sample, None, b"") if free[list(one.positions)].all()]
         for one in plain:
             own[list(one.positions)] = False
-        fields = filled(sample, [*plain, *_split(sample, own)], free)
+        fields = filled(sample, [*plain, *_split(some, sample, own)], free)
         found.append([one for one in fields if one.kind != "constant"])
     places = [{one.positions for one in some} for some in found]
     common = set.intersection(*places)

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from .._lazy import np
 from .checks import checks_of
@@ -16,6 +17,8 @@ from .fields import STEPS, Array, ByteOrder, FieldGuess, FieldKind, Rows, above,
 VALUES, SIGNED = 12, 5
 #: The share of steps that a counter counts, and that its higher bits are wrong in.
 COUNTS, SLIPS = 0.8, 0.2
+#: Shares of steps between which a bit that changes may be noise.
+NOISY = 0.35, 0.9
 #: Values of an enumeration, and its bits.
 NAMES, NAME_BITS = 10, 8
 #: Characters of a text, and the share of them that must be some.
@@ -59,7 +62,8 @@ def _texts(sample: Rows, free: Array) -> Iterator[FieldGuess]:
         if end - byte >= CHARACTERS and letters[:, byte:end].mean() > 0.6 and _is_various(data[:, byte:end]):
             example = "".join(chr(c) if 32 <= c < 127 else "·" for c in data[0, byte:end].tolist())
             evidence = f"characters, {example!r} first"
-            yield FieldGuess(8 * byte, 8 * (end - byte), "little", "text", 0.8, evidence)
+            sure = 0.8 * sample.total / (sample.total + 4)
+            yield FieldGuess(8 * byte, 8 * (end - byte), "little", "text", sure, evidence)
         byte = max(end, byte + 1)
 
 
@@ -190,7 +194,9 @@ def classified(sample: Rows, piece: tuple[list[int], ByteOrder]) -> FieldGuess:
     moves = int((before != after).sum())
     if width == 1:
         evidence = f"one bit, changes in {moves} of {sample.steps} steps"
-        return FieldGuess(start, 1, order, "flag", 0.9 if moves else 0.5, evidence)
+        # Where it is another in every second message it may be the lowest bit of something.
+        is_noise = NOISY[0] * sample.steps < moves < NOISY[1] * sample.steps
+        return FieldGuess(start, 1, order, "flag", 0.9 if moves and not is_noise else 0.5, evidence)
     different = np.unique(words)
     if sample.steps < STEPS:
         return FieldGuess(
@@ -204,6 +210,21 @@ def classified(sample: Rows, piece: tuple[list[int], ByteOrder]) -> FieldGuess:
         start, width, order, kind, confidence, f"{evidence}{why}", signed,
         values=tuple(different.tolist()) if kind == "enumeration" else (),
     )  # fmt: skip
+
+
+def with_all_values(one: FieldGuess, rows: Array) -> FieldGuess:
+    """An enumeration with the values that it has in all rows, not in a sample only; with too many of them it is a number."""
+    if one.kind != "enumeration":
+        return one
+    seen = np.zeros(len(rows), np.int64)
+    for to, at in enumerate(one.positions):
+        seen |= (rows[:, at // 8] >> at % 8 & 1).astype(np.int64) << to
+    values = tuple(np.flatnonzero(np.bincount(seen)).tolist())
+    if len(values) > NAMES:
+        return replace(
+            one, kind="number", values=(), evidence=f"{len(values)} values, of which few occur often"
+        )
+    return replace(one, values=values)
 
 
 def _kind(

@@ -135,6 +135,8 @@ def _signature(frames: FrameTable, group: Members) -> Array | None:
 def _joined(groups: Sequence[Members], alike: Sequence[int], shift: int) -> Members:
     keys = tuple(groups[at].keys[0] for at in alike)
     identifiers = [key & 0x1FFF_FFFF for key in keys]
+    # Numbers of devices are neighbours, mostly; identifiers of noise are anywhere.
+    density = len(keys) / ((identifiers[-1] - identifiers[0] >> shift) + 1)
     is_source = bool(keys[0] & EXTENDED)
     span = {0: 0xFF if is_source else 0x7F, 4: 0xF0, 5: 0x7E0, 8: 0x700}[shift]
     base = identifiers[0] & ~span if shift or is_source else _base(identifiers)
@@ -143,7 +145,7 @@ def _joined(groups: Sequence[Members], alike: Sequence[int], shift: int) -> Memb
         base,
         shift,
         tuple((one - base) >> shift for one in identifiers),
-        min(0.9, 0.5 + 0.1 * len(keys)),
+        min(0.9, 0.5 + 0.1 * len(keys)) * (1.0 if is_source else 0.5 + 0.5 * density),
         f"{len(keys)} identifiers with the same lengths and rate, in which the same bits change",
     )
     rows = np.concatenate([groups[at].rows for at in alike])

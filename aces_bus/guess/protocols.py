@@ -14,6 +14,7 @@ from typing import Any
 from .._lazy import np
 from ..frame_table import FrameTable
 from ..protocol.keys import EXTENDED, FD, REMOTE
+from .carried import CarriedGuess, cyphal_packets, j1939_packets
 from .fields import Array
 
 #: Frames that must have spoken for a standard, and the share that may speak against it.
@@ -41,6 +42,8 @@ class ProtocolGuess:
     keys: tuple[int, ...]
     confidence: float
     evidence: str
+    #: Packets under other identifiers than those of their frames.
+    packets: tuple[CarriedGuess, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """The guess in JSON's kinds."""
@@ -61,7 +64,12 @@ def recognised(frames: FrameTable) -> list[ProtocolGuess]:
         if len(keys)
         else {}
     )
-    found = [*_j1939(frames, rows), *_packets(frames, rows), *_canopen(frames, rows)]
+    found = [
+        *_j1939(frames, rows),
+        *_put_together(frames, rows),
+        *_packets(frames, rows),
+        *_canopen(frames, rows),
+    ]
     return found
 
 
@@ -97,6 +105,20 @@ def _j1939(frames: FrameTable, rows: dict[int, Array]) -> Iterator[ProtocolGuess
 
 
 # ---------------------------------------------------------------------- packets of several frames
+
+
+def _put_together(frames: FrameTable, rows: dict[int, Array]) -> Iterator[ProtocolGuess]:
+    keys, found = j1939_packets(frames, rows)
+    if found:
+        sizes = [size for one in found for size in one.sizes]
+        said = f"{sum(one.count for one in found)} packets of {min(sizes)} to {max(sizes)} bytes are whole"
+        yield ProtocolGuess("J1939 transport", keys, 0.95, said, tuple(found))
+    keys, found = cyphal_packets(frames, rows)
+    if found:
+        said = (
+            f"{sum(one.count for one in found)} transfers are whole, those of several frames with their CRC"
+        )
+        yield ProtocolGuess("Cyphal", keys, 0.95, said)
 
 
 def _packets(frames: FrameTable, rows: dict[int, Array]) -> Iterator[ProtocolGuess]:

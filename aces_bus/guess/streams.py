@@ -19,8 +19,10 @@ import numpy as np
 
 from ..protocol.columns.table import Array
 from .fields import FieldGuess, fields_of
-from .framings import SAMPLE, FramingGuess, Sample, Span, framings_of, spans_of
+from .framing_search import framings_of
+from .framings import FramingGuess, spans_of
 from .known import TRIED_BYTES, FittingProtocol, fitting_protocols
+from .sample import SAMPLE, Sample, Span
 
 #: Bytes that are looked at.
 KEPT = 1 << 20
@@ -87,7 +89,10 @@ class StreamGuess:
             "bytes": self.bytes,
             "kept": self.kept,
             "decoded": self.decoded,
-            "known": [{"name": one.name, "share": round(one.share, 4)} for one in self.known],
+            "known": [
+                {"name": one.name, "share": round(one.share, 4), "direction": one.direction}
+                for one in self.known
+            ],
             "framings": [one.as_dict() for one in self.framings],
             "packets": [one.as_dict() for one in self.packets],
         }
@@ -129,10 +134,14 @@ class StreamTraffic:
         fitting = tuple(fitting_protocols(whole[:TRIED_BYTES])) if known and whole else ()
         if fitting:
             return StreamGuess((), (), (), self.bytes, self.kept, 0, fitting)
-        framings = framings_of(_sample(lines))
+        sample = _sample(lines)
+        framings = framings_of(sample)
         if not framings:
             return StreamGuess((), (), tuple(() for _ in lines), self.bytes, self.kept, 0)
         framings, spans = self._scanned(framings, lines)
+        if len(sample.data) < self.kept:
+            said = f"found in {len(sample.data):,} of the bytes; packets are counted in all"
+            framings = [replace(one, evidence=(*one.evidence, said)) for one in framings]
         found: list[PacketGuess] = []
         for number, framing in enumerate(framings):
             packets, times = _packets(lines, spans, number)

@@ -7,16 +7,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 from .._lazy import np
-from ..frame_table import ERROR, NO_TIME, FrameTable, rows_at
+from ..frame_table import ERROR, FrameTable, rows_at
 from ..protocol.keys import EXTENDED, FD, REMOTE
+from ..traffic import BusIdentifier, FrameCount, GapCounts, rows_of_each
 from .fields import Array, FieldGuess, fields_of
-from .known import TRIED_FRAMES, FittingProtocol, fitting_protocols, undecoded
+from .known import FittingProtocol, fitting_protocols, undecoded
 from .nodes import Members, NodeGuess, families
 from .pairs import PairGuess, pairs_of
 from .protocols import ProtocolGuess, recognised
@@ -26,11 +26,32 @@ FRAMES, IDENTIFIERS = 2_000_000, 2048
 #: Bytes of payloads, of all messages together, whose fields are sought: 1024 messages of 8 bytes. Others stay bytes.
 BYTES = 8192
 #: Transports by the names of standards, as a spec declares them.
-TRANSPORTS = {"ISO-TP": "IsoTp()", "fast packet": "FastPacket()"}
+TRANSPORTS = {
+    "ISO-TP": "IsoTp()",
+    "fast packet": "FastPacket()",
+    "J1939 transport": "J1939Transport()",
+    "Cyphal": "TailByte()",
+}
 #: Lengths of one identifier that become messages of their own.
 LENGTHS = 4
 #: Frames from which on there is a period, and the share of it that gaps may differ by for it to be one.
 GAPS, REGULAR = 6, 0.3
+
+
+def runs_text(numbers: Sequence[int], step: int = 1, text: Callable[[int], str] = str) -> str:
+    """Rising numbers, of which those at equal distances are a run.
+
+    >>> runs_text([1, 2, 3, 5, 8, 9]), runs_text([0x20, 0x40, 0x60], 0x20, hex)
+    ('1…3, 5, 8, 9', '0x20…0x60')
+    """
+    runs: list[list[int]] = []
+    for number in numbers:
+        if runs and number == runs[-1][-1] + step:
+            runs[-1].append(number)
+        else:
+            runs.append([number])
+    parts = [f"{text(run[0])}…{text(run[-1])}" if len(run) > 2 else ", ".join(map(text, run)) for run in runs]
+    return ", ".join(parts)
 
 
 @dataclass(frozen=True)
@@ -73,10 +94,11 @@ class MessageGuess:
 
     @property
     def shown(self) -> str:
-        """The identifiers as candump writes them."""
-        digits = 8 if self.keys[0] & EXTENDED else 3
-        first, last = (f"{key & 0x1FFF_FFFF:0{digits}X}" for key in (self.keys[0], self.keys[-1]))
-        return first if len(self.keys) == 1 else f"{first}…{last}"
+        """The identifiers as candump writes them: `123`, `123 FD`, `201…204`, `201, 202, 205`."""
+        kind = (" FD" if self.keys[0] & FD else "") + (" remote" if self.keys[0] & REMOTE else "")
+        numbers = [key & 0x1FFF_FFFF for key in self.keys]
+        shift = 0 if self.node is None else self.node.shift
+        return runs_text(numbers, 1 << shift, lambda n: f"{n:0{8 if self.keys[0] & EXTENDED else 3}X}") + kind
 
     def as_dict(self) -> dict[str, Any]:
         """The guess in JSON's kinds."""
@@ -156,13 +178,13 @@ class Traffic:
         fitting: list[FittingProtocol] = []
         decoded = 0
         if known and len(frames):
-            fitting = fitting_protocols(frames.take(slice(0, TRIED_FRAMES)))
+            fitting = fitting_protocols(frames)
             if fitting:
                 left = undecoded(fitting[0].variant, frames)
                 decoded = len(frames) - len(left)
                 frames = frames.take(left)
         standards = tuple(recognised(frames))
-        messages, beyond = _messages(frames, _carried(standards))
+        messages, beyond = _messages(frames, standards)
         return TrafficGuess(
             self.frames,
             self._kept,
@@ -201,44 +223,49 @@ def _one_table(tables: list[FrameTable]) -> FrameTable:
     return FrameTable.concat(moved)
 
 
-def by_key(frames: FrameTable) -> Iterator[tuple[int, Array]]:
-    """Each key with its rows, in order, channel by channel: those of the one where it has most frames first."""
-    order = np.argsort(frames.key, kind="stable")
-    keys = frames.key[order]
-    starts = np.flatnonzero(np.diff(keys, prepend=~keys[:1])).tolist()
-    for start, end in pairwise([*starts, len(keys)]):
-        rows = order[start:end]
-        channels = frames.channel[rows]
-        if (channels != channels[0]).any():
-            rows = rows[np.argsort(-np.bincount(channels)[channels], kind="stable")]
-        yield int(keys[start]), rows
+def rows_by_key(frames: FrameTable) -> dict[int, list[Array]]:
+    """The rows of each key, lowest first: those of each channel in order, the one with most frames first."""
+    found: dict[int, list[Array]] = {}
+    for rows in rows_of_each(frames.channel.astype(np.uint64) << np.uint64(32) | frames.key):
+        found.setdefault(int(frames.key[rows[0]]), []).append(rows)
+    return {key: sorted(found[key], key=len, reverse=True) for key in sorted(found)}
 
 
-def timing_of(times: Array) -> TimingGuess | None:
-    """Period and jitter of a message by the instants (int64 ns) of its frames; None where there are too few."""
-    times = times[times != NO_TIME]
-    gaps = np.diff(times)
-    if len(gaps) < GAPS:
+def timing_of(gaps: GapCounts) -> TimingGuess | None:
+    """Period and jitter of a message by the gaps between its frames; None where there are too few."""
+    found = gaps.quantiles_ns((0.1, 0.5, 0.9))
+    if found is None or gaps.count < GAPS:
         return None
-    low, middle, high = np.quantile(gaps, (0.1, 0.5, 0.9))
-    return TimingGuess(round(middle), round(high - low)) if middle > 0 else None
+    return TimingGuess(round(found[1]), round(found[2] - found[0]))
 
 
 def _carried(standards: Iterable[ProtocolGuess]) -> dict[int, str]:
-    """The transport of each key whose frames are parts of packets, as a spec declares it."""
-    return {key: TRANSPORTS[one.name] for one in standards if one.name in TRANSPORTS for key in one.keys}
+    """The transport of each key of packets, as a spec declares it."""
+    return {
+        key: TRANSPORTS[one.name]
+        for one in standards
+        if one.name in TRANSPORTS
+        for key in ([packet.key for packet in one.packets] or one.keys)
+    }
 
 
-def _messages(frames: FrameTable, carried: Mapping[int, str]) -> tuple[list[MessageGuess], int]:
+def _messages(frames: FrameTable, standards: Sequence[ProtocolGuess]) -> tuple[list[MessageGuess], int]:
+    carried = _carried(standards)
+    parts = {key for one in standards if one.packets for key in one.keys}
     groups: list[Members] = []
     beyond = 0
-    for key, rows in by_key(frames):
+    for key, by_channel in rows_by_key(frames).items():
+        if key in parts:
+            continue
+        rows = np.concatenate(by_channel)
         if len(groups) >= IDENTIFIERS:
             beyond += len(rows)
             continue
-        own = rows[frames.channel[rows] == frames.channel[rows[0]]]
-        lengths = tuple(np.unique(frames.length[rows]).tolist())
-        groups.append(Members((key,), rows, lengths, timing_of(frames.time[own])))
+        counts = [FrameCount(exact=FRAMES) for _ in by_channel]
+        for one, own in zip(counts, by_channel, strict=True):
+            one.count(frames.time[own], frames.length[own])
+        lengths = sorted({length for one in counts for length in one.lengths_seen})
+        groups.append(Members((key,), rows, tuple(lengths), timing_of(counts[0].gaps)))
     found: list[MessageGuess] = []
     looked_at = 0
     for group in families(frames, [one for one in groups if one.keys[0] not in carried]):
@@ -246,15 +273,19 @@ def _messages(frames: FrameTable, carried: Mapping[int, str]) -> tuple[list[Mess
         looked_at += sum(group.lengths[-LENGTHS:])
     for group in groups:
         if group.keys[0] in carried:
-            found.append(_packets(frames, group, carried[group.keys[0]]))
+            found.append(_packets(group, carried[group.keys[0]]))
+    seen = {group.keys[0] for group in groups}
+    for packet in (packet for one in standards for packet in one.packets if packet.key not in seen):
+        group = Members((packet.key,), np.zeros(packet.frames), packet.sizes, None)
+        found.append(_packets(group, carried[packet.key]))
     return sorted(found, key=lambda one: (one.keys[0], one.length or 0)), beyond
 
 
-def _packets(frames: FrameTable, group: Members, transport: str) -> MessageGuess:
+def _packets(group: Members, transport: str) -> MessageGuess:
     """Frames that are parts of packets, as packets of bytes."""
-    rows = group.rows
+    lengths, timing = group.lengths, group.timing
     return MessageGuess(
-        _name(group), group.keys, len(rows), None, 0, group.lengths, group.timing, (), transport=transport
+        _name(group), group.keys, len(group.rows), None, 0, lengths, timing, (), transport=transport
     )
 
 
@@ -301,8 +332,7 @@ def _clocked(messages: Iterable[MessageGuess]) -> set[int]:
 
 def _name(group: Members) -> str:
     key = group.keys[0]
-    digits = 8 if key & EXTENDED else 3
-    name = f"Id{key & 0x1FFF_FFFF:0{digits}X}"
+    name = f"Id{BusIdentifier(None, key).digits}"
     if group.node is not None:
         name += group.node.name.capitalize()
     return name + ("Fd" if key & FD else "") + ("Remote" if key & REMOTE else "")

@@ -13,15 +13,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.compare import RecordingComparison, TrafficChange, compare_recordings, parse_marks, traffic
+from aces_bus import traffic
+from aces_bus.compare import RecordingComparison, TrafficChange, compare_recordings, parse_marks
 from aces_bus.compare.changes import bits_text, values_text
-from aces_bus.compare.gaps import GapCounts
 from aces_bus.compare.marks import windows_of
-from aces_bus.compare.traffic import BusIdentifier, IdentifierTraffic, TrafficProfile
+from aces_bus.compare.traffic import IdentifierTraffic, TrafficProfile
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import Channels, FrameTable
 from aces_bus.frames import Frame
 from aces_bus.recordings import parse_filter
+from aces_bus.traffic import BusIdentifier, GapCounts
 
 ROOT = Path(__file__).resolve().parents[2]
 WALK = ROOT / "examples" / "captures" / "hubo2plus.log"
@@ -144,7 +145,7 @@ def test_memory_is_bounded_whatever_the_recording_holds(monkeypatch: pytest.Monk
     table = FrameTable.from_frames([Frame(number, b"\0", None, None, True) for number in range(n)])
     profile = TrafficProfile()
     profile.add(table, np.zeros(n, np.int64))
-    assert (len(profile.identifiers), profile.beyond, profile.frames) == (100, 50, n)
+    assert (len(profile.identifiers), profile.identifiers.beyond, profile.frames) == (100, 50, n)
 
 
 # ---------------------------------------------------------------------- changes
@@ -251,6 +252,45 @@ def test_what_stops_changing_is_said() -> None:
     """A byte that toggles in A and not in B."""
     (change,) = compared([(n * 0.01, f"100#{n & 1:02X}") for n in range(100)], steady("100#00"))
     assert (change.kind, change.bits) == ("constant", (0,))
+
+
+def test_a_bit_among_noise_that_pauses_by_chance_is_not_telling() -> None:
+    """In six frames some of 64 noisy bits do not change."""
+    rng = random.Random(3)
+    noise = [(n * 0.01, f"100#{rng.randbytes(8).hex()}") for n in range(606)]
+    found = [one for one in compared(noise[:600], noise[600:]) if one.kind == "constant"]
+    assert found
+    assert max(one.score for one in found) < 0.2
+
+
+@pytest.mark.parametrize("late", [0.0, 0.01, 0.3])
+def test_marks_that_are_a_bit_late_find_the_button_nevertheless(late: float) -> None:
+    """The first frames of each press are in A: its bit, its length and its value of an enumeration are hardly ever there."""
+    presses = [(5.0, 7.0), (12.0, 14.0), (20.0, 22.5)]
+
+    def is_pressed(at: float) -> bool:
+        return any(start <= at < stop for start, stop in presses)
+
+    frames: list[tuple[float, str]] = []
+    for n in range(3000):
+        at = n / 100
+        frames.append((at, f"2A0#{n % 16:02X}{0x21 if is_pressed(at) else 0x01:02X}"))
+        frames.append((at + 0.001, f"2A1#{'0000' if is_pressed(at) else '00'}"))
+    times = [(start + late, stop - late) for start, stop in presses]
+    found = compare_recordings(candump(frames), b_times=times).changes
+    what = {(one.subject, one.byte, one.bits): (one.kind, one.seen_in) for one in found}
+    if late:
+        assert what == {("2A0", 1, (5,)): ("mostly", 3), ("2A1", None, ()): ("mostly", 0)}
+        assert min(one.score for one in found) > 0.5
+    else:
+        assert what == {("2A0", 1, (5,)): ("differs", 3), ("2A1", None, ()): ("length", 0)}
+
+
+def test_what_is_common_in_a_is_no_button() -> None:
+    """A bit that is set for a third of A says nothing when it is set in B."""
+    frames = [(n * 0.01, f"100#{0x20 if n % 300 >= 200 else 0:02X}") for n in range(3000)]
+    found = compare_recordings(candump(frames), b_times=[(14.1, 14.8)], least=0).changes
+    assert "mostly" not in {one.kind for one in found}
 
 
 def test_a_counter_that_goes_on_is_hardly_telling_and_a_mode_is() -> None:
@@ -395,6 +435,15 @@ def test_signals_that_change() -> None:
     signals = {one.signal for one in found.changes if one.subject == "can0 Encoder[board=3]"}
     assert "position.0" in signals
     assert not [one for one in found.changes if one.subject == "can0 063"]
+
+
+def test_a_signal_that_is_mostly_another_in_b_is_said() -> None:
+    """A value that A has in hardly any message, and B in most."""
+    values = [3 if 20 <= n < 40 else 0 for n in range(400)]
+    frames = [(n * 0.01, f"063#{value:02X}00000000000000") for n, value in enumerate(values)]
+    found = compare_recordings(candump(frames), b_times=[(0.22, 0.4)], protocol="hubo").changes
+    (change,) = [one for one in found if one.signal == "position.0"]
+    assert (change.kind, change.count, change.seen_in) == ("mostly", change.frames, 1)
 
 
 def test_streams_are_compared_by_their_messages(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from aces_bus.guess import FieldGuess, fields_of
-from aces_bus.guess.fields import ByteOrder, positions_of
+from aces_bus.guess.fields import SAMPLE, ByteOrder, positions_of
 from aces_bus.protocol import Crc
 
 STEPS = 1500
@@ -100,6 +100,20 @@ def test_text_flags_and_enumerations() -> None:
     assert kinds == {0: "enumeration", 7: "flag", 24: "text"}
 
 
+def test_an_enumeration_has_the_values_of_all_rows() -> None:
+    """Also one that no sample has; with many of them it is none."""
+    count = 5 * SAMPLE
+    rows = np.zeros((count, 2), np.uint8)
+    rows[:, 0] = np.arange(count) // 200 % 2
+    between = SAMPLE  # between two runs of the sample
+    rows[between, 0] = 3
+    (one,) = [one for one in fields_of(rows) if one.kind == "enumeration"]
+    assert (one.start, one.length, one.values) == (0, 2, (0, 1, 3))
+    rows[:, 0] = rows[:, 0] * 0x11
+    rows[between : between + 12, 0] = np.arange(2, 14) * 0x11
+    assert "enumeration" not in {one.kind for one in fields_of(rows)}
+
+
 def test_what_never_changes_is_a_constant_of_this_recording() -> None:
     """With as much confidence as there are messages."""
     few, many = (fields_of(np.full((count, 3), 0x5A, np.uint8)) for count in (2, 200))
@@ -154,3 +168,14 @@ def test_a_multiplexer_is_what_makes_the_rest_smooth(is_cyclic: bool) -> None:
         ((1,), 24, 8, "little"),
         ((2,), 24, 16, "big"),
     }
+
+
+def test_a_bit_that_changes_in_every_second_message_is_hardly_sure_to_be_a_flag() -> None:
+    """It may be the lowest bit of a number; one that changes seldom, or each time, is a flag."""
+    drawn = np.random.default_rng(2)
+    bits = [drawn.integers(0, 2, 400), np.arange(400) // 60 & 1, np.arange(400) & 1]
+    sure = []
+    for bit in bits:
+        (flag,) = [one for one in fields_of((bit[:, None] * 0x10).astype(np.uint8)) if one.kind == "flag"]
+        sure.append(flag.confidence)
+    assert sure == [0.5, 0.9, 0.9]

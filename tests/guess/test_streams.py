@@ -219,6 +219,21 @@ def test_known_protocols_come_first() -> None:
     assert "minihubo_adc" in [one.name for one in guess.known]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("packet", "way"), [("FF FF 01 02 00 FC", "from"), ("FF FF 0C 04 02 00 32 BB", "both")]
+)
+def test_a_known_protocol_is_tried_in_both_directions(
+    packet: str, way: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Answers of a servo alone are found, with what `aces decode` must be given; what has no check gives way."""
+    monkeypatch.setattr("aces_bus.guess.known.list_protocols", lambda: ["minihubo_adc", "robotis"])
+    traffic = StreamTraffic()
+    traffic.add(bytes.fromhex(packet) * 12)
+    (known,) = traffic.guess().known
+    assert known.options == f"-p robotis --direction {way}"
+
+
 @pytest.mark.shared
 @pytest.mark.parametrize(
     ("name", "packets", "left"),

@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from construct import GreedyBytes, Struct
 
 from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
 from aces_bus.guess import Traffic, TrafficGuess, draft_source
-from aces_bus.protocol import Crc, FastPacket, IdField, IsoTp, Protocol
+from aces_bus.protocol import Crc, FastPacket, IdField, IsoTp, J1939Transport, Protocol, TailByte, Transport
 from aces_bus.protocol.files import load_file
 from aces_bus.protocol.lint import check_protocol
 
@@ -73,12 +74,28 @@ def test_a_message_is_drafted_with_its_counter_check_and_numbers(tmp_path: Path)
     assert "malformed: check" in str(protocol.scanner(include_unknown=True).feed([flipped])[0])
 
 
+def test_an_enumeration_is_drafted_with_its_values(tmp_path: Path) -> None:
+    """Named by their numbers; one that did not occur decodes to its number, and is kept."""
+    states = np.array([0, 5, 3, 6])[np.arange(600) // 25 % 4].tolist()
+    frames = [
+        Frame(0x155, bytes([state | n // 140 % 2 << 6, n & 255]), n / 100) for n, state in enumerate(states)
+    ]
+    protocol = drafted(guessed(frames), tmp_path)
+    assert accounted(protocol, frames) == "total=600 decoded=600 records=600"
+    assert (
+        "Enumeration(bits(3, 0), value_0=0, value_3=3, value_5=5, value_6=6)"
+        in (tmp_path / "draft.py").read_text()
+    )
+    first, other = protocol.scanner().feed([frames[30], Frame(0x155, b"\x47\x00")])
+    assert (first.enumeration_0_0, other.enumeration_0_0) == ("value_5", 7)
+
+
 def test_a_node_number_inside_identifiers_is_a_field(tmp_path: Path) -> None:
     """Frames of one kind of device, at neighbouring identifiers; another message between them stays by itself."""
     frames = [frame for node in (1, 2, 3, 5) for frame in periodic(0x200 + node, 150, node)]
     frames += [Frame(0x204, bytes([number & 1, 7]), 100 + number * 0.01, "can0") for number in range(150)]
     guess = guessed(frames)
-    assert [one.shown for one in guess.messages] == ["201…205", "204"]
+    assert [one.shown for one in guess.messages] == ["201…203, 205", "204"]
     node = guess.messages[0].node
     assert node is not None
     assert (node.base, node.shift, node.numbers) == (0x200, 0, (1, 2, 3, 5))
@@ -124,8 +141,6 @@ def test_packets_are_recognised_and_drafted_with_their_transport(tmp_path: Path)
     Ecu = IdField("ecu", range(8))
     talk = Protocol("talk", link="can")
     uds = IsoTp(to_device=0x7E0 + Ecu, from_device=0x7E8 + Ecu)
-    from construct import GreedyBytes, Struct
-
     talk.message("Ask", transport=uds, direction="to device", payload=Struct("data" / GreedyBytes))
     talk.message("Answer", transport=uds, direction="from device", payload=Struct("data" / GreedyBytes))
     for group in (0x1F805, 0x1FA04, 0x1F801):
@@ -154,6 +169,61 @@ def test_packets_are_recognised_and_drafted_with_their_transport(tmp_path: Path)
     assert {one.transport for one in guess.messages} == {"IsoTp()", "FastPacket()"}
     counts = accounted(drafted(guess, tmp_path), frames)
     assert counts == f"total={len(frames)} decoded={len(frames) - 12} control=12 records=60"
+
+
+def sent_by(transport: Transport, identifiers: Iterable[int], damaged: int = 0) -> list[Frame]:
+    """Packets of 20, 5 and 100 bytes by turns, and a plain frame behind each round; every `damaged`-th frame is lost."""
+    spoken = Protocol("spoken", link="can")
+    for identifier in identifiers:
+        payload = Struct("data" / GreedyBytes)
+        spoken.message(f"M{identifier:X}", transport=transport, id=identifier, extended=True, payload=payload)
+    encoder = spoken.variant().encoder
+    frames: list[Frame] = []
+    for number in range(15):
+        made = [Frame(0x18F00401, bytes([number, 7 * number & 255, 3]), is_extended_id=True)]
+        for size, identifier in zip((20, 5, 100), identifiers, strict=True):
+            data = bytes((number * 7 + at * 3) & 255 for at in range(size))
+            sent = encoder.next(f"M{identifier:X}", data=data)
+            made += sent if isinstance(sent, list) else [sent]
+        frames += made
+    return [
+        Frame(one.arbitration_id, bytes(one.data), at / 1000, "can0", True)
+        for at, one in enumerate(frames)
+        if not damaged or at % damaged
+    ]
+
+
+def test_sessions_of_j1939_are_drafted_with_their_transport(tmp_path: Path) -> None:
+    """Packets have the identifiers of their parameter groups; the frames of sessions are no messages."""
+    frames = sent_by(J1939Transport(), (0x1CFEEC01, 0x18FEE002, 0x1CEF0503))
+    guess = guessed(frames)
+    assert [one.name for one in guess.protocols] == ["J1939", "J1939 transport"]
+    carried = [(one.shown, one.transport) for one in guess.messages if one.transport]
+    assert carried == [("1CEF0503", "J1939Transport()"), ("1CFEEC01", "J1939Transport()")]
+    protocol = drafted(guess, tmp_path)
+    assert accounted(protocol, frames) == f"total={len(frames)} decoded={len(frames)} records=60"
+    assert guess.as_dict()["messages"][-1]["frames"] == 60
+
+
+def test_transfers_of_cyphal_are_drafted_with_their_tail_byte(tmp_path: Path) -> None:
+    """Those of several frames have a CRC that holds; a subject with single frames only counts by its tail byte."""
+    frames = sent_by(TailByte(), (0x107D552A, 0x107D5530, 0x1013372A))
+    guess = guessed(frames)
+    assert [one.name for one in guess.protocols] == ["Cyphal"]
+    assert len([one for one in guess.messages if one.transport == "TailByte()"]) == 3
+    protocol = drafted(guess, tmp_path)
+    assert accounted(protocol, frames) == f"total={len(frames)} decoded={len(frames)} records=60"
+
+
+@pytest.mark.parametrize("transport", [J1939Transport(), TailByte()])
+def test_packets_that_are_not_whole_stay_frames(transport: Transport, tmp_path: Path) -> None:
+    """Where every third frame is missing the evidence is not complete, and nothing is said."""
+    frames = sent_by(transport, (0x1CFEEC01, 0x18FEE002, 0x1CEF0503), damaged=3)
+    guess = guessed(frames)
+    assert not any(one.transport for one in guess.messages)
+    assert accounted(drafted(guess, tmp_path), frames).startswith(
+        f"total={len(frames)} decoded={len(frames)} "
+    )
 
 
 def test_canopen_is_recognised_by_heartbeats_and_sdo() -> None:
@@ -219,3 +289,41 @@ def test_work_is_bounded_by_bytes_not_by_identifiers(monkeypatch: pytest.MonkeyP
     guess = guessed(frames)
     assert [len(one.fields) > 0 for one in guess.messages] == [True, True, True, False, False]
     assert accounted(drafted(guess, tmp_path), frames) == "total=45 decoded=45 records=45"
+
+
+def test_identifiers_alone_are_no_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
+    """ODrive and CANopen take most of all identifiers; noise at any of them is neither, and real values are."""
+    monkeypatch.setattr("aces_bus.guess.known.list_protocols", lambda: ["canopen", "odrive"])
+    odrive = pytest.importorskip("aces_protocols.odrive.spec").odrive
+    drawn = np.random.default_rng(4)
+    ids = drawn.choice(2048, 30, replace=False).tolist()
+    noise = [Frame(ids[n % 30], drawn.bytes(8), n / 1000, "can0") for n in range(600)]
+    assert guessed(noise, known=True).known == ()
+    encoder = odrive.variant().encoder
+    real: list[Frame] = []
+    for n in range(300):
+        made = encoder.encode("EncoderEstimates", node=n % 3, position=np.sin(n / 50), velocity=n / 100)
+        real.append(Frame(made.arbitration_id, bytes(made.data), n / 100, "can0"))
+    (known,) = guessed(real, known=True).known
+    assert known.name.startswith("odrive")
+
+
+def test_what_is_bytes_alone_is_guessed_beside_its_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
+    """CANopen does not know what a PDO carries: it is left to be guessed, and says nothing for CANopen."""
+    monkeypatch.setattr("aces_bus.guess.known.list_protocols", lambda: ["canopen"])
+    frames = [Frame(0x701, b"\x05", n / 10, "can0") for n in range(90)]
+    frames += [Frame(0x181, bytes([n, 7]), n / 10, "can0") for n in range(10)]
+    guess = guessed(frames, known=True)
+    (known,) = guess.known
+    assert (known.name.partition(":")[0], round(known.share, 2)) == ("canopen", 0.9)
+    assert guess.decoded == 90
+    assert [one.shown for one in guess.messages] == ["181"]
+    assert guessed([*frames[:10], *frames[90:]], known=True).known == ()
+
+
+def test_kinds_of_frames_of_one_identifier_are_told_apart() -> None:
+    """Classic, FD and remote frames."""
+    frames = [Frame(0x123, bytes(12), n / 10, "can0", is_fd=True) for n in range(2)]
+    frames += [Frame(0x123, b"", n / 10, "can0", is_remote_frame=True) for n in range(2)]
+    frames += [Frame(0x123, b"\x01", n / 10, "can0") for n in range(2)]
+    assert sorted(one.shown for one in guessed(frames).messages) == ["123", "123 FD", "123 remote"]
