@@ -16,7 +16,7 @@ Navet do, WFCS 2012), so that it holds for any deadline.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 from .messages import ERROR_BITS, BusMessage, MessageSet
@@ -25,8 +25,9 @@ from .messages import ERROR_BITS, BusMessage, MessageSet
 LONGEST_NS = 600_000_000_000
 #: So many instances of one message are looked at in a busy period.
 MOST_INSTANCES = 100_000
-#: Queues that wait for one another are settled in so many turns, or not at all.
-MOST_TURNS = 200
+#: Queues that wait for one another are settled in so many turns, or not at all: nor where one waits for so many of the
+#: longest periods.
+MOST_TURNS, MOST_PERIODS = 200, 30
 
 
 @dataclass(frozen=True)
@@ -61,22 +62,23 @@ def response_times(messages: MessageSet) -> dict[str, ResponseTime]:
     [('A', 2.0, True), ('B', 3.0, True), ('C', 3.5, False)]
     """
     ordered = sorted(messages.messages, key=lambda message: message.priority)
-    queued = {message.name: message.jitter_ns for message in ordered}  # until it may take part in arbitration
+    most = MOST_PERIODS * max((message.period_ns for message in ordered), default=0)
     found: dict[str, ResponseTime] = {}
-    for settling in range(MOST_TURNS + 1):
+    queued = dict[str, int]()
+    later = {message.name: message.jitter_ns for message in ordered}  # until it may take part in arbitration
+    turn = 0
+    while later != queued:
+        queued, later, turn = later, dict(later), turn + 1
         for message in ordered:
-            analysis = _of_fifo if messages.is_fifo(message) else _of_priority
-            found[message.name] = analysis(messages, message, queued)
-        later = dict(queued)
-        for message in ordered:
-            if messages.is_fifo(message):
-                response = found[message.name].response_ns
-                later[message.name] = LONGEST_NS if response is None else response - message.wire_ns
-        if later == queued:
-            break
-        if settling == MOST_TURNS - 1:  # they drive one another up: there is no bound for them
-            later = {name: LONGEST_NS if later[name] != queued[name] else queued[name] for name in later}
-        queued = later
+            if not messages.is_fifo(message):
+                found[message.name] = _of_priority(messages, message, queued)
+                continue
+            one = _of_fifo(messages, message, queued)
+            delay = LONGEST_NS if one.response_ns is None else one.response_ns - message.wire_ns
+            if delay > most or (turn > MOST_TURNS and delay != queued[message.name]):
+                # Queues that drive one another up: there is no bound for them.
+                one, delay = replace(one, response_ns=None, busy_ns=None, instance=0), LONGEST_NS
+            found[message.name], later[message.name] = one, delay
     return found
 
 
@@ -176,7 +178,7 @@ def _of_fifo(messages: MessageSet, message: BusMessage, queued: dict[str, int]) 
         if last - first > MOST_INSTANCES:
             return ResponseTime(message, None, blocking, None)
         instants.update(n * one.period_ns - one.jitter_ns for n in range(first, last + 1))
-    worst, which = 0, 0
+    worst, which, wait = 0, 0, 0
     for instant in sorted(one for one in instants if one < busy):
         before = (
             sum(((instant + one.jitter_ns) // one.period_ns + 1) * one.wire_ns for one in mine)
@@ -187,9 +189,10 @@ def _of_fifo(messages: MessageSet, message: BusMessage, queued: dict[str, int]) 
             more = sum(_count(now + bit, late, every) * long for long, late, every in level)
             return messages.error_ns(now + message.wire_ns, again) + blocking + before + more
 
-        wait = _fixed_point(blocking + before, waits)
-        if wait is None:
+        found = _fixed_point(max(wait, blocking + before), waits)
+        if found is None:
             return ResponseTime(message, None, blocking, None)
+        wait = found  # a later instant waits no less
         response = message.jitter_ns + wait + message.wire_ns - instant
         if response > worst:
             worst, which = response, (instant + message.jitter_ns) // message.period_ns

@@ -222,7 +222,7 @@ def _contents(
     ticked = tuple(message for message in messages if message.is_ticked)
     tick = bus.tick_ns
     by_name = {message.name: message for message in bus.messages}
-    #: Of a slow poll: it is sent each so many ticks, from which one on (`Host.take_slot`).
+    #: Of a slow poll: it is sent each so many ticks, from which one on (`Polling.take`).
     rhythms: dict[str, tuple[int, int]] = {}
     for message in ticked:
         poll = by_name.get(message.after, message)

@@ -140,19 +140,23 @@ def robot_traffic(
     return _Watch(robot, rate_hz or robot.rate_hz or USUAL_RATE_HZ, load).traffic()
 
 
-def _key(word: Any) -> Any:
-    """What makes two words the same."""
-    if isinstance(word, tuple):
-        return tuple(map(_key, word))
-    return (word.arbitration_id, word.is_extended_id, word.data) if isinstance(word, Frame) else bytes(word)
+def _key(packet: Any) -> Any:
+    """What makes two packets the same."""
+    if isinstance(packet, tuple):
+        return tuple(map(_key, packet))
+    return (
+        (packet.arbitration_id, packet.is_extended_id, packet.data)
+        if isinstance(packet, Frame)
+        else bytes(packet)
+    )
 
 
 @dataclass
-class _Word:
+class _SentPacket:
     """One frame or packet that was sent, when, and when a host's had arrived (-1: not seen)."""
 
     instant: int
-    word: Any
+    packet: Any
     from_host: bool
     arrived: int = -1
     message: str = ""
@@ -162,20 +166,20 @@ class _Word:
 
 
 class _Log:
-    """The words of one bus."""
+    """The packets of one bus."""
 
     def __init__(self) -> None:
-        self.words: list[_Word] = []
-        self._under_way: dict[Any, deque[_Word]] = {}
+        self.packets: list[_SentPacket] = []
+        self._under_way: dict[Any, deque[_SentPacket]] = {}
 
-    def sent(self, instant: int, word: Any, from_host: bool) -> None:
-        found = _Word(instant, word, from_host)
-        self.words.append(found)
+    def sent(self, instant: int, packet: Any, from_host: bool) -> None:
+        found = _SentPacket(instant, packet, from_host)
+        self.packets.append(found)
         if from_host:
-            self._under_way.setdefault(_key(word), deque()).append(found)
+            self._under_way.setdefault(_key(packet), deque()).append(found)
 
-    def arrived(self, instant: int, word: Any) -> None:
-        waiting = self._under_way.get(_key(word))
+    def arrived(self, instant: int, packet: Any) -> None:
+        waiting = self._under_way.get(_key(packet))
         if waiting:
             waiting.popleft().arrived = instant
 
@@ -195,44 +199,46 @@ class _Tap:
             return
         arrived, clock = self._log.arrived, self._port.clock
 
-        def take(word: Any, instant: int) -> None:
-            arrived(clock.now(), word)
-            received(word, instant)
+        def take(packet: Any, instant: int) -> None:
+            arrived(clock.now(), packet)
+            received(packet, instant)
 
         self._port.open(take)
 
-    def send(self, word: Any, *rest: Any, **options: Any) -> bool:
-        taken: bool = self._port.send(word, *rest, **options)
+    def send(self, packet: Any, *rest: Any, **options: Any) -> bool:
+        taken: bool = self._port.send(packet, *rest, **options)
         if taken:
-            self._log.sent(self._port.clock.now(), word, self._from_host)
+            self._log.sent(self._port.clock.now(), packet, self._from_host)
         return taken
 
 
 class _Stream:
-    """The words that are one message."""
+    """The packets that are one message."""
 
-    def __init__(self, name: str, first: _Word) -> None:
+    def __init__(self, name: str, first: _SentPacket) -> None:
         self.name, self.device, self.message = name, first.device, first.message
         self.node = HOST if first.from_host else first.device or name
-        self.slot, self.example = first.slot, first.word
-        self.words: list[_Word] = []
+        self.slot, self.example = first.slot, first.packet
+        self.packets: list[_SentPacket] = []
 
     @property
     def instants(self) -> list[int]:
-        return [one.instant for one in self.words]
+        return [one.instant for one in self.packets]
 
     @property
     def size(self) -> int:
-        return max(len(one.word.data if isinstance(one.word, Frame) else one.word) for one in self.words)
+        return max(
+            len(one.packet.data if isinstance(one.packet, Frame) else one.packet) for one in self.packets
+        )
 
     def sent(self, period_ns: int, *, is_ticked: bool, **more: Any) -> SentMessage:
-        word = self.example
-        if isinstance(word, Frame):
+        packet = self.example
+        if isinstance(packet, Frame):
             more |= {
-                "identifier": word.arbitration_id,
-                "extended": word.is_extended_id,
-                "fd": word.is_fd,
-                "bitrate_switch": word.bitrate_switch,
+                "identifier": packet.arbitration_id,
+                "extended": packet.is_extended_id,
+                "fd": packet.is_fd,
+                "bitrate_switch": packet.bitrate_switch,
             }
         return SentMessage(self.name, self.node, self.device, self.size, period_ns, is_ticked, **more)
 
@@ -251,7 +257,7 @@ class _Stream:
 
 
 class _Watch:
-    """A robot in virtual time whose words are noted."""
+    """A robot in virtual time whose packets are noted."""
 
     def __init__(self, robot: Robot, rate_hz: float, load: Callable[[str], Driver]) -> None:
         self.robot, self.rate_hz, self.load = robot, rate_hz, load
@@ -362,11 +368,11 @@ class _Watch:
 
     def _bus(self, name: str, driven: int, steady: int, alone: int) -> BusTraffic:
         host, config, protocol = self.rig.hosts[name], self.robot.buses[name], self.protocols[name]
-        words = self.logs[name].words
-        self._name(host, words)
+        packets = self.logs[name].packets
+        self._name(host, packets)
         tick = round(1e9 / (host.rate_hz or self.rate_hz))
-        streams = _streams([one for one in words if driven <= one.instant < alone])
-        silent = _streams([one for one in words if one.instant >= alone + QUIET_NS])
+        streams = _streams([one for one in packets if driven <= one.instant < alone])
+        silent = _streams([one for one in packets if one.instant >= alone + QUIET_NS])
         by_itself = {
             key: one for key, one in silent.items() if one.node != HOST and len(set(one.instants)) > 1
         }
@@ -387,34 +393,34 @@ class _Watch:
             budget=host.budget,
         )
 
-    def _name(self, host: Host, words: Sequence[_Word]) -> None:
-        """Say of each word which message it is, to or from which device."""
+    def _name(self, host: Host, packets: Sequence[_SentPacket]) -> None:
+        """Say of each packet which message it is, to or from which device."""
         variants = list(host.variants.values())
         down: Any = make_scanner(variants, direction="to device", include_unknown=True)
         up: Any = make_scanner(variants, direction="from device", include_unknown=True)
-        slots = {_key(part): slot for slot in host.slots for part in _parts(slot.word)}
+        slots = {_key(part): slot for slot in host.slots for part in _parts(slot.packet)}
         #: Frames of a packet that is not whole yet, by identifier.
-        begun: dict[Any, list[_Word]] = {}
-        for one in words:
-            is_can = isinstance(one.word, Frame)
-            records = (down if one.from_host else up).feed((one.word,) if is_can else one.word)
+        begun: dict[Any, list[_SentPacket]] = {}
+        for one in packets:
+            is_can = isinstance(one.packet, Frame)
+            records = (down if one.from_host else up).feed((one.packet,) if is_can else one.packet)
             if one.from_host:
-                up.sent(one.word)
-                slot = slots.get(_key(one.word))
+                up.sent(one.packet)
+                slot = slots.get(_key(one.packet))
                 if slot is not None:
                     one.slot, one.message = slot, slot.poll.message
                     one.device = "" if slot.common else slot.device.name
                     continue
-            packet = begun.setdefault((one.from_host, one.word.arbitration_id if is_can else None), [])
-            packet.append(one)
+            parts = begun.setdefault((one.from_host, one.packet.arbitration_id if is_can else None), [])
+            parts.append(one)
             found = next((record for record in reversed(records) if not isinstance(record, Unknown)), None)
             if found is None:
                 continue
             members = list(host.meant_by(found))
-            for part in packet:
+            for part in parts:
                 part.message = type(found).__name__
                 part.device = members[0].name if len(members) == 1 else ""
-            packet.clear()
+            parts.clear()
 
     def _ticked(self, host: Host, streams: Sequence[_Stream], tick: int, begin: int) -> list[SentMessage]:
         """The messages that ticks bring about, requests before their answers."""
@@ -441,18 +447,20 @@ class _Watch:
         for one in streams:
             if one.node == HOST:
                 continue
-            for place, (cause, words) in enumerate(_answered(host, one, requests)):
-                answers = _Stream(one.name if not place else f"{one.name} ({place + 1})", one.words[0])
-                answers.words = words
-                arrived = [word.arrived for word in cause.words]
-                delays = [word.instant - arrived[bisect_right(arrived, word.instant) - 1] for word in words]
+            for place, (cause, packets) in enumerate(_answered(host, one, requests)):
+                answers = _Stream(one.name if not place else f"{one.name} ({place + 1})", one.packets[0])
+                answers.packets = packets
+                arrived = [packet.arrived for packet in cause.packets]
+                delays = [
+                    packet.instant - arrived[bisect_right(arrived, packet.instant) - 1] for packet in packets
+                ]
                 found = answers.sent(
                     periods[cause.name],
                     is_ticked=True,
                     after=cause.name,
                     delay_ns=max((delay for delay in delays if delay < tick), default=0),
                 )
-                made += _numbered(found, max(1, round(len(words) / len(cause.words))))
+                made += _numbered(found, max(1, round(len(packets) / len(cause.packets))))
         return made
 
 
@@ -461,16 +469,16 @@ def _numbered(sent: SentMessage, number: int) -> list[SentMessage]:
     return [sent, *(replace(sent, name=f"{sent.name} #{n}") for n in range(2, number + 1))]
 
 
-def _parts(word: Any) -> tuple[Any, ...]:
-    return word if isinstance(word, tuple) else (word,)
+def _parts(packet: Any) -> tuple[Any, ...]:
+    return packet if isinstance(packet, tuple) else (packet,)
 
 
-def _streams(words: Sequence[_Word]) -> dict[Any, _Stream]:
-    """The words by message, device, identifier and, of polls, what they ask."""
+def _streams(packets: Sequence[_SentPacket]) -> dict[Any, _Stream]:
+    """The packets by message, device, identifier and, of polls, what they ask."""
     streams: dict[Any, _Stream] = {}
     names: Counter[str] = Counter()
-    for one in words:
-        frame = one.word if isinstance(one.word, Frame) else None
+    for one in packets:
+        frame = one.packet if isinstance(one.packet, Frame) else None
         identity = None if frame is None else (frame.arbitration_id, frame.is_extended_id)
         key = (one.from_host, one.message, one.device, identity, id(one.slot) if one.slot else None)
         stream = streams.get(key)
@@ -480,28 +488,30 @@ def _streams(words: Sequence[_Word]) -> dict[Any, _Stream]:
                 name = "not decoded" if frame is None else f"0x{frame.arbitration_id:03X}"
             names[name] += 1
             stream = streams[key] = _Stream(name if names[name] == 1 else f"{name} ({names[name]})", one)
-        stream.words.append(one)
+        stream.packets.append(one)
     return streams
 
 
-def _answered(host: Host, answer: _Stream, requests: Sequence[_Stream]) -> list[tuple[_Stream, list[_Word]]]:
-    """The requests that a device's message answers, each with the words that do: those that polls declare, or whatever its
+def _answered(
+    host: Host, answer: _Stream, requests: Sequence[_Stream]
+) -> list[tuple[_Stream, list[_SentPacket]]]:
+    """The requests that a device's message answers, each with the packets that do: those that polls declare, or whatever its
     device was sent last.
     """
     declared = [request for request in requests if _is_declared(host, request, answer)]
     candidates = declared or [request for request in requests if request.device in (answer.device, "")]
     arrived = sorted(
-        (word.arrived, place)
+        (packet.arrived, place)
         for place, request in enumerate(candidates)
-        for word in request.words
-        if word.arrived >= 0
+        for packet in request.packets
+        if packet.arrived >= 0
     )
-    found: dict[int, list[_Word]] = {}
-    for word in answer.words:
-        at = bisect_right(arrived, (word.instant, len(candidates)))
+    found: dict[int, list[_SentPacket]] = {}
+    for packet in answer.packets:
+        at = bisect_right(arrived, (packet.instant, len(candidates)))
         if at:
-            found.setdefault(arrived[at - 1][1], []).append(word)
-    return [(candidates[place], words) for place, words in sorted(found.items())]
+            found.setdefault(arrived[at - 1][1], []).append(packet)
+    return [(candidates[place], packets) for place, packets in sorted(found.items())]
 
 
 def _is_declared(host: Host, request: _Stream, answer: _Stream) -> bool:

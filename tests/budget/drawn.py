@@ -10,8 +10,9 @@ import random
 from collections import deque
 from collections.abc import Sequence
 from functools import partial
+from operator import sub
 
-from aces_bus.budget import BusMessage, MessageSet, can_message
+from aces_bus.budget import BusMessage, MessageSet, can_message, response_times
 from aces_bus.frames import Frame
 from aces_bus.hardware.simulated.bus import BusNode, SimulatedBus
 from aces_bus.runtime import VirtualClock
@@ -128,54 +129,70 @@ def worst_seen(
     """The longest responses on a simulated bus (ns): all from one instant on, as late as they may be, or anyhow."""
     clock = VirtualClock()
     bus = SimulatedBus(clock, bitrate=bitrate)
-    worst = dict.fromkeys(frames, 0)
-    begun: dict[tuple[int, bool], deque[int]] = {}
-    names = {(frame.arbitration_id, frame.is_extended_id): name for name, frame in frames.items()}
-
-    def received(frame: Frame, instant: int) -> None:
-        key = frame.arbitration_id, frame.is_extended_id
-        name = names[key]
-        worst[name] = max(worst[name], instant - begun[key].popleft())
-
-    bus.attach("listener", received)
+    arrived: dict[tuple[int, bool], list[int]] = {
+        (frame.arbitration_id, frame.is_extended_id): [] for frame in frames.values()
+    }
+    bus.attach(
+        "listener",
+        lambda frame, instant: arrived[frame.arbitration_id, frame.is_extended_id].append(instant),
+    )
     senders = {
         node: _Sender(bus, node, messages.queues.get(node) == "fifo")
         for node in {one.node for one in messages.messages}
     }
-    end = round(seconds * 1e9)
     lowest = max(messages.messages, key=lambda one: one.priority)
-
-    def release(one: BusMessage, nominal: int, last: int) -> None:
-        """Queue an instance, then the next one; never before the one that it follows."""
-        frame = frames[one.name]
-        begun.setdefault((frame.arbitration_id, frame.is_extended_id), deque()).append(nominal)
-        senders[one.node].send(frame)
-        following = nominal + one.period_ns
-        late = draw.randint(0, one.jitter_ns) if not critical or draw.random() < 0.5 else 0
-        queued = max(following + late, last)
-        if queued < end:
-            clock.call_at(queued, partial(release, one, following, queued))
-
+    begun: dict[str, list[int]] = {}
+    coming: list[tuple[int, int, _Sender, Frame]] = []
     for one in messages.messages:
-        if (
-            critical
-        ):  # the first as late as can be, so that the second is near; the least urgent is a bit ahead
-            start = 1_000_000_000 - (messages.bit_ns if one is lowest else 0)
-            nominal = start - one.jitter_ns
-        else:
-            nominal = draw.randrange(one.period_ns)
-            start = nominal + draw.randint(0, one.jitter_ns)
-        clock.call_at(start, partial(release, one, nominal, start))
-    clock.advance(end)
-    return worst
+        ahead = messages.bit_ns if one is lowest else 0
+        begun[one.name], queued = releases(one, round(seconds * 1e9), draw, critical=critical, ahead_ns=ahead)
+        coming += [(at, len(coming) + n, senders[one.node], frames[one.name]) for n, at in enumerate(queued)]
+    coming.sort()
+    following = iter(coming)
+
+    def release(sender: _Sender, frame: Frame) -> None:
+        sender.send(frame)
+        for at, _, sender, frame in following:
+            if at > clock.now():
+                clock.post(at, partial(release, sender, frame))
+                return
+            sender.send(frame)
+
+    at, _, sender, frame = next(following)
+    clock.post(at, partial(release, sender, frame))
+    clock.advance_to(round(seconds * 1e9))
+    return {
+        name: max(map(sub, arrived[frame.arbitration_id, frame.is_extended_id], begun[name]), default=0)
+        for name, frame in frames.items()
+    }
 
 
-def check_sets(count: int, seed: int, *, seconds: float, phasings: int) -> Sequence[str]:
-    """What `count` drawn sets are seen to take beyond what was computed: nothing, one hopes. Every other set has FIFOs."""
-    from aces_bus.budget import response_times
+def releases(
+    one: BusMessage, end: int, draw: random.Random, *, critical: bool, ahead_ns: int
+) -> tuple[list[int], list[int]]:
+    """When the periods of a message begin, and when it is queued in each, never before the last one: up to `end` (ns).
 
+    `critical`: the first is queued at one second less `ahead_ns`, as late as can be, so that the second is near.
+    """
+    period, jitter = one.period_ns, one.jitter_ns
+    if critical:
+        late = jitter
+        nominal = 1_000_000_000 - ahead_ns - jitter
+    else:
+        nominal, late = draw.randrange(period), draw.randint(0, jitter)
+    begun, queued, last = list[int](), list[int](), 0
+    while (last := max(last, nominal + late)) < end:
+        begun.append(nominal)
+        queued.append(last)
+        nominal += period
+        late = int(draw.random() * (jitter + 1)) if jitter and not (critical and draw.random() < 0.5) else 0
+    return begun, queued
+
+
+def check_sets(numbers: range, seed: int, *, seconds: float, phasings: int) -> Sequence[str]:
+    """What drawn sets are seen to take beyond what was computed: nothing, one hopes. Every other set has FIFOs."""
     faults = []
-    for number in range(count):
+    for number in numbers:
         draw = random.Random(f"{seed} {number}")
         messages, frames, bitrate = can_set(draw, fifo=bool(number % 2))
         computed = response_times(messages)
