@@ -37,7 +37,7 @@ def columns_difference(
     raw: bool,
     include_unknown: bool,
 ) -> str:
-    """What a column scanner says otherwise than `live`, fed with the same words cut at `cuts`; empty when nothing."""
+    """What a column scanner says otherwise than `live`, fed with the same traffic cut at `cuts`; empty when nothing."""
     is_can = live.link == "can"
     columnar = make_column_scanner(
         wire_variants(wire), direction=direction, include_unknown=include_unknown, raw=raw
@@ -49,20 +49,22 @@ def columns_difference(
     rows: list[int] = []
     numbered_live: Any = live if isinstance(live, CanScanner) and live.has_transports else None
     channels = Channels()
-    whole = FrameTable.from_frames(scene.words, channels) if is_can and len(cuts) % 2 else None
+    whole = FrameTable.from_frames(scene.traffic, channels) if is_can and len(cuts) % 2 else None
     at = 0
     for cut in (*cuts, len(scene)):
         cut = max(at, cut)
-        words: Any = scene.words[at:cut]
+        traffic: Any = scene.traffic[at:cut]
         if numbered_live is not None:
-            given_live, origins = numbered_live.feed_numbered(words, range(at, cut))
+            given_live, origins = numbered_live.feed_numbered(traffic, range(at, cut))
             items, rows = items + given_live, rows + origins
         else:
             feed: Any = live.feed
-            items += feed(words)
+            items += feed(traffic)
         if is_can:
-            words = FrameTable.from_frames(words, channels) if whole is None else whole.take(slice(at, cut))
-        given = columnar.feed(words)
+            traffic = (
+                FrameTable.from_frames(traffic, channels) if whole is None else whole.take(slice(at, cut))
+            )
+        given = columnar.feed(traffic)
         if twice := _twice(given):
             return f"fed {at}…{cut}, gives two tables of {twice}"
         tables += given

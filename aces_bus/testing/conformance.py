@@ -122,13 +122,13 @@ def check_quiet_before(stand: TestBench) -> None:
             assert abs(moved) < 1e-6, f"{name} moved by {moved} without a command"
 
 
-def check_heard(stand: TestBench) -> None:
+def check_received(stand: TestBench) -> None:
     """Every signal that is read is known and finite soon after the bus was opened, and stays fresh."""
     with stand.made() as robot:
         robot.advance(SETTLE_S)
         for device, _ in stand.mine(robot):
             for one in device.signals.values():
-                if one.name not in device.readable or stand.is_excused("heard", one.name):
+                if one.name not in device.readable or stand.is_excused("received", one.name):
                     continue
                 assert one.instant is not None, (
                     f"{one.name} was never received: does an answer to a poll have it?"
@@ -147,6 +147,7 @@ def check_heard(stand: TestBench) -> None:
             "two devices",
             "unknown device",
             "malformed",
+            "garbled",
             "bug",
         }, list(robot.events.last)
 
@@ -258,8 +259,8 @@ MISBEHAVIOUR: Final[Mapping[str, tuple[str, ...] | None]] = {
     "late": ("silent", "late reply", "duplicate reply"),
     "loses": None,
     # On a half-duplex line the second answer meets the next request.
-    "twice": ("duplicate reply", "two devices", "malformed"),
-    "short": ("malformed", "silent"),
+    "twice": ("duplicate reply", "two devices", "malformed", "garbled"),
+    "short": ("malformed", "garbled", "silent"),
     "wrong_check": None,
     "wrong_number": ("silent", "unknown device", "duplicate reply", "malformed"),
 }
@@ -277,9 +278,9 @@ def check_misbehaviour(stand: TestBench) -> None:
                     continue
                 twin.fault(fault, 0.23 if fault == "late" else None)
                 if kinds is not None and device.polls:
-                    told = _told(robot, kinds)
-                    assert told & set(kinds), (
-                        f"{device.name} is {fault}, and that is reported as {told or 'nothing'}"
+                    reported = _reported(robot, kinds)
+                    assert reported & set(kinds), (
+                        f"{device.name} is {fault}, and that is reported as {reported or 'nothing'}"
                     )
                 else:
                     robot.advance(SETTLE_S)
@@ -292,7 +293,7 @@ def check_misbehaviour(stand: TestBench) -> None:
         _no_bug(robot)
 
 
-def _told(robot: VirtualRobot, kinds: Sequence[str]) -> set[str]:
+def _reported(robot: VirtualRobot, kinds: Sequence[str]) -> set[str]:
     """What is reported until it is one of these kinds, at most for `SETTLE_S`."""
     before = dict(robot.events.counts)
     _until(robot, lambda: not _kinds_since(robot, before).isdisjoint(kinds))
@@ -344,6 +345,7 @@ def check_two_of_one(stand: TestBench) -> None:
             "duplicate reply",
             "two devices",
             "malformed",
+            "garbled",
             "silent",
             "late reply",
         }
@@ -439,7 +441,7 @@ def check_noise(stand: TestBench) -> None:
 
 
 def check_same_again(stand: TestBench) -> None:
-    """The same seed gives the same words at the same instants."""
+    """The same seed gives the same packets at the same instants."""
     assert _trace(stand) == _trace(stand)
 
 
@@ -448,8 +450,8 @@ def _trace(stand: TestBench) -> str:
     robot = stand.made(seed=7)
     digest = hashlib.sha256()
 
-    def note(word: Any, instant: int) -> None:
-        digest.update(f"{instant} {word!r}\n".encode())
+    def note(packet: Any, instant: int) -> None:
+        digest.update(f"{instant} {packet!r}\n".encode())
 
     recorders: list[ListeningNode] = []
     for wire in robot.wires.values():
@@ -462,7 +464,7 @@ def _trace(stand: TestBench) -> str:
         enable(robot)
         robot.advance(1.0)
     for recorder in recorders:
-        for instant, frame in recorder.heard:
+        for instant, frame in recorder.received:
             note(frame, instant)
     return digest.hexdigest()
 
@@ -498,7 +500,7 @@ CHECKS: Final[Mapping[str, Callable[[TestBench], None]]] = {
     for check in (
         check_declared,
         check_quiet_before,
-        check_heard,
+        check_received,
         check_set,
         check_limits,
         check_silence,
@@ -551,7 +553,7 @@ def driver_tests(
     """All checks of a driver, as one parametrised pytest test.
 
     `driver` is an installed one's name, or a `Driver`. `examples` are more robots (TOML). `excused` maps patterns
-    ("heard: *.temperature", "JMC0 wrong_check") to reasons. `load` gives other drivers of the examples.
+    ("received: *.temperature", "JMC0 wrong_check") to reasons. `load` gives other drivers of the examples.
     """
     import pytest
 

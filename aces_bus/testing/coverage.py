@@ -147,7 +147,7 @@ class Coverage:
         """Which template a loss belongs to."""
         bench = trial.bench
         if bench.is_can:
-            frame = trial.scene.words[number] if number < len(trial.scene.words) else None
+            frame = trial.scene.traffic[number] if number < len(trial.scene.traffic) else None
             if frame is None:
                 return
             end = "wrong check" if "checksum" in item.reason else "other length"

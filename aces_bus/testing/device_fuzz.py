@@ -1,4 +1,4 @@
-"""Search for what breaks a device: words by its spec and beside it, until it raises, falls silent or answers nonsense.
+"""Search for what breaks a device: packets by its spec and beside it, until it raises, falls silent or answers nonsense.
 
     findings = fuzz_device("odrive")                    # its twin, in virtual time
     findings[0].save(Path("."))                         # the fewest frames that break it; `aces play` repeats them
@@ -28,20 +28,21 @@ from ..protocol import Variant, make_scanner
 from ..recordings import Chunk, SerialRecording, open_recording
 from ..robot.file import parse_robot
 from .bench import Bench
-from .device_trial import Expectations, FreshDevice, Problem, SentStep, TwinTrial, measured, missed
-from .device_words import AnyWord, DeviceWords, LeftOut, SendRules
+from .device_packets import AnyPacket, DevicePackets, LeftOut, SendRules
+from .device_tester import Problem, SentStep
+from .device_trial import Expectations, FreshDevice, TwinTrial, measured, missed
 from .shrinking import simpler_frames, smaller_packets
 from .source import Dice
 
-#: Words of one episode, at most; between two questions whether it still answers.
+#: Packets of one episode, at most; between two questions whether it still answers.
 EPISODE, BETWEEN = 1000, (4, 24)
-#: How long nothing is sent behind a word (ns): mostly a moment, now and then long enough for a watchdog.
+#: How long nothing is sent behind a packet (ns): mostly a moment, now and then long enough for a watchdog.
 PAUSES_NS = (100_000, 100_000, 100_000, 1_000_000, 1_000_000, 5_000_000, 20_000_000)
 LONG_PAUSE_NS = 1_200_000_000
-#: How often one word is repeated in a burst, at most; words that may come again later.
+#: How often one packet is repeated in a burst, at most; packets that may come again later.
 BURST, KEPT = 300, 64
-#: Words that are sent while a fault is made small, at most; a run of so few steps is not asked whether it is only long.
-SHRINK_WORDS, FEW = 60_000, 4
+#: Packets that are sent while a fault is made small, at most; a run of so few steps is not asked whether it is only long.
+SHRINK_PACKETS, FEW = 60_000, 4
 #: The pause (ns) that every step has when that makes no difference.
 USUAL_PAUSE_NS = 2_000_000
 
@@ -50,8 +51,8 @@ USUAL_PAUSE_NS = 2_000_000
 class DeviceFinding:
     """A fault of a device, and the fewest steps found after which a fresh one shows it.
 
-    `sent` is what was on the bus then: seconds from the first, and the frame or bytes. `episode` and `words` say when it was
-    found first, `tried` how many fresh devices it took to make it small.
+    `sent` is what was on the bus then: seconds from the first, and the frame or bytes. `episode` and `packets` say when it
+    was found first, `tried` how many fresh devices it took to make it small.
     """
 
     problem: Problem
@@ -61,7 +62,7 @@ class DeviceFinding:
     variant: Variant = field(repr=False)
     seed: int
     episode: int
-    words: int
+    packets: int
     steps: tuple[SentStep, ...] = field(repr=False)
     sent: tuple[tuple[float, Any], ...] = field(repr=False)
     tried: int = 0
@@ -74,10 +75,10 @@ class DeviceFinding:
         scanner: Any = make_scanner([self.variant], direction="to device", include_unknown=True)
         found: list[Any] = []
         for step in self.steps:
-            if isinstance(step.word, bytes):
-                found += scanner.datagram(step.word)
+            if isinstance(step.packet, bytes):
+                found += scanner.datagram(step.packet)
             else:
-                found += scanner.feed(list(step.word) if isinstance(step.word, tuple) else [step.word])
+                found += scanner.feed(list(step.packet) if isinstance(step.packet, tuple) else [step.packet])
         return found
 
     @property
@@ -157,10 +158,10 @@ class DeviceFuzzer:
                 raise UnknownNameError(f"action of {name} ({driver.name})", action, first.device.actions)
         self.variant, self.link = first.tester.variant, first.tester.variant.link
         self.rules = rules_of(self.variant, first.config.credentials, only=only, leave_out=leave_out)
-        self.words = DeviceWords(self.rules)
+        self.packets = DevicePackets(self.rules)
         self.fresh: FreshDevice = self._measured(first)
         self.findings: list[DeviceFinding] = []
-        #: What was done so far: episodes, words sent in them, and words sent to make faults small.
+        #: What was done so far: episodes, packets sent in them, and packets sent to make faults small.
         self.episodes = self.sent = self.resent = self.trials = 0
         #: What it does wrong when it is fresh already: not what is searched for.
         self.known: dict[tuple[str, str], Problem] = {one.key: one for one in self.fresh.problems}
@@ -182,20 +183,20 @@ class DeviceFuzzer:
         return set_up if set_up.answers or set_up.periods else fresh
 
     def run(
-        self, words: int, *, most: int | None = None, progress: Callable[[], bool] | None = None
+        self, packets: int, *, most: int | None = None, progress: Callable[[], bool] | None = None
     ) -> list[DeviceFinding]:
-        """Send about so many words more, or until there are `most` findings; those that are new.
+        """Send about so many packets more, or until there are `most` findings; those that are new.
 
         `progress` is called now and then; the search ends when it gives False.
         """
-        before, end = len(self.findings), self.sent + words
+        before, end = len(self.findings), self.sent + packets
         while self.sent < end and (most is None or len(self.findings) < most):
             if progress is not None and not progress():
                 break
             self._episode(min(EPISODE, end - self.sent), progress)
         return self.findings[before:]
 
-    def _episode(self, words: int, progress: Callable[[], bool] | None) -> None:
+    def _episode(self, packets: int, progress: Callable[[], bool] | None) -> None:
         number, self.episodes = self.episodes, self.episodes + 1
         source = Dice(f"{self.seed} {number}")
         trial = self._fresh_trial()
@@ -204,12 +205,12 @@ class DeviceFuzzer:
         drawn = self._drawn(source)
         until = source.integer(*BETWEEN)
         # Most are short: what needs a long sequence is the exception, and a short one is soon made small.
-        length = min(words, source.choice((20, 60, 200, EPISODE)))
+        length = min(packets, source.choice((20, 60, 200, EPISODE)))
         while problem is None and len(steps) < length:
-            how, word, pause = next(drawn)
-            problem = trial.guarded(lambda: steps.append(trial.tester.give(word, pause, how)))  # noqa: B023
-            if problem is not None and (not steps or steps[-1].word is not word):
-                steps.append(SentStep(word, pause, how))  # it has raised
+            how, packet, pause = next(drawn)
+            problem = trial.guarded(lambda: steps.append(trial.tester.give(packet, pause, how)))  # noqa: B023
+            if problem is not None and (not steps or steps[-1].packet is not packet):
+                steps.append(SentStep(packet, pause, how))  # it has raised
             self.sent += 1
             until -= 1
             if problem is None and until <= 0:
@@ -235,21 +236,21 @@ class DeviceFuzzer:
         problem = trial.guarded(lambda: found.append(missed(trial.tester, self.fresh, steps.append)))
         return bool(found) and found[0] is not None, problem
 
-    def _drawn(self, source: Dice) -> Iterator[tuple[str, AnyWord, int]]:
-        """Words without an end, and the pause (ns) behind each: new ones, earlier ones again, bursts of one."""
-        kept: list[tuple[str, AnyWord]] = []
+    def _drawn(self, source: Dice) -> Iterator[tuple[str, AnyPacket, int]]:
+        """Packets without an end, and the pause (ns) behind each: new ones, earlier ones again, bursts of one."""
+        kept: list[tuple[str, AnyPacket]] = []
         while True:
             how = source.integer(0, 127)
             if kept and how < 24:
-                word = source.choice(kept)
+                packet = source.choice(kept)
             else:
-                word = self.words.draw(source)
-                kept = [*kept[-KEPT:], word]
+                packet = self.packets.draw(source)
+                kept = [*kept[-KEPT:], packet]
             pause = LONG_PAUSE_NS if how == 127 else source.choice(PAUSES_NS)
-            yield (*word, pause)
+            yield (*packet, pause)
             if how in (125, 126):
                 for _ in range(source.integer(2, BURST)):
-                    yield (*word, PAUSES_NS[0])
+                    yield (*packet, PAUSES_NS[0])
 
     # ------------------------------------------------------------------ what was found, made small
 
@@ -296,18 +297,18 @@ class DeviceFuzzer:
                 break
         sent = trial.sent[begin:]
         first = sent[0][0] if sent else 0
-        return tuple(((instant - first) / 1e9, word) for instant, word in sent)
+        return tuple(((instant - first) / 1e9, packet) for instant, packet in sent)
 
-    def simpler_words(self, word: AnyWord) -> Iterator[AnyWord]:
-        """Words with less in them that may be sent, too."""
-        if isinstance(word, tuple):
+    def simpler_packets(self, packet: AnyPacket) -> Iterator[AnyPacket]:
+        """Packets with less in them that may be sent, too."""
+        if isinstance(packet, tuple):
             return
-        simpler: Iterator[AnyWord]
-        if isinstance(word, bytes):
-            simpler = (made for _, made in smaller_packets(self._bench, word, 0))
+        simpler: Iterator[AnyPacket]
+        if isinstance(packet, bytes):
+            simpler = (made for _, made in smaller_packets(self._bench, packet, 0))
         else:
-            simpler = _simpler_frames(self._bench, word)
-        seen = {word}
+            simpler = _simpler_frames(self._bench, packet)
+        seen = {packet}
         for made in simpler:
             if made not in seen:
                 seen.add(made)
@@ -330,7 +331,7 @@ class _Least:
 
     def __init__(self, fuzzer: DeviceFuzzer, problem: Problem, steps: Sequence[SentStep]) -> None:
         self.fuzzer, self.problem, self.steps = fuzzer, problem, list(steps)
-        self._end = fuzzer.resent + SHRINK_WORDS
+        self._end = fuzzer.resent + SHRINK_PACKETS
 
     @property
     def is_over(self) -> bool:
@@ -355,19 +356,22 @@ class _Least:
             size *= 2
         if not self._repeated():
             self._fewer()
+            self._at_the_same_time()
         self._quicker()
         done: set[str] = set()
-        while (word := next((s.word for s in self.steps if repr(s.word) not in done), None)) is not None:
-            done.add(repr(self._simpler(word)))
+        while (
+            packet := next((s.packet for s in self.steps if repr(s.packet) not in done), None)
+        ) is not None:
+            done.add(repr(self._simpler(packet)))
 
     def _repeated(self) -> bool:
         """What only needs many: one step again and again, as often as it takes; whether it is that."""
         if len(self.steps) <= FEW:
             return False
-        by_word: dict[str, list[SentStep]] = {}
+        by_packet: dict[str, list[SentStep]] = {}
         for step in self.steps:
-            by_word.setdefault(repr(step.word), []).append(step)
-        for alike in sorted(by_word.values(), key=len, reverse=True)[:FEW]:
+            by_packet.setdefault(repr(step.packet), []).append(step)
+        for alike in sorted(by_packet.values(), key=len, reverse=True)[:FEW]:
             least, most = 1, len(self.steps)
             if not self.offer([alike[0]] * most):
                 continue
@@ -395,8 +399,17 @@ class _Least:
                 return
             size = max(1, size // 2)
 
+    def _at_the_same_time(self) -> None:
+        """What needs an instant: a step is left out and its time is not."""
+        for at in range(len(self.steps) - 1, 0, -1):
+            if len(self.steps) <= FEW or at >= len(self.steps):
+                continue
+            before = self.steps[at - 1]
+            longer = replace(before, pause_ns=before.pause_ns + self.steps[at].pause_ns)
+            self.offer([*self.steps[: at - 1], longer, *self.steps[at + 1 :]])
+
     def _quicker(self) -> None:
-        """The usual pause, and all as valid words are sent."""
+        """The usual pause, and all as valid packets are sent."""
         usual = [self._usual(step) for step in self.steps]
         if usual != self.steps and not self.offer(usual):
             for number, step in enumerate(usual):
@@ -408,18 +421,18 @@ class _Least:
             replace(step, pause_ns=min(step.pause_ns, USUAL_PAUSE_NS)) if self.fuzzer.link == "can" else step
         )
 
-    def _simpler(self, word: AnyWord) -> AnyWord:
-        """Make a word simpler wherever it is sent; what it is then."""
+    def _simpler(self, packet: AnyPacket) -> AnyPacket:
+        """Make a packet simpler wherever it is sent; what it is then."""
         while not self.is_over:
-            for made in self.fuzzer.simpler_words(word):
+            for made in self.fuzzer.simpler_packets(packet):
                 if self.offer(
-                    [replace(step, word=made) if step.word == word else step for step in self.steps]
+                    [replace(step, packet=made) if step.packet == packet else step for step in self.steps]
                 ):
-                    word = made
+                    packet = made
                     break
             else:
                 break
-        return word
+        return packet
 
 
 # ---------------------------------------------------------------------- one call
@@ -430,7 +443,7 @@ def fuzz_device(
     name: str | None = None,
     *,
     seed: int = 0,
-    words: int = 10_000,
+    packets: int = 10_000,
     most: int | None = 3,
     only: Collection[str] = (),
     leave_out: Sequence[str] = (),
@@ -439,7 +452,7 @@ def fuzz_device(
 ) -> list[DeviceFinding]:
     """The faults of a twin: of a driver's example, or of the device `name` of a robot.
 
-    `words` are sent at most (frames, packets), until `most` faults are found. The rest is `DeviceFuzzer`'s, which raises.
+    `packets` are sent at most, until `most` faults are found. The rest is `DeviceFuzzer`'s, which raises.
     """
     if isinstance(device, str):
         device = load(device)
@@ -458,7 +471,7 @@ def fuzz_device(
     fuzzer = DeviceFuzzer(
         device, name, seed=seed, only=only, leave_out=leave_out, expected=expected, load=load
     )
-    return fuzzer.run(words, most=most)
+    return fuzzer.run(packets, most=most)
 
 
 def example_of(driver: Driver) -> tuple[Robot, str]:
@@ -501,24 +514,24 @@ def rules_of(
 
 def capture_steps(path: str, link: str) -> list[SentStep]:
     """The steps of a capture: what went to the device, with the pauses between. Raises `CaptureError`, `CallerError`."""
-    words: list[tuple[float, Any]] = []
+    packets: list[tuple[float, Any]] = []
     with open_recording(path, link="can" if link == "can" else "serial") as capture:
         if isinstance(capture, SerialRecording):
             for chunk in capture:
                 if chunk.direction != "from device":
-                    words.append((chunk.time or 0.0, chunk.data))
+                    packets.append((chunk.time or 0.0, chunk.data))
         else:
             for frames in capture.batches(256):
-                words += [
+                packets += [
                     (f.timestamp or 0.0, structs.replace(f, timestamp=None, channel=None, is_rx=None))
                     for f in frames
                 ]
-    if not words:
+    if not packets:
         raise CallerError(f"{path}: nothing in it went to a device")
-    following = [at for at, _ in words[1:]] + [words[-1][0] + USUAL_PAUSE_NS / 1e9]
+    following = [at for at, _ in packets[1:]] + [packets[-1][0] + USUAL_PAUSE_NS / 1e9]
     return [
-        SentStep(word, max(0, round((then - at) * 1e9)), "mutated")
-        for (at, word), then in zip(words, following, strict=True)
+        SentStep(packet, max(0, round((then - at) * 1e9)), "mutated")
+        for (at, packet), then in zip(packets, following, strict=True)
     ]
 
 

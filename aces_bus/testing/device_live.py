@@ -1,6 +1,6 @@
 """A real device under test: slowly, only what is allowed, and stopped at the end.
 
-1. Without `allow_motion`, or messages that were named, only what asks is sent: the messages of the driver's polls. A word
+1. Without `allow_motion`, or messages that were named, only what asks is sent: the messages of the driver's polls. A packet
    goes out when nothing that a sloppy receiver may take it for is another message (`SendRules.strictly`).
 2. It carries this device's credentials, never another's; messages to everybody are none of it.
 3. The search ends with the first fault: a real device cannot be made fresh. What was sent since it last answered is kept.
@@ -18,21 +18,12 @@ from ..device.port import Port
 from ..errors import CallerError, DeviceError
 from ..robot.rig import Rig, connect
 from .device_fuzz import BETWEEN, DeviceFinding, rules_of
-from .device_trial import (
-    DeviceTester,
-    FreshDevice,
-    Problem,
-    SentStep,
-    Tap,
-    enumerations,
-    judged_alive,
-    measured,
-    missed,
-)
-from .device_words import DeviceWords, SendRules
+from .device_packets import DevicePackets, SendRules
+from .device_tester import DeviceTester, Problem, SentStep, Tap, enumerations
+from .device_trial import FreshDevice, judged_alive, measured, missed
 from .source import Dice
 
-#: Words a second, where the caller says nothing.
+#: Packets a second, where the caller says nothing.
 RATE = 50.0
 #: How long the driver has to set the device up (ns), and how often it is waited for so long until something comes.
 SET_UP_NS, SET_UP_TRIES = 1_000_000_000, 10
@@ -60,7 +51,7 @@ class LiveDeviceFuzzer:
     """The search for a fault of one real device, on a bus that this program drives.
 
     `ports` are those of `open_gates(alone(robot, name), …)`, which take the bus's lock. `only` are messages that may be sent
-    besides none but what asks; `allow_motion`: all of this device. `rate_hz`: words a second.
+    besides none but what asks; `allow_motion`: all of this device. `rate_hz`: packets a second.
 
     Raises `UnknownNameError` as `DeviceFuzzer`, `CallerError` where nothing may be sent.
     """
@@ -104,7 +95,7 @@ class LiveDeviceFuzzer:
         self.left_out = sorted(
             {m.name for m in variant.messages_for("to device")} - {m.name for m in self.rules.messages}
         )
-        self.words = DeviceWords(self.rules)
+        self.packets = DevicePackets(self.rules)
         others = [c.credentials for n, c in robot.devices.items() if n != name and c.bus == bus]
         self.tester = DeviceTester(self.tap.end(), variant, config, robot, self.device.polls, others)
         self.clock = self.tester.clock
@@ -136,19 +127,19 @@ class LiveDeviceFuzzer:
         self._fresh = measured(self.tester)
         return self._fresh
 
-    def run(self, words: int, progress: Callable[[], bool] | None = None) -> DeviceFinding | None:
-        """Send so many words, or until something is wrong: what was found."""
+    def run(self, packets: int, progress: Callable[[], bool] | None = None) -> DeviceFinding | None:
+        """Send so many packets, or until something is wrong: what was found."""
         fresh = self._fresh
         if fresh is None:
             raise CallerError(f"{self.name}: open() comes first")
         source = Dice(f"{self.seed} live")
         steps: list[SentStep] = []
         began, until = len(self.tap.sent), source.integer(*BETWEEN)
-        for _ in range(words):
+        for _ in range(packets):
             if progress is not None and not progress():
                 break
-            how, word = self.words.draw(source)
-            steps.append(self.tester.give(word, self._pause_ns, how))
+            how, packet = self.packets.draw(source)
+            steps.append(self.tester.give(packet, self._pause_ns, how))
             self.sent += 1
             until -= 1
             if self.tester.problems or until <= 0:
@@ -182,7 +173,7 @@ class LiveDeviceFuzzer:
             0,
             self.sent,
             tuple(steps),
-            tuple(((instant - first) / 1e9, word) for instant, word in sent),
+            tuple(((instant - first) / 1e9, packet) for instant, packet in sent),
         )
 
     def stop(self) -> None:

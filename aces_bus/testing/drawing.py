@@ -15,7 +15,7 @@ from typing import Any
 
 from .bench import Bench
 from .scenes import Scene, Way, Wire
-from .shrinking import word_bytes
+from .shrinking import packet_bytes
 from .trial import ScannedItem, as_items, items_by, play
 
 #: Bytes in a row.
@@ -46,8 +46,8 @@ def scene_drawing(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] 
         else:
             same.append(f"{name:>4}  {TITLES[name]}: the same as {twin!r}")
     lines = [*(_frames(scene, kept) if bench.is_can else _bytes(scene, cuts, kept)), *same]
-    for offset, word in scene.sent_at:
-        lines.append(f"      we sent, before {offset}: {image_text(word)}")
+    for offset, packet in scene.sent_at:
+        lines.append(f"      we sent, before {offset}: {image_text(packet)}")
     if not bench.is_can:
         lines += _signs(scene, cuts)
     return "\n".join(lines)
@@ -57,7 +57,7 @@ Lane = tuple[str, "Sequence[ScannedItem] | str"]
 TITLES = {
     "law": "what the reference says",
     "gave": "what the scanner gives",
-    "cut": "what it gives when the words come in pieces",
+    "cut": "what it gives when the input comes in pieces",
 }
 
 
@@ -87,7 +87,7 @@ def _bytes(scene: Scene, cuts: Sequence[int], lanes: Sequence[Lane]) -> list[str
     lines: list[str] = []
     left_out = 0
     for start in range(0, len(scene), ROW):
-        row = scene.words[start : start + ROW]
+        row = scene.traffic[start : start + ROW]
         is_plain = not any(row) and 0 < start < len(scene) - ROW
         if is_plain and not any(start <= offset < start + ROW for offset in marks):
             left_out += len(row)
@@ -155,7 +155,7 @@ def _clipped(line: str) -> str:
 
 def _frames(scene: Scene, lanes: Sequence[Lane]) -> list[str]:
     lines: list[str] = []
-    for number, frame in enumerate(scene.words):
+    for number, frame in enumerate(scene.traffic):
         about = [] if frame.timestamp is None else [f"at {frame.timestamp} s"]
         about += [] if frame.channel is None else [f"on {frame.channel}"]
         lines.append(f"{number:4}  {image_text(frame)}  {', '.join(about)}".rstrip())
@@ -171,16 +171,16 @@ def _frames(scene: Scene, lanes: Sequence[Lane]) -> list[str]:
     return lines
 
 
-def image_text(word: Any) -> str:
+def image_text(packet: Any) -> str:
     """A frame as candump writes it, or a packet's bytes."""
-    if isinstance(word, bytes):
-        return word.hex(" ").upper()
-    if word.is_error_frame:
-        return f"{word.arbitration_id | 0x2000_0000:08X}#{word_bytes(word).hex().upper()} (error frame)"
-    identifier = f"{word.arbitration_id:08X}" if word.is_extended_id else f"{word.arbitration_id:03X}"
-    if word.is_remote_frame:
-        return f"{identifier}#R{word.dlc if word.dlc is not None else ''}"
-    return f"{identifier}#{'#0' if word.is_fd else ''}{word_bytes(word).hex().upper()}"
+    if isinstance(packet, bytes):
+        return packet.hex(" ").upper()
+    if packet.is_error_frame:
+        return f"{packet.arbitration_id | 0x2000_0000:08X}#{packet_bytes(packet).hex().upper()} (error frame)"
+    identifier = f"{packet.arbitration_id:08X}" if packet.is_extended_id else f"{packet.arbitration_id:03X}"
+    if packet.is_remote_frame:
+        return f"{identifier}#R{packet.dlc if packet.dlc is not None else ''}"
+    return f"{identifier}#{'#0' if packet.is_fd else ''}{packet_bytes(packet).hex().upper()}"
 
 
 __all__ = ["image_text", "said", "scene_drawing"]

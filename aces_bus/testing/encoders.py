@@ -67,7 +67,7 @@ def _judge(trial: Trial, message: Message, given: dict[str, Any], change: Change
     fields = given if change is None else changed(given, change)
     wanted, refusal = built(message, fields) if NO_FIELD not in fields else (None, NO_FIELD)
     encoder = trial.bench.encoder(message)
-    ways = ("encode", "word") if trial.thorough else (("encode", "word")[trial.turn // 8 % 2],)
+    ways = ("encode", "as_sent") if trial.thorough else (("encode", "as_sent")[trial.turn // 8 % 2],)
     for way in ways:
         said = _difference(encoder, way, message, fields, wanted, refusal, change)
         if said:
@@ -94,7 +94,7 @@ def _difference(
 ) -> str:
     try:
         made: Any = (
-            encoder.encode(message.name, **fields) if way == "encode" else encoder.words(message, fields)
+            encoder.encode(message.name, **fields) if way == "encode" else encoder.as_sent(message, fields)
         )
     except (FieldError, UnknownNameError) as error:
         if image is not None:
@@ -108,16 +108,16 @@ def _difference(
     return "" if got == image else f"gives {got.hex()}, and construct builds {image.hex()}"
 
 
-def _image(message: Message, words: Sequence[Any]) -> bytes:
+def _image(message: Message, sent: Sequence[Any]) -> bytes:
     """The image of what an encoder made: of a packet that a transport carries, by the rule of the reference."""
     if message.transport is None:
-        (word,) = words
-        return bytes(word) if message.framing is not None else image_of(word)
+        (packet,) = sent
+        return bytes(packet) if message.framing is not None else image_of(packet)
     rule, found = PacketRule(message.transport), b""
-    for number, frame in enumerate(words):
+    for number, frame in enumerate(sent):
         key = key_of(frame.arbitration_id, extended=frame.is_extended_id)
         for decided in rule.decide(frame, number, key, bytes(frame.data)):
-            if not decided.reason and len(decided.frames) == len(words):
+            if not decided.reason and len(decided.frames) == len(sent):
                 found = packet_image(message.transport, decided, message.check_extra) or b""
     return found
 

@@ -112,8 +112,8 @@ class Fuzzer:
         for bench in self.benches:
             self.coverage.expects(bench)
         self.failures: list[Failure] = []
-        #: Scenes judged; laws asked of them; words in them (bytes, or frames).
-        self.examples = self.checks = self.words = 0
+        #: Scenes judged; laws asked of them; bytes and frames in them.
+        self.examples = self.checks = self.bytes_and_frames = 0
         #: Scenes that reached something new, while `keeps` is set.
         self.keeps = False
         self.kept: list[tuple[Bench, Scene, tuple[int, ...]]] = []
@@ -180,7 +180,7 @@ class Fuzzer:
         """Ask all laws of a scene; what fails is shrunk and kept in `failures`."""
         trial = Trial(bench, scene, cuts, thorough=thorough, columns=columns)
         self.examples += 1
-        self.words += len(scene)
+        self.bytes_and_frames += len(scene)
         has_raised = False
         name = bench.variants[0].name
         for law in self.laws:
@@ -248,14 +248,16 @@ def joined_scenes(scenes: Sequence[Scene]) -> Scene:
     at = 0
     for scene in scenes:
         idle_at += [at + offset for offset in scene.idle_at]
-        sent_at += [(at + offset, word) for offset, word in scene.sent_at]
+        sent_at += [(at + offset, packet) for offset, packet in scene.sent_at]
         packets += scene.packets
         at += len(scene)
-    is_stream = isinstance(scenes[0].words, bytes)
-    words: Any = (
-        b"".join(s.words for s in scenes) if is_stream else tuple(word for s in scenes for word in s.words)
+    is_stream = isinstance(scenes[0].traffic, bytes)
+    traffic: Any = (
+        b"".join(s.traffic for s in scenes)
+        if is_stream
+        else tuple(frame for s in scenes for frame in s.traffic)
     )
-    return Scene(words, tuple(dict.fromkeys(idle_at)), tuple(sent_at), tuple(packets))
+    return Scene(traffic, tuple(dict.fromkeys(idle_at)), tuple(sent_at), tuple(packets))
 
 
 def _has_messages(wire: Wire, direction: Way) -> bool:

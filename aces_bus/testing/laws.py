@@ -141,7 +141,7 @@ def _physically(trial: Trial, item: ScannedItem, record: Any) -> ScannedItem:
     message = trial.bench.by_name[item.protocol or "", item.message]
     request = {name: item.fields[name] for name in message.request_fields}
     image = (
-        trial.scene.words[item.offset : item.offset + item.size] if record is None else record_image(record)
+        trial.scene.traffic[item.offset : item.offset + item.size] if record is None else record_image(record)
     )
     fields = trial.bench.once(
         ("physical", message, image, tuple(request.values())),
@@ -173,7 +173,7 @@ def columns_law(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = 
     """Law 2, of columns: a column scanner gives what the live one gives, value for value, cut at `cuts`.
 
     Raw and physical values, their types, what is absent, rows, times, channels and directions, losses and counts. A
-    capture has words only: silences and transmissions of the scene are left out.
+    capture has frames or bytes only: silences and transmissions of the scene are left out.
     """
     _columns_agree(Trial(bench_of(wire, direction), scene, cuts), MODES)
 
@@ -192,7 +192,7 @@ def _first_difference(one: str, first: Sequence[Any], other: str, second: Sequen
 
 @law(3, takes_cuts=True)
 def chunking(trial: Trial) -> None:
-    """Law 3: the same words with the same events give the same records, however they are cut."""
+    """Law 3: the same frames or bytes with the same events give the same records, however they are cut."""
     given, counts, _ = trial.cut_up
     pieces = as_items(given, trial.bench.is_can)
     how = f"cut at {trial.cuts}: "
@@ -202,7 +202,7 @@ def chunking(trial: Trial) -> None:
         trial.fail(3, f"{how}counts {counts} instead of {trial.counts}")
     if trial.bench.is_can and trial.columns and not trial.scene.sent_at:
         scanner: Any = trial.bench.scanner()
-        given = scanner.feed_table(FrameTable.from_frames(trial.scene.words)) + scanner.close()
+        given = scanner.feed_table(FrameTable.from_frames(trial.scene.traffic)) + scanner.close()
         table = as_items(given, is_can=True)
         if table != trial.scanned:
             trial.fail(3, "as a table: " + _first_difference("whole", trial.scanned, "the table", table))
@@ -228,7 +228,7 @@ def resynchronisation(trial: Trial) -> None:
     framings = list(zip(trial.bench.framings, trial.bench.extras, strict=True))
     begin = 0
     for end in [*scene.idle_at, len(scene)]:
-        seen = scene.words[:end]
+        seen = scene.traffic[:end]
         for (variant, framing, messages), extras in framings:
             for start in _candidates(framing, seen, begin):
                 if covered[start]:
@@ -264,7 +264,7 @@ def _no_frame_overlooked(trial: Trial) -> None:
         return
     if len(scanned) != len(trial.scene):
         trial.fail(4, f"of {len(trial.scene)} frames, {len(scanned)} came out")
-    for number, frame in enumerate(trial.scene.words):
+    for number, frame in enumerate(trial.scene.traffic):
         item = scanned[number]
         if frame.is_error_frame or item.message or item.reason.startswith("unknown: needs"):
             continue
@@ -286,9 +286,11 @@ def _no_packet_overlooked(trial: Trial) -> None:
     for packet in trial.sample(trial.scene.packets):
         if packet.message.transport is None or packet.message.reply_to or packet.message.after:
             continue
-        wire = [(f.arbitration_id, f.data) for f in packet.words]
+        wire = [(f.arbitration_id, f.data) for f in packet.as_sent]
         mine = [
-            f for f in trial.scene.words if f.arbitration_id in {i for i, _ in wire} and not f.is_error_frame
+            f
+            for f in trial.scene.traffic
+            if f.arbitration_id in {i for i, _ in wire} and not f.is_error_frame
         ]
         if [(f.arbitration_id, f.data) for f in mine] != wire or len({f.channel for f in mine}) > 1:
             continue  # other frames of these identifiers are there, too
@@ -330,7 +332,7 @@ def _refused(message: Message, image: bytes, request: Any) -> str:
 
 @law(6, takes_cuts=True)
 def accounting(trial: Trial) -> None:
-    """Law 6: every word ends in exactly one bin; records and losses tile the input; asking for less changes no count."""
+    """Law 6: every frame or byte ends in one bin; records and losses tile the input; asking for less changes no count."""
     is_can, scene = trial.bench.is_can, trial.scene
     given, counts, balance = trial.cut_up
     if balance or counts["total"] != len(scene):
@@ -346,7 +348,7 @@ def accounting(trial: Trial) -> None:
     decoded = records = 0
     for (offset, size), item in zip(spans, given, strict=True):
         raw = item.meta.raw
-        wanted = bytes(scene.words[offset].data) if is_can else scene.words[offset : offset + size]
+        wanted = bytes(scene.traffic[offset].data) if is_can else scene.traffic[offset : offset + size]
         if offset != at or size < 1 or raw != wanted:
             trial.fail(6, f"at {at}, something of {size} from {offset} on, raw {raw.hex()}")
         at += size
@@ -381,7 +383,7 @@ def _frames_accounted(trial: Trial, given: Sequence[Any], counts: dict[str, Any]
             losses[item.reason] += 1
         else:
             decoded, records = decoded + len(frames), records + 1
-    fed = Counter(bytes(frame.data) for frame in trial.scene.words)
+    fed = Counter(bytes(frame.data) for frame in trial.scene.traffic)
     if came != fed:
         trial.fail(
             6, f"frames that came out of nothing: {came - fed}; frames that did not come out: {fed - came}"
@@ -419,32 +421,32 @@ def bounded(trial: Trial) -> None:
     """
     if trial.bench.is_can:
         return
-    scanner, words = trial.bench.scanner(), trial.scene.words
+    scanner, traffic = trial.bench.scanner(), trial.scene.traffic
     assert isinstance(scanner, StreamScanner)
     at = 0
-    cuts = [*trial.cuts, len(words)]
+    cuts = [*trial.cuts, len(traffic)]
     for cut in cuts:
-        chunk = words[at : max(at, cut)]
+        chunk = traffic[at : max(at, cut)]
         scanner.feed(chunk)
         at = max(at, cut)
         if scanner.buffered > scanner.max_size:
             trial.fail(7, f"{scanner.buffered} bytes held after {at}, max_size is {scanner.max_size}")
     scanner.close()
-    limit = _work_allowed(scanner.framings, words, len(cuts))
+    limit = _work_allowed(scanner.framings, traffic, len(cuts))
     if scanner.check_work > limit:
-        trial.fail(7, f"checks read {scanner.check_work} bytes of {len(words)}; {limit} is the limit")
-    limit = _unstuffing_allowed(scanner.framings, words, len(cuts))
+        trial.fail(7, f"checks read {scanner.check_work} bytes of {len(traffic)}; {limit} is the limit")
+    limit = _unstuffing_allowed(scanner.framings, traffic, len(cuts))
     if scanner.unstuff_work > limit:
-        trial.fail(7, f"unstuffing read {scanner.unstuff_work} bytes of {len(words)}; {limit} is the limit")
+        trial.fail(7, f"unstuffing read {scanner.unstuff_work} bytes of {len(traffic)}; {limit} is the limit")
 
 
-def _work_allowed(framings: Sequence[Framing], words: bytes, chunks: int) -> int:
-    """How many bytes checks may read in `words`."""
-    limit = len(words)  # each byte of an accepted packet once
+def _work_allowed(framings: Sequence[Framing], traffic: bytes, chunks: int) -> int:
+    """How many bytes checks may read in `traffic`."""
+    limit = len(traffic)  # each byte of an accepted packet once
     for framing in framings:
         if framing.check is None:
             continue
-        candidates = len(_candidates(framing, words, 0))
+        candidates = len(_candidates(framing, traffic, 0))
         is_whole = framing.end and framing.stuffing is None  # the bytes on the wire are what is summed
         if framing.check.kind == "crc" or not ((framing.sync and not framing.end) or is_whole):
             limit += framing.max_size * candidates
@@ -452,16 +454,16 @@ def _work_allowed(framings: Sequence[Framing], words: bytes, chunks: int) -> int
                 # While another framing waits at the same offset, each chunk has the candidate read again.
                 limit += framing.max_size * chunks
         else:
-            limit += len(words) + PER_CANDIDATE * candidates
+            limit += len(traffic) + PER_CANDIDATE * candidates
     return limit
 
 
-def _unstuffing_allowed(framings: Sequence[Framing], words: bytes, chunks: int) -> int:
-    """How many bytes may be unstuffed in `words`: a few times all of them, and a small part of a packet a candidate."""
+def _unstuffing_allowed(framings: Sequence[Framing], traffic: bytes, chunks: int) -> int:
+    """How many bytes may be unstuffed in `traffic`: a few times all of them, and a small part of a packet a candidate."""
     limit = 0
     for framing in framings:
         if framing.is_enclosed:
-            limit += 3 * len(words) + (framing.max_size // CHAINS + 1) * len(words)
+            limit += 3 * len(traffic) + (framing.max_size // CHAINS + 1) * len(traffic)
             if len(framings) > 1:
                 limit += 2 * framing.max_size * chunks
     return limit
@@ -486,19 +488,19 @@ def calm(trial: Trial) -> None:
 
 def _provoke(scanner: Any, scene: Scene) -> None:
     """What a caller may also do: send nonsense, fall silent twice, go on after the end."""
-    words = scene.words
+    traffic = scene.traffic
     if isinstance(scanner, CanScanner):
-        for frame in words:
+        for frame in traffic:
             scanner.sent(frame)
-        scanner.feed(words)
-        scanner.feed(iter(words))
+        scanner.feed(traffic)
+        scanner.feed(iter(traffic))
         return
-    scanner.sent(words[: len(words) // 2])
+    scanner.sent(traffic[: len(traffic) // 2])
     scanner.sent(b"")
-    scanner.feed(bytearray(words), 1.5)
+    scanner.feed(bytearray(traffic), 1.5)
     scanner.idle()
     scanner.idle(float("nan"))
-    scanner.feed(words[::-1], float("inf"))
+    scanner.feed(traffic[::-1], float("inf"))
     scanner.close()
     scanner.close()
     if scanner.counts.balance:
@@ -529,7 +531,7 @@ def unambiguous(trial: Trial) -> None:
 
 @lru_cache(maxsize=1024)
 def conflicts(variant: Variant, direction: Way) -> tuple[Conflict, ...]:
-    """Every pair of messages that neither the bytes nor the spec's other words tell apart."""
+    """Every pair of messages that neither the bytes nor anything else in the spec tells apart."""
     messages = variant.messages_for(direction)
     pairs = ((one, other) for i, one in enumerate(messages) for other in messages[:i])
     return tuple(found for one, other in pairs if (found := unresolved(one, other)) is not None)

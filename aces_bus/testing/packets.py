@@ -39,7 +39,7 @@ class DrawnPacket:
     request: DrawnPacket | None = None
 
     @property
-    def words(self) -> list[Any]:
+    def as_sent(self) -> list[Any]:
         """What a scanner is fed: frames (CAN; several where a transport carries it), or the packet's bytes."""
         return [self.image] if self.message.framing is not None else self.carried()
 

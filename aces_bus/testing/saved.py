@@ -29,7 +29,7 @@ from .bench import Bench
 from .packets import DrawnPacket
 from .scenes import Scene, Way, Wire, wire_variants
 
-VERSION = 1
+VERSION = 2
 #: A scene file larger than this is none of ours.
 MOST_BYTES = 1 << 22
 
@@ -60,7 +60,7 @@ class Loaded:
     direction: Way
     law: int | None
     cuts: tuple[int, ...]
-    words: Any
+    traffic: Any
     idle_at: tuple[int, ...]
     sent_at: tuple[tuple[int, Any], ...]
     packets: tuple[Mapping[str, Any], ...]
@@ -68,7 +68,7 @@ class Loaded:
     def scene(self, bench: Bench) -> Scene:
         """The scene for a wire of that protocol; packets of messages that it no longer has are left out."""
         packets = tuple(p for one in self.packets if (p := _packet(bench, one)) is not None)
-        return Scene(self.words, self.idle_at, self.sent_at, packets)
+        return Scene(self.traffic, self.idle_at, self.sent_at, packets)
 
 
 # ---------------------------------------------------------------------- writing
@@ -88,7 +88,7 @@ def save_scene(
     name = wire_variants(wire)[0].name
     kind = f"law{law}" if law is not None else "scene"
     stem = f"{name}-{kind}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
-    suffix = ".slog" if isinstance(scene.words, bytes) else ".log"
+    suffix = ".slog" if isinstance(scene.traffic, bytes) else ".log"
     saved = Saved(folder / f"{stem}{suffix}", folder / f"{stem}.json")
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -115,10 +115,10 @@ def _write_stream(path: Path, direction: Way, scene: Scene, cuts: tuple[int, ...
         writer = SerialLogWriter(file, str(path))
         at = 0
         for end in [*sorted(borders), len(scene)]:
-            for offset, word in scene.sent_at:
+            for offset, packet in scene.sent_at:
                 if at <= offset < end or offset == end == len(scene):
-                    writer.write(Chunk(word, None, "to device"))
-            writer.write(Chunk(scene.words[at:end], None, way))
+                    writer.write(Chunk(packet, None, "to device"))
+            writer.write(Chunk(scene.traffic[at:end], None, way))
             at = end
         writer.close()
 
@@ -128,7 +128,7 @@ def _write_frames(path: Path, scene: Scene) -> None:
 
     sent = list(scene.sent_at)
     frames: list[Frame] = []
-    for number, frame in enumerate([*scene.words, None]):
+    for number, frame in enumerate([*scene.traffic, None]):
         while sent and sent[0][0] <= number:
             frames.append(structs.replace(sent.pop(0)[1], is_rx=False))
         if frame is not None:
@@ -156,7 +156,9 @@ def scene_text(
             "wire": " + ".join(v.label for v in variants),
             "direction": direction,
             "law": law,
-            "words": scene.words.hex() if isinstance(scene.words, bytes) else [*map(_frame, scene.words)],
+            "traffic": scene.traffic.hex()
+            if isinstance(scene.traffic, bytes)
+            else [*map(_frame, scene.traffic)],
             "cuts": [*cuts],
             "idle_at": [*scene.idle_at],
             "sent_at": [[o, w.hex() if isinstance(w, bytes) else _frame(w)] for o, w in scene.sent_at],
@@ -233,8 +235,10 @@ def _loaded(said: Any) -> Loaded:
         raise ValueError(f"version {said['aces scene']!r}")
     if said["direction"] not in (None, "both", "to device", "from device"):
         raise ValueError(f"direction {said['direction']!r}")
-    words = _word(said["words"]) if isinstance(said["words"], str) else tuple(map(_word, said["words"]))
-    size = len(words)
+    traffic = (
+        _sent(said["traffic"]) if isinstance(said["traffic"], str) else tuple(map(_sent, said["traffic"]))
+    )
+    size = len(traffic)
 
     def offsets(numbers: Any) -> tuple[int, ...]:
         return tuple(min(max(int(n), 0), size) for n in numbers)
@@ -245,14 +249,14 @@ def _loaded(said: Any) -> Loaded:
         said["direction"],
         None if said["law"] is None else int(said["law"]),
         tuple(sorted(offsets(said["cuts"]))),
-        words,
+        traffic,
         tuple(sorted(set(offsets(said["idle_at"])))),
-        tuple((offsets([at])[0], _word(word)) for at, word in said["sent_at"]),
+        tuple((offsets([at])[0], _sent(packet)) for at, packet in said["sent_at"]),
         tuple(said["packets"]),
     )
 
 
-def _word(said: Any) -> Any:
+def _sent(said: Any) -> Any:
     if isinstance(said, str):
         return bytes.fromhex(said)
     about: dict[str, Any] = {**said, "data": bytes.fromhex(said.get("data", ""))}

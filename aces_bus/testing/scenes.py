@@ -1,6 +1,6 @@
 """What happens on a wire, drawn: valid packets, damage, garbage, requests of ours, silence.
 
-1. A scene is data: the words, where the line fell silent, what we sent in between. Laws play it, cut as they like.
+1. A scene is data: the traffic, where the line fell silent, what we sent in between. Laws play it, cut as they like.
 2. Valid first, then broken: most of a scene can be read, so that what is broken is where it matters.
 """
 
@@ -29,19 +29,19 @@ Wire = Variant | Sequence[Variant]
 
 @dataclass(frozen=True)
 class Scene:
-    """A wire's history. `words` are bytes (streams) or frames (CAN); offsets count bytes or frames.
+    """A wire's history. `traffic` is bytes (streams) or frames (CAN); offsets count bytes or frames.
 
-    `idle_at`: the line fell silent when so many words had come. `sent_at`: we sent this packet or frame then (at the same
-    place, after the silence). `packets` are the valid ones that the words were made of.
+    `idle_at`: the line fell silent when so many had come. `sent_at`: we sent this packet or frame then (at the same
+    place, after the silence). `packets` are the valid ones that it was made of.
     """
 
-    words: Any
+    traffic: Any
     idle_at: tuple[int, ...] = ()
     sent_at: tuple[tuple[int, Any], ...] = ()
     packets: tuple[DrawnPacket, ...] = field(default=(), repr=False)
 
     def __len__(self) -> int:
-        return len(self.words)
+        return len(self.traffic)
 
 
 def wire_variants(wire: Wire) -> tuple[Variant, ...]:

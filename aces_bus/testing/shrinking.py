@@ -1,4 +1,4 @@
-"""Makes a scene that breaks a law small: first fewer words, then shorter packets, then simpler values.
+"""Makes a scene that breaks a law small: first fewer frames or bytes, then shorter packets, then simpler values.
 
 1. Whatever is tried is a whole scene, and kept only when the same law fails on it. The result fails, always.
 2. The number of trials is bounded; what is best by then is the answer.
@@ -27,9 +27,9 @@ from .scenes import Scene, rechecked
 
 T = TypeVar("T")
 Cuts = tuple[int, ...]
-#: From how many words on a scene may fail only because it is long: then one that is cut may fail, too, and be short.
+#: A scene of so many frames or bytes may fail only because it is long: one that is cut may then fail, too, and be short.
 LONG = 256
-#: Fewer words are not taken out of the middle of such a scene.
+#: Fewer are not taken out of the middle of such a scene.
 COARSE = 32
 Fails = Callable[[Scene, Cuts], bool]
 
@@ -86,30 +86,30 @@ class _Best:
 
 
 def _weight(scene: Scene, cuts: Cuts) -> tuple[int, ...]:
-    """What is smaller is better: words, events, cuts, then values."""
-    events = len(scene.idle_at) + sum(1 + len(word_bytes(word)) for _, word in scene.sent_at)
+    """What is smaller is better: frames or bytes, events, cuts, then values."""
+    events = len(scene.idle_at) + sum(1 + len(packet_bytes(packet)) for _, packet in scene.sent_at)
     packets = sum(1 + len(p.image) for p in scene.packets)
-    if isinstance(scene.words, bytes):
-        nonzero, total = len(scene.words) - scene.words.count(0), sum(scene.words)
-        return len(scene.words) + packets, events, len(cuts), nonzero, total
-    data = [word_bytes(frame) for frame in scene.words]
+    if isinstance(scene.traffic, bytes):
+        nonzero, total = len(scene.traffic) - scene.traffic.count(0), sum(scene.traffic)
+        return len(scene.traffic) + packets, events, len(cuts), nonzero, total
+    data = [packet_bytes(frame) for frame in scene.traffic]
     sizes = sum(map(len, data))
     marks = sum(
         (f.timestamp is not None) + (f.channel is not None) + (f.is_rx is not None) + (f.dlc is not None)
-        for f in scene.words
+        for f in scene.traffic
     )
-    total = sum(map(sum, data)) + sum(f.arbitration_id for f in scene.words)
+    total = sum(map(sum, data)) + sum(f.arbitration_id for f in scene.traffic)
     nonzero = sum(len(d) - d.count(0) for d in data)
     values = sum(len(p.image) - p.image.count(0) for p in scene.packets)
     return len(data) + packets, events, len(cuts), sizes, marks, nonzero, total, values
 
 
-def word_bytes(word: Any) -> bytes:
+def packet_bytes(packet: Any) -> bytes:
     """The bytes of a packet or a frame."""
-    return word if isinstance(word, bytes) else bytes(word.data)
+    return packet if isinstance(packet, bytes) else bytes(packet.data)
 
 
-# ---------------------------------------------------------------------- events, and words taken out
+# ---------------------------------------------------------------------- events, and parts taken out
 
 
 def _without_events(best: _Best) -> None:
@@ -137,7 +137,7 @@ def _inside(best: _Best) -> Cuts:
 
 
 def without(scene: Scene, cuts: Cuts, start: int, stop: int) -> tuple[Scene, Cuts]:
-    """A scene without the words `start`…`stop`; what stood behind moves up."""
+    """A scene without the frames or bytes `start`…`stop`; what follows moves up."""
 
     def moved(offset: int) -> int:
         return offset if offset <= start else max(start, offset - (stop - start))
@@ -145,16 +145,16 @@ def without(scene: Scene, cuts: Cuts, start: int, stop: int) -> tuple[Scene, Cut
     return (
         replace(
             scene,
-            words=scene.words[:start] + scene.words[stop:],
+            traffic=scene.traffic[:start] + scene.traffic[stop:],
             idle_at=tuple(dict.fromkeys(moved(o) for o in scene.idle_at)),
-            sent_at=tuple((moved(o), word) for o, word in scene.sent_at),
+            sent_at=tuple((moved(o), packet) for o, packet in scene.sent_at),
         ),
         tuple(moved(cut) for cut in cuts),
     )
 
 
 def _delete(best: _Best) -> None:
-    """Delta debugging: ever smaller runs of words are left out; of what stays long, large ones and its end only."""
+    """Delta debugging: ever smaller runs are left out; of what stays long, large ones and its end only."""
     size = max(1, len(best.scene) // 2)
     while best.calls.are_left:
         start = max(0, len(best.scene) - size)
@@ -185,7 +185,7 @@ def _of_bytes(bench: Bench, best: _Best) -> None:
     _repacked(bench, best)
     _events_repacked(bench, best)
     for at in reversed(range(len(best.scene))):
-        any(best.offer(replace(best.scene, words=words)) for words in _lowered(best.scene.words, at))
+        any(best.offer(replace(best.scene, traffic=traffic)) for traffic in _lowered(best.scene.traffic, at))
 
 
 def _lowered(data: bytes, at: int) -> list[bytes]:
@@ -200,10 +200,10 @@ def _zeroed(best: _Best) -> None:
     size = len(best.scene) // 2
     while size > 1 and best.calls.are_left:
         for start in range(0, len(best.scene), size):
-            words = best.scene.words
-            if any(words[start : start + size]):
-                zeros = bytes(len(words[start : start + size]))
-                best.offer(replace(best.scene, words=words[:start] + zeros + words[start + size :]))
+            traffic = best.scene.traffic
+            if any(traffic[start : start + size]):
+                zeros = bytes(len(traffic[start : start + size]))
+                best.offer(replace(best.scene, traffic=traffic[:start] + zeros + traffic[start + size :]))
         size //= 2
 
 
@@ -211,7 +211,9 @@ def _repacked(bench: Bench, best: _Best) -> None:
     """Packets with less in them, each until nothing helps."""
     start = 0
     while start < len(best.scene) and best.calls.are_left:
-        if not any(_replaced(best, start, *less) for less in smaller_packets(bench, best.scene.words, start)):
+        if not any(
+            _replaced(best, start, *less) for less in smaller_packets(bench, best.scene.traffic, start)
+        ):
             start += 1
 
 
@@ -220,8 +222,8 @@ def _replaced(best: _Best, start: int, size: int, smaller: bytes) -> bool:
     scene, cuts = best.scene, best.cuts
     if len(smaller) < size:
         scene, cuts = without(scene, cuts, start + len(smaller), start + size)
-    words = scene.words[:start] + smaller + scene.words[start + len(smaller) :]
-    return best.offer(replace(scene, words=words), cuts)
+    traffic = scene.traffic[:start] + smaller + scene.traffic[start + len(smaller) :]
+    return best.offer(replace(scene, traffic=traffic), cuts)
 
 
 def _events_repacked(bench: Bench, best: _Best) -> None:
@@ -234,16 +236,16 @@ def _events_repacked(bench: Bench, best: _Best) -> None:
             pass
 
 
-def _with_sent(scene: Scene, index: int, word: Any) -> Scene:
-    return replace(scene, sent_at=_but(scene.sent_at, index, (scene.sent_at[index][0], word)))
+def _with_sent(scene: Scene, index: int, packet: Any) -> Scene:
+    return replace(scene, sent_at=_but(scene.sent_at, index, (scene.sent_at[index][0], packet)))
 
 
-def smaller_packets(bench: Bench, words: bytes, start: int) -> Iterator[tuple[int, bytes]]:
+def smaller_packets(bench: Bench, traffic: bytes, start: int) -> Iterator[tuple[int, bytes]]:
     """The size of each framing's whole packet at `start`, with packets that have less in them."""
     for (_, framing, messages), extras in zip(bench.framings, bench.extras, strict=True):
-        judged = framing.judge(words, start, silent=True, extras=extras)
+        judged = framing.judge(traffic, start, silent=True, extras=extras)
         if judged.verdict is Verdict.WHOLE:
-            packet = words[start : start + judged.size]
+            packet = traffic[start : start + judged.size]
             message = next((m for m in messages if bench.reads(m, packet)), messages[0])
             for smaller in lesser(framing, message, packet):
                 yield judged.size, smaller
@@ -287,10 +289,10 @@ def lesser(framing: Framing, message: Message, packet: bytes) -> Iterator[bytes]
 def _of_frames(bench: Bench, best: _Best) -> None:
     _delete(best)
     for index in range(len(best.scene)):
-        for frame in simpler_frames(bench, best.scene.words[index]):
+        for frame in simpler_frames(bench, best.scene.traffic[index]):
             _offer_frame(best, index, frame)
-        for at in reversed(range(len(best.scene.words[index].data))):
-            frame = best.scene.words[index]
+        for at in reversed(range(len(best.scene.traffic[index].data))):
+            frame = best.scene.traffic[index]
             if at < len(frame.data):
                 any(
                     _offer_frame(best, index, made)
@@ -303,7 +305,7 @@ def _of_frames(bench: Bench, best: _Best) -> None:
 
 
 def _offer_frame(best: _Best, index: int, frame: Frame) -> bool:
-    return best.offer(replace(best.scene, words=_but(best.scene.words, index, frame)))
+    return best.offer(replace(best.scene, traffic=_but(best.scene.traffic, index, frame)))
 
 
 def _with_data(bench: Bench, frame: Frame, data: bytes) -> Iterator[Frame]:
@@ -342,7 +344,7 @@ def simpler_frames(bench: Bench, frame: Frame) -> Iterator[Frame]:
 def _packets(best: _Best) -> None:
     """For laws about packets as they were drawn: one packet, alone, with the simplest values."""
     for packet in best.scene.packets:
-        if best.offer(Scene(_words_of(best.scene, packet), packets=(packet,)), ()):
+        if best.offer(Scene(_traffic_of(best.scene, packet), packets=(packet,)), ()):
             break
     if len(best.scene.packets) != 1:
         return
@@ -359,11 +361,11 @@ def _simpler_packets(scene: Scene) -> Iterator[Scene]:
         except Exception:  # what cannot be built is not simpler
             continue
         made = replace(packet, values=values, image=image)
-        yield Scene(_words_of(scene, made), packets=(made,))
+        yield Scene(_traffic_of(scene, made), packets=(made,))
 
 
-def _words_of(scene: Scene, packet: DrawnPacket) -> Any:
-    return packet.image if isinstance(scene.words, bytes) else tuple(packet.words)
+def _traffic_of(scene: Scene, packet: DrawnPacket) -> Any:
+    return packet.image if isinstance(scene.traffic, bytes) else tuple(packet.as_sent)
 
 
 def simpler_values(values: Any) -> Iterator[Any]:
@@ -394,4 +396,4 @@ def simpler_values(values: Any) -> Iterator[Any]:
         yield values[: len(values) // 2]
 
 
-__all__ = ["Calls", "lesser", "shrunk", "simpler_frames", "smaller_packets", "without", "word_bytes"]
+__all__ = ["Calls", "lesser", "packet_bytes", "shrunk", "simpler_frames", "smaller_packets", "without"]

@@ -77,7 +77,7 @@ def adversaries(wire: Wire, direction: Way = None, *, size: int = 3000) -> st.Se
 
 
 def cuts(scene: Scene) -> st.SearchStrategy[tuple[int, ...]]:
-    """Where to cut a scene into chunks: anywhere, regularly, or word by word."""
+    """Where to cut a scene into chunks: anywhere, regularly, or at every byte or frame."""
     return entropy(32).map(lambda source: draw_cuts(scene, source))
 
 

@@ -69,20 +69,20 @@ def play(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[Any]:
     out: list[Any] = []
     events: list[tuple[int, int, Any]] = [(offset, 0, None) for offset in cuts]
     events += [(offset, 1, None) for offset in scene.idle_at]
-    events += [(offset, 2, word) for offset, word in scene.sent_at]
+    events += [(offset, 2, packet) for offset, packet in scene.sent_at]
     events.sort(key=lambda event: event[:2])
     at = 0
     feed: Any = scanner.feed
     sent: Any = scanner.sent
-    for offset, kind, word in events:
+    for offset, kind, packet in events:
         if offset > at or kind == 0:
-            out += feed(scene.words[at:offset])
+            out += feed(scene.traffic[at:offset])
             at = max(at, offset)
         if kind == 1:
             out += scanner.idle()
         elif kind == 2:
-            sent(word)
-    out += feed(scene.words[at:])
+            sent(packet)
+    out += feed(scene.traffic[at:])
     return out + scanner.close()
 
 
@@ -111,16 +111,16 @@ def reference_items(wire: Wire, direction: Way, scene: Scene, *, raw: bool = Tru
 
 def items_by(reference: Reference, scene: Scene) -> list[ScannedItem]:
     """What this reference says of a scene."""
-    if isinstance(scene.words, bytes):
-        found = reference.stream(scene.words, idle_at=scene.idle_at, sent_at=scene.sent_at)
+    if isinstance(scene.traffic, bytes):
+        found = reference.stream(scene.traffic, idle_at=scene.idle_at, sent_at=scene.sent_at)
         return join_losses(
             ScannedItem(f.offset, f.size, f.message, comparable(f.fields), f.reason, f.protocol)
             for f in found
         )
     out: list[ScannedItem] = []
     at = 0
-    for offset, frame in [*scene.sent_at, (len(scene.words), None)]:
-        found = reference.frames(scene.words[at:offset])
+    for offset, frame in [*scene.sent_at, (len(scene.traffic), None)]:
+        found = reference.frames(scene.traffic[at:offset])
         for f in [*found, *(reference.end() if frame is None else ())]:
             out.append(ScannedItem(len(out), f.size, f.message, comparable(f.fields), f.reason, f.protocol))
         at = offset
@@ -213,11 +213,11 @@ class LawError(AssertionError):
 
 def scene_source(scene: Scene) -> str:
     """A scene as it is written in a test."""
-    if isinstance(scene.words, bytes):
-        words = f"bytes.fromhex({scene.words.hex(' ').upper()!r})"
-        sent = tuple((at, f"bytes.fromhex({word.hex(' ').upper()!r})") for at, word in scene.sent_at)
-        return f"Scene({words}, idle_at={scene.idle_at}, sent_at={sent})"
-    return f"Scene(({', '.join(map(repr, scene.words))},), sent_at={scene.sent_at!r})"
+    if isinstance(scene.traffic, bytes):
+        traffic = f"bytes.fromhex({scene.traffic.hex(' ').upper()!r})"
+        sent = tuple((at, f"bytes.fromhex({packet.hex(' ').upper()!r})") for at, packet in scene.sent_at)
+        return f"Scene({traffic}, idle_at={scene.idle_at}, sent_at={sent})"
+    return f"Scene(({', '.join(map(repr, scene.traffic))},), sent_at={scene.sent_at!r})"
 
 
 class Trial:
@@ -257,11 +257,11 @@ class Trial:
 
     @cached_property
     def turn(self) -> int:
-        """A number that a scene has from its words: what is looked at when not everything is."""
-        words = self.scene.words
-        if isinstance(words, bytes):
-            return crc32(words)
-        return sum(crc32(frame.data, frame.arbitration_id) for frame in words)
+        """A number that a scene has from its traffic: what is looked at when not everything is."""
+        traffic = self.scene.traffic
+        if isinstance(traffic, bytes):
+            return crc32(traffic)
+        return sum(crc32(frame.data, frame.arbitration_id) for frame in traffic)
 
     # ------------------------------------------------------------------ played
 

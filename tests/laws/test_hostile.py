@@ -1,6 +1,6 @@
 """What a malicious or broken sender can do to a scanner: cost time in proportion to what it sends, and nothing else.
 
-Work is counted, not timed: the calls of Python functions. Twice the words may cost twice as many.
+Work is counted, not timed: the calls of Python functions. Twice the input may cost twice as many.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tests.laws.wires import PROTOCOLS, REGISTERED
 
 #: Bytes of a stream, and frames of a bus, that are sent once and twice.
 LEAST_BYTES, MOST_BYTES, FRAMES = (300, 800, 200) if settings().max_examples > 100 else (200, 500, 100)
-#: Twice the words may cost so much more than twice the work: the ends of a stream are not its middle.
+#: Twice the input may cost so much more than twice the work: the ends of a stream are not its middle.
 MARGIN = 1.15
 #: Bytes a chunk.
 CHUNK = 61

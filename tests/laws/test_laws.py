@@ -142,7 +142,7 @@ def test_a_scene_that_breaks_a_law_is_kept(tmp_path: Path, monkeypatch: pytest.M
     (path,) = tmp_path.glob("*.json")
     with pytest.raises(laws.LawError):
         replay(path)
-    assert len(load_scene(path).words) == 9
+    assert len(load_scene(path).traffic) == 9
     is_broken = False
     replay(path)
 
@@ -181,9 +181,9 @@ def test_python_can_messages_are_frames(name: str) -> None:
                 dlc=frame.dlc,
                 is_rx=frame.is_rx is not False,
             )
-            for frame in scene.words
+            for frame in scene.traffic
         ]
-        frames = [msgspec.structs.replace(frame, timestamp=frame.timestamp or 0.0) for frame in scene.words]
+        frames = [msgspec.structs.replace(frame, timestamp=frame.timestamp or 0.0) for frame in scene.traffic]
         alike = laws.Scene(tuple(frames), (), scene.sent_at)
         wanted = laws.scanned_items(laws.scanner_of(variant, None), alike)
         assert (

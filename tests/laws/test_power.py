@@ -305,8 +305,8 @@ def test_check_work_is_what_checks_read(monkeypatch: pytest.MonkeyPatch) -> None
         scanner.reset()
         summed = 0
         (scene, _) = laws.draw_arguments(law, a_stream().variant(), None, spread(number, 400))
-        for at in range(0, len(scene.words), 50):
-            scanner.feed(scene.words[at : at + 50])
+        for at in range(0, len(scene.traffic), 50):
+            scanner.feed(scene.traffic[at : at + 50])
         scanner.close()
         # The head and the check byte itself are counted with a record, and not read by its check.
         assert abs(scanner.check_work - summed) <= 3 * scanner.counts.records + scanner.counts.unknown

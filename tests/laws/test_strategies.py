@@ -37,9 +37,9 @@ def test_every_message_is_drawn_and_heard(variant: Any) -> None:
 def _hear(scanner: Scanner, packet: DrawnPacket) -> list[Any]:
     if isinstance(scanner, CanScanner):
         if packet.request is not None:
-            for frame in packet.request.words:
+            for frame in packet.request.as_sent:
                 scanner.sent(frame)
-        return scanner.feed(packet.words)
+        return scanner.feed(packet.as_sent)
     assert isinstance(scanner, StreamScanner)
     if packet.request is not None:
         scanner.sent(packet.request.image)
@@ -100,7 +100,7 @@ def test_a_wire_shrinks_to_little() -> None:
             random=random.Random(seed),
         )
         assert len(scene.packets) <= 2
-        assert len(scene.words) <= 40
+        assert len(scene.traffic) <= 40
 
 
 def test_a_dry_source_gives_the_simplest() -> None:

@@ -33,7 +33,7 @@ def test_no_pair_is_ambiguous(case: Case) -> None:
 
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_a_witness_is_one(case: Case) -> None:
-    """What the checker shows for messages that share packets (and are told apart by other words) is accepted by both."""
+    """What the checker shows for messages that share packets (and are told apart by other means) is accepted by both."""
     for variant in laws.wire_variants(case.wire):
         for one, other in itertools.combinations(variant.messages_for(case.direction), 2):
             found = conflict(one, other)
@@ -244,7 +244,7 @@ def other_syncs(p: Protocol) -> None:
     ids=lambda value: getattr(value, "__name__", value),
 )
 def test_what_is_apart_is_let_pass(link: Any, declare: Declare) -> None:
-    """No false alarm: the spec needs no word more."""
+    """No false alarm: the spec needs nothing more."""
     made = Protocol("planted", link=link)
     declare(made)
     assert laws.conflicts(made.variant(), None) == ()
@@ -298,7 +298,7 @@ def _random_message(made: Protocol, name: str, rng: random.Random) -> Message:
 
 @pytest.mark.parametrize("seed", range(40))
 def test_frames_are_decided_exactly(seed: int) -> None:
-    """The checker's word on two random messages is that of trying every frame."""
+    """The checker's verdict on two random messages is that of trying every frame."""
     rng = random.Random(seed)
     one = _random_message(Protocol("one", link="can"), "One", rng)
     other = _random_message(Protocol("other", link="can"), "Other", rng)

@@ -78,7 +78,7 @@ class Pump(Device):
     def halt(self) -> Any:
         """Stop."""
         self.drop("SetSpeed")
-        return self.tell_now("SetSpeed", speed=0)
+        return self.send_now("SetSpeed", speed=0)
 
     stop_motion = halt
 
@@ -96,7 +96,7 @@ class Pump(Device):
         """It must be at 100 rpm when that was set."""
 
         def steps(job: Job) -> Steps:
-            yield self.tell("SetSpeed", speed=100)
+            yield self.send("SetSpeed", speed=100)
             yield 10_000_000
             state = yield self.ask("Ask", reply="State")
             if state.speed != 100:
@@ -206,8 +206,8 @@ class SwapsBytes(PumpTwin):
         if request.address < 128:
             super().read(request)
             return
-        word = self.twins.word(self, "Value", {"address": request.address, "pressure": 0x0101})
-        self.send_raw(changed(word, b"\x01\x01", b"\xe8\x0f"))
+        packet = self.twins.packet(self, "Value", {"address": request.address, "pressure": 0x0101})
+        self.send_raw(changed(packet, b"\x01\x01", b"\xe8\x0f"))
 
 
 class AnswersAnothersNumber(PumpTwin):
@@ -218,7 +218,7 @@ class AnswersAnothersNumber(PumpTwin):
             super().report()
         else:
             self.send_raw(
-                self.twins.word(self, "State", self.shown() | {"node": self.credentials["node"] + 1})
+                self.twins.packet(self, "State", self.shown() | {"node": self.credentials["node"] + 1})
             )
 
     def shown(self) -> dict[str, Any]:
@@ -233,8 +233,10 @@ class IsOneTooMuch(PumpTwin):
         if self.speed != 3000:
             super().report()
             return
-        word = self.twins.word(self, "State", {"state": "running", "speed": 3000, "commands": self.commands})
-        self.send_raw(changed(word, b"\xb8\x0b", b"\xb9\x0b"))
+        packet = self.twins.packet(
+            self, "State", {"state": "running", "speed": 3000, "commands": self.commands}
+        )
+        self.send_raw(changed(packet, b"\xb8\x0b", b"\xb9\x0b"))
 
 
 class IsStuck(PumpTwin):
@@ -299,23 +301,23 @@ class HasNoName(PumpTwin):
         self.state = "idle" if self.state == "loading" else 9
 
 
-def changed(word: Any, old: bytes, new: bytes) -> Any:
+def changed(packet: Any, old: bytes, new: bytes) -> Any:
     """A frame or packet with other bytes in one place, and the check that goes with them."""
     from msgspec.structs import replace
 
-    if isinstance(word, bytes):
-        inner = word[2:-1].replace(old, new)
-        return word[:2] + inner + bytes((~sum(inner) & 0xFF,))
-    return replace(word, data=word.data.replace(old, new))
+    if isinstance(packet, bytes):
+        inner = packet[2:-1].replace(old, new)
+        return packet[:2] + inner + bytes((~sum(inner) & 0xFF,))
+    return replace(packet, data=packet.data.replace(old, new))
 
 
 @dataclass(frozen=True)
 class PlantedFault:
-    """A twin with a fault; what the fault is called; how many words it takes at most; what else must hold."""
+    """A twin with a fault; what the fault is called; how many packets it takes at most; what else must hold."""
 
     twin: type[PumpTwin]
     kind: str
-    words: int
+    packets: int
     expected: Expectations = field(default_factory=Expectations)
 
     def __str__(self) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from aces_bus.device import Driver
+from aces_bus.device import Driver, load_driver, on
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError, UnknownNameError
 from aces_bus.protocol import make_scanner
 from aces_bus.robot import VirtualRobot
@@ -20,16 +20,17 @@ from tests.testing.faulty_pumps import (
     AnswersAnothersNumber,
     HangsOnABoundary,
     PlantedFault,
+    PumpTwin,
     pump,
 )
 
 LINKS = ("can", "serial")
-#: Words until which each must be found; a second's worth, or a few.
-WORDS = 12_000
+#: Packets until which each must be found; a second's worth, or a few.
+PACKETS = 12_000
 
 
 def _planted() -> list[Any]:
-    """Each fault on CAN; on a line every third in the short profile, as there words take longer."""
+    """Each fault on CAN; on a line every third in the short profile, as there packets take longer."""
     return [
         pytest.param(
             fault,
@@ -46,9 +47,9 @@ def _planted() -> list[Any]:
 def test_a_planted_fault_is_found_small_and_again(fault: PlantedFault, link: str, tmp_path: Path) -> None:
     """It is found by what it does, in no more steps than it takes; a fresh twin breaks when its capture is played."""
     driver = pump(fault.twin, link)
-    (finding,) = fuzz_device(driver, seed=1, words=WORDS, most=1, expected=fault.expected)
+    (finding,) = fuzz_device(driver, seed=1, packets=PACKETS, most=1, expected=fault.expected)
     assert finding.problem.kind == fault.kind
-    assert len(finding.steps) <= fault.words
+    assert len(finding.steps) <= fault.packets
     robot, name = example_of(driver)
     again = DeviceFuzzer(robot, name, expected=fault.expected, load={driver.name: driver}.__getitem__)
     path = finding.save(tmp_path)
@@ -61,12 +62,12 @@ def test_a_planted_fault_is_found_small_and_again(fault: PlantedFault, link: str
 def test_a_sound_device_has_no_findings(link: str) -> None:
     """Nothing is found where nothing is, whatever is expected besides."""
     expected = Expectations(rests_ns=2 * WATCHDOG_NS, actions=("turn",))
-    assert fuzz_device(pump(link=link), seed=1, words=1500, expected=expected) == []
+    assert fuzz_device(pump(link=link), seed=1, packets=1500, expected=expected) == []
 
 
 def test_the_same_seed_finds_the_same(tmp_path: Path) -> None:
     """To the byte of its capture."""
-    one, other = (fuzz_device(pump(HangsOnABoundary), seed=1, words=2000, most=1)[0] for _ in range(2))
+    one, other = (fuzz_device(pump(HangsOnABoundary), seed=1, packets=2000, most=1)[0] for _ in range(2))
     assert one.stem == other.stem
     assert one.save(tmp_path / "a.log").read_bytes() == other.save(tmp_path / "b.log").read_bytes()
 
@@ -76,8 +77,8 @@ def test_what_is_left_out_is_not_sent() -> None:
     """A message, or one with some values of a field, however its frame was made; what there is not is named."""
     driver = pump(HangsOnABoundary)
     for left_out in ("Configure", "Configure.value=0xFFFF"):
-        assert fuzz_device(driver, seed=1, words=1500, leave_out=[left_out]) == []
-    assert fuzz_device(driver, seed=1, words=500, only=["Ask", "Read"]) == []
+        assert fuzz_device(driver, seed=1, packets=1500, leave_out=[left_out]) == []
+    assert fuzz_device(driver, seed=1, packets=500, only=["Ask", "Read"]) == []
     for wrong in ("Configura", "Configure.valve=1"):
         with pytest.raises(UnknownNameError):
             fuzz_device(driver, leave_out=[wrong])
@@ -92,7 +93,7 @@ def test_a_judge_of_ones_own() -> None:
         return "it is fast" if vars(trial.twin)["speed"] > 2000 else None
 
     (found,) = fuzz_device(
-        pump(), seed=1, words=3000, most=1, expected=Expectations(judges={"too fast": is_fast})
+        pump(), seed=1, packets=3000, most=1, expected=Expectations(judges={"too fast": is_fast})
     )
     assert found.problem.kind == "too fast"
     assert [type(record).__name__ for record in found.records()] == ["SetSpeed"]
@@ -114,11 +115,11 @@ def sent_messages(fuzzer: LiveDeviceFuzzer) -> list[str]:
     """What went to the device, by name."""
     variant = fuzzer.device.variant
     scanner: Any = make_scanner([variant], direction="to device", include_unknown=True)
-    words = [word for _, word in fuzzer.tap.sent]
+    packets = [packet for _, packet in fuzzer.tap.sent]
     return [
         type(record).__name__
-        for word in words
-        for record in scanner.feed([word] if variant.link == "can" else word)
+        for packet in packets
+        for record in scanner.feed([packet] if variant.link == "can" else packet)
     ]
 
 
@@ -183,3 +184,31 @@ def test_a_device_that_is_not_there_is_sent_nothing() -> None:
     with pytest.raises(DeviceError, match="nothing was sent"):
         fuzzer.open()
     assert set(sent_messages(fuzzer)) == {"Ask"}
+
+
+def test_a_fault_that_needs_an_instant_is_made_small_without_losing_it() -> None:
+    """A twin that hangs when it is read 50 to 60 ms after it was configured: what was sent in between is left out."""
+
+    class Slow(PumpTwin):
+        @on("Configure")
+        def configured(self, request: Any) -> None:
+            self.begun = self.clock.now()
+
+        @on("Read")
+        def read(self, request: Any) -> None:
+            if 50_000_000 <= self.clock.now() - getattr(self, "begun", -(1 << 62)) <= 60_000_000:
+                self.fault("silent")
+
+    (finding,) = fuzz_device(pump(Slow), seed=1, packets=12_000, most=1, only=["Configure", "Read", "Ask"])
+    assert finding.problem.kind == "silent"
+    assert len(finding.steps) <= 4
+
+
+def test_a_collision_is_no_fault_of_the_device(tmp_path: Path) -> None:
+    """An ODrive's estimates and a data frame that asks for them have one identifier: sent at once, both ends are bus-off."""
+    log = tmp_path / "asked.log"
+    log.write_text("(0.0) can0 7E6#R\n(0.00064) can0 016#00\n(0.15056) can0 015#R\n(0.15088) can0 009#\n")
+    robot, name = example_of(load_driver("odrive"))
+    problem, _, _ = DeviceFuzzer(robot, name).judged(capture_steps(str(log), "can"))
+    assert problem is not None
+    assert problem.kind == "bus-off"

@@ -84,7 +84,7 @@ def a_bus() -> Protocol:
 
 @pytest.mark.parametrize("made", [a_bus(), load_protocol("robotis")], ids=lambda p: p.name)
 def test_a_saved_scene_is_read_back_to_the_bit(made: Protocol, tmp_path: Path) -> None:
-    """Words, silences, transmissions, cuts, and the packets with their values."""
+    """Traffic, silences, transmissions, cuts, and the packets with their values."""
     direction = laws.directions(made.variant())[0]
     bench = Bench(made.variant(), direction)
     for seed in range(1, 20):
@@ -92,7 +92,7 @@ def test_a_saved_scene_is_read_back_to_the_bit(made: Protocol, tmp_path: Path) -
         loaded = load_scene(save_scene(tmp_path, made.variant(), direction, scene, (1, 2), law=2).scene)
         assert (loaded.law, loaded.cuts, loaded.protocol) == (2, (1, 2), made.name)
         again = loaded.scene(bench)
-        assert (again.words, again.sent_at) == (scene.words, scene.sent_at)
+        assert (again.traffic, again.sent_at) == (scene.traffic, scene.sent_at)
         assert again.idle_at == tuple(sorted(scene.idle_at))
         assert [p.image for p in again.packets] == [p.image for p in scene.packets]
         assert [comparable(p.values) for p in again.packets] == [comparable(p.values) for p in scene.packets]

@@ -74,17 +74,17 @@ def _chosen() -> list[Any]:
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", _chosen())
 def test_a_planted_fault_is_found_and_small(fault: Fault, monkeypatch: Patch) -> None:
-    """A law that is meant fails, on a handful of words that still break it when they are played again."""
+    """A law that is meant fails, on a handful of frames or bytes that still break it when they are played again."""
     fault.plant(monkeypatch)
     failure = hunted(fault)
-    words = failure.scene.words
-    assert (len(words) - words.count(0) if isinstance(words, bytes) else len(words)) <= fault.most
+    traffic = failure.scene.traffic
+    assert (len(traffic) - traffic.count(0) if isinstance(traffic, bytes) else len(traffic)) <= fault.most
     again = Trial(Bench(failure.wire, failure.direction), failure.scene, failure.cuts)
     assert judged(failure.law, again) == failure.text
     # The numbers in the failure lead back to the example that it began with.
     assert failure.example is not None
     fuzzer = Fuzzer([fault.protocol()], seed=1, laws=[failure.law])
-    assert fuzzer.example(failure.example)[1].words == (failure.first or failure.scene).words
+    assert fuzzer.example(failure.example)[1].traffic == (failure.first or failure.scene).traffic
 
 
 def test_there_are_faults_enough() -> None:

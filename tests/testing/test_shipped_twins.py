@@ -10,7 +10,7 @@ import pytest
 from aces_bus.device import load_driver
 from aces_bus.device.drivers import list_drivers
 from aces_bus.testing.device_fuzz import DeviceFuzzer, example_of, fuzz_device
-from aces_bus.testing.device_trial import SentStep
+from aces_bus.testing.device_tester import SentStep
 
 #: Behind each frame (ns): an answer has come, and a heartbeat.
 PAUSE_NS = 120_000_000
@@ -52,10 +52,29 @@ def test_what_broke_a_twin_once(name: str, messages: Any, caplog: pytest.LogCapt
         if messages[0][0] in (made := DeviceFuzzer(robot, device)).variant.messages
     )
     tester = fuzzer.judged([])[1].tester
-    steps = [SentStep(tester.word(tester.ear, message, fields), PAUSE_NS) for message, fields in messages]
+    steps = [SentStep(tester.packet(tester.ear, message, fields), PAUSE_NS) for message, fields in messages]
     problem, _, _ = fuzzer.judged(steps)
     assert problem is None
     assert caplog.records == []  # canopen logs what its server raises
+
+
+def test_what_a_device_was_asked_to_repeat_is_no_second_answer() -> None:
+    """A motor board that sends its encoders every 5 ms since it was asked to, and is asked wherever between two of them."""
+    fuzzer = DeviceFuzzer(*example_of(load_driver("hubo_d15")))
+    tester = fuzzer.judged([])[1].tester
+    packet = tester.packet(tester.ear, "SendEncoderD15", {"mode": "continuous"})
+    for away_ns in range(0, 5_000_000, 200_000):
+        problem, _, _ = fuzzer.judged([SentStep(packet, PAUSE_NS + away_ns)])
+        assert problem is None
+
+
+@pytest.mark.parametrize("request_bytes", ["09 01 00 00 00 00 3D 42", "09 6D C6 0D"])
+def test_nothing_is_sent_into_an_answer_on_a_half_duplex_line(request_bytes: str) -> None:
+    """Both are refused: one at once, one when 30 ms of silence have ended it. The next request waits for that."""
+    fuzzer = DeviceFuzzer(*example_of(load_driver("robotiq_ft300")))
+    problem, trial, _ = fuzzer.judged([SentStep(bytes.fromhex(request_bytes), 0)] * 2)
+    assert problem is None
+    assert trial.tester.counts["Refusal"] == 2
 
 
 #: What devices are meant to do: driver → what is left out, and why.
@@ -65,6 +84,7 @@ DECLARED: Mapping[str, tuple[str, ...]] = {
     "cia402": ("Nmt",),
     # Another speed of the line, and another number.
     "dynamixel": ("FactoryReset",),
+    "robotis_rx": ("Reset",),
     # A refusal names the service that was asked, which may be any.
     "uds": ("Other",),
     # Answers are single bytes without a sender: behind garbage one may be taken for that to another request.
@@ -75,11 +95,11 @@ DECLARED: Mapping[str, tuple[str, ...]] = {
 @pytest.mark.long
 @pytest.mark.parametrize("name", list_drivers())
 def test_a_shipped_twin_has_no_findings(name: str) -> None:
-    """A thousand words at the first device of its example, with what it is meant to do left out."""
+    """A thousand packets at the first device of its example, with what it is meant to do left out."""
     driver = load_driver(name)
     robot, device = example_of(driver)
     variant = DeviceFuzzer(robot, device).variant if driver.virtual else None
     if variant is None or not variant.messages_for("to device"):
         pytest.skip("nothing is sent to it")
-    found = fuzz_device(driver, seed=1, words=1000, leave_out=DECLARED.get(name, ()))
+    found = fuzz_device(driver, seed=1, packets=1000, leave_out=DECLARED.get(name, ()))
     assert found == []

@@ -1,8 +1,8 @@
-"""What is sent to a device that is fuzzed: valid words by its spec, edges of their fields, damaged and random ones.
+"""What is sent to a device that is fuzzed: valid packets by its spec, edges of their fields, damaged and random ones.
 
-1. Words carry this device's credentials. What others on the bus would take for theirs does not pass `SendRules`.
-2. Whatever was drawn or made simpler, `SendRules` look at the word itself, as a receiver would: not at how it was made.
-3. The same source gives the same words.
+1. Packets carry this device's credentials. What others on the bus would take for theirs does not pass `SendRules`.
+2. Whatever was drawn or made simpler, `SendRules` look at the packet itself, as a receiver would: not at how it was made.
+3. The same source gives the same packets.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import construct as c
 from ..errors import AcesError, CallerError, UnknownNameError
 from ..frames import Frame
 from ..protocol import StreamScanner, Variant, make_scanner
-from ..protocol import Unknown as UnknownWord
+from ..protocol import Unknown as UnknownRecord
 from ..protocol.declare.message import Message
 from ..protocol.declare.pattern import IdPattern
 from ..protocol.plan.nodes import NodePath
@@ -26,7 +26,7 @@ from .scenes import FRAME_DAMAGES, PACKET_DAMAGES, cast, damaged_frame, damaged_
 from .source import ChoiceSource
 
 #: A frame, the frames of one packet, or bytes.
-AnyWord = Any
+AnyPacket = Any
 #: Tries until a draw gives up.
 ATTEMPTS = 20
 
@@ -87,11 +87,11 @@ def _value(text: str) -> tuple[float, float] | str:
 
 
 class SendRules:
-    """Which words may be sent to a device.
+    """Which packets may be sent to a device.
 
-    `allowed` are the messages (None: all of its own); `left_out` those that are not. `strictly`: a word may be sent only
-    when all that a receiver could take it for is allowed, as it must be where something can move; a word of no known message
-    is not.
+    `allowed` are the messages (None: all of its own); `left_out` those that are not. `strictly`: a packet may be sent only
+    when all that a receiver could take it for is allowed, as it must be where something can move; one of no known message is
+    not.
     """
 
     def __init__(
@@ -122,24 +122,24 @@ class SendRules:
         """Whether no other device of the protocol takes a message for its own."""
         return not self.credentials or any(name in message.fields for name in self.credentials)
 
-    def admit(self, word: AnyWord) -> bool:
-        """Whether a word may be sent."""
+    def admit(self, packet: AnyPacket) -> bool:
+        """Whether a packet may be sent."""
         self._scanner.reset()
-        if isinstance(word, bytes):
+        if isinstance(packet, bytes):
             assert isinstance(self._scanner, StreamScanner)
-            records = self._scanner.datagram(word)
+            records = self._scanner.datagram(packet)
         else:
-            records = self._scanner.feed(list(word) if isinstance(word, tuple) else [word])
-        whole = [record for record in records if record.__class__ is not UnknownWord]
+            records = self._scanner.feed(list(packet) if isinstance(packet, tuple) else [packet])
+        whole = [record for record in records if record.__class__ is not UnknownRecord]
         if any(one.covers(record) for one in self.left_out for record in whole):
             return False
         if not all(self._is_allowed(record) for record in whole):
             return False
         if not self.strictly or (whole and len(whole) == len(records)):
             return True
-        if isinstance(word, bytes):
+        if isinstance(packet, bytes):
             return self._is_refused_by_all(records)
-        return not whole and not isinstance(word, tuple) and self._is_harmless(word)
+        return not whole and not isinstance(packet, tuple) and self._is_harmless(packet)
 
     def _is_allowed(self, record: Any) -> bool:
         name = type(record).__name__
@@ -152,7 +152,7 @@ class SendRules:
     def _is_refused_by_all(self, records: Sequence[Any]) -> bool:
         """Whether no receiver that looks at the check takes bytes for a packet of another message."""
         is_checked = all(m.framing is not None and m.framing.check is not None for m in self._everything)
-        reasons = [record.reason for record in records if record.__class__ is UnknownWord]
+        reasons = [record.reason for record in records if record.__class__ is UnknownRecord]
         return is_checked and not any(reason.startswith("unknown") for reason in reasons)
 
     def _is_harmless(self, frame: Frame) -> bool:
@@ -189,8 +189,8 @@ def is_for(message: Message, credentials: Mapping[str, int]) -> bool:
 # ---------------------------------------------------------------------- what is drawn
 
 
-class DeviceWords:
-    """Draws words for one device. Raises `CallerError` where there is no message to be sent."""
+class DevicePackets:
+    """Draws packets for one device. Raises `CallerError` where there is no message to be sent."""
 
     def __init__(self, rules: SendRules) -> None:
         self.rules, self.variant = rules, rules.variant
@@ -200,34 +200,34 @@ class DeviceWords:
             raise CallerError(f"{self.variant.label}: there is no message that may be sent to this device")
         self._cast = cast(self.variant, "to device")
 
-    def draw(self, source: ChoiceSource) -> tuple[str, AnyWord]:
-        """How it was made, and a word that may be sent: a frame, frames of a packet, or bytes."""
+    def draw(self, source: ChoiceSource) -> tuple[str, AnyPacket]:
+        """How it was made, and a packet that may be sent: a frame, frames of a packet, or bytes."""
         for _ in range(ATTEMPTS):
             found = self._draw(source)
             if found is not None and self.rules.admit(found[1]):
                 return found
         for _ in range(ATTEMPTS):
-            packet = self.valid(source.choice(self.rules.messages), source)
-            word = None if packet is None else self.word_of(packet, source)
-            if word is not None and self.rules.admit(word):
-                return "valid", word
-        raise CallerError(f"{self.variant.label}: no word was found that may be sent to this device")
+            drawn = self.valid(source.choice(self.rules.messages), source)
+            packet = None if drawn is None else self.packet_of(drawn, source)
+            if packet is not None and self.rules.admit(packet):
+                return "valid", packet
+        raise CallerError(f"{self.variant.label}: no packet was found that may be sent to this device")
 
-    def _draw(self, source: ChoiceSource) -> tuple[str, AnyWord] | None:
+    def _draw(self, source: ChoiceSource) -> tuple[str, AnyPacket] | None:
         how = source.integer(0, 15)
         if how == 15:
-            word = self._random(source)
-            return None if word is None else ("random", word)
-        packet = self.valid(source.choice(self.rules.messages), source)
-        if packet is None:
+            packet = self._random(source)
+            return None if packet is None else ("random", packet)
+        drawn = self.valid(source.choice(self.rules.messages), source)
+        if drawn is None:
             return None
         if how < 7:
-            return "valid", self.word_of(packet, source)
+            return "valid", self.packet_of(drawn, source)
         if how < 11:
-            edged = at_an_edge(packet, source)
-            return None if edged is None else ("boundary", self.word_of(edged, source))
-        word = self._damaged(packet, source)
-        return None if word is None else ("mutated", word)
+            edged = at_an_edge(drawn, source)
+            return None if edged is None else ("boundary", self.packet_of(edged, source))
+        packet = self._damaged(drawn, source)
+        return None if packet is None else ("mutated", packet)
 
     def valid(self, message: Message, source: ChoiceSource) -> DrawnPacket | None:
         """A valid packet of a message with the device's credentials."""
@@ -238,47 +238,47 @@ class DeviceWords:
         except (AcesError, c.ConstructError, UndrawableError):
             return None
 
-    def word_of(self, packet: DrawnPacket, source: ChoiceSource) -> AnyWord:
-        """What is sent of a packet."""
+    def packet_of(self, drawn: DrawnPacket, source: ChoiceSource) -> AnyPacket:
+        """A drawn packet as it is sent."""
         if not self.is_can:
-            return packet.image
-        if packet.message.transport is None:
-            return image_frame(packet.image)
-        carried = tuple(packet.carried(source.integer(0, 3)))
+            return drawn.image
+        if drawn.message.transport is None:
+            return image_frame(drawn.image)
+        carried = tuple(drawn.carried(source.integer(0, 3)))
         return _one_or_all(carried)
 
-    def _damaged(self, packet: DrawnPacket, source: ChoiceSource) -> AnyWord | None:
+    def _damaged(self, drawn: DrawnPacket, source: ChoiceSource) -> AnyPacket | None:
         if not self.is_can:
-            return damaged_packet(packet, source.integer(0, PACKET_DAMAGES - 1), source) or None
-        word = self.word_of(packet, source)
-        if isinstance(word, tuple):
-            at = source.integer(0, len(word) - 1)
+            return damaged_packet(drawn, source.integer(0, PACKET_DAMAGES - 1), source) or None
+        packet = self.packet_of(drawn, source)
+        if isinstance(packet, tuple):
+            at = source.integer(0, len(packet) - 1)
             how = source.integer(0, 3)
             if how == 0:
-                return _one_or_all((*word[:at], *word[at + 1 :]))
+                return _one_or_all((*packet[:at], *packet[at + 1 :]))
             if how == 1:
-                return (*word[: at + 1], *word[at:])
-            made = self._damaged_frame(word[at], packet.message, source)
-            return None if made is None else (*word[:at], made, *word[at + 1 :])
-        return self._damaged_frame(word, packet.message, source)
+                return (*packet[: at + 1], *packet[at:])
+            made = self._damaged_frame(packet[at], drawn.message, source)
+            return None if made is None else (*packet[:at], made, *packet[at + 1 :])
+        return self._damaged_frame(packet, drawn.message, source)
 
     def _damaged_frame(self, frame: Frame, message: Message, source: ChoiceSource) -> Frame | None:
         made = damaged_frame(frame, message, source.integer(0, FRAME_DAMAGES - 1), source)
         return None if made.is_fd and not self.has_fd else made
 
-    def _random(self, source: ChoiceSource) -> AnyWord | None:
+    def _random(self, source: ChoiceSource) -> AnyPacket | None:
         if not self.is_can:
             return garbage(self._cast, source)
-        packet = self.valid(source.choice(self.rules.messages), source)
-        if packet is None:
+        drawn = self.valid(source.choice(self.rules.messages), source)
+        if drawn is None:
             return None
-        frame = image_frame(packet.image[:5])
+        frame = image_frame(drawn.image[:5])
         return Frame(
             frame.arbitration_id, source.bytes(source.integer(0, 8)), is_extended_id=frame.is_extended_id
         )
 
 
-def _one_or_all(frames: Sequence[Frame]) -> AnyWord:
+def _one_or_all(frames: Sequence[Frame]) -> AnyPacket:
     """A frame alone, or the frames of a packet."""
     return tuple(frames) if len(frames) > 1 else frames[0]
 
@@ -341,4 +341,4 @@ def _with(values: Any, way: Sequence[str | int], number: int) -> Any:
     return made
 
 
-__all__ = ["AnyWord", "DeviceWords", "LeftOut", "SendRules", "at_an_edge", "is_for", "plain_way"]
+__all__ = ["AnyPacket", "DevicePackets", "LeftOut", "SendRules", "at_an_edge", "is_for", "plain_way"]
