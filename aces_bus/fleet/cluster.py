@@ -28,6 +28,14 @@ WORKERS_S = 120
 #: Tasks that wait at each thread of a worker: there is always a next one.
 WAITING = 2
 
+#: What Dask measures of itself all the time is not looked at here, and takes 7 % of a core of a process that waits.
+QUIET = {
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.tick.limit": "1h",
+    "distributed.admin.system-monitor.interval": "5s",
+}
+
 _LOCAL = re.compile(r"local(?::([0-9]+))?")
 
 
@@ -101,11 +109,13 @@ class DaskWorkers(Workers):
 
     def __init__(self, *, processes: int = 0, address: str = "", client: Any = None) -> None:
         distributed = load_distributed()
+        if address.startswith("tls://"):
+            _check_certificates(address)
         self._cluster: Any = None
         self._owns = client is None
         try:
             if processes:
-                with import_module("dask").config.set({"distributed.worker.profile.enabled": False}):
+                with import_module("dask").config.set(QUIET):
                     self._cluster = distributed.LocalCluster(
                         n_workers=processes,
                         threads_per_worker=1,
@@ -154,6 +164,15 @@ def load_distributed() -> Any:
             f"clusters need dask: pip install 'aces-bus[fleet]' ({missing}); --cluster here needs none"
         ) from missing
     return distributed
+
+
+def _check_certificates(address: str) -> None:
+    """Raise `CallerError` where Dask has no certificates to show."""
+    config = import_module("dask").config
+    for name in ("ca-file", "client.cert"):
+        if not config.get(f"distributed.comm.tls.{name}", None):
+            variable = f"DASK_DISTRIBUTED__COMM__TLS__{name.upper().replace('-', '_').replace('.', '__')}"
+            raise CallerError(f"{address}: needs certificates, and {variable} is not set (docs/fleets.md)")
 
 
 def open_workers(cluster: Any) -> Workers:

@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import datetime
 import hashlib
 import os
 import re
@@ -25,8 +26,13 @@ from ..protocol import load_protocol
 from ..protocol.declare.protocol import Variant
 from ..protocol.exchange import SUFFIXES
 from ..protocol.files import python_file
+from ..protocol.record_plans import plans_of
 from ..recordings.base import Link
+from ..recordings.filters import parse_filter
 from ..recordings.pieces import Direction
+from ..recordings.selection import RecordingSelection
+from ..recordings.where import Where, WhereColumns
+from ..recordings.window import TimeWindow
 
 _INCLUDE = re.compile(rb"<include>\s*([^<>/\\]+?)\s*</include>")
 
@@ -134,6 +140,12 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     unknown: Unknown = "hide"
     names: bool = False
     float32: bool = False
+    #: Only records that fulfil these conditions, frames that pass these filters, and what is of this time (ns; below
+    #: `window.ABSOLUTE_S` from the first frame on).
+    where: list[str] = []
+    filter: list[str] = []
+    start: int | None = None
+    stop: int | None = None
     #: Of aces-bus, where an installed protocol is used.
     version: str = ""
 
@@ -144,6 +156,10 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         *,
         message: str | Iterable[str] = (),
         columns: Mapping[str, Sequence[str]] | None = None,
+        where: str | Iterable[str] = (),
+        filter: str | Iterable[str] = (),
+        start: str | None = None,
+        stop: str | None = None,
         **options: Any,
     ) -> Recipe:
         """Raises `CallerError` for what cannot be loaded or does not exist, before anything is sent anywhere."""
@@ -154,7 +170,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             variants = [one.variant(folder) for one in given]
         known = {name for variant in variants for name in variant.messages}
         wanted: set[str] = set()
-        for name in [message] if isinstance(message, str) else message:
+        for name in _several(message):
             fits = {one for one in known if fnmatchcase(one.lower(), name.lower())}
             if not fits:
                 raise UnknownNameError("message", name, known)
@@ -162,9 +178,22 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         for name in columns or ():
             if name not in known:
                 raise UnknownNameError("message", name, known)
+        links: list[Link] = sorted({_link(variant) for variant in variants})
+        conditions, filters = _several(where), _several(filter)
+        if conditions:
+            Where(conditions, plans_of(variants))
+        if filters:
+            if "can" not in links:
+                raise CallerError("--filter is for CAN frames, and no protocol of the fleet is for CAN")
+            parse_filter(*filters)
+        first, last = _instants(TimeWindow.parse(start, stop))
         return cls(
             protocols=given,
-            links=sorted({_link(variant) for variant in variants}),
+            links=links,
+            where=conditions,
+            filter=filters,
+            start=first,
+            stop=last,
             messages=sorted(wanted) or None,
             columns=None if columns is None else {name: list(some) for name, some in sorted(columns.items())},
             version="" if all(one.files for one in given) else __version__,
@@ -187,6 +216,22 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             raise CallerError(f"the recipe {key} in the dataset was changed: it is not used")
         return msgspec.json.decode(data, type=cls)
 
+    def selection(self, variants: Mapping[Link, Sequence[Variant]]) -> RecordingSelection:
+        """What of a recording is decoded into the dataset."""
+        plans = plans_of([variant for some in variants.values() for variant in some])
+        return RecordingSelection(
+            filter=parse_filter(*self.filter) if self.filter else None,
+            messages=frozenset(self.messages or ()),
+            columns=self.columns,
+            where=WhereColumns(self.where, plans) if self.where else None,
+            unknown=self.unknown,
+        )
+
+    @property
+    def window(self) -> TimeWindow | None:
+        """The time that is wanted, for one recording."""
+        return None if self.start is None and self.stop is None else TimeWindow(self.start, self.stop)
+
     def variants(self, folder: str) -> dict[Link, list[Variant]]:
         """The protocols by their link."""
         found: dict[Link, list[Variant]] = {"can": [], "serial": []}
@@ -194,6 +239,24 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             variant = one.variant(folder)
             found[_link(variant)].append(variant)
         return found
+
+
+def _several(given: str | Iterable[str]) -> list[str]:
+    return [given] if isinstance(given, str) else list(given)
+
+
+def _instants(window: TimeWindow | None) -> tuple[int | None, int | None]:
+    """The bounds of a window, the same on every machine."""
+    start, stop = (None, None) if window is None else (window.start, window.stop)
+    for name, bound in (("--from", start), ("--to", stop)):
+        if isinstance(bound, datetime.time):
+            raise CallerError(
+                f"{name} {bound}: a time of day is one of this machine's zone, and those who decode may have another;"
+                f" write the instant, 2026-11-22T{bound}, or seconds from the first frame"
+            )
+    assert not isinstance(start, datetime.time)
+    assert not isinstance(stop, datetime.time)
+    return start, stop
 
 
 def _link(variant: Variant) -> Link:

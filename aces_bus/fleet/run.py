@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -16,7 +17,8 @@ from typing import Any
 import msgspec
 
 from ..errors import CallerError, CaptureError
-from ..protocol.columns.arrow import is_absolute, load_pyarrow
+from ..frame_table import NO_TIME
+from ..protocol.columns.arrow import load_pyarrow
 from ..recordings import open_recording
 from ..recordings.base import Link
 from ..recordings.open import LEAST, may_be_split
@@ -27,7 +29,7 @@ from .cluster import Workers, exposure, open_workers
 from .manifest import FleetDataset, FleetInput, joined_totals, uri_key
 from .recipe import FleetProtocol, Recipe, Unknown
 from .stores import Place, StoredFile, StoreError, StoreReader, cause_of
-from .work import FleetTask, decode_input, decode_piece, finish_input
+from .work import FleetPiece, FleetTask, decode_input, decode_piece, finish_input
 
 #: Seconds between two writings of the manifest, at least; and how much longer than one writing takes.
 FOLD_S, FOLD_SHARE = 30.0, 20
@@ -35,6 +37,8 @@ FOLD_S, FOLD_SHARE = 30.0, 20
 SHARE, SPLIT = 4, 32 << 20
 #: Pieces that an input has at most for each worker.
 PIECES = 16
+#: Workers that read one recording from its start, at most: what each decodes gets less, what it reads does not.
+TURNS = 8
 
 
 @dataclass
@@ -101,6 +105,10 @@ def decode(
     unknown: Unknown = "hide",
     names: bool = False,
     float32: bool = False,
+    where: str | Iterable[str] = (),
+    filter: str | Iterable[str] = (),
+    start: str | None = None,
+    stop: str | None = None,
     progress: Callable[[FleetProgress], object] | None = None,
     note: Callable[[str], object] | None = None,
 ) -> FleetRun:
@@ -111,8 +119,9 @@ def decode(
     URI; a second run into it decodes what is missing, has changed, or had another recipe.
 
     `cluster` is "local:4" (processes of this machine), an address of Dask's scheduler ("tls://…", "tcp://…"), a
-    `distributed.Client`, or None: this process. `message`, `columns`, `unknown`, `names` and `float32` mean what the
-    options of `aces decode` do. `progress` is called when an input is done, `note` with sentences (default: warnings).
+    `distributed.Client`, or None: this process. `message`, `columns`, `unknown`, `names`, `float32`, `where` and `filter`
+    mean what the options of `aces decode` do; `start` and `stop` are `--from` and `--to`, and no times of day. `progress` is
+    called when an input is done, `note` with sentences (default: warnings).
 
     Raises `CallerError` for a wrong call, a dataset or a cluster that cannot be used. What is wrong with an input is in its
     entry.
@@ -128,6 +137,10 @@ def decode(
         unknown=unknown,
         names=names,
         float32=float32,
+        where=where,
+        filter=filter,
+        start=start,
+        stop=stop,
     )
     if exposed := exposure(cluster):
         note(exposed)
@@ -140,7 +153,7 @@ class _Run:
     def __init__(
         self, dataset: FleetDataset, recipe: Recipe, progress: Callable[[FleetProgress], object]
     ) -> None:
-        self.dataset, self.tell = dataset, progress
+        self.dataset, self.report_progress = dataset, progress
         dataset.check()
         data = recipe.encoded()
         self.recipe, self.key = recipe, Recipe.key_of(data)
@@ -234,7 +247,7 @@ class _Run:
 
     def _entries(self, workers: Workers) -> Iterator[FleetInput]:
         """The entries of all tasks, as they get done. What a dying worker took with it is tried once more, alone."""
-        share = self.progress.bytes / workers.width / SHARE
+        share = self.progress.bytes / workers.width
         suspects: list[FleetTask] = []
         again = False
         waiting = iter(self.todo)
@@ -281,25 +294,32 @@ class _Run:
         )
 
     def _submit(self, workers: Workers, task: FleetTask, share: float) -> None:
+        pieces = self._pieces(task, workers, share) if workers.width > 1 else []
         data = msgspec.json.encode(task)
-        cut = self._cut(task, workers) if task.size > max(share, 2 * SPLIT) and workers.width > 1 else None
-        if cut is None:
+        if not pieces:
             future = workers.submit(decode_input, data)
         else:
-            spans, absolute = cut
-            pieces = [
-                workers.submit(decode_piece, data, number, span, absolute)
-                for number, span in enumerate(spans)
-            ]
-            future = workers.submit(finish_input, data, absolute, *pieces)
+            parts = [msgspec.structs.replace(task, piece=piece) for piece in pieces]
+            done = [workers.submit(decode_piece, msgspec.json.encode(part)) for part in parts]
+            future = workers.submit(finish_input, data, *done)
         self._under_way[id(future)] = future, task
         workers.watch(future)
 
-    def _cut(self, task: FleetTask, workers: Workers) -> tuple[list[tuple[int, int]], bool] | None:
-        """The pieces of an input, and whether its times count from 1970; None for what is read from its start alone."""
-        pieces = min(workers.width * PIECES, -(-task.size // SPLIT))
-        cut = cut_input(task.uri, task.size, pieces) if "can" in self.recipe.links else None
-        return cut if cut is not None and len(cut[0]) > 1 else None
+    def _pieces(self, task: FleetTask, workers: Workers, share: float) -> list[FleetPiece]:
+        """The pieces of an input; none where it is decoded as a whole."""
+        if task.size <= max(share / SHARE, 2 * SPLIT) or "can" not in self.recipe.links:
+            return []
+        found = cut_input(task.uri, task.size, min(workers.width * PIECES, -(-task.size // SPLIT)))
+        if found is None:
+            return []
+        spans, began = found
+        if spans:
+            if len(spans) == 1:
+                return []
+            return [FleetPiece(number, len(spans), span, began) for number, span in enumerate(spans)]
+        # All read all of it: only so many as bring it to its end with the others.
+        turns = min(workers.width, TURNS, math.ceil(task.size / share))
+        return [FleetPiece(number, turns) for number in range(turns)] if turns > 1 else []
 
     # ------------------------------------------------------------------ what is done
 
@@ -318,7 +338,7 @@ class _Run:
         progress.items += entry.counts.get("total", 0)
         if time.monotonic() - self._folded > max(FOLD_S, FOLD_SHARE * self._fold_s):
             self._fold()
-        self.tell(progress)
+        self.report_progress(progress)
 
     def _fold(self) -> None:
         """The journal's entries into the manifest."""
@@ -331,16 +351,21 @@ class _Run:
         self._fold_s = self._folded - began
 
 
-def cut_input(uri: str, size: int, pieces: int) -> tuple[list[tuple[int, int]], bool] | None:
-    """Where a plain candump log can be cut, and whether its times count from 1970; None for any other recording."""
-    reader = StoreReader(uri)
+def cut_input(uri: str, size: int, pieces: int) -> tuple[list[tuple[int, int]], int | None] | None:
+    """Where a plain candump log can be cut, and the instant of its first frame that has one; no places for other recordings
+    of CAN, which can only be read from their start. None for what is none, or cannot be read."""
+    try:
+        reader = StoreReader(uri)
+    except StoreError:
+        return None
     try:
         with open_recording(reader, link="can", name=uri) as capture:  # type: ignore[call-overload]
             if not may_be_split(capture):
-                return None
-            absolute = next((is_absolute(table.time) for table in capture.tables()), None)
-    except CaptureError:
+                return [], None
+            known = (table.time[table.time != NO_TIME] for table in capture.tables())
+            began = next((int(times[0]) for times in known if len(times)), None)
+        return cut_lines(reader.read_at, size, pieces, LEAST), began
+    except (CaptureError, StoreError):
         return None  # the worker that decodes it reports why
     finally:
         reader.close()
-    return cut_lines(reader.read_at, size, pieces, LEAST), bool(absolute)

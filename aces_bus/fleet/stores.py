@@ -4,7 +4,8 @@
    own (environment, fsspec's configuration).
 2. A file that is put is there as a whole or not at all. Object stores do so by themselves; elsewhere it is written beside
    its place and renamed.
-3. What a store refuses is a `StoreError` after `WAITS_S`; what it says is not there is one at once.
+3. What a store refuses is a `StoreError` after `WAITS_S`; what it says is not there is one at once. An answer that does not
+   come within `ANSWER_S` and the time for its bytes is asked for once more.
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ from __future__ import annotations
 import hashlib
 import os
 import secrets
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from datetime import datetime
 from functools import partial
 from importlib import import_module
+from queue import Empty, SimpleQueue
 from typing import Any, NamedTuple, TypeVar
 
 from ..errors import CallerError
@@ -26,6 +29,11 @@ T = TypeVar("T")
 
 #: Seconds before each further attempt of what a store has refused.
 WAITS_S = (0.2, 1.0, 4.0)
+#: Seconds that an answer of a store of other machines may take: so many, and one more for so many bytes; and a
+#: listing, or the manifest.
+ANSWER_S, SLOWEST, LISTING_S = 60.0, 100_000, 3600.0
+#: Times that an answer is waited for so long.
+STALLS = 2
 #: Bytes that are asked of a store at once.
 BLOCK = 4 << 20
 #: Stores in which a file appears when its last byte is there.
@@ -68,16 +76,44 @@ def load_fsspec() -> Any:
     return fsspec
 
 
-def patiently(name: str, call: Callable[[], T]) -> T:
-    """What a call to a store gives, after some attempts; raises `StoreError` that names the file."""
+class _StallError(TimeoutError):
+    """A store does not answer."""
+
+
+def patiently(name: str, call: Callable[[], T], limit_s: float | None = None) -> T:
+    """What a call to a store gives, after some attempts; raises `StoreError` that names the file. With `limit_s` an attempt
+    ends after so many seconds, and the call is left to itself."""
+    stalls = 0
     for wait in (*WAITS_S, None):
         try:
-            return call()
+            return call() if limit_s is None else _within(limit_s, call)
         except Exception as error:  # each store raises its own
-            if isinstance(error, _FINAL) or wait is None:
+            stalls += isinstance(error, _StallError)
+            if isinstance(error, _FINAL) or wait is None or stalls >= STALLS:
                 raise StoreError(f"{name}: {cause_of(error)}") from error
         time.sleep(wait)
     raise AssertionError
+
+
+def _within(limit_s: float, call: Callable[[], T]) -> T:
+    """What a call gives on a thread of its own; raises `_StallError`, and then the thread is not waited for."""
+    answers: SimpleQueue[tuple[Exception | None, Any]] = SimpleQueue()
+
+    def ask() -> None:
+        try:
+            answers.put((None, call()))
+        except Exception as error:
+            answers.put((error, None))
+
+    threading.Thread(target=ask, name="store", daemon=True).start()
+    try:
+        error, value = answers.get(timeout=limit_s)
+    except Empty:
+        raise _StallError(f"the store has not answered for {limit_s:.0f} s") from None
+    if error is not None:
+        raise error
+    given: T = value
+    return given
 
 
 def cause_of(error: BaseException) -> str:
@@ -133,6 +169,11 @@ class Place:
         """A path below."""
         return "/".join([self.path.rstrip("/"), *names])
 
+    def ask(self, path: str, call: Callable[[], T], size: int = 0, seconds: float | None = None) -> T:
+        """What a call about a file of so many bytes gives; raises `StoreError`. Files of this machine are waited for."""
+        limit_s = None if self.is_local else (ANSWER_S if seconds is None else seconds) + size / SLOWEST
+        return patiently(self.uri_of(path), call, limit_s)
+
     def files(self) -> Iterator[StoredFile]:
         """The files that a pattern (`*`, `**`, `?`, `[ab]`) names, or the one; raises `StoreError` where there is none."""
         if not any(mark in self.path for mark in "*?[") or (self.is_local and os.path.isfile(self.path)):
@@ -144,11 +185,11 @@ class Place:
             some: dict[str, dict[str, Any]] = self.fs.glob(self.path, detail=True)
             return some
 
-        for path, info in sorted(patiently(self.uri, found).items()):
+        for path, info in sorted(self.ask(self.path, found, seconds=LISTING_S).items()):
             if info.get("type") == "directory":
                 continue
             if info.get("size") is None:  # a listing that does not say it
-                info = patiently(self.uri_of(path), partial(self.fs.info, path))
+                info = self.ask(path, partial(self.fs.info, path))
             yield StoredFile(self.uri_of(path), int(info.get("size") or 0), stamp_of(info))
 
     def file(self) -> StoredFile:
@@ -159,14 +200,14 @@ class Place:
             info: dict[str, Any] = self.fs.info(self.path)
             return info
 
-        info = patiently(self.uri, asked)
+        info = self.ask(self.path, asked)
         if info.get("type") == "directory":
             raise StoreError(f"{self.uri}: is a folder; name its files: {self.uri.rstrip('/')}/**/*.mf4")
         return StoredFile(self.uri, int(info.get("size") or 0), stamp_of(info))
 
     def read(self, path: str) -> bytes:
         """All bytes of a small file."""
-        data: bytes = patiently(self.uri_of(path), lambda: self.fs.cat_file(path))
+        data: bytes = self.ask(path, lambda: self.fs.cat_file(path), seconds=LISTING_S)
         return data
 
     def names(self, path: str) -> list[str]:
@@ -181,7 +222,7 @@ class Place:
             except FileNotFoundError:
                 return []
 
-        return patiently(self.uri_of(path), listed)
+        return self.ask(path, listed, seconds=LISTING_S)
 
     def exists(self, path: str) -> bool:
         """Whether there is such a file."""
@@ -190,7 +231,7 @@ class Place:
             self.fs.invalidate_cache()
             return bool(self.fs.exists(path))
 
-        return patiently(self.uri_of(path), asked)
+        return self.ask(path, asked)
 
     def put(self, file: str, path: str) -> None:
         """A file of this machine, which goes, to its place in the store."""
@@ -213,7 +254,7 @@ class Place:
                     self.fs.rm_file(beside)
                 raise
 
-        patiently(self.uri_of(path), once)
+        self.ask(path, once, size=os.path.getsize(file))
 
     def _move_here(self, file: str, beside: str, path: str) -> None:
         try:
@@ -242,7 +283,7 @@ class Place:
             else:
                 self.fs.mv(beside, path)
 
-        patiently(self.uri_of(path), once)
+        self.ask(path, once, size=len(data))
 
     def remove(self, path: str) -> None:
         """A file goes; one that is not there has gone."""
@@ -251,7 +292,7 @@ class Place:
             with suppress(FileNotFoundError):
                 self.fs.rm_file(path)
 
-        patiently(self.uri_of(path), once)
+        self.ask(path, once)
 
 
 class StoreReader:
@@ -265,14 +306,17 @@ class StoreReader:
         self.name = uri
         self.digest = hashlib.blake2b(digest_size=20)
         self.failure: StoreError | None = None
-        place = Place(uri)
-        self._open: Callable[[], Any] = partial(place.fs.open, place.path, "rb", block_size=BLOCK)
-        self._file: Any = patiently(uri, self._open)
+        self._store = Place(uri)
         self._place: int = 0 if span is None else span[0]
         self._stop: int | None = None if span is None else span[1]
         self._ready = memoryview(b"")
-        if self._place:
-            patiently(uri, lambda: self._file.seek(self._place))
+        self._file: Any = self._store.ask(self._store.path, self._opened)
+
+    def _opened(self, place: int | None = None) -> Any:
+        file = self._store.fs.open(self._store.path, "rb", block_size=BLOCK)
+        if place := self._place if place is None else place:
+            file.seek(place)
+        return file
 
     def read(self, size: int = -1) -> bytes:
         """At most so many bytes; none at the end. Raises `OSError` where the store refuses."""
@@ -286,8 +330,14 @@ class StoreReader:
         wanted = BLOCK if self._stop is None else min(BLOCK, self._stop - self._place)
         if wanted <= 0:
             return b""
+        ready = [self._file]
+
+        def asked() -> tuple[Any, bytes]:
+            file = ready.pop() if ready else self._opened()  # one that has failed or stalls is not used again
+            return file, bytes(file.read(wanted))
+
         try:
-            data = patiently(self.name, lambda: self._asked(wanted))
+            self._file, data = self._store.ask(self._store.path, asked, wanted)
         except StoreError as error:
             self.failure = error
             raise OSError(str(error)) from error
@@ -295,26 +345,14 @@ class StoreReader:
         self.digest.update(data)
         return data
 
-    def _asked(self, size: int) -> bytes:
-        try:
-            return bytes(self._file.read(size))
-        except Exception:
-            with suppress(Exception):  # the next attempt begins where this one did
-                self._file.close()
-            self._file = self._open()
-            if self._place:
-                self._file.seek(self._place)
-            raise
-
     def read_at(self, place: int, size: int) -> bytes:
         """Some bytes from `place` on, beside the reading from front to back; they are not hashed."""
 
         def asked() -> bytes:
-            with self._open() as file:
-                file.seek(place)
+            with self._opened(place) as file:
                 return bytes(file.read(size))
 
-        return patiently(self.name, asked)
+        return self._store.ask(self._store.path, asked, size)
 
     def drain(self) -> None:
         """Read what is left, for the hash alone."""

@@ -13,22 +13,26 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from dataclasses import replace
+from itertools import zip_longest
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 
 from .. import __version__
 from ..errors import AcesError, CallerError, CaptureError
+from ..frame_table import NO_TIME, to_ns
 from ..protocol.columns.decode import feed
+from ..protocol.columns.layout import ABSOLUTE_NS
 from ..protocol.columns.scanner import make_column_scanner
-from ..protocol.columns.table import MessageTable
 from ..protocol.declare.protocol import Variant
-from ..recordings import CanRecording, SerialRecording, open_recording
+from ..recordings import CanRecording, SerialRecording, UnreadableEntry, open_recording
 from ..recordings.base import Link
 from ..recordings.open import open_part
-from ..recordings.pieces import CaptureReading, SerialWays, make_can_scanner, open_any, pieces_of
+from ..recordings.pieces import CaptureReading, SerialWays, frame_runs, make_can_scanner, open_any, pieces_of
+from ..recordings.selection import AdoptedPieces, KeptFrames, RecordingSelection, part_of
 from ..recordings.totals import Totals
 from .manifest import FLEET, FleetDataset, FleetInput, InputState, uri_key
 from .parts import DayParts, LocalPart
@@ -39,6 +43,24 @@ T = TypeVar("T")
 
 #: Seconds before an input is begun anew, once.
 AGAIN_S = 1.0
+#: Frames that one worker decodes before another goes on, where several read the same recording.
+RUN = 1 << 18
+
+
+class FleetPiece(msgspec.Struct, frozen=True, omit_defaults=True):
+    """One of `of` pieces of an input: the bytes of `span`, which are lines; else, of frames in runs of `RUN`, runs `number`,
+    `number` + `of`, … of a recording that every worker reads from its start."""
+
+    number: int
+    of: int
+    span: tuple[int, int] | None = None
+    #: Of a span: the instant of the recording's first frame that has one.
+    began: int | None = None
+
+    @property
+    def says_faults(self) -> bool:
+        """Whether nobody else reads the same."""
+        return self.span is not None or self.number == 0
 
 
 class FleetTask(msgspec.Struct, kw_only=True, omit_defaults=True):
@@ -54,6 +76,8 @@ class FleetTask(msgspec.Struct, kw_only=True, omit_defaults=True):
     before: FleetInput | None = None
     #: Parts that dead attempts may have placed.
     leftovers: list[str] = []
+    #: Only this of it.
+    piece: FleetPiece | None = None
     version: str = __version__
 
 
@@ -61,16 +85,31 @@ class PieceDone(msgspec.Struct):
     """A piece of an input, decoded and placed. Dask hands it from worker to worker."""
 
     entry: FleetInput
-    handover: Any = None
-    problems: list[tuple[int, str, str]] = []
+    piece: FleetPiece | None = None
+    #: What hangs on frames of other pieces: of a span, or of each run.
+    handovers: list[Any] = []
+    problems: list[UnreadableEntry] = []
     lines: int = 0
+    #: The instant of the recording's first frame that has one.
+    began: int | None = None
+    #: Frames without a time, where times are asked for.
+    untimed: int = 0
 
 
-#: Recipes that this process has loaded, by their hash: the recipe, its variants, the folder of their files.
-_loaded: dict[str, tuple[Recipe, dict[Link, list[Variant]], Any]] = {}
+class _Loaded(NamedTuple):
+    """A recipe that this process uses; `folder` has its files."""
+
+    recipe: Recipe
+    variants: dict[Link, list[Variant]]
+    selection: RecordingSelection
+    folder: Any
 
 
-def _recipe_of(dataset: FleetDataset, task: FleetTask) -> tuple[Recipe, dict[Link, list[Variant]]]:
+#: By their hash.
+_loaded: dict[str, _Loaded] = {}
+
+
+def _recipe_of(dataset: FleetDataset, task: FleetTask) -> _Loaded:
     if task.version != __version__:
         raise CallerError(
             f"a worker has aces-bus {__version__}, and the run is of {task.version}: install the same on all"
@@ -79,9 +118,8 @@ def _recipe_of(dataset: FleetDataset, task: FleetTask) -> tuple[Recipe, dict[Lin
         recipe = Recipe.decoded(dataset.recipe(task.recipe), task.recipe)
         folder = tempfile.TemporaryDirectory(prefix="aces-specs-", ignore_cleanup_errors=True)
         variants: Any = recipe.variants(folder.name)
-        _loaded[task.recipe] = recipe, variants, folder
-    recipe, variants, _ = _loaded[task.recipe]
-    return recipe, variants
+        _loaded[task.recipe] = _Loaded(recipe, variants, recipe.selection(variants), folder)
+    return _loaded[task.recipe]
 
 
 def decode_input(data: bytes) -> bytes:
@@ -90,16 +128,16 @@ def decode_input(data: bytes) -> bytes:
     return msgspec.json.encode(InputWork(task).whole())
 
 
-def decode_piece(data: bytes, number: int, span: tuple[int, int], absolute: bool | None) -> PieceDone:
-    """Decode bytes `span` of a candump log."""
+def decode_piece(data: bytes) -> PieceDone:
+    """Decode the piece of an encoded `FleetTask`."""
     task = msgspec.json.decode(data, type=FleetTask)
-    return InputWork(task).piece(number, span, absolute)
+    return InputWork(task).piece()
 
 
-def finish_input(data: bytes, absolute: bool | None, *pieces: PieceDone) -> bytes:
+def finish_input(data: bytes, *pieces: PieceDone) -> bytes:
     """Put the pieces of an input together: what hangs on frames of other pieces, the counts, the entry."""
     task = msgspec.json.decode(data, type=FleetTask)
-    return msgspec.json.encode(InputWork(task).joined(absolute, pieces))
+    return msgspec.json.encode(InputWork(task).joined(pieces))
 
 
 class InputWork:
@@ -108,63 +146,75 @@ class InputWork:
     def __init__(self, task: FleetTask) -> None:
         self.task = task
         self.dataset = FleetDataset(task.dataset)
-        self.recipe, self.variants = _recipe_of(self.dataset, task)
-        self._began = time.monotonic()
+        self.recipe, self.variants, self._selection, _ = _recipe_of(self.dataset, task)
+        self._started = time.monotonic()
 
     # ------------------------------------------------------------------ an input as a whole
 
     def whole(self) -> FleetInput:
         """Decode it; its entry, which is in the journal."""
         try:
-            return self._tried(self._whole)
+            return self._tried(self._done, self._renew).entry
         except Exception as error:
             return self.entry("missing", faults=[_words(self.task.uri, error)])
 
-    def _tried(self, call: Callable[[], T]) -> T:
+    def _tried(self, call: Callable[[], T], renew: Callable[[], None] = lambda: None) -> T:
         try:
             return call()
         except StoreError:  # which has been patient already: of what cannot be read on, or has changed
             time.sleep(AGAIN_S)
+            renew()
             return call()
 
-    def _whole(self) -> FleetInput:
-        task, before = self.task, self.task.before
-        is_here = Place(task.uri).is_local
-        reader = None if is_here else StoreReader(task.uri)
+    def _renew(self) -> None:
+        """Another attempt is of what is there by now."""
+        now = Place(self.task.uri).file()
+        self.task.size, self.task.stamp = now.size, now.stamp
+
+    def _done(self) -> PieceDone:
+        """The input, or its piece, decoded and placed."""
+        task, piece = self.task, self.task.piece
+        span = None if piece is None else piece.span
+        is_here = Place(task.uri).is_local and span is None
+        reader = None if is_here else StoreReader(task.uri, span)
         try:
             found = hash_of_file(task.uri) if is_here else ""
-            if is_here and before is not None and self._is_same(before, found):
-                return self._again(before)
+            if is_here and self._is_same(found):
+                return PieceDone(self._again())
             with self._folder() as folder:
-                entry, parts = self._decoded(folder, task.uri if reader is None else reader)
+                done, parts = self._decoded(folder, task.uri if reader is None else reader)
                 if reader is not None:
                     if reader.failure is not None:
                         raise reader.failure
                     reader.drain()
                     found = reader.digest.hexdigest()
-                    if before is not None and self._is_same(before, found):
-                        return self._again(before)
+                    if self._is_same(found):
+                        return PieceDone(self._again())
                 self._check_unchanged()
-                entry.hash = found
-                self._place(entry, parts)
+                done.entry.hash = found
+                self._place(done.entry, parts, "" if piece is None else f"-p{piece.number:05}")
         except OSError as error:
             raise StoreError(f"{task.uri}: {cause_of(error)}") from error
         finally:
             if reader is not None:
                 reader.close()
-        return entry
+        return done
 
-    def _is_same(self, before: FleetInput, found: str) -> bool:
+    def _is_same(self, found: str) -> bool:
         """Whether the dataset has all that would be decoded; then only the store's word for the version is new."""
+        before = self.task.before
         return (
-            before.is_settled
+            before is not None
+            and self.task.piece is None
+            and before.is_settled
             and before.hash == found
             and before.recipe == self.task.recipe
             and not self.task.leftovers
         )
 
-    def _again(self, before: FleetInput) -> FleetInput:
-        entry = msgspec.structs.replace(before, stamp=self.task.stamp, size=self.task.size)
+    def _again(self) -> FleetInput:
+        assert self.task.before is not None
+        entry = msgspec.structs.replace(self.task.before, stamp=self.task.stamp, size=self.task.size)
         self.dataset.note(entry)
         return entry
 
@@ -173,8 +223,6 @@ class InputWork:
         task = self.task
         now = Place(task.uri).file()
         if (now.size, now.stamp) != (task.size, task.stamp):
-            # The next attempt is of what is there by then.
-            task.size, task.stamp = now.size, now.stamp
             raise StoreError(f"{task.uri}: changed while it was read")
 
     def entry(self, state: InputState, **more: Any) -> FleetInput:
@@ -188,7 +236,7 @@ class InputWork:
             stamp=task.stamp,
             recipe=task.recipe,
             state=state,
-            seconds=time.monotonic() - self._began,
+            seconds=time.monotonic() - self._started,
             **more,
         )
 
@@ -209,8 +257,11 @@ class InputWork:
 
     # ------------------------------------------------------------------ decoding
 
-    def _decoded(self, folder: str, source: str | StoreReader) -> tuple[FleetInput, list[LocalPart]]:
+    def _decoded(self, folder: str, source: str | StoreReader) -> tuple[PieceDone, list[LocalPart]]:
         """Decode into parts of this machine. What could be read of a damaged recording stays, as in one process."""
+        piece = self.task.piece
+        self._begin(None if piece is None else piece.began)
+        done = PieceDone(self.entry("unreadable"), piece)
         try:
             capture = self._open(source)
         except CaptureError as error:
@@ -218,13 +269,14 @@ class InputWork:
                 raise source.failure from error
             if isinstance(source, str) and not os.path.isfile(source):
                 raise StoreError(str(error)) from error
-            return self.entry("unreadable", faults=[str(error)]), []
+            done.entry.faults = [str(error)]
+            return done, []
         totals, faults = Totals(), list[str]()
         parts = self._parts(folder, self.variants[capture.link])
         with capture:
             try:
                 if isinstance(capture, CanRecording):
-                    self._can(capture, parts, totals)
+                    self._can(capture, parts, totals, done.handovers)
                 else:
                     self._serial(capture, parts, totals)
             except CaptureError as error:
@@ -236,10 +288,40 @@ class InputWork:
                 parts.abandon()
                 raise
             made = parts.close()
-        totals.lines_unreadable += capture.lines_unreadable
-        totals.dropped += getattr(capture, "frames_dropped", 0)
-        faults += [f"{capture.name}:{problem}" for problem in capture.problems]
-        return self._filled(parts, totals, capture.link, capture.format, faults), made
+        done.began = self.began
+        done.untimed = 0 if self.selection.window is None else self.selection.window.untimed
+        if piece is None or piece.says_faults:
+            totals.lines_unreadable += capture.lines_unreadable
+            totals.dropped += getattr(capture, "frames_dropped", 0)
+            done.problems, done.lines = list(capture.problems), capture.lines
+        else:
+            faults = []
+        if piece is None:
+            faults += [f"{capture.name}:{problem}" for problem in capture.problems]
+        done.entry = self._filled(parts, totals, capture.link, capture.format, faults)
+        return done, made
+
+    def _begin(self, began: int | None) -> None:
+        """An attempt begins; `began` is the instant of the recording's first frame, if it is known."""
+        self.began: int | None = began
+        self.selection = replace(self._selection, window=self.recipe.window)
+        if began is not None and self.selection.window is not None:
+            self.selection.window.see(began)
+
+    def _see(self, time: Any, parts: DayParts) -> None:
+        """Frames have been read, of these instants: the first one says how the recording counts them."""
+        if self.began is None:
+            known = time[time != NO_TIME]
+            if len(known):
+                self.began = int(known[0])
+                if self.selection.window is not None:
+                    self.selection.window.see(self.began)
+                parts.absolute = self._absolute
+
+    @property
+    def _absolute(self) -> bool | None:
+        """Whether the recording's times count from 1970; None where it is not known yet."""
+        return None if self.began is None else self.began >= ABSOLUTE_NS
 
     def _filled(
         self, parts: DayParts, totals: Totals, link: Link, form: str, faults: list[str]
@@ -256,70 +338,92 @@ class InputWork:
             first=parts.first,
             last=parts.last,
             faults=faults,
-            notes=list(parts.notes),
+            notes=[*parts.notes, *self._untimed()],
         )
+
+    def _untimed(self) -> Iterator[str]:
+        window = self.selection.window
+        if window is not None and window.untimed and self.task.piece is None:
+            yield f"--from and --to need times: {window.untimed} items have none, and are filtered"
 
     def _open(self, source: str | StoreReader) -> CanRecording | SerialRecording:
         links: list[Link] = [link for link, variants in self.variants.items() if variants]
         file: Any = source
+        piece = self.task.piece
+        if piece is not None:
+            if piece.span is not None:
+                return open_part(file, piece.span)
+            links = ["can"]
         if len(links) == 1:
             return open_recording(file, link=links[0], name=self.task.uri)
         if isinstance(source, str):
             return open_any(source)
         return open_recording(file, name=self.task.uri)
 
-    def _parts(self, folder: str, variants: Sequence[Variant], absolute: bool | None = None) -> DayParts:
-        return DayParts(folder, self.recipe, variants, self.task.uri, absolute=absolute)
+    def _parts(self, folder: str, variants: Sequence[Variant]) -> DayParts:
+        return DayParts(folder, self.recipe, variants, self.task.uri, absolute=self._absolute)
 
-    @property
-    def _shows_losses(self) -> bool:
-        return self.recipe.unknown != "hide"
-
-    def _can(self, capture: CanRecording, parts: DayParts, totals: Totals) -> None:
-        scanner = make_column_scanner(
-            self.variants["can"], direction=self.recipe.direction, include_unknown=self._shows_losses
-        )
+    def _can(self, capture: CanRecording, parts: DayParts, totals: Totals, handovers: list[Any]) -> None:
+        """Decode frames; of a piece its own, and what hangs on others goes to `handovers`."""
+        piece, selection = self.task.piece, self.selection
+        turns = piece if piece is not None and piece.span is None else None
+        scanner = self._can_scanner(defer=piece is not None)
+        runs = pieces_of(capture.tables(), is_live=False)
+        first, kept = 0, KeptFrames()
         try:
-            for frames in pieces_of(capture.tables(), is_live=False):
-                self._take(scanner.feed(frames), parts, totals)
-            self._take(scanner.close(), parts, totals)
+            for number, frames in enumerate(frame_runs(runs, RUN) if turns is not None else runs):
+                self._see(frames.time, parts)
+                if turns is not None and number % turns.of != turns.number:
+                    continue
+                tables = scanner.feed(frames)
+                passed = selection.kept(frames)
+                if passed is not None:
+                    kept.add(first, passed)
+                    tables = [part_of(table, kept.of(table.row), totals) for table in tables]
+                parts.write(selection.shown(tables, totals))
+                first += len(frames)
+                if turns is not None:
+                    handovers.append(scanner.hand_over())
+                    first, kept = 0, KeptFrames()
+            if piece is None:
+                tables = [part_of(table, kept.of(table.row), totals) for table in scanner.close()]
+                parts.write(selection.shown(tables, totals))
         finally:
-            totals.count(scanner.counts)
+            if piece is None:
+                totals.count(scanner.counts)
+            elif turns is None:
+                handovers.append(scanner.hand_over())
+
+    def _can_scanner(self, *, defer: bool) -> Any:
+        return make_can_scanner(
+            self.variants["can"],
+            direction=self.recipe.direction,
+            include_unknown=self.selection.include_unknown,
+            defer=defer,
+        )
 
     def _serial(self, capture: SerialRecording, parts: DayParts, totals: Totals) -> None:
-        variants = self.variants["serial"]
+        variants, selection = self.variants["serial"], self.selection
 
         def make(direction: Any) -> Any:
-            return make_column_scanner(variants, direction=direction, include_unknown=self._shows_losses)
+            return make_column_scanner(
+                variants, direction=direction, include_unknown=selection.include_unknown
+            )
 
         ways = SerialWays(variants, self.recipe.direction, make, feed)
         reading = CaptureReading(ways.chunks(capture))
         try:
             for chunk in reading:
+                if chunk.data and selection.window is not None:
+                    selection.window.see(to_ns(chunk.time))
                 for tables in ways.feed(chunk):
-                    self._take(tables, parts, totals)
+                    parts.write(selection.shown(selection.inside(tables, totals), totals))
             for tables in ways.close():
-                self._take(tables, parts, totals)
+                parts.write(selection.shown(selection.inside(tables, totals), totals))
             reading.check()
         finally:
             for counts in ways.counts:
                 totals.count(counts)
-
-    def _take(self, tables: Iterable[MessageTable], parts: DayParts, totals: Totals) -> None:
-        """Write what is wanted; what the recipe leaves out goes into the bin `filtered`."""
-        recipe = self.recipe
-        shown: list[MessageTable] = []
-        for table in tables:
-            if not table.message:
-                if self._shows_losses:
-                    shown.append(table)
-            elif (recipe.messages is not None and table.message not in recipe.messages) or (
-                recipe.columns is not None and table.message not in recipe.columns
-            ):
-                totals.reject(table)
-            elif recipe.unknown != "only":
-                shown.append(table)
-        parts.write(shown)
 
     # ------------------------------------------------------------------ placing
 
@@ -347,80 +451,53 @@ class InputWork:
 
     # ------------------------------------------------------------------ an input in pieces
 
-    def piece(self, number: int, span: tuple[int, int], absolute: bool | None) -> PieceDone:
+    def piece(self) -> PieceDone:
         """Decode and place one of several pieces; what hangs on others is handed over."""
-        return self._tried(lambda: self._piece(number, span, absolute))
+        return self._tried(self._done)
 
-    def _piece(self, number: int, span: tuple[int, int], absolute: bool | None) -> PieceDone:
-        reader = StoreReader(self.task.uri, span)
-        scanner = make_can_scanner(
-            self.variants["can"],
-            direction=self.recipe.direction,
-            include_unknown=self._shows_losses,
-            defer=True,
-        )
-        totals = Totals()
-        file: Any = reader
-        capture = open_part(file, span)
-        try:
-            with self._folder() as folder:
-                parts = self._parts(folder, self.variants["can"], absolute)
-                try:
-                    for frames in pieces_of(capture.tables(), is_live=False):
-                        self._take(scanner.feed(frames), parts, totals)
-                except BaseException:
-                    parts.abandon()
-                    raise
-                made = parts.close()
-                if reader.failure is not None:
-                    raise reader.failure
-                totals.lines_unreadable = capture.lines_unreadable
-                entry = self._filled(parts, totals, "can", capture.format, [])
-                entry.hash = reader.digest.hexdigest()
-                self._place(entry, made, f"-p{number:05}")
-        except CaptureError as error:
-            raise reader.failure or StoreError(str(error)) from error
-        finally:
-            reader.close()
-        problems = [(one.line, one.reason, one.excerpt) for one in capture.problems]
-        return PieceDone(entry, scanner.hand_over(), problems, capture.lines)
-
-    def joined(self, absolute: bool | None, pieces: Sequence[PieceDone]) -> FleetInput:
+    def joined(self, pieces: Sequence[PieceDone]) -> FleetInput:
         """The entry of an input whose pieces are placed, which is in the journal."""
         try:
-            return self._tried(lambda: self._joined(absolute, pieces))
+            return self._tried(lambda: self._joined(pieces))
         except Exception as error:
             return self.entry("missing", faults=[_words(self.task.uri, error)])
 
-    def _joined(self, absolute: bool | None, pieces: Sequence[PieceDone]) -> FleetInput:
+    def _joined(self, pieces: Sequence[PieceDone]) -> FleetInput:
         self._check_unchanged()
-        variants = self.variants["can"]
-        scanner = make_can_scanner(
-            variants, direction=self.recipe.direction, include_unknown=self._shows_losses, defer=False
-        )
+        known = [piece.entry for piece in pieces]
+        hashes = [one.hash for one in known]
+        is_cut = pieces[0].piece is not None and pieces[0].piece.span is not None
+        if not is_cut and len(set(hashes)) > 1:
+            raise StoreError(f"{self.task.uri}: changed while it was read")
+        self._begin(pieces[0].began)
+        adopted = AdoptedPieces(self._can_scanner(defer=False), self.selection)
         totals, faults, lines = Totals(), list[str](), 0
         with self._folder() as folder:
-            parts = self._parts(folder, variants, absolute)
+            parts = self._parts(folder, self.variants["can"])
             for piece in pieces:
-                self._take(scanner.adopt(piece.handover), parts, totals)
                 totals.join(piece.entry.totals)
-                faults += [
-                    f"{self.task.uri}:{line + lines}: {reason}" + (f": {start!r}" if start else "")
-                    for line, reason, start in piece.problems
-                ]
+                faults += [f"{self.task.uri}:{one._replace(line=one.line + lines)}" for one in piece.problems]
                 lines += piece.lines
-            self._take(scanner.close(), parts, totals)
+                if self.selection.window is not None:
+                    self.selection.window.untimed += piece.untimed
+            # Spans have one each; runs were decoded in turns.
+            for turn in zip_longest(*(piece.handovers for piece in pieces)):
+                for handover in turn:
+                    if handover is not None:
+                        parts.write(self.selection.shown(adopted.adopt(handover, totals), totals))
+            parts.write(self.selection.shown(adopted.close(totals), totals))
             made = parts.close()
-            totals.count(scanner.counts)
-            for piece in pieces:
-                parts.notes.update(dict.fromkeys(piece.entry.notes))
-                for name, number in piece.entry.rows.items():
+            totals.count(adopted.counts)
+            for one in known:
+                parts.notes.update(dict.fromkeys(one.notes))
+                for name, number in one.rows.items():
                     parts.rows[name] = parts.rows.get(name, 0) + number
-            known = [piece.entry for piece in pieces]
             parts.first = _least([parts.first, *(one.first for one in known)], min)
             parts.last = _least([parts.last, *(one.last for one in known)], max)
-            entry = self._filled(parts, totals, "can", pieces[0].entry.format, faults[:5])
-            entry.hash = uri_key(" ".join(one.hash for one in known))
+            stopped = [fault for one in known for fault in one.faults]
+            entry = self._filled(parts, totals, "can", known[0].format, [*stopped, *faults[:5]])
+            entry.state = known[0].state
+            entry.hash = uri_key(" ".join(hashes)) if is_cut else hashes[0]
             entry.seconds += sum(one.seconds for one in known)
             self._place_joined(entry, made, [name for one in known for name in one.outputs])
         return entry

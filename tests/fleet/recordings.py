@@ -76,14 +76,18 @@ def dataset_rows(dataset: Path) -> dict[str, list[dict[str, Any]]]:
     return found
 
 
-def rows_of_one_process(inputs: list[Path], protocol: str, folder: Path) -> dict[str, list[dict[str, Any]]]:
+def rows_of_one_process(
+    inputs: list[Path], protocol: str, folder: Path, *options: str
+) -> dict[str, list[dict[str, Any]]]:
     """What `aces decode` writes of the recordings, in one process."""
     from pyarrow import parquet
 
     out = folder / "one.parquet"
-    assert main(["decode", *map(str, inputs), "-p", protocol, "-o", str(out), "-q"]) in (0, 2)
+    assert main(["decode", *map(str, inputs), "-p", protocol, "-o", str(out), "-q", *options]) in (0, 2)
     found: dict[str, list[dict[str, Any]]] = {}
     for file in sorted(out.iterdir()):
+        if file.stem == "_lost":
+            continue
         rows = [{"source": str(inputs[0]), **row} for row in parquet.read_table(file).to_pylist()]
         found[file.stem] = _sorted(rows)
     return found

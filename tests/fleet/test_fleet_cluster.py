@@ -6,7 +6,10 @@
 from __future__ import annotations
 
 import os
+import re
+import shutil
 import signal
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +18,7 @@ import pytest
 
 from aces_bus import fleet
 from aces_bus.fleet.cluster import DaskWorkers
+from aces_tools.main import main
 from tests.fleet.recordings import dataset_rows, needs_fleet, record, rows_of_one_process, truck
 
 needs_fleet()
@@ -58,6 +62,7 @@ def client() -> Iterator[Any]:
         yield client
 
 
+@pytest.mark.slow
 def test_dead_workers_lose_and_double_nothing(client: Any, tmp_path: Path) -> None:
     """One is killed with -9, another by its nanny for memory; then one input changes: that one is done again."""
     folder = tmp_path / "drives"
@@ -97,6 +102,7 @@ def _infos(client: Any) -> list[dict[str, Any]]:
     return found
 
 
+@pytest.mark.slow
 def test_an_input_that_kills_its_workers_is_named(
     client: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -127,6 +133,7 @@ def dying_input(data: bytes) -> bytes:
     return decode_input(data)
 
 
+@pytest.mark.slow
 def test_what_is_started_here_listens_on_loopback_alone() -> None:
     """Scheduler, workers, nannies and their pages; and the scheduler takes no client without the cluster's key."""
     workers = DaskWorkers(processes=1)
@@ -146,3 +153,79 @@ def test_what_is_started_here_listens_on_loopback_alone() -> None:
             distributed.Client(address.replace("tls", "tcp"), timeout=3, set_as_default=False)
     finally:
         workers.close()
+
+
+def _as_the_page_says(folder: Path) -> dict[str, str]:
+    """Certificates made, and variables set, as docs/fleets.md says: DASK_… by name."""
+    openssl = shutil.which("openssl")
+    if openssl is None:
+        pytest.skip("needs openssl")
+    page = (Path(__file__).parents[2] / "docs" / "fleets.md").read_text()
+    [call] = re.findall(r"\$ openssl (.*)", page)
+    subprocess.run([openssl, *call.split()], cwd=folder, check=True, capture_output=True)
+    [several] = re.findall(r"for who in (.*); do", page)
+    found: dict[str, str] = {}
+    for name, value in re.findall(r"(DASK_[\w${}]+)=(\S+)", page):
+        for who in several.split() if "${who}" in name else [""]:
+            found[name.replace("${who}", who)] = value.replace("$PWD", str(folder))
+    return found
+
+
+def test_a_scheduler_of_ones_own_with_certificates(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """As docs/fleets.md says: who has them decodes without a warning; who has none, or no TLS, is refused in one line."""
+    from dask import config
+
+    variables = _as_the_page_says(tmp_path)
+    assert len(variables) == 8
+    inputs = [record(tmp_path, number) for number in (0, 1)]
+    dbc, lake = truck(tmp_path), tmp_path / "lake"
+
+    def decoded(address: str) -> tuple[int, list[str]]:
+        call = ["decode", *map(str, inputs), "-p", dbc, "-o", str(lake), "--cluster", address]
+        capfd.readouterr()
+        return main(call), capfd.readouterr().err.splitlines()
+
+    stated = config.merge(config.config, config.collect_env(variables))
+    with config.set(stated):
+        cluster = distributed.LocalCluster(
+            n_workers=1,
+            threads_per_worker=1,
+            processes=False,
+            host="tls://127.0.0.1",
+            protocol="tls://",
+            dashboard_address="127.0.0.1:0",
+            silence_logs=50,
+        )
+    with cluster:
+        address = cluster.scheduler_address
+        assert address.startswith("tls://127.0.0.1:")
+        with config.set({"distributed.comm.timeouts.connect": "5s"}):
+            status, said = decoded(address)
+            assert status == 2
+            assert said == [
+                f"aces: {address}: needs certificates, and DASK_DISTRIBUTED__COMM__TLS__CA_FILE is not set (docs/fleets.md)"
+            ]
+            status, said = decoded(address.replace("tls", "tcp"))
+            assert (status, len(said)) == (2, 1)
+        with config.set(stated):
+            status, said = decoded(address)
+        assert (status, len(said)) == (0, 1)
+        assert said[0].startswith("frames=120 decoded=")
+    assert dataset_rows(lake) == rows_of_one_process(inputs, dbc, tmp_path)
+
+
+def test_a_scheduler_that_others_reach_is_warned_of(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Before anything is sent to it."""
+    from dask import config
+
+    log = record(tmp_path, 0)
+    with config.set({"distributed.comm.timeouts.connect": "1s"}):
+        call = ["decode", str(log), "-p", truck(tmp_path), "-o", str(tmp_path / "lake")]
+        assert main([*call, "--cluster", "tcp://0.0.0.0:1"]) == 2
+    said = capfd.readouterr().err.splitlines()
+    assert said[0].startswith(
+        "aces: tcp://0.0.0.0:1 is not tls://: anybody who reaches this scheduler can run programs"
+    )
+    assert said[1].startswith("aces: tcp://0.0.0.0:1: no worker answers: ")

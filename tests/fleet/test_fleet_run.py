@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import gzip
 import os
+import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,22 @@ from aces_bus import fleet
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.fleet import cluster as clusters
 from aces_bus.fleet import run as runs
-from aces_bus.fleet import stores
+from aces_bus.fleet import stores, work
 from aces_bus.fleet.manifest import FleetDataset
 from aces_bus.fleet.recipe import FleetProtocol, Recipe
 from aces_bus.fleet.stores import Place, StoreError
+from aces_bus.frame_table import FrameTable
+from aces_bus.frames import Frame
 from aces_bus.recordings import open as parts
-from tests.fleet.recordings import dataset_rows, needs_fleet, record, rows_of_one_process, truck
+from aces_bus.recordings.write import open_writer
+from tests.fleet.recordings import (
+    LATE_S,
+    dataset_rows,
+    needs_fleet,
+    record,
+    rows_of_one_process,
+    truck,
+)
 
 needs_fleet()
 
@@ -197,34 +208,132 @@ class Wide(clusters.Here):
     capacity = 4
 
 
-def test_a_large_input_is_split(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The rows of one process, also of replies whose request is in another piece; counts and lines add up."""
-    spec = tmp_path / "rig.py"
-    spec.write_text(HANGING)
-    lines = []
-    for place in range(3000):
-        identifier, data = ((0x10, "07"), (0x12, f"{place % 256:02x}"), (0x12, "00"), (0x11, f"{place:04x}"))[
-            place % 4
-        ]
-        lines.append(f"({1_795_391_998 + place / 100:.6f}) can0 {identifier:03X}#{data.upper()}\n")
-    lines[1234] = "nonsense\n"
-    log = tmp_path / "long.log"
-    log.write_text("".join(lines))
-    one = rows_of_one_process([log], str(spec), tmp_path)
-    assert len(one["Answer"]) == 750
+@pytest.fixture
+def wide(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four workers in this process; what is large is small."""
     monkeypatch.setattr(runs, "open_workers", lambda _: Wide())
-    monkeypatch.setattr(runs, "SPLIT", 7_000)
+    monkeypatch.setattr(runs, "SPLIT", 5_000)
     monkeypatch.setattr(parts, "LEAST", 1_000)
     monkeypatch.setattr(runs, "LEAST", 1_000)
-    whole = fleet.decode(str(log), str(spec), str(tmp_path / "lake"), cluster="here")
-    [entry] = whole.inputs
+    monkeypatch.setattr(work, "RUN", 170)
+
+
+def rig_frames() -> Iterator[Frame]:
+    """Requests, and replies that hang on them; something in between, and something that nobody knows."""
+    for place in range(3000):
+        identifier, data = (
+            (0x10, bytes([place // 7 % 3])),
+            (0x12, bytes([place % 256])),
+            (0x13 if place % 100 == 2 else 0x12, b"\0"),
+            (0x11, place.to_bytes(2, "big")),
+        )[place % 4]
+        yield Frame(identifier, data, LATE_S + place / 100, str(place // 8 % 2), is_rx=True)
+
+
+def long_log(folder: Path, form: str) -> Path:
+    """The rig's frames in a recording; of a log a line is nonsense."""
+    log = folder / f"long{form.removesuffix('.gz')}"
+    with open_writer(log) as writer:
+        writer.write(FrameTable.from_frames(list(rig_frames())))
+    if log.suffix == ".log":
+        lines = log.read_text().splitlines(keepends=True)
+        lines.insert(1234, "nonsense\n")
+        log.write_text("".join(lines))
+    if form.endswith(".gz"):
+        packed = folder / f"{log.name}.gz"
+        packed.write_bytes(gzip.compress(log.read_bytes()))
+        return packed
+    return log
+
+
+@pytest.mark.parametrize("form", [".log", ".log.gz", ".blf", ".mf4", ".pcapng"])
+def test_a_large_input_is_split(form: str, tmp_path: Path, wide: None) -> None:
+    """Of every format the rows of one process, also replies whose request is in another piece; counts and lines add up."""
+    spec = tmp_path / "rig.py"
+    spec.write_text(HANGING)
+    log = long_log(tmp_path, form)
+    one = rows_of_one_process([log], str(spec), tmp_path)
+    assert len(one["Answer"]) == 750
+    [entry] = fleet.decode(str(log), str(spec), str(tmp_path / "lake")).inputs
     assert dataset_rows(tmp_path / "lake") == one
-    assert len(entry.outputs) > 10
-    assert entry.counts == {"total": 2999, "decoded": 2999, "records": 2999}
-    assert entry.faults == [f"{log}:1235: not a line of candump: 'nonsense'"]
-    assert entry.rows == {"Ask": 750, "Beat": 1499, "Answer": 750}
+    assert len(set(re.findall(r"-p[0-9]+", " ".join(entry.outputs)))) >= 4
+    assert entry.counts == {"total": 3000, "decoded": 2970, "unknown": 30, "records": 2970}
+    nonsense = [f"{log}:1235: not a line of candump: 'nonsense'"] if ".log" in form else []
+    assert (entry.faults, entry.lines_unreadable) == (nonsense, len(nonsense))
+    assert entry.rows == {"Ask": 750, "Beat": 1470, "Answer": 750}
     assert not list((tmp_path / "lake" / "_fleet" / "journal").iterdir())
     assert fleet.decode(str(log), str(spec), str(tmp_path / "lake")).stood == 1
+
+
+def test_a_damaged_input_is_split(tmp_path: Path, wide: None) -> None:
+    """What can be read of it stands once, and the fault is said once."""
+    spec = tmp_path / "rig.py"
+    spec.write_text(HANGING)
+    log = long_log(tmp_path, ".log.gz")
+    log.write_bytes(log.read_bytes()[:-4000])
+    [entry] = fleet.decode(str(log), str(spec), str(tmp_path / "lake")).inputs
+    assert dataset_rows(tmp_path / "lake") == rows_of_one_process([log], str(spec), tmp_path)
+    assert [fault for fault in entry.faults if "nonsense" not in fault] == [entry.faults[0]]
+    assert "ends too early" in entry.faults[0]
+    assert 0 < entry.counts["total"] < 3000
+
+
+@pytest.mark.parametrize(
+    ("form", "options"),
+    [
+        (".blf", {"where": ["value>1000 or count=3 or register=1", "meta.channel!=9"]}),
+        (".log", {"filter": ["010:7FE"]}),
+        (".log", {"start": "3.5", "stop": "1795392014.5"}),
+        (".mf4", {"start": "2026-11-23T00:00:02+00:00", "filter": ["011:7FF"], "where": ["value<2000"]}),
+    ],
+)
+def test_rows_are_chosen_as_in_one_process(
+    form: str, options: dict[str, Any], tmp_path: Path, wide: None, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """By conditions, filters and time, in one piece and in several; what is left out is counted as there."""
+    spec = tmp_path / "rig.py"
+    spec.write_text(HANGING)
+    log = long_log(tmp_path, form)
+    flags = {"start": "--from", "stop": "--to", "where": "--where", "filter": "--filter"}
+    given = [
+        text
+        for name, some in options.items()
+        for one in ([some] if isinstance(some, str) else some)
+        for text in (flags[name], one)
+    ]
+    one = rows_of_one_process([log], str(spec), tmp_path, *given)
+    line = capfd.readouterr().err.splitlines()[-1]
+    assert 0 < sum(map(len, one.values())) < 2970
+    split = fleet.decode(str(log), str(spec), str(tmp_path / "split"), **options)
+    assert len(split.inputs[0].outputs) > 3
+    assert dataset_rows(tmp_path / "split") == one
+    assert split.total["can"].line("can") == line
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(runs, "open_workers", lambda _: clusters.Here())
+        whole = fleet.decode(str(log), str(spec), str(tmp_path / "whole"), **options)
+    assert dataset_rows(tmp_path / "whole") == one
+    assert whole.total["can"].line("can") == line
+
+
+def test_a_changed_filter_is_another_run(drives: list[Path], dbc: str, tmp_path: Path) -> None:
+    """The same one stands; instants are the same however they are written."""
+    lake, inputs = str(tmp_path / "lake"), [str(path) for path in drives]
+    midnight = "2026-11-23T00:00:00"
+    assert fleet.decode(inputs, dbc, lake, where="speed>100", start=f"{midnight}+00:00").stood == 0
+    assert fleet.decode(inputs, dbc, lake, where="speed>100", start="1795392000").stood == 5
+    assert {str(row["time"])[:10] for row in dataset_rows(tmp_path / "lake")["Speed"]} == {"2026-11-23"}
+    assert fleet.decode(inputs, dbc, lake, where="speed>101", start="1795392000").stood == 0
+    assert fleet.decode(inputs, dbc, lake).stood == 0
+    assert dataset_rows(tmp_path / "lake") == rows_of_one_process(drives, dbc, tmp_path)
+
+
+def test_frames_without_a_time_are_noted(dbc: str, tmp_path: Path) -> None:
+    """Where a time is asked for they are left out, counted and said."""
+    log = tmp_path / "timeless.trc"
+    log.write_text("(1795392000.5) can0 064#0102030405060708\n  can0  064   [8]  01 02 03 04 05 06 07 08\n")
+    [entry] = fleet.decode(str(log), dbc, str(tmp_path / "lake"), stop="1").inputs
+    assert entry.counts == {"total": 2, "decoded": 1, "records": 1, "filtered": 1}
+    assert entry.notes == ["--from and --to need times: 1 items have none, and are filtered"]
 
 
 def test_a_recording_without_dates_has_durations(dbc: str, tmp_path: Path) -> None:
@@ -245,6 +354,14 @@ def test_what_a_fleet_refuses(drives: list[Path], dbc: str, tmp_path: Path) -> N
         fleet.decode(log, dbc, str(tmp_path / "mine"))
     with pytest.raises(UnknownNameError, match="Spead"):
         fleet.decode(log, dbc, lake, message="Spead")
+    with pytest.raises(UnknownNameError, match="spead"):
+        fleet.decode(log, dbc, lake, where="spead>3")
+    with pytest.raises(CallerError, match="has no mask"):
+        fleet.decode(log, dbc, lake, filter="123")
+    with pytest.raises(CallerError, match="--filter is for CAN frames"):
+        fleet.decode(log, "robotis", lake, filter="123:7FF")
+    with pytest.raises(CallerError, match="--to 14:05:00: a time of day is one of this machine's zone"):
+        fleet.decode(log, dbc, lake, stop="14:05")
     with pytest.raises(CallerError, match="is no cluster; write here, local:4"):
         fleet.decode(log, dbc, lake, cluster="locl:4")
     with pytest.raises(CallerError, match="no dataset of a fleet"):

@@ -213,3 +213,52 @@ def test_http_with_ranges(drives: list[Path], tmp_path: Path, monkeypatch: pytes
     finally:
         server.shutdown()
         server.server_close()
+
+
+def test_a_slow_store_costs_time_and_a_stalled_one_a_file(
+    drives: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each answer comes late, and of one file none: that one is named, the others are whole, and the next run has it."""
+    pytest.importorskip("aiohttp", reason="needs aiohttp: make test-oracles")
+    monkeypatch.setattr(stores, "ANSWER_S", 5.0)
+    monkeypatch.setattr(stores, "SLOWEST", 1e9)
+    monkeypatch.setattr(stores, "WAITS_S", ())
+    monkeypatch.setattr("aces_bus.fleet.work.AGAIN_S", 0.0)
+    going_on = threading.Event()
+    stalled = drives[1].name
+
+    class Handler(_Ranges):
+        """Late, and of one file's bytes never."""
+
+        asked: ClassVar[list[str]] = []
+        count = 0
+
+        def send_head(self) -> Any:
+            type(self).count = 0  # none fails
+            time.sleep(0.1)
+            if self.path.endswith(stalled) and self.command == "GET":
+                going_on.wait(120)
+            return super().send_head()
+
+    server = http.server.ThreadingHTTPServer(
+        ("127.0.0.1", 0), lambda *given: Handler(*given, directory=str(tmp_path / "drives"))
+    )
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    before = f"http://127.0.0.1:{server.server_port}/"
+    dbc, lake = truck(tmp_path), tmp_path / "lake"
+    try:
+        run = fleet.decode(f"{before}*", dbc, str(lake))
+        assert [(one.state, one.faults) for one in run.failed] == [
+            ("missing", [f"{before}{stalled}: the store has not answered for 5 s"])
+        ]
+        there = [path for path in drives if path.name != stalled]
+        assert dataset_rows(lake) == renamed(rows_of_one_process(there, dbc, tmp_path), before)
+        going_on.set()
+        again = fleet.decode(f"{before}*", dbc, str(lake))
+        assert (again.stood, again.failed) == (2, [])
+        (tmp_path / "all").mkdir()
+        assert dataset_rows(lake) == renamed(rows_of_one_process(drives, dbc, tmp_path / "all"), before)
+    finally:
+        going_on.set()
+        server.shutdown()
+        server.server_close()
