@@ -1,4 +1,4 @@
-"""The hardware floor: one bus, its words, its time. Nothing here knows a protocol.
+"""The hardware floor: one bus, what it carries, its time. Nothing here knows a protocol.
 
 Gatekeepers own a bus and let many listen: `CanGate`, `SerialGate`, `DatagramGate`. The virtual bus has physics
 (`SimulatedBus`) and is a python-can backend, `can.Bus(interface="aces")`. Names are imported on use: python-can is not

@@ -11,7 +11,7 @@ length, FD flags, two reserved bytes, data. With `SO_RXQ_OVFL` the kernel hands 
 dropped when it queued that one; nothing while it has dropped none. The usual buffer holds some 278 frames. What was dropped
 after the last queued frame is known when the next one comes.
 
-*Choice.* python-can's `recv` leaves no room for the second word beside a frame, and peeking for it costs a call a frame.
+*Choice.* python-can's `recv` leaves no room for the count beside a frame, and peeking for it costs a call a frame.
 So the socket is read here, which also saves making a python-can message.
 """
 
@@ -120,8 +120,15 @@ class ServedReader:
         self.frames: Callable[[int], list[Frame]] = bus.frames
         self.offer: Callable[[Sequence[Frame]], int] = bus.offer
         self.push: Callable[[], bool] = bus.push
+        self.hold_little: Callable[[], None] = bus.hold_little
         self.fileno: Callable[[], int] = bus.fileno
         self.take_dropped: Callable[[], int] = bus.take_dropped
+
+    @property
+    def changes(self) -> int:
+        """Grows whenever frames were lost, or its state may be another."""
+        changes: int = self._bus.changes
+        return changes
 
     @property
     def state(self) -> str:
@@ -193,6 +200,8 @@ class SocketcanReader:
         self._wanted = None if getattr(bus, "_is_filtered", False) else bus._matches_filters
         self._seen = self._dropped = 0
         self.state: State = "error-active"
+        #: Grows whenever frames were lost, or its state may be another.
+        self.changes = 0
         #: Error frames that reported a full buffer in the adapter: how many frames it lost is unknown.
         self.overflows = 0
         for option in (_SO_RCVBUFFORCE, socket.SO_RCVBUF):  # the first takes a privilege, and knows no limit
@@ -269,8 +278,10 @@ class SocketcanReader:
                 stamp = seconds + nanoseconds * 1e-9
             elif kind == _SO_RXQ_OVFL:
                 (count,) = _COUNT.unpack_from(data)
-                self._dropped += (count - self._seen) & 0xFFFF_FFFF
-                self._seen = count
+                if count != self._seen:
+                    self._dropped += (count - self._seen) & 0xFFFF_FFFF
+                    self._seen = count
+                    self.changes += 1
         size = len(raw)
         if size not in (_CLASSIC_SIZE, _FD_SIZE):
             raise ValueError(f"a frame of {size} bytes is neither classic CAN nor CAN FD")
@@ -298,6 +309,7 @@ class SocketcanReader:
 
     def _look(self, frame: Frame) -> None:
         """What an error frame says of the controller."""
+        self.changes += 1
         kinds = frame.arbitration_id
         problem = frame.data[1] if kinds & _CONTROLLER and len(frame.data) > 1 else 0
         if problem & _OVERFLOW:

@@ -110,7 +110,7 @@ class CanGate(Gate[Frame]):
         except Exception:
             self._close(bus)
             raise
-        self._overflows = 0
+        self._overflows = self._changes = 0
         self._last_stamp = None
         self._controller = "error-active"
         kinds = {self._interface, *type(bus).__module__.split(".")}
@@ -188,6 +188,10 @@ class CanGate(Gate[Frame]):
         except Exception:  # whatever a backend without one raises
             return None
 
+    def _watched(self, bus: Any) -> None:
+        if isinstance(self._quick, ServedReader):
+            self._quick.hold_little()
+
     def _read_now(self) -> list[Received[Frame]]:
         batch: list[Received[Frame]] = []
         found: list[Any] = []
@@ -227,6 +231,11 @@ class CanGate(Gate[Frame]):
     def _account(self, batch: list[Received[Frame]]) -> None:
         """Count what was received and what was lost, and look at the state where it may have changed."""
         self.counters.received += len(batch)
+        if self._quick is not None:
+            changes = self._quick.changes
+            if changes == self._changes:
+                return
+            self._changes = changes
         if (
             any(item.content.is_error_frame for item in batch)
             or getattr(self._read, "state", None) is not None
@@ -236,7 +245,7 @@ class CanGate(Gate[Frame]):
             lost = getattr(source, "take_dropped", None)
             if lost is not None and (count := lost()):
                 self.counters.kernel_dropped += count
-                self._tell("dropped", f"{count} frames were dropped before they could be read", count)
+                self._emit("dropped", f"{count} frames were dropped before they could be read", count)
 
     def _frame(self, message: Any) -> Frame | None:
         if isinstance(message, Frame):
@@ -253,7 +262,7 @@ class CanGate(Gate[Frame]):
         stamp = frame.timestamp
         if stamp is not None:
             if self._last_stamp is not None and stamp < self._last_stamp:
-                self._tell("clock", f"the adapter's clock went back by {self._last_stamp - stamp:.6f} s")
+                self._emit("clock", f"the adapter's clock went back by {self._last_stamp - stamp:.6f} s")
             self._last_stamp = stamp
         return frame
 
@@ -268,7 +277,7 @@ class CanGate(Gate[Frame]):
     def _misunderstood(self, error: BaseException) -> None:
         self.counters.bad_input += 1
         said = error if error.__cause__ is None else error.__cause__
-        self._tell("bad input", f"{type(said).__name__}: {said}")
+        self._emit("bad input", f"{type(said).__name__}: {said}")
         if isinstance(error, UnicodeError) or isinstance(error.__cause__, UnicodeError):
             try:
                 forget_line(self._bus)
@@ -279,7 +288,7 @@ class CanGate(Gate[Frame]):
         overflows = getattr(self._read, "overflows", 0)
         if overflows != self._overflows:
             self._overflows = overflows
-            self._tell("dropped", "the adapter's buffer was full; it does not say how many frames it lost")
+            self._emit("dropped", "the adapter's buffer was full; it does not say how many frames it lost")
         state = getattr(self._read, "state", None)
         if state is None:
             try:
@@ -289,7 +298,7 @@ class CanGate(Gate[Frame]):
             state = {"ERROR": "bus-off", "PASSIVE": "error-passive"}.get(name, "error-active")
         if state != self._controller and not (self.listen_only and state == "error-passive"):
             self._controller = state
-            self._tell(state)  # type: ignore[arg-type]
+            self._emit(state)  # type: ignore[arg-type]
 
     def _is_end(self, error: BaseException) -> bool:
         """Whether an exception says that the bus is gone, and not only that something was not understood."""
@@ -326,23 +335,23 @@ class CanGate(Gate[Frame]):
         made = frame if isinstance(frame, Frame) else message_to_frame(frame)
         if self.allow is not None and not self.allow.matches(made):
             refused = not_allowed(made)
-            self._tell("not sent", refused, 1)
+            self._emit("not sent", refused, 1)
             raise CallerError(f"{self.name}: {refused}")
         return self._queue(
             made, 1, arbitration(made) if priority is None else priority, age_s, urgent, topic, report
         )
 
-    def give(self, word: Frame, age_ns: int = 0, topic: object = None) -> bool:
+    def give(self, frame: Frame, age_ns: int = 0, topic: object = None) -> bool:
         """As `Gate.give`; a frame that may not be sent is an event, and not taken."""
-        if self._is_sending_here and (self.allow is None or self.allow.matches(word)):
-            return super().give(word, age_ns, topic)
+        if self._is_sending_here and (self.allow is None or self.allow.matches(frame)):
+            return super().give(frame, age_ns, topic)
         try:
-            return self.send(word, age_s=age_ns / 1e9 if age_ns else None, topic=topic)
+            return self.send(frame, age_s=age_ns / 1e9 if age_ns else None, topic=topic)
         except CallerError:
             return False
 
-    def _priority_of(self, word: Frame) -> int:
-        return arbitration(word)
+    def _priority_of(self, frame: Frame) -> int:
+        return arbitration(frame)
 
     def _leaves_at(self) -> int:
         return self._due
@@ -350,12 +359,12 @@ class CanGate(Gate[Frame]):
     def _can_put_together(self) -> bool:
         return self._quick is not None
 
-    def _put_together(self, words: list[Frame]) -> tuple[int, Exception | None]:
-        if not words:
+    def _put_together(self, frames: list[Frame]) -> tuple[int, Exception | None]:
+        if not frames:
             return 0, None
         assert self._quick is not None
         try:
-            taken = self._quick.offer(words)
+            taken = self._quick.offer(frames)
         except Exception as error:
             return 0, error
         if self._pause and taken:
@@ -365,21 +374,21 @@ class CanGate(Gate[Frame]):
     def _push(self) -> bool:
         return self._quick is None or self._quick.push()
 
-    def _name_of(self, word: Frame) -> str:
-        return f"{word.arbitration_id:#x}"
+    def _name_of(self, frame: Frame) -> str:
+        return f"{frame.arbitration_id:#x}"
 
-    def _put_out(self, word: Frame) -> None:
+    def _put_out(self, frame: Frame) -> None:
         from .python_can import frame_to_message
 
         if self._pause:
             self._due = max(self._due, self.clock.now()) + self._pause
         if self._is_echoing:
-            self._echoes.append((arbitration(word), word.data))
+            self._echoes.append((arbitration(frame), frame.data))
         try:
-            self._give(frame_to_message(word))
+            self._give(frame_to_message(frame))
         except Exception:
             if self._is_echoing:
-                self._is_echo(word)  # it will not come back
+                self._is_echo(frame)  # it will not come back
             raise
 
     def _give(self, message: Any) -> None:

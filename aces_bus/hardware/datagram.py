@@ -99,7 +99,7 @@ class DatagramGate(Gate[bytes]):
         """Add a datagram to what was found, if it may be there."""
         if self.only_peer and source != self.peer:
             self.counters.bad_input += 1
-            self._tell("bad input", f"a datagram of {source[0]}:{source[1]}, who is not the peer")
+            self._emit("bad input", f"a datagram of {source[0]}:{source[1]}, who is not the peer")
             return
         self.counters.received += 1
         found.append(Received(data, self.clock.now(), source=source))
@@ -142,21 +142,21 @@ class DatagramGate(Gate[bytes]):
             raise CallerError(f"{self.name}: a datagram carries at most {MOST} bytes, not {len(data)}")
         return self._queue((bytes(data), address), 1, 0, age_s, urgent, topic, report)
 
-    def _name_of(self, word: tuple[bytes, Address]) -> str:
-        return "to {}:{}".format(*word[1])
+    def _name_of(self, datagram: tuple[bytes, Address]) -> str:
+        return "to {}:{}".format(*datagram[1])
 
-    def _put_out(self, word: tuple[bytes, Address]) -> None:
-        self._bus.sendto(*word)
+    def _put_out(self, datagram: tuple[bytes, Address]) -> None:
+        self._bus.sendto(*datagram)
 
     def _can_put_together(self) -> bool:
         return True
 
-    def _put_together(self, words: list[tuple[bytes, Address]]) -> tuple[int, Exception | None]:
-        for number, (data, to) in enumerate(words):
+    def _put_together(self, datagrams: list[tuple[bytes, Address]]) -> tuple[int, Exception | None]:
+        for number, (data, to) in enumerate(datagrams):
             try:
                 self._bus.sendto(data, to)
             except BlockingIOError:
                 return number, None
             except Exception as error:
                 return number, error
-        return len(words), None
+        return len(datagrams), None

@@ -36,7 +36,7 @@ class BusEvent(msgspec.Struct, frozen=True):
     `kind`: "opened"; "lost" (unplugged, the server is gone); "reopened"; "closed"; "error-active", "error-passive" and
     "bus-off" (the controller's state); "dropped" (frames lost: `count` of them, `detail` says where); "clock" (the adapter's
     stamps went back); "bad input" (the adapter said what cannot be understood); "listener" (one raised: its exception in
-    `detail`); "send failed" (the backend refused a word); "not sent" (`count` frames, bytes or datagrams were too old, were
+    `detail`); "send failed" (the backend refused a packet); "not sent" (`count` frames, bytes or datagrams were too old,
     given to a lost bus, overtaken by a stop, or left over at the end: `detail` says which). `time_ns` is the host's
     monotonic clock, `bus` the name of the gate.
     """
@@ -72,7 +72,7 @@ class BusEvents:
         with self._lock:
             self._handlers = tuple(one for one in self._handlers if one is not handler)
 
-    def tell(self, event: BusEvent) -> None:
+    def emit(self, event: BusEvent) -> None:
         """Call all handlers, whatever they do."""
         for handler in self._handlers:
             try:

@@ -1,6 +1,6 @@
-"""Ports: any bus as the device floor wants it, one way in, one way out, and what a word costs on the wire.
+"""Ports: any bus as the device floor wants it, one way in, one way out, and what a packet costs on the wire.
 
-1. `received` is called on the clock's own thread (virtual or `Loop`), one word at a time: nothing above needs a lock.
+1. `received` is called on the clock's own thread (virtual or `Loop`), one packet at a time: nothing above needs a lock.
 2. A port is of one bus; who may listen only does so through a gate that cannot send.
 
 A wire is simulated and needs no thread; a gate is served by the loop, with threads only for what may block.
@@ -8,7 +8,7 @@ A wire is simulated and needs no thread; a gate is served by the loop, with thre
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from typing import Any, Generic, Literal, TypeVar
 
 from msgspec.structs import replace
@@ -27,11 +27,11 @@ from .simulated.datagrams import SimulatedDatagrams
 from .simulated.frame_time import INTERMISSION, longest_bits
 from .simulated.serial_line import BITS, SimulatedSerialLine
 
-Word = TypeVar("Word")
+Packet = TypeVar("Packet")
 Handler = Callable[[Any, int], Any]
-#: Told what became of a word ("sent", "failed", "expired", "dropped", "unsent"), and why.
-Told = Callable[[str, str], Any]
-#: Told of what happens to a bus: kind ("bus-off", "lost", "reopened" …) and details.
+#: Called with what became of a packet ("sent", "failed", "expired", "dropped", "unsent"), and why.
+SendReport = Callable[[str, str], Any]
+#: Called with what happens to a bus: kind ("bus-off", "lost", "reopened" …) and details.
 BusHandler = Callable[[str, str], Any]
 #: What is reported of a simulated node; the others ("bit error", "no acknowledge") come by thousands, and are counted.
 STATES = ("error-active", "error-passive", "bus-off", "recovered")
@@ -41,41 +41,41 @@ RESTART_NS = 100_000_000
 MAILBOX_AGE_NS = round(AGE_S * 1e9)
 
 
-class BasePort(Generic[Word]):
-    """What ports of all kinds have in common. `_send` is set when a port is opened; a gate's words go to its `Loop`."""
+class BasePort(Generic[Packet]):
+    """What ports of all kinds have in common. `_send` is set when a port is opened; a gate's packets go to its `Loop`."""
 
-    #: Whether its gate takes what a turn of the loop gives together (`Gate.give`): its words are of size 1.
+    #: Whether its gate takes what a turn of the loop gives together (`Gate.give`): its packets are of size 1.
     _gives = False
 
     def __init__(self, bus: Any, loop: Loop | None, name: str) -> None:
-        self._gate: Gate[Word] | None = bus if isinstance(bus, Gate) else None
+        self._gate: Gate[Packet] | None = bus if isinstance(bus, Gate) else None
         self.clock: EventClock = _loop_of(loop) if isinstance(bus, Gate) else bus.clock
         self.name = name
         self._send: Callable[..., bool]
 
-    def _listen(self, gate: Gate[Word], handle: Handler) -> None:
+    def _listen(self, gate: Gate[Packet], handle: Handler) -> None:
         """Open a gate, and have `handle` called on the clock's thread with what it receives."""
         clock = self.clock
         assert isinstance(clock, Loop)
-        # The method's place is taken by the closure: one call less a word.
+        # The method's place is taken by the closure: one call less a packet.
         self.__dict__["send"] = _sender(gate, clock, gate.give if self._gives else None)
 
-        def take(items: Iterable[Received[Word]]) -> None:
-            self._hand_over(iter(items), handle)
+        one = self._take
+
+        def take(items: Iterable[Received[Packet]]) -> None:
+            left = iter(items)
+            try:
+                for item in left:
+                    one(item, handle)
+            except (
+                BaseException
+            ):  # a driver's: the loop reports it, and the packets behind it are read all the same
+                clock.call_soon(lambda: take(left))
+                raise
 
         gate.start_on(clock, take)
 
-    def _hand_over(self, items: Iterator[Received[Word]], handle: Handler) -> None:
-        try:
-            for item in items:
-                self._take(item, handle)
-        except (
-            BaseException
-        ):  # a driver's fault: it is the loop's to report, and the words behind it are read all the same
-            self.clock.call_soon(lambda: self._hand_over(items, handle))
-            raise
-
-    def _take(self, item: Received[Word], handle: Handler) -> None:
+    def _take(self, item: Received[Packet], handle: Handler) -> None:
         handle(item.content, item.host_ns)
 
     def on_event(self, handler: BusHandler) -> None:
@@ -90,15 +90,15 @@ class BasePort(Generic[Word]):
 
     def send(
         self,
-        word: Word,
+        packet: Packet,
         age_ns: int = 0,
         *,
         urgent: bool = False,
         topic: object = None,
-        report: Told | None = None,
+        report: SendReport | None = None,
     ) -> bool:
         """Send a frame, bytes or a datagram; False when it cannot be sent. See `aces_bus.device.port.Port`."""
-        return self._send(word, age_ns, urgent, topic, report)
+        return self._send(packet, age_ns, urgent, topic, report)
 
     def close(self) -> None:
         """Receive no more; a gate is stopped."""
@@ -153,19 +153,19 @@ class CanPort(BasePort[Frame]):
         send, allow = self.node.send, self._allow
 
         def give(
-            word: Frame,
+            frame: Frame,
             age_ns: int = 0,
             *,
             urgent: bool = False,
             topic: object = None,
-            report: Told | None = None,
+            report: SendReport | None = None,
         ) -> bool:
-            if allow is not None and not allow.matches(word):
+            if allow is not None and not allow.matches(frame):
                 if self._handler is not None:
-                    self._handler("not sent", not_allowed(word))
+                    self._handler("not sent", not_allowed(frame))
                 return False
             # Its frames wait in its mailboxes, as in a controller's.
-            return send(word) if report is None else send(word, report, age_ns or MAILBOX_AGE_NS)
+            return send(frame) if report is None else send(frame, report, age_ns or MAILBOX_AGE_NS)
 
         # As of a gate's port: one call less a frame.
         self.__dict__["send"] = give
@@ -184,21 +184,21 @@ class CanPort(BasePort[Frame]):
         if self._handler is not None and event.kind in STATES:
             self._handler(event.kind, "")
 
-    def wire_ns(self, word: Frame) -> int:
+    def wire_ns(self, frame: Frame) -> int:
         """How long a frame occupies the bus at most, its intermission included."""
-        key = (len(word.data), word.is_extended_id, word.is_fd, word.bitrate_switch)
+        key = (len(frame.data), frame.is_extended_id, frame.is_fd, frame.bitrate_switch)
         known = self._costs.get(key)
         if known is None:
-            known = self._costs[key] = self._cost(word)
+            known = self._costs[key] = self._cost(frame)
         return known
 
-    def _cost(self, word: Frame) -> int:
+    def _cost(self, frame: Frame) -> int:
         """The longest that a frame of this length can be: stuffed as much as can be."""
         bits = longest_bits(
-            len(word.data),
-            extended=word.is_extended_id,
-            fd=word.is_fd,
-            bitrate_switch=bool(word.bitrate_switch),
+            len(frame.data),
+            extended=frame.is_extended_id,
+            fd=frame.is_fd,
+            bitrate_switch=bool(frame.bitrate_switch),
         )
         pause = INTERMISSION * 1_000_000_000 // self.bitrate
         return bits.duration_ns(self.bitrate, self.data_bitrate) + pause
@@ -235,17 +235,17 @@ class SerialPort(BasePort[bytes]):
         # An adapter for half-duplex lines takes its own echo out.
         self.node = self._line.attach(self.name, received, echo=False, whole=True)
 
-        def give(word: bytes, age_ns: int, urgent: bool, topic: object, report: Told | None) -> bool:
-            end = self.node.send(word)
+        def give(packet: bytes, age_ns: int, urgent: bool, topic: object, report: SendReport | None) -> bool:
+            end = self.node.send(packet)
             if report is not None:
                 self.clock.call_at(end, lambda: report("sent", ""))
             return True
 
         self._send = give
 
-    def wire_ns(self, word: bytes) -> int:
+    def wire_ns(self, packet: bytes) -> int:
         """How long bytes occupy the line."""
-        return len(word) * BITS * 1_000_000_000 // self.baud
+        return len(packet) * BITS * 1_000_000_000 // self.baud
 
     def _detach(self) -> None:
         self.node.is_connected = False
@@ -275,8 +275,10 @@ class DatagramPort(BasePort[bytes]):
         if isinstance(network, SimulatedDatagrams):
             self.node = network.attach(self.name, received)
 
-            def give(word: bytes, age_ns: int, urgent: bool, topic: object, report: Told | None) -> bool:
-                self.node.send(word)
+            def give(
+                datagram: bytes, age_ns: int, urgent: bool, topic: object, report: SendReport | None
+            ) -> bool:
+                self.node.send(datagram)
                 if report is not None:
                     report("sent", "")
                 return True
@@ -286,9 +288,9 @@ class DatagramPort(BasePort[bytes]):
         self._listen(network, received)
         send: Callable[..., bool] = self.send
 
-        def answer(word: bytes, age_ns: int = 0, **more: Any) -> bool:
+        def answer(datagram: bytes, age_ns: int = 0, **more: Any) -> bool:
             to = network.peer or self._last_source
-            return to is not None and send(word, age_ns, to=to, **more)
+            return to is not None and send(datagram, age_ns, to=to, **more)
 
         self.__dict__["send"] = answer
 
@@ -296,7 +298,7 @@ class DatagramPort(BasePort[bytes]):
         self._last_source = item.source
         handle(item.content, item.host_ns)
 
-    def wire_ns(self, word: bytes) -> int:
+    def wire_ns(self, datagram: bytes) -> int:
         """Nothing worth counting."""
         return 0
 
@@ -306,31 +308,31 @@ class DatagramPort(BasePort[bytes]):
 
 
 def _sender(gate: Any, clock: Loop, quick: Callable[..., bool] | None = None) -> Callable[..., bool]:
-    """What sends through a gate, `quick` what is usual; False: it does not take the word.
+    """What sends through a gate, `quick` what is usual; False: it does not take the packet.
 
-    On a bus that is lost words do not wait, but for stops: sent when it is back, an old set-point would move a robot.
+    On a bus that is lost packets do not wait, but for stops: sent when it is back, an old set-point would move a robot.
     """
     send = gate.send
 
-    def on_clock(report: Told) -> Told:
+    def on_clock(report: SendReport) -> SendReport:
         return lambda fate, why: clock.call_soon(lambda: report(fate, why))
 
     def give(
-        word: Any,
+        packet: Any,
         age_ns: int = 0,
         *,
         urgent: bool = False,
         topic: object = None,
-        report: Told | None = None,
+        report: SendReport | None = None,
         **to: Any,
     ) -> bool:
         if quick is not None and not urgent and report is None and clock.is_own_thread:
-            return quick(word, age_ns, topic)
+            return quick(packet, age_ns, topic)
         if gate.state != "open" and not urgent:
             return False
         try:
             is_taken: bool = send(
-                word,
+                packet,
                 age_s=age_ns / 1e9 if age_ns else None,
                 urgent=urgent,
                 topic=topic,
@@ -357,5 +359,5 @@ def port_of(bus: Any, loop: Loop | None = None, **options: Any) -> Any:
 
 def _loop_of(loop: Loop | None) -> Loop:
     if loop is None:
-        raise CallerError("a gate needs a Loop that its words are handed to")
+        raise CallerError("a gate needs a Loop that its packets are handed to")
     return loop

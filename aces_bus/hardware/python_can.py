@@ -34,22 +34,22 @@ def frame_to_message(
 
 
 def copy_message(
-    word: Frame | Message, dlc: int, seconds: float, channel: str | None, is_rx: bool
+    frame: Frame | Message, dlc: int, seconds: float, channel: str | None, is_rx: bool
 ) -> Message:
     """A message with what a frame or another message carries, without the constructor, which costs more than the rest."""
     made = Message.__new__(Message)
     made.timestamp = seconds
-    made.arbitration_id = word.arbitration_id
-    made.is_extended_id = word.is_extended_id
-    made.is_remote_frame = word.is_remote_frame
-    made.is_error_frame = word.is_error_frame
+    made.arbitration_id = frame.arbitration_id
+    made.is_extended_id = frame.is_extended_id
+    made.is_remote_frame = frame.is_remote_frame
+    made.is_error_frame = frame.is_error_frame
     made.channel = channel
     made.dlc = dlc
-    made.data = bytearray(word.data)
-    made.is_fd = word.is_fd
+    made.data = bytearray(frame.data)
+    made.is_fd = frame.is_fd
     made.is_rx = is_rx
-    made.bitrate_switch = word.bitrate_switch
-    made.error_state_indicator = word.error_state_indicator
+    made.bitrate_switch = frame.bitrate_switch
+    made.error_state_indicator = frame.error_state_indicator
     return made
 
 
@@ -74,6 +74,8 @@ class VirtualBus(BusABC):
         self._most = int(rx_queue_size) or QUEUE
         #: Frames lost because they were not read in time.
         self.dropped = 0
+        #: Grows whenever something of it has changed beside its queue: frames were lost, its state is another.
+        self.changes = 0
         #: What happened to this node, the last 1,024 events.
         self.events: deque[SimulatedBusEvent] = deque(maxlen=1024)
         #: Called with each event where it happens; it must not block.
@@ -104,6 +106,7 @@ class VirtualBus(BusABC):
         if len(queue) >= self._most:
             queue.popleft()
             self.dropped += 1
+            self.changes += 1
         queue.append(message)
 
     def _next(self) -> Message | None:
@@ -120,6 +123,7 @@ class VirtualBus(BusABC):
 
     def _note(self, event: SimulatedBusEvent) -> None:
         self.events.append(event)
+        self.changes += 1
         if self.on_event is not None:
             self.on_event(event)
 

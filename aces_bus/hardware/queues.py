@@ -131,22 +131,22 @@ class Listener(Generic[Item]):
             self._thread.join(timeout)
 
 
-Word = TypeVar("Word")
+Packet = TypeVar("Packet")
 
-#: What became of a word. "sent": the backend took it. "failed": it refused it. "expired": older than its age limit.
+#: What became of a packet. "sent": the backend took it. "failed": it refused it. "expired": older than its age limit.
 #: "dropped": the bus was lost, or a stop of the same device overtook it. "unsent": it still waited when the gate closed.
 Fate = Literal["sent", "failed", "expired", "dropped", "unsent"]
-#: Called once with what became of a word, and why; on the thread where it happens.
+#: Called once with what became of a packet, and why; on the thread where it happens.
 Report = Callable[[Fate, str], object]
 
-#: How old a word may be when it leaves, by default (s).
+#: How old a packet may be when it leaves, by default (s).
 AGE_S = 1.0
 
 
-class OutboxItem(msgspec.Struct, Generic[Word], gc=False, eq=False):
-    """One word that is to be sent: `size` in the gate's unit, `until` the last instant (ns) at which it may leave."""
+class OutboxItem(msgspec.Struct, Generic[Packet], gc=False, eq=False):
+    """One packet that is to be sent: `size` in the gate's unit, `until` the last instant (ns) at which it may leave."""
 
-    word: Word
+    packet: Packet
     size: int
     until: int
     urgent: bool
@@ -155,11 +155,11 @@ class OutboxItem(msgspec.Struct, Generic[Word], gc=False, eq=False):
     fate: Fate | None = None
 
 
-class Outbox(Generic[Word]):
-    """Words by priority, the lowest first; equal ones by age."""
+class Outbox(Generic[Packet]):
+    """Packets by priority, the lowest first; equal ones by age."""
 
     def __init__(self) -> None:
-        self._heap: list[tuple[bool, int, int, OutboxItem[Word]]] = []
+        self._heap: list[tuple[bool, int, int, OutboxItem[Packet]]] = []
         self._count = 0
         #: What waits, in the gate's unit.
         self.size = 0
@@ -169,33 +169,33 @@ class Outbox(Generic[Word]):
     def __len__(self) -> int:
         return len(self._heap)
 
-    def push(self, item: OutboxItem[Word], priority: int) -> None:
-        """Queue a word."""
+    def push(self, item: OutboxItem[Packet], priority: int) -> None:
+        """Queue a packet."""
         self._count += 1
         if item.until < self.fresh_until or not self._heap:
             self.fresh_until = item.until
         heapq.heappush(self._heap, (not item.urgent, priority, self._count, item))
         self.size += item.size
 
-    def pop(self) -> OutboxItem[Word]:
-        """The next word."""
+    def pop(self) -> OutboxItem[Packet]:
+        """The next packet."""
         item = heapq.heappop(self._heap)[3]
         self.size -= item.size
         return item
 
-    def first(self, most: int) -> list[OutboxItem[Word]]:
-        """The next words, in order, at most so many; they stay."""
+    def first(self, most: int) -> list[OutboxItem[Packet]]:
+        """The next packets, in order, at most so many; they stay."""
         self._heap.sort()  # a sorted list is a heap, and no two entries have one count
         return [entry[3] for entry in self._heap[:most]]
 
-    def drop_first(self, count: int) -> list[OutboxItem[Word]]:
-        """Take out so many of the next words, right after `first`."""
+    def drop_first(self, count: int) -> list[OutboxItem[Packet]]:
+        """Take out so many of the next packets, right after `first`."""
         taken = [entry[3] for entry in self._heap[:count]]
         del self._heap[:count]
         self.size -= sum(item.size for item in taken)
         return taken
 
-    def take_old(self, now: int) -> list[OutboxItem[Word]]:
+    def take_old(self, now: int) -> list[OutboxItem[Packet]]:
         """Take out what is too old; a stop never is."""
         if now <= self.fresh_until:
             return []
@@ -203,10 +203,10 @@ class Outbox(Generic[Word]):
         self.fresh_until = min((entry[3].until for entry in self._heap if not entry[3].urgent), default=now)
         return old
 
-    def take(self, which: Callable[[OutboxItem[Word]], bool]) -> list[OutboxItem[Word]]:
-        """Take out all those words, in order."""
-        kept: list[tuple[bool, int, int, OutboxItem[Word]]] = []
-        taken: list[OutboxItem[Word]] = []
+    def take(self, which: Callable[[OutboxItem[Packet]], bool]) -> list[OutboxItem[Packet]]:
+        """Take out all those packets, in order."""
+        kept: list[tuple[bool, int, int, OutboxItem[Packet]]] = []
+        taken: list[OutboxItem[Packet]] = []
         for entry in sorted(self._heap):
             if which(entry[3]):
                 taken.append(entry[3])

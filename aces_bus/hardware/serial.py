@@ -73,9 +73,9 @@ class SerialGate(Gate[bytes]):
         self._options = options
         self._echo_due = bytearray()
         self._echo_until = 0
-        #: On a loop: what the port has not taken yet of a word.
+        #: On a loop: what the port has not taken yet of a packet.
         self._rest = b""
-        self._heard_at = 0
+        self._received_at = 0
 
     def _opened(self) -> Any:
         import serial
@@ -139,7 +139,7 @@ class SerialGate(Gate[bytes]):
             self.counters.echoes += own
             data = data[own:]
         if data:
-            self._heard_at = now
+            self._received_at = now
             self.counters.received += len(data)
             self._put([Received(data, now)])
 
@@ -175,12 +175,12 @@ class SerialGate(Gate[bytes]):
                 due.clear()
                 return 0
             same = 0
-            for heard, said in zip(data, due, strict=False):
-                if heard != said:
+            for got, said in zip(data, due, strict=False):
+                if got != said:
                     break
                 same += 1
             if same < min(len(data), len(due)):
-                self._tell(
+                self._emit(
                     "bad input",
                     f"a collision: {data[same]:#04x} was received where {due[same]:#04x} was sent",
                 )
@@ -212,44 +212,44 @@ class SerialGate(Gate[bytes]):
 
     def _leaves_at(self) -> int:
         """On a half-duplex line others must have been silent for long enough."""
-        return self._heard_at + self.turnaround_ns if self.turnaround_ns else 0
+        return self._received_at + self.turnaround_ns if self.turnaround_ns else 0
 
-    def _name_of(self, word: bytes) -> str:
-        return f"{len(word)} bytes"
+    def _name_of(self, packet: bytes) -> str:
+        return f"{len(packet)} bytes"
 
-    def _put_out(self, word: bytes) -> None:
-        self._expect_echo(word)
-        self._bus.write(word)
+    def _put_out(self, packet: bytes) -> None:
+        self._expect_echo(packet)
+        self._bus.write(packet)
         if self.keep_own:
-            self._put([Received(word, self.clock.now(), True)])
+            self._put([Received(packet, self.clock.now(), True)])
 
-    def _expect_echo(self, word: bytes) -> None:
+    def _expect_echo(self, packet: bytes) -> None:
         if self.echo:
             with self._guard:
                 if len(self._echo_due) > OUTBOX:
                     self._echo_due.clear()  # nothing is received at all
-                self._echo_due += word
-                bits = 10 * (len(self._echo_due) + len(word))
+                self._echo_due += packet
+                bits = 10 * (len(self._echo_due) + len(packet))
                 self._echo_until = self.clock.now() + bits * 1_000_000_000 // self.baud + round(ECHO_S * 1e9)
 
     def _can_put_together(self) -> bool:
         return True
 
-    def _put_together(self, words: list[bytes]) -> tuple[int, Exception | None]:
-        """A word that the port took in part counts as taken, and its rest goes first."""
-        for number, word in enumerate(words):
+    def _put_together(self, packets: list[bytes]) -> tuple[int, Exception | None]:
+        """A packet that the port took in part counts as taken, and its rest goes first."""
+        for number, packet in enumerate(packets):
             try:
                 if not self._push():
                     return number, None
-                self._rest = word[os.write(self._bus.fd, word) :]
-                self._expect_echo(word)
+                self._rest = packet[os.write(self._bus.fd, packet) :]
+                self._expect_echo(packet)
             except BlockingIOError:
                 return number, None
             except OSError as error:
                 return number, error
             if self.keep_own:
-                self._put([Received(word, self.clock.now(), True)])
-        return len(words), None
+                self._put([Received(packet, self.clock.now(), True)])
+        return len(packets), None
 
     def _push(self) -> bool:
         if self._rest:

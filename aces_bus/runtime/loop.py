@@ -43,13 +43,22 @@ class Loop(RealClock):
     with Loop() as loop:
         loop.call_in(1_000_000, tick)
 
-    `carried` counts the turns that had to leave something to the next one.
+    `carried` counts the turns that had to leave something to the next one. Its time is a parameter: `now` (ns), and `wait`,
+    which lets time pass as `select.select` does.
     """
 
     def __init__(
-        self, name: str = "aces loop", failed: Callable[[BaseException], None] | None = None
+        self,
+        name: str = "aces loop",
+        failed: Callable[[BaseException], None] | None = None,
+        *,
+        now: Callable[[], int] = time.monotonic_ns,
+        wait: Callable[..., tuple[list[int], Any, Any]] = select.select,
     ) -> None:
         super().__init__()
+        self._monotonic_ns, self._select = now, wait
+        # The method's place is taken by the function: one call less.
+        self.__dict__["now"] = now
         self.thread_name = name
         self._failed = failed
         #: What actions raised, the last few.
@@ -65,6 +74,7 @@ class Loop(RealClock):
         self._is_asleep = False
         self._stopping = False
         self._thread: threading.Thread | None = None
+        self._own_thread = 0
 
     # ------------------------------------------------------------------ planning
 
@@ -132,7 +142,7 @@ class Loop(RealClock):
     @property
     def is_own_thread(self) -> bool:
         """Whether the caller runs on it."""
-        return self._thread is not None and self._thread.ident == threading.get_ident()
+        return self._own_thread == threading.get_ident()
 
     # ------------------------------------------------------------------ files
 
@@ -188,6 +198,7 @@ class Loop(RealClock):
                 pass
 
     def _run(self, woken: socket.socket) -> None:
+        self._own_thread = threading.get_ident()
         self.watch(woken.fileno(), lambda: woken.recv(4096))
         try:
             while not self._stopping:
@@ -201,12 +212,13 @@ class Loop(RealClock):
 
     def _turn(self) -> None:
         """What was handed over, what is due, and the ends."""
-        now = time.monotonic_ns()
+        monotonic_ns = self._monotonic_ns
+        now = monotonic_ns()
         until = now + TURN_NS
         soon, events, do = self._soon, self._events, self._do
         for _ in range(len(soon)):
             do(soon.popleft())
-            if time.monotonic_ns() > until:
+            if monotonic_ns() > until:
                 break
         while events and events[0][0] <= now:
             planned = heapq.heappop(events)[2]
@@ -217,7 +229,7 @@ class Loop(RealClock):
             else:
                 action = planned
             do(action)
-            if time.monotonic_ns() > until:
+            if monotonic_ns() > until:
                 break
         while self._ends:
             ends, self._ends = self._ends, []
@@ -241,13 +253,13 @@ class Loop(RealClock):
             heapq.heappop(events)  # taken back: no reason to wake up
         left: float | None = None
         if events:
-            left = max(0, events[0][0] - time.monotonic_ns()) / 1e9
+            left = max(0, events[0][0] - self._monotonic_ns()) / 1e9
         self._is_asleep = True
         if self._soon or self._stopping:  # handed over before that was seen
             left = 0
         readers = self._readers
         try:
-            readable, _, _ = select.select(readers, (), (), left)
+            readable, _, _ = self._select(readers, (), (), left)
         except (OSError, ValueError):  # a file was closed under us
             return self._closed()
         finally:

@@ -74,7 +74,8 @@ class VirtualClock:
         """
         if instant < self._now:
             instant = self._now  # it has passed
-        if instant > self._horizon or (self._events and self._events[0][0] <= instant):
+        events = self._events
+        if instant > self._horizon or (events and events[0][0] <= instant):
             return False
         self._now = instant
         return True
@@ -110,33 +111,35 @@ class VirtualClock:
 
     def step(self, until: int | None = None) -> bool:
         """Let the next event happen; False when nothing is planned (up to the instant `until`, ns)."""
-        return self._happen(1 << 62 if until is None else until, _NO_ADVANCE, 1) == 1
+        return self._happen(1 << 62 if until is None else until, _NO_ADVANCE, is_one=True)
 
-    def _happen(self, end: int, horizon: int, most: int) -> int:
-        """Let events up to the instant `end` happen, at most so many; how many did."""
-        events = self._events
+    def _happen(self, end: int, horizon: int, *, is_one: bool = False) -> bool:
+        """Let events up to the instant `end` happen, or the next of them; whether there was one."""
+        events, pop = self._events, heapq.heappop
         outer, self._horizon = self._horizon, horizon
-        done = 0
+        has_happened = False
         try:
-            while done < most and events and events[0][0] <= end:
-                instant, _, planned = heapq.heappop(events)
-                action = planned
-                if planned.__class__ is Timer:
-                    action, planned.action = planned.action, None
+            while events and events[0][0] <= end:
+                instant, _, action = pop(events)
+                if action.__class__ is Timer:
+                    timer = action
+                    action, timer.action = timer.action, None
                     if action is None:
                         continue
                 self._now = instant
-                done += 1
+                has_happened = True
                 action()
+                if is_one:
+                    break
         finally:
             self._horizon = outer
-        return done
+        return has_happened
 
     def advance_to(self, instant: int) -> None:
         """Let everything happen that is planned up to `instant` (ns), which is then the time."""
         if instant < self._now:
             raise CallerError(f"virtual time cannot go back from {self._now} ns to {instant} ns")
-        self._happen(instant, instant, 1 << 62)
+        self._happen(instant, instant)
         self._now = max(self._now, instant)
 
     def advance(self, duration: int) -> None:

@@ -100,7 +100,7 @@ class Adapter:
     def say(self, data: bytes) -> None:
         os.write(self._ends[0], data)
 
-    def heard(self, ending: bytes) -> bytes:
+    def received(self, ending: bytes) -> bytes:
         """What the host has written, up to these bytes."""
         found = b""
         while not found.endswith(ending):
@@ -156,14 +156,14 @@ def test_slcan_unplugged_and_back(adapter: Adapter) -> None:
     """Told at once; the gate opens the port again when it is there, in the same mode, and goes on."""
     with CanGate(adapter.options, listen_only=True) as gate:
         seen, inbox = Seen(gate), gate.subscribe()
-        assert adapter.heard(b"L\r") == b"L\r"
+        assert adapter.received(b"L\r") == b"L\r"
         adapter.say(b"t1000\r")
         assert numbers(take(inbox, 1)) == [0x100]
         adapter.unplug()
         seen.wait("lost")
         adapter.plug()
         seen.wait("reopened")
-        assert adapter.heard(b"L\r") == b"L\r"
+        assert adapter.received(b"L\r") == b"L\r"
         adapter.say(b"t1010\r")
         assert numbers(take(inbox, 1)) == [0x101]
         assert [event.kind for event in seen.events] == ["lost", "reopened"]

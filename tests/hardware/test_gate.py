@@ -22,13 +22,13 @@ from aces_bus.recordings import parse_filter
 
 
 class Adapter:
-    """A backend under the test's hand: what `recv` gives or raises is put into `words`."""
+    """A backend under the test's hand: what `recv` gives or raises is put into `incoming`."""
 
     channel_info = "test adapter"
     state = can.BusState.ACTIVE
 
     def __init__(self) -> None:
-        self.words: queue.Queue[Any] = queue.Queue()
+        self.incoming: queue.Queue[Any] = queue.Queue()
         self.sent: queue.Queue[can.Message] = queue.Queue()
         self.is_shut = self.is_hollow = False
         self.send_error: Exception | None = None
@@ -37,12 +37,12 @@ class Adapter:
         if self.is_hollow:
             return None
         try:
-            word = self.words.get(timeout=timeout) if timeout else self.words.get_nowait()
+            item = self.incoming.get(timeout=timeout) if timeout else self.incoming.get_nowait()
         except queue.Empty:
             return None
-        if isinstance(word, BaseException):
-            raise word
-        return word
+        if isinstance(item, BaseException):
+            raise item
+        return item
 
     def send(self, message: can.Message, timeout: float | None = None) -> None:
         if self.send_error is not None:
@@ -125,7 +125,7 @@ def test_every_subscriber_gets_every_frame(bench: Bench) -> None:
     """In order, with the adapter's stamp and the host's."""
     one, two = bench.gate.subscribe(), bench.gate.subscribe(filter=parse_filter("101:7FF"))
     for number in range(3):
-        bench.adapter.words.put(message(0x100 + number, bytes([number]), 5.0 + number))
+        bench.adapter.incoming.put(message(0x100 + number, bytes([number]), 5.0 + number))
     got = take(one, 3)
     assert [(item.content.arbitration_id, item.content.timestamp) for item in got] == [
         (256, 5.0),
@@ -141,7 +141,7 @@ def test_more_frames_than_a_batch_holds_lose_none() -> None:
     """What waits in the adapter is handed over in batches, and no frame falls between two of them."""
     adapter = Adapter()
     for number in range(1000):
-        adapter.words.put(message(number))
+        adapter.incoming.put(message(number))
     gate = CanGate(lambda: adapter, name="full")
     inbox = gate.subscribe()
     with gate:
@@ -159,10 +159,10 @@ def test_a_reader_that_raises_costs_nobody_else(bench: Bench) -> None:
 
     listener = bench.gate.listen(faulty)
     other = bench.gate.subscribe()
-    bench.adapter.words.put(message(1))
+    bench.adapter.incoming.put(message(1))
     assert calls.get(timeout=5) == 1
     assert "RuntimeError: user code" in bench.seen.wait("listener").detail
-    bench.adapter.words.put(message(2))
+    bench.adapter.incoming.put(message(2))
     assert calls.get(timeout=5) == 1
     assert len(take(other, 2)) == 2
     bench.seen.wait("listener", 2)
@@ -176,7 +176,7 @@ def test_a_handler_that_raises_stops_nothing(bench: Bench) -> None:
         raise RuntimeError("handler")
 
     bench.gate.events._handlers = (faulty, *bench.gate.events._handlers)
-    bench.adapter.words.put(can.CanOperationError("unplugged"))
+    bench.adapter.incoming.put(can.CanOperationError("unplugged"))
     bench.seen.wait("reopened")
     assert bench.gate.events.failures >= 2
 
@@ -186,7 +186,7 @@ def test_a_slow_reader_loses_the_oldest_and_is_told(bench: Bench) -> None:
     inbox = bench.gate.subscribe(limit=10)
     include_unknown = bench.gate.subscribe()
     for number in range(25):
-        bench.adapter.words.put(message(number))
+        bench.adapter.incoming.put(message(number))
     assert len(take(include_unknown, 25)) == 25
     assert [item.content.arbitration_id for item in inbox.get(5)] == list(range(15, 25))
     assert inbox.dropped == bench.gate.counters.dropped == 15
@@ -194,20 +194,20 @@ def test_a_slow_reader_loses_the_oldest_and_is_told(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    "word",
+    "bad",
     [
         UnicodeDecodeError("ascii", b"\xff", 0, 1, "ordinal not in range"),
         ValueError("invalid literal for int() with base 16"),
         IndexError("string index out of range"),
     ],
 )
-def test_an_adapter_that_says_nonsense(bench: Bench, word: Exception) -> None:
+def test_an_adapter_that_says_nonsense(bench: Bench, bad: Exception) -> None:
     """One line that cannot be understood is counted; the frames behind it arrive."""
     inbox = bench.gate.subscribe()
-    bench.adapter.words.put(word)
-    bench.adapter.words.put(message(7))
+    bench.adapter.incoming.put(bad)
+    bench.adapter.incoming.put(message(7))
     assert [item.content.arbitration_id for item in take(inbox, 1)] == [7]
-    assert type(word).__name__ in bench.seen.wait("bad input").detail
+    assert type(bad).__name__ in bench.seen.wait("bad input").detail
     assert len(bench.adapters) == 1
 
 
@@ -215,7 +215,7 @@ def test_an_adapter_that_says_only_nonsense_is_opened_anew(bench: Bench) -> None
     """Twenty times in a row, and it is treated as lost."""
     first = bench.adapter
     for _ in range(20):
-        first.words.put(ValueError("?"))
+        first.incoming.put(ValueError("?"))
     bench.seen.wait("reopened")
     assert first.is_shut
     assert len(bench.adapters) == 2
@@ -226,8 +226,8 @@ def test_an_impossible_frame_is_counted(bench: Bench) -> None:
     bad = message(1)
     bad.arbitration_id = 0x9999
     inbox = bench.gate.subscribe()
-    bench.adapter.words.put(bad)
-    bench.adapter.words.put(message(2))
+    bench.adapter.incoming.put(bad)
+    bench.adapter.incoming.put(message(2))
     assert [item.content.arbitration_id for item in take(inbox, 1)] == [2]
     assert bench.gate.counters.bad_input == 1
 
@@ -236,16 +236,17 @@ def test_unplugged_and_back(bench: Bench) -> None:
     """Handlers know at once; the gate tries until the adapter is there again, and readers notice nothing else."""
     inbox = bench.gate.subscribe()
     bench.refuse = can.CanInitializationError("no such device")
-    bench.adapter.words.put(can.CanOperationError("device removed"))
+    bench.adapter.incoming.put(can.CanOperationError("device removed"))
     assert "device removed" in bench.seen.wait("lost").detail
     assert bench.gate.state == "lost"
     bench.refuse = None
     bench.seen.wait("reopened")
-    bench.adapter.words.put(message(9))
+    bench.adapter.incoming.put(message(9))
     assert [item.content.arbitration_id for item in take(inbox, 1)] == [9]
     assert (bench.gate.state, bench.gate.counters.reopened) == ("open", 1)
 
 
+@pytest.mark.slow
 def test_a_server_that_is_gone(bench: Bench) -> None:
     """A backend that returns nothing at once, for ever, instead of waiting, is lost and not polled in a circle."""
     bench.adapter.is_hollow = True
@@ -258,8 +259,8 @@ def test_without_reopening_readers_are_told_the_end() -> None:
     bench = Bench(reopen=False)
     with bench.gate as gate:
         inbox = gate.subscribe()
-        bench.adapter.words.put(message(1))
-        bench.adapter.words.put(can.CanOperationError("gone"))
+        bench.adapter.incoming.put(message(1))
+        bench.adapter.incoming.put(can.CanOperationError("gone"))
         assert len(take(inbox, 1)) == 1
         assert inbox.get(5) == []
         assert inbox.is_closed
@@ -319,7 +320,7 @@ def test_a_gate_that_only_listens_cannot_send() -> None:
 def test_a_clock_that_goes_back_is_told(bench: Bench) -> None:
     """Both stamps are kept; the adapter's is not believed blindly."""
     for stamp in (10.0, 11.0, 9.5):
-        bench.adapter.words.put(message(1, stamp=stamp))
+        bench.adapter.incoming.put(message(1, stamp=stamp))
     assert "1.500000 s" in bench.seen.wait("clock").detail
 
 
@@ -339,8 +340,8 @@ def test_own_frames_that_a_backend_gives_back() -> None:
         inbox = gate.subscribe()
         gate.send(Frame(5, b"\x01"))
         own = bench.adapter.sent.get(timeout=5)
-        bench.adapter.words.put(own)
-        bench.adapter.words.put(message(5, b"\x01"))
+        bench.adapter.incoming.put(own)
+        bench.adapter.incoming.put(message(5, b"\x01"))
         assert len(take(inbox, 1)) == 1
         assert gate.counters.echoes == 1
 

@@ -9,6 +9,7 @@ import socket
 import threading
 import tty
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from aces_bus.hardware import CanGate, SerialGate, port_of
 from aces_bus.hardware.backends import SocketcanReader
 from aces_bus.hardware.gate import Gate
 from aces_bus.hardware.gate_events import BusEvent
-from aces_bus.hardware.served import BusServer, ServedBus, ServedChannel
+from aces_bus.hardware.served import BusServer, ServedBus, ServedChannel, packets
 from aces_bus.runtime import Loop
 
 from .serving import Open, message, received, serve, with_unix_sockets
@@ -43,14 +44,14 @@ class Ported:
 
     def __init__(self, gate: Gate[Any], loop: Loop) -> None:
         self.gate, self.loop = gate, loop
-        self.words: list[Any] = []
+        self.received: list[Any] = []
         self.events: list[BusEvent] = []
         gate.on_event(self.events.append)
         self.port = port_of(gate, loop)
-        self.port.open(lambda word, instant: self.words.append(word))
+        self.port.open(lambda packet, instant: self.received.append(packet))
 
     def has(self, count: int) -> bool:
-        return self.loop.wait(lambda: len(self.words) >= count, PATIENCE_NS)
+        return self.loop.wait(lambda: len(self.received) >= count, PATIENCE_NS)
 
     def saw(self, kind: str) -> bool:
         return self.loop.wait(lambda: any(event.kind == kind for event in self.events), PATIENCE_NS)
@@ -90,7 +91,7 @@ def test_a_served_bus_takes_no_thread_and_a_packet_a_turn(
         assert offered == [3]
         other.send(message(0x55, b"\x07"))
         assert ours.has(1)
-        assert (ours.words[0].arbitration_id, ours.words[0].data, ours.words[0].channel) == (
+        assert (ours.received[0].arbitration_id, ours.received[0].data, ours.received[0].channel) == (
             0x55,
             b"\x07",
             None,
@@ -152,6 +153,41 @@ def test_a_stop_waits_for_a_lost_bus(loop: Loop, opened: Open) -> None:
     assert (counters.given, counters.send_dropped, counters.pending) == (2, 0, 0)
 
 
+def test_a_stop_overtakes_what_a_busy_server_has_not_read(loop: Loop, tmp_path: Path) -> None:
+    """While a server does not read, frames wait here: the stop is the next to leave, before all those of its device."""
+    listener = socket.socket(socket.AF_UNIX)
+    listener.bind(str(tmp_path / "busy"))
+    listener.listen()
+    served: list[socket.socket] = []
+
+    def welcome() -> None:
+        served.append(listener.accept()[0])
+        served[0].recv(4096)
+        served[0].sendall(packets.value_packet(packets.Welcome("busy", 0, False, 1_000_000, 0)))
+
+    thread = threading.Thread(target=welcome)
+    thread.start()
+    gate = CanGate({"interface": "aces", "channel": f"unix:{tmp_path / 'busy'}"})
+    with listener, Ported(gate, loop) as ours:
+        thread.join()
+
+        def tick(number: int) -> None:
+            ours.port.send(Frame(5, number.to_bytes(2, "big")), 60_000_000_000, topic="leg")
+
+        for number in range(2000):
+            loop.call(partial(tick, number))
+        loop.call(lambda: ours.port.send(Frame(0x7FF), urgent=True, topic="leg"))
+        found: list[int] = []
+        rest = b""
+        with served[0]:
+            served[0].settimeout(20)
+            while 0x7FF not in found:
+                some, rest = packets.split_packets(rest + served[0].recv(65_536))
+                found += [one[1] for kind, body in some for one in packets.unpack_records(kind, body)]
+        assert found.index(0x7FF) == len(found) - 1 < 100  # of two thousand
+        assert gate.counters.send_dropped > 1800
+
+
 def test_a_frame_that_the_bus_refuses_costs_the_others_nothing(loop: Loop, opened: Open) -> None:
     """CAN FD on a classic bus: it fails, by name, and what was given with it leaves."""
     with serve(), Ported(CanGate(SERVED), loop) as ours:
@@ -171,13 +207,13 @@ def test_a_frame_that_the_bus_refuses_costs_the_others_nothing(loop: Loop, opene
         assert next(e for e in ours.events if e.kind == "send failed").detail.startswith("0x2: ")
 
 
-def test_a_driver_that_raises_costs_the_words_behind_nothing(loop: Loop, opened: Open) -> None:
+def test_a_driver_that_raises_costs_the_frames_behind_nothing(loop: Loop, opened: Open) -> None:
     """Its fault is the loop's to report; every frame is handed over once."""
     seen: list[int] = []
 
-    def faulty(word: Frame, instant: int) -> None:
-        seen.append(word.arbitration_id)
-        if word.arbitration_id == 2:
+    def faulty(frame: Frame, instant: int) -> None:
+        seen.append(frame.arbitration_id)
+        if frame.arbitration_id == 2:
             raise RuntimeError("driver")
 
     with serve():
@@ -246,7 +282,7 @@ def test_a_serial_line_takes_no_thread(loop: Loop, line: tuple[int, str]) -> Non
     much = bytes(range(256)) * 400  # more than a terminal holds
     with Ported(SerialGate(path), loop) as ours:
         os.write(master, b"abc")
-        assert ours.loop.wait(lambda: b"".join(ours.words) == b"abc", PATIENCE_NS)
+        assert ours.loop.wait(lambda: b"".join(ours.received) == b"abc", PATIENCE_NS)
         loop.call(lambda: [ours.port.send(much), ours.port.send(b"end")])
         got = b""
         while len(got) < len(much) + 3:
@@ -285,7 +321,7 @@ def test_an_echo_on_a_loop_is_taken_out(loop: Loop, line: tuple[int, str]) -> No
         assert os.read(master, 2) == b"\x01\x02"
         assert ours.loop.wait(lambda: ours.gate.counters.sent == 2, PATIENCE_NS)
         os.write(master, b"\x01\x02answer")
-        assert ours.loop.wait(lambda: b"".join(ours.words) == b"xanswer", PATIENCE_NS)
+        assert ours.loop.wait(lambda: b"".join(ours.received) == b"xanswer", PATIENCE_NS)
         assert ours.gate.counters.echoes == 2
 
 
@@ -293,7 +329,7 @@ def test_an_echo_on_a_loop_is_taken_out(loop: Loop, line: tuple[int, str]) -> No
 
 
 def test_frames_for_the_system_are_what_it_would_give_back() -> None:
-    """All kinds of frames, sent and read through the same words; a full queue takes as many as fit."""
+    """All kinds of frames, sent and read through the same calls; a full queue takes as many as fit."""
 
     class Bus:
         channel = "can0"

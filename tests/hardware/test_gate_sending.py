@@ -199,7 +199,7 @@ def test_nothing_stale_leaves_after_an_outage() -> None:
         assert first.has.acquire(timeout=WAIT_S)
         assert all(give(number) for number in (2, 3))
         bench.refuse = can.CanInitializationError("no such device")
-        first.words.put(can.CanOperationError("device removed"))
+        first.incoming.put(can.CanOperationError("device removed"))
         assert bench.seen.wait("not sent").detail == "2 frames: the bus is lost"
         assert [give(number) for number in (4, 5)] == [False, False]
         first.send_error = can.CanOperationError("gone")
@@ -225,7 +225,7 @@ def test_a_stop_waits_for_a_lost_bus_and_leaves_first() -> None:
     with bench.gate as gate:
         gate.linger_ns = 0
         bench.refuse = can.CanInitializationError("no such device")
-        bench.adapter.words.put(can.CanOperationError("device removed"))
+        bench.adapter.incoming.put(can.CanOperationError("device removed"))
         bench.seen.wait("lost")
         assert not gate.send(Frame(1))
         assert gate.send(Frame(0x7FF), urgent=True)

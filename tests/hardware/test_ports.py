@@ -39,9 +39,9 @@ def test_datagrams_reach_all_others() -> None:
     wire = SimulatedDatagrams(clock, delay_ns=1_000, drop=0.5, seed=1)
     heard: list[tuple[bytes, int]] = []
     port = port_of(wire)
-    port.open(lambda word, now: heard.append((word, now)))
+    port.open(lambda packet, now: heard.append((packet, now)))
     other = port_of(wire)
-    other.open(lambda word, now: heard.append((b"own", now)))
+    other.open(lambda packet, now: heard.append((b"own", now)))
     for number in range(100):
         assert other.send(bytes([number]))
     clock.advance(10_000)
@@ -55,11 +55,11 @@ def test_datagrams_answer_whoever_spoke() -> None:
     with Loop() as loop:
         server = DatagramGate(("127.0.0.1", 0))
         answering = port_of(server, loop)
-        answering.open(lambda word, now: answering.send(word[::-1]))
+        answering.open(lambda packet, now: answering.send(packet[::-1]))
         assert not answering.send(b"to nobody")
         heard: list[bytes] = []
         asking = port_of(DatagramGate(peer=server.address), loop)
-        asking.open(lambda word, now: heard.append(word))
+        asking.open(lambda packet, now: heard.append(packet))
         asking.send(b"abc")
         assert loop.wait(lambda: bool(heard), 5_000_000_000)
         assert heard == [b"cba"]
@@ -67,7 +67,7 @@ def test_datagrams_answer_whoever_spoke() -> None:
         answering.close()
 
 
-def test_what_a_word_costs() -> None:
+def test_what_a_packet_costs() -> None:
     """A frame costs at most 98 + 24 stuffed bits, ten of its end and the intermission (ISO 11898-1), at the wire's rate."""
     port: Any = port_of(SimulatedBus(VirtualClock(), bitrate=1_000_000))
     assert port.wire_ns(Frame(0x555, bytes.fromhex("5555555555555555"))) == 135_000

@@ -1,6 +1,6 @@
 # A port's way of sending is tested without a port.
 # pyright: reportPrivateUsage=false
-"""What a port does with words while its bus is lost."""
+"""What a port does with packets while its bus is lost."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ class Gate:
     def __init__(self) -> None:
         self.sent: list[Any] = []
 
-    def send(self, word: Any, *, report: Any, **how: Any) -> bool:
+    def send(self, packet: Any, *, report: Any, **how: Any) -> bool:
         if self.is_full:
             raise CallerError("4096 frames wait to be sent")
-        self.sent.append(word)
+        self.sent.append(packet)
         if report is not None:
             report("sent", "")
         return True
 
 
-def test_words_do_not_wait_for_a_lost_bus() -> None:
-    """While a bus is lost, or too much waits, a word is refused: sent later, it would move a robot. Stops wait."""
+def test_packets_do_not_wait_for_a_lost_bus() -> None:
+    """While a bus is lost, or too much waits, a packet is refused: sent later, it would move a robot. Stops wait."""
     gate: Any = Gate()
     clock: Any = VirtualClock()
     give = _sender(gate, clock)
     fates: list[str] = []
 
-    def send(word: str, *, urgent: bool = False) -> bool:
-        return give(word, urgent=urgent, report=lambda fate, why: fates.append(fate))
+    def send(packet: str, *, urgent: bool = False) -> bool:
+        return give(packet, urgent=urgent, report=lambda fate, why: fates.append(fate))
 
     assert send("a")
     gate.state = "lost"

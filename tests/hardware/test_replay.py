@@ -51,7 +51,7 @@ def test_a_capture_is_sent_on_a_virtual_bus() -> None:
     replay_into(clock, FRAMES, node.send, speed=10)
     clock.advance(10**10)
     assert [frame.arbitration_id for frame in recorder.frames()] == [1, 2, 3, 4, 5]
-    assert recorder.heard[-1][0] > 6_000_000_000
+    assert recorder.received[-1][0] > 6_000_000_000
 
 
 def test_impossible_paces() -> None:

@@ -1,4 +1,4 @@
-"""SocketCAN's frames without SocketCAN: the words of the kernel through a pair of datagram sockets.
+"""SocketCAN's frames without SocketCAN: what the kernel gives, through a pair of datagram sockets.
 
 The kernel itself is in `tests/socketcan`.
 """
@@ -48,7 +48,7 @@ def bus(wanted: Any = None) -> Any:
     return SimpleNamespace(channel="can0", _is_filtered=wanted is None, _matches_filters=wanted)
 
 
-def words(frame: Frame) -> bytes:
+def kernel_bytes(frame: Frame) -> bytes:
     """The frame as the kernel hands it over (linux/can.h)."""
     word = (
         frame.arbitration_id
@@ -90,7 +90,7 @@ def test_every_frame_is_what_the_kernel_said(sent: list[Frame]) -> None:
     with near, far:
         reader = SocketcanReader(bus(), far)
         for frame in sent:
-            near.send(words(frame))
+            near.send(kernel_bytes(frame))
         assert [reader(0) for _ in sent] == sent
         assert reader(0) is None
 
@@ -109,7 +109,7 @@ def test_times_and_drops_beside_the_frames(pair: tuple[socket.socket, Scripted])
     ]
     found = []
     for _ in counts:
-        near.send(words(Frame(1)))
+        near.send(kernel_bytes(Frame(1)))
         frame = reader(0)
         assert frame is not None
         found.append((frame.timestamp, reader.take_dropped()))
@@ -121,8 +121,8 @@ def test_waiting_and_what_wakes(pair: tuple[socket.socket, Scripted]) -> None:
     near, far = pair
     reader = SocketcanReader(bus(lambda frame: frame.arbitration_id > 1), far)
     assert reader(0.001) is None
-    near.send(words(Frame(1)))
-    near.send(words(Frame(2)))
+    near.send(kernel_bytes(Frame(1)))
+    near.send(kernel_bytes(Frame(2)))
     frame = reader(5)
     assert frame is not None
     assert frame.arbitration_id == 2
@@ -156,6 +156,6 @@ def test_the_controllers_state(
     near, far = pair
     reader = SocketcanReader(bus(), far)
     for kinds, data in said:
-        near.send(words(msgspec.structs.replace(Frame(kinds, data), is_error_frame=True)))
+        near.send(kernel_bytes(msgspec.structs.replace(Frame(kinds, data), is_error_frame=True)))
         reader(0)
     assert (reader.state, reader.overflows) == (state, 0)

@@ -50,7 +50,7 @@ def test_a_frame_takes_its_stuffed_bits(clock: VirtualClock, wire: SimulatedBus)
     clock.advance(10_000_000)
     end = frame_bits(first).total * BIT
     next_end = end + (INTERMISSION + frame_bits(second).total) * BIT
-    assert list(heard.heard) == [(end, first), (next_end, second)]
+    assert list(heard.received) == [(end, first), (next_end, second)]
     assert wire.load.busy_ns == next_end + INTERMISSION * BIT
 
 
@@ -64,7 +64,7 @@ def test_fd_frames_switch_the_bit_rate(clock: VirtualClock) -> None:
     clock.advance(10_000_000)
     bits = frame_bits(frame)
     assert bits.data > 512
-    assert list(heard.heard) == [(bits.nominal * 2_000 + bits.data * 250, frame)]
+    assert list(heard.received) == [(bits.nominal * 2_000 + bits.data * 250, frame)]
 
 
 IDS = st.builds(
@@ -105,7 +105,7 @@ def test_contending_nodes_win_by_identifier(frames: list[Frame]) -> None:
     for frame in frames:
         wire.attach().send(frame)
     clock.advance(20_000_000)
-    assert [frame for _, frame in heard.heard] == sorted(frames, key=on_the_wire)
+    assert [frame for _, frame in heard.received] == sorted(frames, key=on_the_wire)
 
 
 def test_a_node_sends_its_most_urgent_frame_first(clock: VirtualClock, wire: SimulatedBus) -> None:
@@ -174,7 +174,7 @@ def test_equal_frames_at_once_are_one_frame(clock: VirtualClock, wire: Simulated
     for _ in range(2):
         wire.attach().send(Frame(0x100, b"\x01"))
     clock.advance(1_000_000)
-    assert len(heard.heard) == 1
+    assert len(heard.received) == 1
     assert not any(node.pending for node in wire.nodes)
 
 
@@ -201,7 +201,7 @@ def test_a_passive_transmitter_waits_longer(clock: VirtualClock, wire: Simulated
     node.send(Frame(0x10))
     node.send(Frame(0x10))
     clock.advance(1_000_000)
-    (first, _), (second, _) = heard.heard
+    (first, _), (second, _) = heard.received
     assert second - first == (INTERMISSION + SUSPEND + frame_bits(Frame(0x10)).total) * BIT
 
 
@@ -212,7 +212,7 @@ def test_a_classic_controller_destroys_fd_frames(clock: VirtualClock, wire: Simu
     node = wire.attach("new")
     node.send(Frame(0x10, bytes(12), is_fd=True))
     clock.advance(100_000_000)
-    assert not heard.heard
+    assert not heard.received
     assert node.state == "bus-off"
 
 

@@ -412,10 +412,10 @@ def test_send_is_seen_by_candump() -> None:
 def test_play_puts_a_capture_on_the_bus(tmp_path: Path) -> None:
     """`candump` hears the frames of the capture, in its order."""
     capture = tmp_path / "walk.log"
-    words = [f"{number:03X}#{number:04X}" for number in range(0x100, 0x132)]
-    capture.write_text("".join(f"(1700000000.{i:06d}) can7 {word}\n" for i, word in enumerate(words)))
-    with heard_by(["candump", "-L", "-n", str(len(words)), BUS]) as candump:
+    frames = [f"{number:03X}#{number:04X}" for number in range(0x100, 0x132)]
+    capture.write_text("".join(f"(1700000000.{i:06d}) can7 {frame}\n" for i, frame in enumerate(frames)))
+    with heard_by(["candump", "-L", "-n", str(len(frames)), BUS]) as candump:
         with aces("play", str(capture), "-i", "socketcan", "-c", BUS, "--tx"):
             pass
         lines = [line.split()[2] for line in candump.communicate(timeout=PATIENCE_S)[0].splitlines()]
-    assert lines == words
+    assert lines == frames

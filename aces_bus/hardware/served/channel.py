@@ -170,7 +170,7 @@ class ServedChannel:
         if self.physics:
             node = self.wire.attach(
                 name,
-                partial(self._heard, member),
+                partial(self._received, member),
                 partial(self._happened, member),
                 listen_only=listen_only,
                 fd=fd,
@@ -224,7 +224,7 @@ class ServedChannel:
             member.deliver(pack_record(now, identifier, flags | OWN, length, data))
         return True
 
-    def _heard(self, member: BusClient, frame: Frame, instant: int) -> None:
+    def _received(self, member: BusClient, frame: Frame, instant: int) -> None:
         last, when, one = self._last
         if last is not frame or when != instant:  # packed once for all who hear it
             one = frame_record(frame, instant + self._epoch_ns)
@@ -370,7 +370,7 @@ class PacketLink(ServerLink):
         self._buffer = b""
         self._aside: deque[bytes] = deque(maxlen=_ASIDE)
         self._looks = False
-        self._taken = self._told_taken = self._told_dropped = self._told_rejected = 0
+        self._taken = self._reported_taken = self._reported_dropped = self._reported_rejected = 0
         self._last: tuple[str, Any] = ("", None)
 
     def take(self, data: bytes) -> None:
@@ -390,7 +390,7 @@ class PacketLink(ServerLink):
         for _, identifier, flags, length, data in packets.unpack_records(kind, body):
             if not send(member, identifier, flags, length, data):
                 self._taken += 1  # it is off the mailboxes, unsent
-        if member.rejected != self._told_rejected:
+        if member.rejected != self._reported_rejected:
             self._report()
 
     def _other(self, kind: int, body: bytes) -> None:
@@ -450,7 +450,7 @@ class PacketLink(ServerLink):
         """What became of its frames, and its node's state."""
         if event.kind == "sent":
             self._taken += 1
-            if self._taken - self._told_taken >= _REPORT_EVERY:
+            if self._taken - self._reported_taken >= _REPORT_EVERY:
                 self._report()
         elif (event.kind, event.frame) != self._last:  # the same event again and again is reported once
             self._last = (event.kind, event.frame)
@@ -458,8 +458,8 @@ class PacketLink(ServerLink):
 
     def _report(self) -> None:
         assert self.member is not None
-        self._told_taken, self._told_dropped = self._taken, self.member.dropped
-        self._told_rejected = self.member.rejected
+        self._reported_taken, self._reported_dropped = self._taken, self.member.dropped
+        self._reported_rejected = self.member.rejected
         report = packets.TransmitReport(self._taken, self.member.rejected, self.member.dropped)
         self.put(packets.value_packet(report))
 
@@ -476,7 +476,7 @@ class PacketLink(ServerLink):
         """Packets besides frames first."""
         member = self.member
         if member is not None:
-            if member.dropped != self._told_dropped:
+            if member.dropped != self._reported_dropped:
                 self._report()
             queue = member.queue
             if not self._aside and len(queue) == 1 and len(queue[0]) == CLASSIC_RECORD.size:

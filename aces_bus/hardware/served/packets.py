@@ -120,6 +120,15 @@ def unpacked(one: bytes) -> tuple[int, int, int, int, bytes]:
 
 def frame_record(frame: Frame, time_ns: int, more: int = 0) -> bytes:
     """A frame as a record; `more` is added to its flags."""
+    if not (
+        frame.is_extended_id
+        or frame.is_remote_frame
+        or frame.is_fd
+        or frame.bitrate_switch
+        or frame.error_state_indicator
+    ):
+        data = frame.data
+        return CLASSIC_RECORD.pack(time_ns, frame.arbitration_id, more, len(data), data)
     flags = (
         more
         | (EXTENDED if frame.is_extended_id else 0)

@@ -150,8 +150,10 @@ class ServedBus(VirtualBus):
         elif kind == packets.REPORT:
             report = packets.read_value(body, packets.TransmitReport)
             self._taken, self.rejected = report.taken, report.rejected
-            self.dropped += report.dropped - self._dropped_there
-            self._dropped_there = report.dropped
+            if report.dropped != self._dropped_there:
+                self.dropped += report.dropped - self._dropped_there
+                self._dropped_there = report.dropped
+                self.changes += 1
         elif kind == packets.EVENT:
             event = packets.read_value(body, SimulatedBusEvent)
             if event.kind in _STATES:
@@ -183,18 +185,25 @@ class ServedBus(VirtualBus):
         Raises `CanOperationError` when the server has gone or the bus is closed.
         """
         queue = self._queue
+        found: list[Frame] = []
         if not queue and self._reading.acquire(False):
             try:
                 self._check_open()
-                self._read()
+                for kind, body in self._stream.read():
+                    if kind in FRAMES and self._filters is None:  # past the queue, as many as are wanted
+                        for record in packets.unpack_records(kind, body):
+                            if len(found) < most:
+                                found.append(_frame_of(record))
+                            else:
+                                self._keep(record)
+                    else:
+                        self._understand(kind, body)
             except (OSError, EOFError, PacketError, ValueError) as error:
                 raise self._lost(error) from error
             finally:
                 self._reading.release()
-        found: list[Frame] = []
         while queue and len(found) < most:
-            time_ns, identifier, flags, length, data = queue.popleft()
-            frame = packets.record_to_frame(identifier, flags, length, data, time_ns / 1e9, not flags & OWN)
+            frame = _frame_of(queue.popleft())
             if self._filters is None or self._matches_filters(frame):  # type: ignore[arg-type]
                 found.append(frame)
         return found
@@ -253,6 +262,10 @@ class ServedBus(VirtualBus):
                 raise self._lost(error) from error
         self._sent += len(frames) * is_taken
         return len(frames) * is_taken
+
+    def hold_little(self) -> None:
+        """Have the system hold little of what is offered: nothing overtakes what it has."""
+        self._stream.hold_little()
 
     def push(self) -> bool:
         """Send the rest of what the socket took in part; whether nothing is left of it."""
@@ -345,3 +358,13 @@ class ServedBus(VirtualBus):
         if self._reading.acquire(timeout=1):
             self._reading.release()
         self._stream.close()
+
+
+def _frame_of(record: tuple[int, int, int, int, bytes]) -> Frame:
+    """The frame of a checked record."""
+    time_ns, identifier, flags, length, data = record
+    if not flags:  # nearly always
+        return Frame(
+            identifier, data[:length], time_ns / 1e9, None, False, False, False, False, False, False, True
+        )
+    return packets.record_to_frame(identifier, flags, length, data, time_ns / 1e9, not flags & OWN)

@@ -20,6 +20,9 @@ from .packets import PacketError
 
 #: Seconds that a server may take to answer an introduction or a question.
 ANSWER_S = 15.0
+#: What the system may hold of what is offered and not read by the server (bytes; Linux gives twice as much): some ticks
+#: of a robot. What it does not take waits in a gate, where a stop goes first.
+OFFERED = 8192
 #: Bytes that are read at once.
 _READ = 16_384
 
@@ -100,6 +103,10 @@ class ServerConnection:
         if count < len(packet):
             self._rest = packet[count:]
             self._push(None)
+
+    def hold_little(self) -> None:
+        """From now on what the server does not read waits here, and not with the system."""
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, OFFERED)
 
     def offer(self, packet: bytes) -> bool:
         """Send a packet without waiting; whether the socket took it. What it left of one goes with `push`."""

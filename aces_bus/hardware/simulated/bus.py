@@ -245,11 +245,11 @@ class BusNode:
             self.transmit_errors = self.receive_errors = 0
             self.state = "error-active"
             self.wire.changed()
-            self.tell("recovered")
+            self.emit("recovered")
             if self.waiting:
                 self.wire.wake()
 
-    def tell(self, kind: str, frame: Frame | None = None) -> None:
+    def emit(self, kind: str, frame: Frame | None = None) -> None:
         """Report something that happened to this node."""
         if self.happened is not None:
             self.happened(SimulatedBusEvent(kind, self.wire.clock.now(), frame))
@@ -263,7 +263,7 @@ class BusNode:
         if self.transmit_errors > OFF:
             self.state = "bus-off"
             self.wire.changed()
-            self.tell("bus-off", frame)
+            self.emit("bus-off", frame)
             if self.restart_ns is not None:
                 self.wire.clock.call_in(self.restart_ns, self.restart)
             return
@@ -274,7 +274,7 @@ class BusNode:
         )
         if state != self.state:
             self.state = state
-            self.tell(state, frame)
+            self.emit(state, frame)
 
     def __repr__(self) -> str:
         return f"<node {self.name}: {self.state}, {self.pending} waiting>"
@@ -377,39 +377,35 @@ class SimulatedBus:
         """A node has something to send."""
         if not self._is_busy and not self._is_woken:
             self._is_woken = True
-            self.clock.post(self._idle_from, self._carry)  # or now, if that has passed
+            self.clock.post(self._idle_from, self._woke)  # or now, if that has passed
 
-    def _carry(self) -> None:
-        """The bus is idle: carry frame after frame, as far as nothing else comes between."""
+    def _woke(self) -> None:
         self._is_woken = False
-        if self._is_busy:
-            return
-        clock = self.clock
-        now = clock.now()
-        while self._arbitrate(now):
-            end = now + self._duration
-            if not clock.skip_to(end):
-                clock.post(end, self._carried)
-                return
-            self._deliver(end)
-            if not self._goes_on():
-                return
-            now = self._idle_from
-
-    def _carried(self) -> None:
-        self._deliver(self.clock.now())
-        if self._goes_on():
+        if not self._is_busy:
             self._carry()
 
-    def _goes_on(self) -> bool:
-        """Behind a frame: whether the bus is idle at once, with more to carry. Otherwise it wakes up when there is more."""
-        for node in self.nodes:
-            if node.waiting:
-                if self.clock.skip_to(self._idle_from):
-                    return True
-                self.wake()
-                break
-        return False
+    def _carry(self) -> None:
+        """The frame on the wire ends, or the bus is idle: go from frame to frame, as far as nothing else comes between."""
+        clock = self.clock
+        now = clock.now()
+        while True:
+            if self._frame is not None:
+                self._deliver(now)
+                for node in self.nodes:
+                    if node.waiting:
+                        break
+                else:
+                    return
+                now = self._idle_from
+                if not clock.skip_to(now):
+                    self.wake()
+                    return
+            if not self._arbitrate(now):
+                return
+            now += self._duration
+            if not clock.skip_to(now):
+                clock.post(now, self._carry)
+                return
 
     def _arbitrate(self, now: int) -> bool:
         """The lowest arbitration field goes first, on the wire from now on.
@@ -421,13 +417,12 @@ class SimulatedBus:
         others: list[BusNode] | None = None
         later = _NEVER
         for node in self._present or self._look():
-            waiting = node.waiting
-            if not waiting:
+            if not node.waiting:
                 continue
             if node.quiet_until > now:
                 later = min(later, node.quiet_until)
                 continue
-            key = waiting[0][0]
+            key = node.waiting[0][0]
             if key < best:
                 best, sender, others = key, node, None
             elif key == best:
@@ -435,7 +430,7 @@ class SimulatedBus:
         if sender is None:
             if later != _NEVER:
                 self._is_woken = True
-                self.clock.call_at(later, self._carry)
+                self.clock.call_at(later, self._woke)
             return False
         self._is_busy = True
         sender.sending = entry = heappop(sender.waiting)
@@ -477,9 +472,9 @@ class SimulatedBus:
 
     def _deliver(self, now: int) -> None:
         """The last bit of a good frame."""
-        senders, frame = self._senders, self._frame
+        senders, frame, load = self._senders, self._frame, self.load
         assert frame is not None
-        load = self.load
+        self._frame = None
         load.frames += 1
         load.busy_ns += self._duration + self._pause
         self._idle_from = now + self._pause
@@ -510,7 +505,7 @@ class SimulatedBus:
                     self._arrive(node, frame, now, delay)
             for node in senders:
                 if node.hears_sent:
-                    node.tell("sent", frame)
+                    node.emit("sent", frame)
         finally:
             self._is_woken = False
 
@@ -540,7 +535,7 @@ class SimulatedBus:
                 node.sending = None
                 # A passive node whose frame no node acknowledges does not count it (12.1.4.2 c, exception 1).
                 if kind != "no acknowledge" or node.state != "error-passive":
-                    node.tell(kind, frame)
+                    node.emit(kind, frame)
                     node.count_errors(8, 0, frame)
                 if node.state == "error-passive":
                     node.quiet_until = self._idle_from + SUSPEND * self.bit_ns
@@ -573,11 +568,11 @@ class ListeningNode:
     """A node that only listens and keeps what it hears, the last `most` frames: (instant in ns, frame)."""
 
     def __init__(self, wire: SimulatedBus, most: int = 1_000_000) -> None:
-        self.heard: deque[tuple[int, Frame]] = deque(maxlen=most)
+        self.received: deque[tuple[int, Frame]] = deque(maxlen=most)
         self.node = wire.attach(
-            "recorder", lambda frame, now: self.heard.append((now, frame)), listen_only=True
+            "recorder", lambda frame, now: self.received.append((now, frame)), listen_only=True
         )
 
     def frames(self) -> Iterable[Frame]:
         """The frames, in order."""
-        return (frame for _, frame in self.heard)
+        return (frame for _, frame in self.received)

@@ -14,9 +14,9 @@ times differ from a controller's by less than a bit.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache, lru_cache
-from struct import unpack
+from array import array
+from functools import cache
+from struct import Struct
 from typing import NamedTuple
 
 from ...frames import FD_LENGTHS, Frame
@@ -67,14 +67,25 @@ def classic_bits(frame: Frame) -> int:
     data, key = frame.data, frame.arbitration_id
     if frame.is_extended_id:
         key |= _EXTENDED
-    if frame.is_error_frame or frame.is_remote_frame:
-        return ERROR_FRAME if frame.is_error_frame else _classic_bits(key, True, frame.dlc or 0, b"")
-    known = _KNOWN.get((key, data))
-    if known is None:
-        if len(_KNOWN) >= _KEPT:
-            _KNOWN.clear()
-        known = _KNOWN[key, data] = _classic_bits(key, False, len(data), data)
-    return known
+    if frame.is_error_frame:
+        return ERROR_FRAME
+    if frame.is_remote_frame:
+        key, size = key | _REMOTE, min(frame.dlc or 0, 15)
+    else:
+        size = len(data)
+    state, bits, check = _HEADS.get(key << 4 | size) or _classic_head(key << 4 | size)
+    single, double, last, crc = _tables()
+    if len(data) & 1:
+        number = data[0]
+        found = single[state << 8 | number]
+        state, bits = found >> 3, bits + (found & 7)
+        check = crc[check >> 7 ^ number] ^ check << 8 & 0x7FFF
+        data = data[1:]
+    for pair in _PAIRS[len(data) >> 1](data):
+        found = double[state << 16 | pair]
+        state, bits = found >> 3, bits + (found & 7)
+        check = crc[check << 1 ^ pair]
+    return bits + (last[state << 15 | check] & 7)
 
 
 def longest_bits(
@@ -98,38 +109,27 @@ def longest_bits(
     return FrameBits(nominal, data) if bitrate_switch else FrameBits(nominal + data, 0)
 
 
-#: A key has this above its identifier, of 29 bits.
-_EXTENDED = 1 << 29
-#: Much that is sent on a bus is sent again: so many answers are kept, by key and data.
-_KEPT = 1 << 14
-_KNOWN: dict[tuple[int, bytes], int] = {}
+#: A key has these above its identifier, of 29 bits.
+_EXTENDED, _REMOTE = 1 << 29, 1 << 30
+#: Of so many headers is remembered what `_classic_head` gives.
+_KEPT = 1 << 12
+_HEADS: dict[int, tuple[int, int, int]] = {}
 
 
-def _classic_bits(key: int, remote: bool, code: int, data: bytes) -> int:
-    state, bits, check = _classic_head(key, remote, code)
-    size = len(data)
-    if size:
-        check = _crc15()(data, check)
-        bits += 8 * size
-        if size & 1:
-            found = _table(8)[state << 8 | data[0]]
-            state = found >> 3
-            bits += found & 7
-            data = data[1:]
-        table = _wide(8, 8)
-        for pair in unpack(_FORMATS[size >> 1], data):
-            found = table[state << 16 | pair]
-            state = found >> 3
-            bits += found & 7
-    return bits + (_wide(8, 7)[state << 15 | check] & 7)
-
-
-@lru_cache(maxsize=1 << 12)
-def _classic_head(key: int, remote: bool, code: int) -> tuple[int, int, int]:
-    """The stuffing state behind a header, the bits of all but the data and their stuff bits, the header's CRC."""
-    head, width = _head(key & ~_EXTENDED, key >= _EXTENDED, remote, code)
-    state, count = _stuff(head, width, _START)
-    return state, width + count + 15 + TRAILER, _crc15()(head.to_bytes((width + 7) // 8, "big"))
+def _classic_head(head: int) -> tuple[int, int, int]:
+    """The stuffing state behind a header, the bits of all but stuff bits behind it, the header's CRC; `head` is the key and
+    four bits of length."""
+    key, code = head >> 4, head & 15
+    remote = key >= _REMOTE
+    word, width = _head(key & _EXTENDED - 1, bool(key & _EXTENDED), remote, code)
+    state, count = _stuff(word, width, _START)
+    check, crc = 0, _crc15()
+    for number in word.to_bytes((width + 7) // 8, "big"):
+        check = crc[check >> 7 ^ number] ^ check << 8 & 0x7FFF
+    if len(_HEADS) >= _KEPT:
+        _HEADS.clear()
+    _HEADS[head] = found = state, width + count + (0 if remote else 8 * code) + 15 + TRAILER, check
+    return found
 
 
 def _head(identifier: int, extended: bool, remote: bool, code: int) -> tuple[int, int]:
@@ -222,6 +222,12 @@ def _wide(first: int, second: int) -> bytes:
     return bytes(out)
 
 
+@cache
+def _tables() -> tuple[bytes, bytes, bytes, array[int]]:
+    """What eight bits, sixteen, and a CRC of fifteen make of a stuffing state, and `_crc15`."""
+    return _table(8), _wide(8, 8), _wide(8, 7), _crc15()
+
+
 def _stuff(word: int, width: int, state: int) -> tuple[int, int]:
     """State and number of stuff bits after the `width` bits of `word`, from `state`."""
     count = 0
@@ -237,7 +243,7 @@ def _stuff(word: int, width: int, state: int) -> tuple[int, int]:
         found = _table(8)[state << 8 | word >> width]
         return _joined(found, _stuff(word & (1 << width) - 1, width, found >> 3))
     table = _wide(8, 8)
-    for pair in unpack(_FORMATS[width >> 4], word.to_bytes(width >> 3, "big")):
+    for pair in _PAIRS[width >> 4](word.to_bytes(width >> 3, "big")):
         found = table[state << 16 | pair]
         state = found >> 3
         count += found & 7
@@ -248,7 +254,8 @@ def _joined(first: int, rest: tuple[int, int]) -> tuple[int, int]:
     return rest[0], rest[1] + (first & 7)
 
 
-_FORMATS = [f">{pairs}H" for pairs in range(40)]
+#: By how many they are, what reads pairs of bytes.
+_PAIRS = [Struct(f">{pairs}H").unpack for pairs in range(40)]
 
 
 def _ends_full(word: int, width: int) -> int:
@@ -257,8 +264,10 @@ def _ends_full(word: int, width: int) -> int:
 
 
 @cache
-def _crc15() -> Callable[..., int]:
-    import anycrc
-
-    calc: Callable[..., int] = anycrc.Model("CRC15-CAN").calc
-    return calc
+def _crc15() -> array[int]:
+    """What 16 bits make of a CRC of 0 (CRC-15: x¹⁵ + x¹⁴ + x¹⁰ + x⁸ + x⁷ + x⁴ + x³ + 1, ISO 11898-1:2015, 10.4.2.6)."""
+    table, step = array("H", (0,)), 1 << 14
+    for _ in range(16):
+        step = (step << 1 ^ (0x4599 if step & 0x4000 else 0)) & 0x7FFF
+        table.extend([entry ^ step for entry in table])
+    return table

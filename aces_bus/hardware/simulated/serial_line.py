@@ -183,6 +183,11 @@ class SimulatedSerialLine:
         self.nodes.append(node)
         return node
 
+    @property
+    def free_at(self) -> int:
+        """When all that was given to its nodes has left (ns)."""
+        return max((node.free_at for node in self.nodes), default=0)
+
     def carry(self, chunk: _Chunk) -> None:
         """Bytes go on the wire, which may be busy with others' on a half-duplex line."""
         now = self.clock.now()
