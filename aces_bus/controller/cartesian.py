@@ -201,7 +201,7 @@ class CartesianPath(Controller):
         seconds = self.seconds(now_ns)
         given = self.advance(min(seconds, self.motion.duration_s))
         if given is None:
-            self.listeners.tell(ControlEvent("failed", now_ns, self.name, self.reason))
+            self.listeners.emit(ControlEvent("failed", now_ns, self.name, self.reason))
             return self._given
         self._given = given
         if seconds >= self.motion.duration_s - 1e-9:

@@ -224,7 +224,7 @@ class _Line:
                 return True
             present = self.signal.value
             if present is UNKNOWN:
-                device.tell_event("limited", f"{self.signal.name}: waits until it is known where it is")
+                device.emit_event("limited", f"{self.signal.name}: waits until it is known where it is")
                 if not self.is_ticked:
                     device.refresh(self.signal.name)  # nothing else asks
                 return False
@@ -239,7 +239,7 @@ class _Line:
         if self.given is None or abs(distance) > self.rate * FAR_S:
             self.counts.rate += 1
             if abs(distance) > self.rate * FAR_S:
-                device.tell_event(
+                device.emit_event(
                     "limited",
                     f"{self.signal.name}: {goal:g} is {abs(distance) / self.rate:.2g} s away"
                     f" at {self.rate:g} {self.signal.unit}/s",
@@ -252,7 +252,7 @@ class _Line:
         """Give it to the driver, and say so to who listens."""
         signal = self.signal
         if signal.setter is None:
-            self.device.tell_event("not sent", f"{signal.name} cannot be set now")
+            self.device.emit_event("not sent", f"{signal.name} cannot be set now")
             return
         signal.setter(value)
         if signal.given:
@@ -296,7 +296,7 @@ class _Line:
             self.tripped = reason
             self.begin_anew()
             self.door.stop(self.device)
-        self.device.tell_event(kind, reason)
+        self.device.emit_event(kind, reason)
 
 
 def _usual_bounds(signal: Signal) -> Bounds:
@@ -470,6 +470,6 @@ class Door:
         def over(stopping: Any) -> None:
             error: AcesError | None = stopping.error
             if error is not None:
-                device.tell_event("not stopped", str(error))
+                device.emit_event("not stopped", str(error))
 
         stop_devices(self.clock, device.name, [device]).then(over)

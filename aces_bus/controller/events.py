@@ -73,7 +73,7 @@ class Listeners:
         """Call `listener` with every event from now on."""
         self._all += (listener,)
 
-    def tell(self, event: ControlEvent) -> None:
+    def emit(self, event: ControlEvent) -> None:
         """Call all, whatever they do."""
         for listener in self._all:
             try:

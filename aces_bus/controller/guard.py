@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 Action = Literal["hold", "zero duty", "disable"]
 ACTIONS: tuple[Action, ...] = ("hold", "zero duty", "disable")
 #: A state that is clipped for long is reported so often.
-TOLD_EVERY_NS = 1_000_000_000
+REPORT_EVERY_NS = 1_000_000_000
 #: Trips that are kept for a cycle.
 MOST_PENDING = 1_000
 #: So many set-points of one state in a row that are no finite numbers stop motion.
@@ -123,8 +123,8 @@ class _Line:
         "lower",
         "name",
         "rate",
+        "reported_ns",
         "step",
-        "told_ns",
         "upper",
         "utmost",
     )
@@ -139,7 +139,7 @@ class _Line:
         self.step = 0.0  # of the last cycle, per second
         self.clipped = Clipped()
         self.in_a_row = 0  # not finite
-        self.told_ns = -TOLD_EVERY_NS
+        self.reported_ns = -REPORT_EVERY_NS
 
     def pass_on(self, wanted: float, dt: float) -> float:
         """The set-point that leaves, `dt` seconds after the last."""
@@ -283,7 +283,7 @@ class Guard:
         self._by_name = dict(self._lines)
         self._by_signal: dict[str, _Line] = {}
         self._last: int | None = None  # ns of the last call that gave set-points
-        self._heard: int | None = None  # ns of the last set-points that came
+        self._received: int | None = None  # ns of the last set-points that came
         self._pending: deque[tuple[str, Action | None]] = deque(maxlen=2 * MOST_PENDING)
 
     def bind(self, states: Mapping[str, StateLike]) -> None:
@@ -309,7 +309,7 @@ class Guard:
         """Begin anew: the next set-points start from the present values. A trip stays."""
         for line in self._lines.values():
             line.given, line.step = None, 0.0
-        self._last = self._heard = None
+        self._last = self._received = None
 
     def trip(self, reason: str, action: Action | None = None) -> None:
         """Stop motion at the next `apply` or `tick`; may be called from any thread."""
@@ -322,7 +322,7 @@ class Guard:
         held = self.tripped is not None and self.tripped.action == "hold"
         self.tripped = None
         self._pending.clear()
-        self._heard = None
+        self._received = None
         if not held:
             self.forget()
 
@@ -339,7 +339,7 @@ class Guard:
                 self.swallowed += len(setpoints)
                 return self._stand(now) if self.tripped.action == "hold" else NOTHING
             reason, self.tripped = self.tripped.reason, None
-            self.listeners.tell(ControlEvent("late", now, self.name, f"set-points again after: {reason}"))
+            self.listeners.emit(ControlEvent("late", now, self.name, f"set-points again after: {reason}"))
         dt = self._elapsed(now)
         self._last = now
         lines = self._by_name
@@ -362,16 +362,16 @@ class Guard:
                 self._anchor(line)
             out[name] = given = line.pass_on(wanted, dt)
             if given != wanted:
-                self._tell(line, now, "clipped")
-        if out or self._heard is None:  # what is no number feeds no dead-man
-            self._heard = now
+                self._emit(line, now, "clipped")
+        if out or self._received is None:  # what is no number feeds no dead-man
+            self._received = now
         return self.tick(now) if self._pending else out
 
     def _refuse(self, line: _Line, now: int) -> None:
         """What is no finite number does not leave, and stops motion when there is nothing else."""
         line.clipped.not_finite += 1
         line.in_a_row += 1
-        self._tell(line, now, "not finite")
+        self._emit(line, now, "not finite")
         if line.in_a_row % NOT_FINITE_TRIPS == 0:
             why = f"{line.name}: {line.in_a_row} set-points in a row were not finite numbers"
             if self.fault is None:
@@ -384,10 +384,10 @@ class Guard:
         if self._pending:
             self._obey(now)
         if self.tripped is None:
-            heard, limit = self._heard, self._dead_man
-            if heard is None or limit is None or now - heard <= limit:
+            received, limit = self._received, self._dead_man
+            if received is None or limit is None or now - received <= limit:
                 return NOTHING
-            reason = f"no set-points for {(now - heard) / 1e6:.0f} ms"
+            reason = f"no set-points for {(now - received) / 1e6:.0f} ms"
             self._stop(Trip(now, self.action, reason, self.action != "hold"))
         assert self.tripped is not None
         return self._stand(now) if self.tripped.action == "hold" else NOTHING
@@ -448,14 +448,14 @@ class Guard:
     def _stop(self, trip: Trip) -> None:
         self.tripped = trip
         self.trips += 1
-        self.listeners.tell(ControlEvent("trip", trip.instant, self.name, f"{trip.action}: {trip.reason}"))
+        self.listeners.emit(ControlEvent("trip", trip.instant, self.name, f"{trip.action}: {trip.reason}"))
 
-    def _tell(self, line: _Line, now: int, kind: str) -> None:
-        if now - line.told_ns >= TOLD_EVERY_NS:
-            line.told_ns = now
+    def _emit(self, line: _Line, now: int, kind: str) -> None:
+        if now - line.reported_ns >= REPORT_EVERY_NS:
+            line.reported_ns = now
             c = line.clipped
             counts = f"position {c.position}, rate {c.rate}, acceleration {c.acceleration}, not finite {c.not_finite}"
-            self.listeners.tell(ControlEvent(kind, now, self.name, f"{line.name} ({counts})"))
+            self.listeners.emit(ControlEvent(kind, now, self.name, f"{line.name} ({counts})"))
 
 
 def bounds_of(robot: Robot, *, nominal: bool = False, acceleration: bool = False) -> dict[str, Bounds]:

@@ -215,7 +215,7 @@ class Player(Controller):
         self._base_ns += shift
         self._began += shift
         self.gaps += 1
-        self.listeners.tell(ControlEvent("late", now, self.name, f"{gap / 1e9:.3f} s passed in one cycle"))
+        self.listeners.emit(ControlEvent("late", now, self.name, f"{gap / 1e9:.3f} s passed in one cycle"))
 
     def _obey(self, now: int) -> None:
         wish, self._wish = self._wish, None
@@ -341,4 +341,4 @@ class Player(Controller):
 
     def _fail(self, now: int, reason: str) -> None:
         self.mode, self.reason = "failed", reason
-        self.listeners.tell(ControlEvent("failed", now, self.name, reason))
+        self.listeners.emit(ControlEvent("failed", now, self.name, reason))

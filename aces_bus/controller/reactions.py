@@ -59,6 +59,7 @@ HARMLESS = (
     "late reply",
     "overrun",
     "duplicate reply",
+    "garbled",
     "limited",
     "clipped",
     "late",
@@ -119,5 +120,6 @@ def _reaction(
     if name == "degrade":
         return degrade(more or kind, sources=sources)
     if word not in own:
-        raise UnknownNameError("reaction, or function of a controller's file,", word, (*WORDS, *own))
+        kind = f"reaction ({', '.join(WORDS)}), or function of a controller's file,"
+        raise UnknownNameError(kind, word, (*WORDS, *own))
     return degrade(word, own[word], sources=sources)

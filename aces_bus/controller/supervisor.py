@@ -149,11 +149,11 @@ class Supervisor:
             do, event = self._to_do.popleft()
             try:
                 do(event)
-            except Exception as error:
+            except (Exception, SystemExit) as error:
                 self.guard.trip(f"{self.name}: reaction to {event.kind} raised {raised_text(error)}")
         try:
             return self.controller.step(now_ns)
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # a thread that calls exit() would be gone without a word
             self._events.append(self._raised(now_ns, error))
             return NOTHING
 
@@ -164,13 +164,15 @@ class Supervisor:
         try:
             given = guard.apply(now_ns, setpoints)
         except Exception as error:  # set-points that are no mapping of numbers
-            self._react(self._raised(now_ns, error))
+            what = f"it gave a {type(setpoints).__name__}; set-points are a dict: a state's name → a number"
+            is_dict = hasattr(setpoints, "items")
+            self._react(self._raised(now_ns, error if is_dict else TypeError(what)))
             given = guard.tick(now_ns)
         if given or getattr(self.controller, "is_idle", False):
             self._alive = now_ns
         elif self.is_overdue(now_ns):
             assert self._alive is not None
-            return self.tell_dead(now_ns, f"no set-points for {(now_ns - self._alive) / 1e6:.0f} ms")
+            return self.emit_dead(now_ns, f"no set-points for {(now_ns - self._alive) / 1e6:.0f} ms")
         return given
 
     def attend(self, now_ns: int) -> Mapping[str, float]:
@@ -188,11 +190,11 @@ class Supervisor:
             and self.guard.tripped is None
         )
 
-    def tell_dead(self, now_ns: int, why: str) -> Mapping[str, float]:
+    def emit_dead(self, now_ns: int, why: str) -> Mapping[str, float]:
         """It is taken for dead: the fault "dead-man", told once until it gives set-points again."""
         self._alive = None
         event = ControlEvent("dead-man", now_ns, self.name, why)
-        self.listeners.tell(event)
+        self.listeners.emit(event)
         self._react(event)
         return self.guard.tick(now_ns)
 
@@ -202,7 +204,7 @@ class Supervisor:
         while self._events:
             self._react(self._events.popleft())
 
-    def _raised(self, now: int, error: Exception, who: str = "") -> ControlEvent:
+    def _raised(self, now: int, error: BaseException, who: str = "") -> ControlEvent:
         self.error = error
         return ControlEvent("raised", now, self.name, f"{who}{raised_text(error)}")
 
@@ -220,7 +222,7 @@ class Supervisor:
             self.guard.trip(f"{event.source}: {kind}{detail}", reaction.action)
         elif reaction.what == "degrade" and reaction.name not in self.degraded:
             self.degraded[reaction.name] = f"{event.source}: {kind}"
-            self.listeners.tell(
+            self.listeners.emit(
                 ControlEvent(
                     "degraded", event.instant, self.name, f"{reaction.name} ({event.source}: {kind})"
                 )

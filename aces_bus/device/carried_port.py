@@ -3,10 +3,12 @@
 1. A packet that needs a go-ahead (flow control) sends its first frame and waits for it; without one in time it fails, and
    says so. Nothing is sent again.
 2. First frames of packets for us are answered with a go-ahead; a port that may not send (a passive host) answers none.
-3. Packets of one identifier go out one behind the other: what comes between its frames would end one. A stop does.
-4. All of it runs on the clock of the port below, in life and in virtual time alike.
+3. Packets that frames do not tell apart (mostly: of one identifier) go out one behind the other: what comes between its
+   frames would end one. A stop does.
+4. Where a transport wants pauses between frames (a broadcast's), they are kept.
+5. All of it runs on the clock of the port below, in life and in virtual time alike.
 
-A word is a frame, or the frames of one packet: a tuple.
+A packet is one frame, or a tuple of its frames.
 """
 
 from __future__ import annotations
@@ -38,7 +40,7 @@ class _Outgoing:
         self.left = deque(frames)
         #: How many frames may still go before the next go-ahead (None: all), and the time between two.
         self.allowed: int | None = 0
-        self.gap_ns = 0
+        self.gap_ns = port.pause_of(frames)
         self.waits = 0
         self.has_begun = False
         self.timer: Any = None
@@ -122,7 +124,7 @@ class CarriedPort:
         self._transports = list(dict.fromkeys(m.transport for m in messages if m.transport is not None))
         self._messages = messages
         self._carried: dict[int, Transport | None] = {}
-        #: By key: packets on their way out, the first one under way.
+        #: By `turn_of`: packets on their way out, the first one under way.
         self._out: dict[int, deque[tuple[_Outgoing, bool]]] = {}
         #: Packets that did not leave whole.
         self.failed = 0
@@ -150,9 +152,9 @@ class CarriedPort:
     def open(self, received: Callable[[Any, int], Any]) -> None:
         """Start receiving: `received(frame, instant)` has every frame; those that steer are acted on before."""
 
-        def steer(word: Any, instant: int) -> None:
-            self._steer(word)
-            received(word, instant)
+        def steer(frame: Any, instant: int) -> None:
+            self._steer(frame)
+            received(frame, instant)
 
         self.port.open(steer)
 
@@ -160,9 +162,9 @@ class CarriedPort:
         """As of the port below."""
         self.port.on_event(handler)
 
-    def wire_ns(self, word: Any) -> int:
+    def wire_ns(self, packet: Any) -> int:
         """How long a frame, or all frames of a packet, occupy the bus (ns)."""
-        return sum(map(self.port.wire_ns, word)) if isinstance(word, tuple) else self.port.wire_ns(word)
+        return sum(map(self.port.wire_ns, packet)) if isinstance(packet, tuple) else self.port.wire_ns(packet)
 
     def close(self) -> None:
         """Stop receiving; what is on its way ends."""
@@ -174,7 +176,7 @@ class CarriedPort:
 
     def send(
         self,
-        word: Any,
+        packet: Any,
         age_ns: int = 0,
         *,
         urgent: bool = False,
@@ -182,28 +184,28 @@ class CarriedPort:
         report: Left | None = None,
     ) -> bool:
         """Send a frame or the frames of a packet (a tuple); `report` says once what became of it."""
-        if not isinstance(word, tuple):
-            return self.port.send(word, age_ns, urgent=urgent, topic=topic, report=report)
-        frames: tuple[Frame, ...] = word
+        if not isinstance(packet, tuple):
+            return self.port.send(packet, age_ns, urgent=urgent, topic=topic, report=report)
+        frames: tuple[Frame, ...] = packet
         key = _key(frames[0])
-        transport = self._transport_of(key)
-        if transport is not None and transport.unsendable and len(word) > 1:
+        transport, turn = self._transport_of(key), self._turn_of(frames)
+        if transport is not None and len(packet) > 1 and (why := transport.refuses(key)):
             if report is not None:
-                report("dropped", f"{transport.title}: {transport.unsendable}")
+                report("dropped", f"{transport.title}: {why}")
             self.failed += 1
             return False
         if urgent:  # what is under way gives way to a stop
-            for outgoing, _ in [*self._out.get(key, ())]:
+            for outgoing, _ in [*self._out.get(turn, ())]:
                 outgoing.end("dropped", "a stop overtook it")
-        if len(word) == 1 and key not in self._out:
+        if len(packet) == 1 and turn not in self._out:
             return self.port.send(frames[0], age_ns, urgent=urgent, topic=topic, report=report)
 
         def send(frame: Frame) -> bool:
             return self.port.send(frame, 0, urgent=urgent, topic=topic)
 
         waits = transport is not None and transport.go_ahead(key, frames[0].data) is not None
-        made = _Outgoing(self, word, send, report)
-        waiting = self._out.setdefault(key, deque())
+        made = _Outgoing(self, packet, send, report)
+        waiting = self._out.setdefault(turn, deque())
         waiting.append((made, waits))
         return made.begin(waits) if len(waiting) == 1 else True
 
@@ -212,21 +214,32 @@ class CarriedPort:
         transport = self._transport_of(_key(outgoing.frames[0]))
         return transport.timeout_s if transport is not None else 1.0
 
+    def pause_of(self, frames: Sequence[Frame]) -> int:
+        """How long to wait between two frames of a packet (ns), if no flow control says it."""
+        transport = self._transport_of(_key(frames[0]))
+        return round(transport.pause_s(_key(frames[0])) * 1e9) if transport is not None else 0
+
+    def _turn_of(self, frames: Sequence[Frame]) -> int:
+        """What a packet has in common with those that go out before or behind it."""
+        key = _key(frames[0])
+        transport = self._transport_of(key)
+        return key if transport is None else transport.in_turn(key)
+
     def cancel(self, frames: Sequence[Frame], why: str) -> None:
         """Send no more of a packet (the very tuple that `send` was given) that is on its way or waits for its turn."""
-        for outgoing, _ in [*self._out.get(_key(frames[0]), ())]:
+        for outgoing, _ in [*self._out.get(self._turn_of(frames), ())]:
             if outgoing.frames is frames:
                 outgoing.end("expired", why)
 
     def ended(self, outgoing: _Outgoing, is_sent: bool) -> None:
         """A packet is out of the way: the next one of its key begins."""
         self.failed += not is_sent
-        key = _key(outgoing.frames[0])
-        waiting = self._out[key]
+        turn = self._turn_of(outgoing.frames)
+        waiting = self._out[turn]
         was_first = waiting[0][0] is outgoing
-        self._out[key] = waiting = deque(pair for pair in waiting if pair[0] is not outgoing)
+        self._out[turn] = waiting = deque(pair for pair in waiting if pair[0] is not outgoing)
         if not waiting:
-            del self._out[key]
+            del self._out[turn]
         elif was_first:
             following, waits = waiting[0]
             self.clock.call_soon(partial(following.begin, waits))
@@ -241,7 +254,7 @@ class CarriedPort:
             return
         steering = transport.steering(key, frame.data)
         if steering is not None:
-            waiting = self._out.get(steering.key)
+            waiting = self._out.get(transport.in_turn(steering.key))
             if waiting and waiting[0][0].opening.startswith(steering.address):
                 waiting[0][0].steered(steering)
             return

@@ -61,19 +61,19 @@ class Client:
         """Send a message; `fields` in the sheet's units. Raises what `Encoder.encode` and the bus raise."""
         self._send(self.variant.encoder.encode(message, **fields))
 
-    def _send(self, word: Any) -> None:
-        if isinstance(word, list):  # a packet of a transport
-            if len(word) > 1:
+    def _send(self, packet: Any) -> None:
+        if isinstance(packet, list):  # a packet of a transport
+            if len(packet) > 1:
                 raise CallerError(
-                    f"{self.variant.name}: this message takes {len(word)} frames, and a client keeps no handshake;"
+                    f"{self.variant.name}: this message takes {len(packet)} frames, and a client keeps no handshake;"
                     " a device on a host does, or aces send"
                 )
-            (word,) = word
-        self._scanner.sent(word)
+            (packet,) = packet
+        self._scanner.sent(packet)
         if self.variant.link == "can":
-            self.bus.send(word)
+            self.bus.send(packet)
         else:
-            self.bus.write(word)
+            self.bus.write(packet)
 
     def ask(self, message: str, *, timeout: float = 1.0, reply: str | None = None, **fields: Any) -> Record:
         """Send a message and give its reply, which comes within `timeout` s.
@@ -92,11 +92,11 @@ class Client:
                 f"no message named {reply!r}" if reply is not None else f"no reply to {message} in the spec"
             )
             raise CallerError(f"{self.variant.name}: {which}; say which it is: reply=… (or send, and listen)")
-        word = self.variant.encoder.encode(message, **fields)
+        packet = self.variant.encoder.encode(message, **fields)
         self._requests.reset()
-        asked = next(iter(self._requests.feed([word] if self._is_one_frame(word) else word)), None)
+        asked = next(iter(self._requests.feed([packet] if self._is_one_frame(packet) else packet)), None)
         self._keep_waiting()
-        self._send(word)
+        self._send(packet)
         ends = time.monotonic() + timeout
         while (left := ends - time.monotonic()) > 0:
             records = self._received(left)
@@ -119,8 +119,8 @@ class Client:
             if not self._kept:
                 return
 
-    def _is_one_frame(self, word: Any) -> bool:
-        return self.variant.link == "can" and not isinstance(word, list)
+    def _is_one_frame(self, packet: Any) -> bool:
+        return self.variant.link == "can" and not isinstance(packet, list)
 
     def _keep_waiting(self) -> None:
         """Keep what has come already."""
@@ -137,11 +137,11 @@ class Client:
         while (left := ends - time.monotonic()) > 0:
             if self.variant.link == "can":
                 frame = self.bus.recv(left)
-                words = [] if frame is None else [frame]
+                traffic = [] if frame is None else [frame]
             else:
                 self.bus.timeout = left
-                words = self.bus.read(min(max(1, self.bus.in_waiting), PIECE))
-            if words and (records := self._scanner.feed(words)):
+                traffic = self.bus.read(min(max(1, self.bus.in_waiting), PIECE))
+            if traffic and (records := self._scanner.feed(traffic)):
                 return list(records)
         return []
 

@@ -13,7 +13,7 @@ class Poll:
 
     `every_s` None: in each tick of the host. `timeout_s` counts from the end of the request on the wire. `asked_by`:
     set-points that are answered, too, and by which message: in a tick that sends one, this is not sent besides. `together`
-    is the message that asks several devices for the same at once (`Device.word_together`); empty: there is none.
+    is the message that asks several devices for the same at once (`Device.packet_together`); empty: there is none.
     """
 
     message: str

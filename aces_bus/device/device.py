@@ -14,7 +14,7 @@ A driver is a subclass. The usual one declares what it polls and what its messag
             signal("temperature", unit="K", of="State.temperature", offset=273.15),
         )
 
-and overrides `setup`, `heard`, `check` or adds methods where that is not enough.
+and overrides `setup`, `received`, `check` or adds methods where that is not enough.
 """
 
 from __future__ import annotations
@@ -68,7 +68,16 @@ class Device(EndpointMember):
     one_at_a_time: ClassVar[bool] = False
     stale_s: ClassVar[float] = 0.1
     attributes = EndpointMember.attributes | {
-        *("host", "signals", "readable", "last_heard", "is_silent", "is_driven", "misses", "missing_since"),
+        *(
+            "host",
+            "signals",
+            "readable",
+            "last_received",
+            "is_silent",
+            "is_driven",
+            "misses",
+            "missing_since",
+        ),
         *("missed_at", "awaiting", "answered", "timed_out", "second_answers", "epoch", "duplicates"),
         "takes_set_points",
     }
@@ -88,7 +97,7 @@ class Device(EndpointMember):
         #: The names of those that are read from messages.
         self.readable: set[str] = set()
         #: When something was last received of it (ns).
-        self.last_heard: int | None = None
+        self.last_received: int | None = None
         self.is_silent = False
         #: Whether it was given set-points or commands to move since it was last stopped.
         self.is_driven = False
@@ -132,15 +141,15 @@ class Device(EndpointMember):
     def setup(self) -> None:
         """Declare what depends on this device's configuration: `add_signal`, `self.polls`."""
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """A record of this device, after its declared signals were updated."""
 
     def default_of(self, message: str, path: str) -> Any:
         """The value for a set-point that was not given yet; None: wait for it."""
         return None
 
-    def word_together(self, devices: Sequence[Device], poll: Poll) -> Any:
-        """The word that asks these devices what `poll` asks one of them; for drivers whose polls say `together`."""
+    def packet_together(self, devices: Sequence[Device], poll: Poll) -> Any:
+        """The packet that asks these devices what `poll` asks one of them; for drivers whose polls say `together`."""
         raise NotImplementedError(
             f"{type(self).__name__} asks several devices by {poll.together}, and does not say how"
         )
@@ -158,6 +167,11 @@ class Device(EndpointMember):
 
         A driver whose `stop_motion` is over only when the device has said so need not override it.
         """
+        return None
+
+    @property
+    def alone_s(self) -> float | None:
+        """Seconds for which it goes on without its host, which it watches; None: for ever, as far as is known."""
         return None
 
     def malformed(self, reason: str, instant: int) -> None:
@@ -350,10 +364,10 @@ class Device(EndpointMember):
         if isinstance(value, float) and not math.isfinite(value):
             raise CallerError(f"{of.name}: {value!r} is not a set-point; give a finite number")
         if low is not None and value < low:
-            self.tell_event("limited", f"{of.name}: {value:g} is below {low:g} {of.unit}")
+            self.emit_event("limited", f"{of.name}: {value:g} is below {low:g} {of.unit}")
             return low
         if high is not None and value > high:
-            self.tell_event("limited", f"{of.name}: {value:g} is above {high:g} {of.unit}")
+            self.emit_event("limited", f"{of.name}: {value:g} is above {high:g} {of.unit}")
             return high
         return value
 
@@ -368,20 +382,20 @@ class Device(EndpointMember):
     def rebooted(self, detail: str) -> None:
         """The device has lost its state."""
         self.forget()
-        self.tell_event("rebooted", detail)
+        self.emit_event("rebooted", detail)
 
     # ------------------------------------------------------------------ up
 
     def receive(self, record: Any, instant: int) -> None:
-        """A record of this device: answers what was asked, updates signals, is given to `heard`."""
-        self.last_heard = instant
+        """A record of this device: answers what was asked, updates signals, is given to `received`."""
+        self.last_received = instant
         name = type(record).__name__
         self.host.answered(self, name, record, instant)
         for read, target in self._updates.get(name, ()):
             value = read(record)
             if value is not None:
                 target.update(value, instant)
-        self.heard(record, instant)
+        self.received(record, instant)
 
     # ------------------------------------------------------------------ down
 
@@ -389,7 +403,7 @@ class Device(EndpointMember):
         """Have a field of a message sent with the next tick, in the sheet's unit; reported where it takes no set-points."""
         if not self.takes_set_points:
             given = f"{value:g}" if isinstance(value, float) else value
-            self.tell_event("not sent", f"{self.name} is not enabled: {message}.{path} = {given}")
+            self.emit_event("not sent", f"{self.name} is not enabled: {message}.{path} = {given}")
             return
         self._given.setdefault(message, {})[path] = value
         self._dirty.add(message)
@@ -496,11 +510,11 @@ class Device(EndpointMember):
         """
         return self._requested(message, reply, timeout_s, retries, fields)
 
-    def tell(self, message: str, **fields: Any) -> Ticket:
+    def send(self, message: str, **fields: Any) -> Ticket:
         """Send a message that is not answered. The ticket is over when it has left, and fails when it does not."""
         return self.ask(message, **fields)
 
-    def tell_now(
+    def send_now(
         self,
         message: str,
         *,
@@ -509,7 +523,7 @@ class Device(EndpointMember):
         retries: int = 0,
         **fields: Any,
     ) -> Ticket:
-        """Send a message as `tell`, before all others and instead of what still waits for this device: for stops.
+        """Send a message as `send`, before all others and instead of what still waits for this device: for stops.
 
         With `reply` it is over when that has come, and is sent again `retries` times as by `ask`. While the bus is lost it
         waits, and is the first to leave when the bus is back.
@@ -526,9 +540,9 @@ class Device(EndpointMember):
         urgent: bool = False,
     ) -> Ticket:
         names = frozenset((reply,) if isinstance(reply, str) else reply)
-        word, timeout_ns = self.host.word(self, message, fields), round(timeout_s * 1e9)
+        packet, timeout_ns = self.host.packet(self, message, fields), round(timeout_s * 1e9)
         return self.host.ask(
-            Ticket(self.clock, self, message, word, names, timeout_ns, retries, urgent=urgent)
+            Ticket(self.clock, self, message, packet, names, timeout_ns, retries, urgent=urgent)
         )
 
     def job(self, name: str, steps: Callable[[Job], Steps]) -> Job:
@@ -547,13 +561,13 @@ class Device(EndpointMember):
             if not name or job.name == f"{self.name} {name}":
                 job.cancel()
 
-    def tell_event(self, kind: Kind, detail: str = "") -> None:
+    def emit_event(self, kind: Kind, detail: str = "") -> None:
         """Report an event of this device."""
-        self.host.tell(kind, self.name, detail)
+        self.host.emit(kind, self.name, detail)
 
-    def tell_alarms(self, now: Collection[str], before: Collection[str], who: str = "") -> None:
+    def emit_alarms(self, now: Collection[str], before: Collection[str], who: str = "") -> None:
         """Tell errors when one is new, and when all are over."""
         if set(now) - set(before):
-            self.tell_event("alarm", f"{who}{', '.join(sorted(now))}")
+            self.emit_event("alarm", f"{who}{', '.join(sorted(now))}")
         elif before and not now:
-            self.tell_event("alarm over", f"{who}{', '.join(sorted(before))}")
+            self.emit_event("alarm over", f"{who}{', '.join(sorted(before))}")

@@ -19,15 +19,16 @@ Kind = Literal[
     "two devices",  # answers come twice again and again: two devices with one number
     "unknown device",  # a device that is not on this bus in the robot's file
     "malformed",  # a frame or packet that is none of the device's messages
+    "garbled",  # a packet of a serial line whose check does not hold, or that is not whole
     "rebooted",  # lost its state
     "alarm",  # the device reports a fault
     "alarm over",
     "limited",  # a set-point was beyond its limits, or further away than one tick leads
     "refused",  # set-points are not taken any more: again and again they were no numbers
     "following error",  # a joint is not where it was sent
-    "not sent",  # the bus does not take words, or words did not leave in time
+    "not sent",  # the bus does not take packets, or packets did not leave in time
     "not stopped",  # has not stopped yet
-    "overrun",  # a tick's words did not fit into the tick
+    "overrun",  # a tick's packets did not fit into the tick
     "bug",  # a driver's own code raised
     # of the bus, as gates and wires tell them
     "opened",
@@ -88,20 +89,20 @@ class EventLog:
         self.last: deque[DeviceEvent] = deque(maxlen=keep)
         self.counts: Counter[tuple[str, str]] = Counter()
         self.failures: deque[BaseException] = deque(maxlen=16)
-        self._told: dict[tuple[str, str, str], int] = {}
+        self._last: dict[tuple[str, str, str], int] = {}
 
-    def tell(self, event: DeviceEvent) -> None:
+    def emit(self, event: DeviceEvent) -> None:
         """Count; keep and hand on, but the same of one device at most once a second, unless it tells of a change."""
         self.counts[event.kind, event.device] += 1
         # Unknown devices have no name: their details tell them apart.
         who = event.device or event.detail if event.kind == "unknown device" else event.device
         key = (event.bus, event.kind, who)
-        last = self._told.get(key)
+        last = self._last.get(key)
         if last is not None and event.instant - last < REPEAT_NS and event.kind not in REPORTED_ALWAYS:
             return
-        if len(self._told) > MOST_KEYS:
-            self._told.clear()
-        self._told[key] = event.instant
+        if len(self._last) > MOST_KEYS:
+            self._last.clear()
+        self._last[key] = event.instant
         self.last.append(event)
         for handler in self.handlers:
             try:

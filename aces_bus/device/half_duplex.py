@@ -1,10 +1,10 @@
 """A half-duplex line: one speaks at a time, and the next one when it was answered or its time is up.
 
 1. A stop speaks next, whatever waits. What is asked leaves in its order; polls that are due speak when nothing waits.
-2. Set-points wait for a turn, not as words: they are made words when they have the line, so that none is older than the last
+2. Set-points wait for a turn as values: their packet is built when they have the line, so that none is older than the last
    tick, and none of a device that was stopped meanwhile is left.
 3. A poll whose answer would come after the budget's end waits for the next tick, unless it is the tick's first.
-4. One word may ask several devices at once: the line is free when all of them have answered.
+4. One packet may ask several devices at once: the line is free when all of them have answered.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class HalfDuplexLine:
         self._waiting: deque[Ticket | None] = deque()
         #: What has the line (None: it is free).
         self._speaking: Ticket | None = None
-        #: Those of a word that asks several who have not been answered yet, and those that such a word is made for now.
+        #: Those of a packet that asks several who have not been answered yet, and those that such a packet is made for now.
         self._together: list[Ticket] = []
         self._gathering: list[Ticket] | None = None
         #: Who was asked last.
@@ -59,7 +59,7 @@ class HalfDuplexLine:
         self._polls_end, self._has_polled = polls_end, False
 
     def put(self, ticket: Ticket) -> None:
-        """A word that is to be sent, behind what waits; `pump` then."""
+        """A packet that is to be sent, behind what waits; `pump` then."""
         self._waiting.append(ticket)
 
     def put_set_points(self) -> None:
@@ -109,11 +109,11 @@ class HalfDuplexLine:
                 self._speak(self._stops.popleft())
             elif self._set_points:
                 out = self._set_points.popleft()
-                word = host.word_of(
+                packet = host.packet_of(
                     out
                 )  # what does not fit is reported, and who hears of it may stop devices
-                if word is not None:
-                    self._speak(Ticket(host.clock, out.device, out.message, word, frozenset(), 0))
+                if packet is not None:
+                    self._speak(Ticket(host.clock, out.device, out.message, packet, frozenset(), 0))
             elif self._waiting:
                 ticket = self._waiting.popleft()
                 if ticket is not None:
@@ -134,7 +134,7 @@ class HalfDuplexLine:
                     host.counts.polls_carried += 1
                     return False  # its answer would come after the budget's end
                 slots.rotate(-1)
-                host.take_slot(slot, now)
+                host.polling.take(slot, now)
                 return True
             slots.rotate(-1)
         return False
@@ -156,10 +156,10 @@ class HalfDuplexLine:
         host.send(ticket, host.clock.now())
         if not ticket.reply:
             # Its time on the line is over, and it has left: a gate that is late must not send it behind what comes next.
-            host.clock.call_in(host.port.wire_ns(ticket.word), lambda: ticket.then(self.free))
+            host.clock.call_in(host.port.wire_ns(ticket.packet), lambda: ticket.then(self.free))
 
     def _speak_together(self, first: PollSlot, ticket: Ticket, now: int) -> None:
-        """Ask all that are due for the same in one word; each has a ticket of its own.
+        """Ask all that are due for the same in one packet; each has a ticket of its own.
 
         Who did not answer the last time is asked alone: those behind it in a common answer may have waited for it in vain.
         """
@@ -174,21 +174,21 @@ class HalfDuplexLine:
                     and other.fields == poll.fields
                     and slot.device.variant is variant
                 ):
-                    host.take_slot(slot, now)
+                    host.polling.take(slot, now)
         self._gathering = None
         if len(tickets) == 1:
             self._speak(ticket)
             return
         order = {name: number for number, name in enumerate(host.members)}
-        tickets.sort(key=lambda one: order[one.device.name])  # the same word each time
-        word = first.device.word_together([one.device for one in tickets], poll)
+        tickets.sort(key=lambda one: order[one.device.name])  # the same packet each time
+        packet = first.device.packet_together([one.device for one in tickets], poll)
         self._speaking, self._together = ticket, tickets[:]
         self.spoke_last = first.device
-        host.transmit(word, first.device, poll.together, ticket.timeout_ns)
+        host.transmit(packet, first.device, poll.together, ticket.timeout_ns)
         answers_ns = 2 * first.wire_ns * len(tickets)
         for one in tickets:
             one.tries += 1
-            host.await_answer(one, now, answers_ns)
+            host.unanswered.wait_for(one, now, answers_ns)
 
     def free(self, ticket: Ticket) -> None:
         """Who spoke has been answered, or will not be."""

@@ -11,7 +11,8 @@ from typing import Any, Generic, TypeVar
 from typing import Protocol as Interface
 
 from ..errors import DeviceError, UnknownNameError
-from ..runtime import Timer
+from ..protocol import Record
+from ..runtime import Clock, Timer
 from .config import Joint
 from .device import Device
 from .ticket import Awaited, Job, Steps
@@ -37,6 +38,22 @@ class JointChannel(Interface):
 
 
 A = TypeVar("A", bound=JointChannel)
+
+#: An answer that was on the bus so long before it was read (s) is late; longer ago than this, its clock is another.
+LATE_S, OTHER_CLOCK_S = 0.05, 60.0
+
+
+def age_on_bus(record: Any, clock: Clock) -> float | None:
+    """How long ago (s) a record was on its bus, by the adapter's time stamp; None where that is no time of this machine.
+
+    What was read just now may have waited in an adapter, a server or a socket before. SocketCAN's stamps, and those of
+    served buses, are seconds since 1970.
+    """
+    stamp = record.meta.time if isinstance(record, Record) else None
+    if stamp is None:
+        return None
+    age = (clock.now() + getattr(clock, "epoch_ns", 0)) / 1e9 - stamp
+    return float(age) if 0.0 <= age < OTHER_CLOCK_S else None
 
 
 class MotorDevice(Device, Generic[A]):
@@ -102,9 +119,13 @@ class MotorDevice(Device, Generic[A]):
         """Ask the device; the job fails when a joint is `still_on` by what it answers."""
 
         def steps(job: Job) -> Steps:
-            yield ask()
+            record = yield ask()
             on = still_on()
             if on:
-                raise DeviceError(f"its status says that {', '.join(on)} is still on")
+                age = age_on_bus(record, self.clock)
+                late = (
+                    f" ({age:.1f} s old: its answers come late)" if age is not None and age > LATE_S else ""
+                )
+                raise DeviceError(f"its status{late} says that {', '.join(on)} is still on")
 
         return self.job("look whether it is off", steps)

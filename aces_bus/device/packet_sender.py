@@ -40,7 +40,7 @@ class PacketSender:
         self._loop = Loop(f"{gate.name} packets").start()
         self._below = _StartedGate(gate, self._loop)
         self._port = CarriedPort(self._below, variants, is_ours)
-        self._loop.call(lambda: self._port.open(lambda word, instant: None))
+        self._loop.call(lambda: self._port.open(lambda packet, instant: None))
 
     def __enter__(self) -> Self:
         return self
@@ -61,7 +61,7 @@ class PacketSender:
         Raises what the gate raises; `NoReplyError` where the receiver gives no go-ahead in time, `DeviceError` where it
         cannot take the packet.
         """
-        word = tuple(one if isinstance(one, Frame) else message_to_frame(one) for one in frames)
+        packet = tuple(one if isinstance(one, Frame) else message_to_frame(one) for one in frames)
         over = threading.Event()
         fates: list[tuple[str, str]] = []
 
@@ -70,11 +70,11 @@ class PacketSender:
             over.set()
 
         self._below.refusal = None
-        taken = self._loop.call(partial(self._port.send, word, report=left))
+        taken = self._loop.call(partial(self._port.send, packet, report=left))
         if taken and not over.wait(timeout_s):
             why = f"it has not left after {timeout_s:g} s"
             self._loop.call(
-                partial(self._port.cancel, word, why)
+                partial(self._port.cancel, packet, why)
             )  # or it would go on; it may have left just now
         if self._below.refusal is not None:
             raise self._below.refusal
@@ -108,7 +108,7 @@ class _StartedGate:
 
     def send(
         self,
-        word: Any,
+        packet: Any,
         age_ns: int = 0,
         *,
         urgent: bool = False,
@@ -117,12 +117,12 @@ class _StartedGate:
     ) -> bool:
         """Queue a frame, behind all that were queued before; False, and why in `refusal`, where the gate refuses it."""
         try:
-            return bool(self.gate.send(word, priority=0, report=report))
+            return bool(self.gate.send(packet, priority=0, report=report))
         except AcesError as error:
             self.refusal = error
             return False
 
-    def wire_ns(self, word: Any) -> int:
+    def wire_ns(self, packet: Any) -> int:
         """Not asked for: nothing is budgeted here."""
         return 0
 

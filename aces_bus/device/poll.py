@@ -15,7 +15,7 @@ from .ticket import Ticket
 
 @dataclass(slots=True)
 class HostCounts:
-    """What went over a host's bus, in words; latencies in ns.
+    """What went over a host's bus; latencies in ns.
 
     `ticks_missed` were left out, because the one before was not over. `polls_carried` is how often a poll had to wait for
     another tick, `repeated` how often something was asked again, `answered_late` counts answers that came more than a tick
@@ -53,20 +53,20 @@ class PollSlot:
         "due",
         "every_ns",
         "note",
+        "packet",
         "poll",
         "priority",
         "replies",
         "timeout_ns",
         "waiting",
         "wire_ns",
-        "word",
     )
 
-    def __init__(self, device: Device, poll: Poll, word: Any, wire_ns: int) -> None:
-        #: How long its word occupies the bus.
+    def __init__(self, device: Device, poll: Poll, packet: Any, wire_ns: int) -> None:
+        #: How long its packet occupies the bus.
         self.wire_ns = wire_ns
         self.device = device
-        self.reword(word, None)
+        self.ask_with(packet, None)
         self.priority = priority_of(device.config)
         #: It asks everybody: when several devices want it in one tick, it is sent once.
         self.common = not tags_of(device, device.variant[poll.message])
@@ -78,9 +78,9 @@ class PollSlot:
         #: What it costs on the wire, with its answer; learnt.
         self.cost_ns = 2 * wire_ns
 
-    def reword(self, word: Any, note: Callable[[], None] | None) -> None:
-        """Ask with this word; `note` is called when it has left (None: the scanner is given the word)."""
-        self.word, self.note = word, note
+    def ask_with(self, packet: Any, note: Callable[[], None] | None) -> None:
+        """Ask with this packet; `note` is called when it has left (None: the scanner is given the packet)."""
+        self.packet, self.note = packet, note
 
     def retime(self, poll: Poll) -> None:
         """Have this poll's period."""

@@ -12,7 +12,9 @@ Left = Callable[[str, str], Any]
 
 
 class Port(Protocol):
-    """One bus. Words are frames (CAN) or bytes; `aces_bus.hardware.port_of` makes one of any wire or gate."""
+    """One bus; `aces_bus.hardware.port_of` makes one of any wire or gate.
+
+    A packet is a frame (CAN; several that a transport cut it into are a tuple) or bytes."""
 
     @property
     def link(self) -> Literal["can", "serial", "datagram"]:
@@ -35,7 +37,7 @@ class Port(Protocol):
         ...
 
     def open(self, received: Callable[[Any, int], Any]) -> None:
-        """Start receiving: `received(word, instant)`."""
+        """Start receiving: `received(packet, instant)`."""
         ...
 
     def on_event(self, handler: Callable[[str, str], Any]) -> None:
@@ -44,14 +46,14 @@ class Port(Protocol):
 
     def send(
         self,
-        word: Any,
+        packet: Any,
         age_ns: int = 0,
         *,
         urgent: bool = False,
         topic: object = None,
         report: Left | None = None,
     ) -> bool:
-        """Send a word; False when the bus does not take it.
+        """Send a packet; False when the bus does not take it.
 
         One that has not left after `age_ns` does not leave (0: the bus's own limit). `urgent`: a stop, which goes before
         all others, instead of those that wait with the same `topic`, and waits for a bus that is lost. `report(fate, why)`
@@ -59,8 +61,8 @@ class Port(Protocol):
         """
         ...
 
-    def wire_ns(self, word: Any) -> int:
-        """How long a word occupies the bus (ns)."""
+    def wire_ns(self, packet: Any, /) -> int:
+        """How long a packet occupies the bus (ns)."""
         ...
 
     def close(self) -> None:

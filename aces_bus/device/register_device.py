@@ -132,7 +132,7 @@ class RegisterDevice(Device):
         self.known: dict[str, tuple[int, int]] = {}
         self._watches: dict[str, list[_Watch]] = {}
         self._spans: dict[Any, RegisterSpan] = {}
-        #: What was asked of several last, and the word for it.
+        #: What was asked of several last, and the packet for it.
         self._asked: tuple[Any, ...] = ()
         self._asking: Any = None
         #: The register that each signal is read from.
@@ -158,17 +158,17 @@ class RegisterDevice(Device):
         """A poll that reads the registers from `first` to `last`; options are those of `Poll`."""
         span, fields = self._span(first, last or first)
         message = self._read_message
-        self._spans[self.host.word(self, message, fields)] = span
+        self._spans[self.host.packet(self, message, fields)] = span
         own: dict[str, Any] = {"timeout_s": self.timeout_s, "together": self.together_read}
         return Poll(message, self.reply, fields, **{**own, **options})
 
-    def word_together(self, devices: Sequence[Device], poll: Poll) -> Any:
+    def packet_together(self, devices: Sequence[Device], poll: Poll) -> Any:
         """One packet that asks all of them for a stretch; each answers for itself."""
         ids = [device.credentials["id"] for device in devices]
         asked = (poll.together, *poll.fields.values(), *ids)
         if asked != self._asked:
             fields = {**self.together_fields, **poll.fields, "ids": ids}
-            self._asked, self._asking = asked, self.host.word(self, poll.together, fields)
+            self._asked, self._asking = asked, self.host.packet(self, poll.together, fields)
         return self._asking
 
     def register_signal(
@@ -263,7 +263,7 @@ class RegisterDevice(Device):
 
         def steps(job: Job) -> Steps:
             message, fields = self._write_message, {"start": codec.address, "data": codec.pack(number)}
-            ticket = self._ask(message, None, **fields) if self.acknowledges else self.tell(message, **fields)
+            ticket = self._ask(message, None, **fields) if self.acknowledges else self.send(message, **fields)
             yield from self._seen_written(codec, number, ticket)
 
         return self.job(f"write {name}", steps)
@@ -274,7 +274,7 @@ class RegisterDevice(Device):
         That it arrived is seen as with `write`; raises and fails like that.
         """
         codec = self.codec(name)
-        ticket = self.tell_now(
+        ticket = self.send_now(
             self._write_message,
             reply=self.reply if self.acknowledges else (),
             timeout_s=self.timeout_s,
@@ -291,7 +291,7 @@ class RegisterDevice(Device):
         if self.acknowledges:
             self._raise_refusal(record, doing)
         else:
-            yield self.host.port.wire_ns(ticket.word)
+            yield self.host.port.wire_ns(ticket.packet)
             if self.answers:
                 found = yield self.read(codec.name, raw=True)
                 if found != number:
@@ -322,7 +322,7 @@ class RegisterDevice(Device):
             signal.update(to_si(number), self.clock.now())
 
     def cached(self, name: str, *, raw: bool = False) -> Any:
-        """The last value heard of a register, however old; None when it never was."""
+        """The last value received of a register, however old; None when it never was."""
         codec = self.codec(name)
         found = self.known.get(name)
         return None if found is None else found[0] if raw else codec.value(found[0])
@@ -345,12 +345,12 @@ class RegisterDevice(Device):
             return
         ticket = self.awaiting[0] if self.awaiting else None
         if ticket is not None:
-            span = self._spans.get(ticket.word)
+            span = self._spans.get(ticket.packet)
             data = getattr(record, self.payload)
             if len(data) != (0 if span is None else span.count):
                 if data or not self.refusal(record):
-                    self.last_heard = instant
-                    self.tell_event("late reply", f"{len(data)} bytes, which nothing asks for now")
+                    self.last_received = instant
+                    self.emit_event("late reply", f"{len(data)} bytes, which nothing asks for now")
                     return
             elif span is not None:
                 self._take(span, data, instant)
@@ -387,7 +387,7 @@ class RegisterDevice(Device):
             self._fresh[name] = None
             self.host.wake()
         else:
-            self.tell_event("limited", f"{name} was set to {wanted} and stays {number}")
+            self.emit_event("limited", f"{name} was set to {wanted} and stays {number}")
 
     def forget(self) -> None:
         """Nothing that was known is true any more, save what survives power-off."""
@@ -444,16 +444,16 @@ class RegisterDevice(Device):
     # ------------------------------------------------------------------ inside
 
     def _ask(self, message: str, span: RegisterSpan | None, **fields: Any) -> Ticket:
-        """A request; what it is answered with is remembered by its word."""
+        """A request; what it is answered with is remembered by its packet."""
         if span is not None:
-            self._spans[self.host.word(self, message, fields)] = span
+            self._spans[self.host.packet(self, message, fields)] = span
         return self.ask(message, reply=self.reply, timeout_s=self.timeout_s, retries=self.retries, **fields)
 
-    def _told(self, message: str, **fields: Any) -> Steps:
+    def _unanswered(self, message: str, **fields: Any) -> Steps:
         """Steps that send what is not answered, and let it arrive."""
-        ticket = self.tell(message, **fields)
+        ticket = self.send(message, **fields)
         yield ticket
-        yield self.host.port.wire_ns(ticket.word)
+        yield self.host.port.wire_ns(ticket.packet)
 
     def _span(self, first: str, last: str) -> tuple[RegisterSpan, dict[str, int]]:
         one, other = self.codec(first), self.codec(last)
@@ -472,13 +472,13 @@ class RegisterDevice(Device):
             raise DeviceError(f"{self.name}: {doing}: refused: {why}")
 
     def renumbered(self) -> None:
-        """Its credentials are others now: what its requests read is known by other words."""
+        """Its credentials are others now: what its requests read is known by other packets."""
         self._spans.clear()
         for poll in self.polls:
             if poll.message == self._read_message:
                 start, count = poll.fields["start"], poll.fields["count"]
-                word = self.host.word(self, poll.message, poll.fields)
-                self._spans[word] = RegisterSpan(start, count, self.codecs.values())
+                packet = self.host.packet(self, poll.message, poll.fields)
+                self._spans[packet] = RegisterSpan(start, count, self.codecs.values())
 
 
 def together_rule(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:

@@ -154,7 +154,7 @@ class SingleMotor(MotorDevice[SingleAxis]):
     def _give(self, name: str, value: Any) -> None:
         if not self.is_on:
             known = "is off" if self.is_on is False else "has not said yet whether it is on"
-            self.tell_event("not sent", f"{self.owner} {known}: the set-point is dropped")
+            self.emit_event("not sent", f"{self.owner} {known}: the set-point is dropped")
             return
         message, _, field = self.modes[self.mode][name].partition(".")
         self.want(message, field, self.raw_of(name, value))
@@ -179,7 +179,7 @@ class SingleMotor(MotorDevice[SingleAxis]):
 
     @abstractmethod
     def switch_off(self) -> Awaited:
-        """Tell it now (`tell_now`) to switch off."""
+        """Tell it now (`send_now`) to switch off."""
 
     @abstractmethod
     def ask_state(self) -> Awaited:
@@ -189,11 +189,11 @@ class SingleMotor(MotorDevice[SingleAxis]):
         """It has said whether it is on, and what is wrong."""
         was_on, self.is_on = self.is_on, is_on
         before, self.faults = self.faults, frozenset(faults)
-        self.tell_alarms(self.faults, before, f"{self.owner}: ")
+        self.emit_alarms(self.faults, before, f"{self.owner}: ")
         if was_on and not is_on:
             self.end_set_points()
             if self._is_wanted and not self.faults:
-                self.tell_event("alarm", f"{self.owner} has switched itself off")
+                self.emit_event("alarm", f"{self.owner} has switched itself off")
 
     # ------------------------------------------------------------------ switching
 

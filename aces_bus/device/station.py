@@ -2,7 +2,7 @@
 
 1. Each record goes to those whose credentials it carries, by one look-up; a broadcast goes to all; one that addresses no
    member is reported.
-2. No I/O and no time of its own: a port brings words and instants.
+2. No I/O and no time of its own: a port brings packets and instants.
 
 A record is about a device when its credential fields have the device's values: `board` of Hubo's identifiers, `id` of a
 Dynamixel packet. A device may have several (a sensor board's commands carry `board`, its data `sensor`); any that a
@@ -16,8 +16,8 @@ from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 from ..compiling import mypyc_attr
 from ..errors import CallerError
-from ..protocol import StreamScanner, Variant, make_scanner
-from ..protocol import Unknown as UnknownWord
+from ..protocol import CanScanner, StreamScanner, Variant, make_scanner
+from ..protocol import Unknown as UnknownRecord
 from ..protocol.declare.message import Message
 from ..protocol.keys import EXTENDED
 from ..protocol.record import protocol_name_of
@@ -62,7 +62,7 @@ class EndpointMember:
         """A record that is about it."""
         raise NotImplementedError
 
-    def overheard(self, record: Any, instant: int) -> bool:
+    def received_by_others(self, record: Any, instant: int) -> bool:
         """A record that is about nobody here; whether that was to be expected, as a heartbeat of the host."""
         return False
 
@@ -126,6 +126,8 @@ class BusEndpoint(Generic[M]):
         )
         self._is_can = port.link == "can"
         self._is_open = False
+        #: When bytes were last received (ns).
+        self.bytes_at = 0
         #: Where packets may end by silence: how long that is (ns), and when it is over.
         self._silence_ns = 0
         self._silence: Timer | None = None
@@ -202,7 +204,7 @@ class BusEndpoint(Generic[M]):
             return found
         return [m for m in found if agrees(m.credentials, record)]
 
-    # ------------------------------------------------------------------ words
+    # ------------------------------------------------------------------ packets
 
     def watch(self, passed: Passed) -> None:
         """Have `passed` called with all that this side receives and sends, on the clock's thread, from its opening on.
@@ -254,22 +256,30 @@ class BusEndpoint(Generic[M]):
 
     def _receiver(self) -> Callable[[Any, int], None]:
         """What is called with each frame of a CAN bus: as `_received` and `deliver`, with what it touches in local names."""
-        feed, routes, deliver = self._feed, self._routes, self.deliver
+        scanner, feed, routes, deliver = self.scanner, self._feed, self._routes, self.deliver
+        take: Callable[[Any], Any] = lambda frame: None  # noqa: E731
+        if isinstance(scanner, CanScanner) and feed is scanner.feed:
+            take = scanner.take
 
         def received(frame: Any, instant: int) -> None:
-            for record in feed((frame,)):
-                route = routes.get(record.__class__)
-                if route is not None and route[0] is not None:
-                    found = route[1].get(getattr(record, route[0]))
-                    if found is not None and len(found) == 1:  # nearly always
-                        found[0].receive(record, instant)
-                        continue
-                deliver(record, instant)
+            record = take(frame)
+            if record is None:
+                for one in feed((frame,)):
+                    deliver(one, instant)
+                return
+            route = routes.get(record.__class__)
+            if route is not None and route[0] is not None:
+                found = route[1].get(getattr(record, route[0]))
+                if found is not None and len(found) == 1:  # nearly always
+                    found[0].receive(record, instant)
+                    return
+            deliver(record, instant)
 
         return received
 
     def _received(self, data: bytes, instant: int) -> None:
         """Some bytes of the port."""
+        self.bytes_at = instant
         for record in self._feed(data):
             self.deliver(record, instant)
         if self._silence_ns:
@@ -285,31 +295,32 @@ class BusEndpoint(Generic[M]):
 
     def fell_silent(self) -> None:
         """A stream is silent: what is incomplete never will be."""
-        if not self._is_can:
-            now = self.clock.now()
-            for record in self.scanner.idle(now / 1e9):
-                self.deliver(record, now)
+        now = self.clock.now()
+        for record in self.scanner.idle():
+            self.deliver(record, now)
 
     def deliver(self, record: Any, instant: int) -> None:
         """Give a record to whom it is about."""
-        if record.__class__ is UnknownWord:
+        if record.__class__ is UnknownRecord:
             self._not_understood(record, instant)
             return
         members = self.meant_by(record)
         if not members:
-            if not sum(member.overheard(record, instant) for member in self.members.values()):  # each of them
+            if not sum(
+                member.received_by_others(record, instant) for member in self.members.values()
+            ):  # each of them
                 self._unaddressed(record, instant)
             return
         for member in members:
             member.receive(record, instant)
 
-    def _not_understood(self, word: UnknownWord, instant: int) -> None:
+    def _not_understood(self, unknown: UnknownRecord, instant: int) -> None:
         """A frame or packet that is no known message."""
 
     def _unaddressed(self, record: Any, instant: int) -> None:
         """A record of a device that is not here."""
 
-    def word(self, member: M, message: str, fields: Mapping[str, Any]) -> Any:
+    def packet(self, member: M, message: str, fields: Mapping[str, Any]) -> Any:
         """The frame or packet of a member's message: its credentials are added.
 
         Raises `UnknownNameError` and `FieldError` as encoders do.

@@ -1,7 +1,7 @@
 """Stopping devices: at once, again and again until they have stopped, and by name those that have not.
 
 1. Every device is sent its stop before anything is waited for; one driver's fault does not delay the others.
-2. A stop counts when its words have left; where the device can be asked whether it has stopped, when it has said so.
+2. A stop counts when its packets have left; where the device can be asked whether it has stopped, when it has said so.
 3. It has an end: who has not stopped within `STOP_NS` is named, with the reason.
 """
 
@@ -26,7 +26,8 @@ def stop_devices(clock: EventClock, name: str, devices: Iterable[Device]) -> Job
 
     Devices that have never answered are sent their stop, and not asked whether they have stopped.
     """
-    jobs = {device.name: _Stop(device).begin() for device in devices}
+    part_of = {device.name: device for device in devices}
+    jobs = {device.name: _Stop(device).begin() for device in part_of.values()}
 
     def steps(job: Job) -> Steps:
         failed: dict[str, str] = {}
@@ -34,7 +35,7 @@ def stop_devices(clock: EventClock, name: str, devices: Iterable[Device]) -> Job
             try:
                 yield part
             except AcesError as error:
-                failed[who] = str(error)
+                failed[who] = f"{_outage(part_of[who])}{error}{_last_received(part_of[who])}"
             job.progress = (number + 1) / len(jobs)
         if failed:
             raise NotStoppedError(failed)
@@ -66,6 +67,17 @@ def wait_stopped(stopping: Job, timeout_s: float = PATIENCE_S) -> None:
         raise failed
 
 
+def _outage(device: Device) -> str:
+    """That its bus is gone, where it is."""
+    return f"bus {device.host.name} is {device.host.outage}: " if device.host.outage else ""
+
+
+def _last_received(device: Device) -> str:
+    """When a device was last heard, where that is long ago."""
+    age = None if device.last_received is None else device.clock.now() - device.last_received
+    return f"; it was last heard {age / 1e9:.1f} s ago" if age is not None and age > PAUSE_NS * 5 else ""
+
+
 class _Stop:
     """The stop of one device."""
 
@@ -75,30 +87,30 @@ class _Stop:
     def begin(self) -> Job:
         """The first attempt at once, the rest as a job."""
         end = self.clock.now() + STOP_NS
-        told = self._tell()
-        return Job(self.clock, f"{self.device.name} stop", lambda job: self._steps(told, end))
+        ticket = self._send()
+        return Job(self.clock, f"{self.device.name} stop", lambda job: self._steps(ticket, end))
 
-    def _tell(self) -> Any:
+    def _send(self) -> Any:
         try:
             return self.device.stop_motion()
         except Exception as error:  # a driver's code: the other devices are stopped all the same
             return error
 
-    def _steps(self, told: Any, end: int) -> Steps:
+    def _steps(self, ticket: Any, end: int) -> Steps:
         device = self.device
         while True:
             try:
-                yield from self._over(told, "it has not stopped yet")
-                if device.last_heard is not None:
+                yield from self._over(ticket, "it has not stopped yet")
+                if device.last_received is not None:
                     yield from self._over(device.confirm_stopped(), "it does not say whether it has stopped")
                 device.is_driven = False
                 return
             except AcesError as error:
                 if self.clock.now() + PAUSE_NS >= end:
                     raise
-                device.tell_event("not stopped", f"{error}; once more")
+                device.emit_event("not stopped", f"{error}; once more")
             yield PAUSE_NS
-            told = self._tell()
+            ticket = self._send()
 
     def _over(self, awaited: Any, otherwise: str) -> Steps:
         """Until it is over, for at most `ATTEMPT_NS`; raises its error."""

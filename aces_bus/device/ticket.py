@@ -48,15 +48,15 @@ class Awaited:
         if self.state == "waiting":
             self.state, self.result = "done", result
             if self._followers is not None:
-                self._tell()
+                self._notify()
 
     def fail(self, error: AcesError) -> None:
         """It has failed."""
         if self.state == "waiting":
             self.state, self.error = "failed", error
-            self._tell()
+            self._notify()
 
-    def _tell(self) -> None:
+    def _notify(self) -> None:
         followers, self._followers = self._followers, None
         for follower in followers or ():
             follower(self)
@@ -73,8 +73,8 @@ class Awaited:
 class Ticket(Awaited):
     """One request of a device. `result` is the record that answered, None when no answer is expected.
 
-    One without an answer is over when its word has left, and fails when it does not. `urgent`: a stop (`Device.tell_now`).
-    `word` is what went out; `sent_at` and `answered_at` are instants (ns); `tries` counts how often it went out.
+    One without an answer is over when its packet has left, and fails when it does not. `urgent`: a stop (`Device.send_now`).
+    `packet` is what went out; `sent_at` and `answered_at` are instants (ns); `tries` counts how often it went out.
     """
 
     __slots__ = (
@@ -82,6 +82,7 @@ class Ticket(Awaited):
         "deadline",
         "device",
         "message",
+        "packet",
         "poll",
         "reply",
         "retries",
@@ -89,7 +90,6 @@ class Ticket(Awaited):
         "timeout_ns",
         "tries",
         "urgent",
-        "word",
     )
 
     def __init__(
@@ -97,7 +97,7 @@ class Ticket(Awaited):
         clock: EventClock,
         device: Any,
         message: str,
-        word: Any,
+        packet: Any,
         reply: frozenset[str],
         timeout_ns: int,
         retries: int = 0,
@@ -105,7 +105,7 @@ class Ticket(Awaited):
         urgent: bool = False,
     ) -> None:
         self.clock, self.state, self.result, self.error, self._followers = clock, "waiting", None, None, None
-        self.device, self.message, self.word = device, message, word
+        self.device, self.message, self.packet = device, message, packet
         self.reply, self.timeout_ns, self.retries, self.poll = reply, timeout_ns, retries, poll
         self.urgent = urgent
         self.tries = 0

@@ -125,7 +125,7 @@ class Twin(EndpointMember):
         #: The faults that are on, with their amounts.
         self.active_faults: dict[str, float] = {}
         self.is_powered = True
-        #: How many requests were heard and how many answers were sent.
+        #: How many requests were received and how many answers were sent.
         self.requests = self.replies = 0
         for message in self._hearing:
             if message not in variant.protocol.messages:
@@ -141,7 +141,7 @@ class Twin(EndpointMember):
     def setup(self) -> None:
         """Make the state of a device that was just powered."""
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """A request that no method is for."""
 
     def not_understood(self, data: bytes, reason: str) -> None:
@@ -163,7 +163,7 @@ class Twin(EndpointMember):
         if handler is not None:
             handler(record)
         else:
-            self.heard(record, instant)
+            self.received(record, instant)
 
     def reply(self, message: str, *, delay_ns: int | None = None, **fields: Any) -> None:
         """Send a message of the device, by default `reply_delay_ns` from now; credentials are added."""
@@ -172,8 +172,8 @@ class Twin(EndpointMember):
         delay = self.reply_delay_ns if delay_ns is None else delay_ns
         faults = self.active_faults
         if not faults:
-            word = self.twins.word(self, message, fields)
-            self._transmit(word, delay)
+            packet = self.twins.packet(self, message, fields)
+            self._transmit(packet, delay)
             return
         if "silent" in faults:
             return
@@ -181,48 +181,48 @@ class Twin(EndpointMember):
             self.replies += 1
             return
         if "wrong_number" in faults:
-            word = self._misnumbered(message, fields, int(faults["wrong_number"]))
+            packet = self._misnumbered(message, fields, int(faults["wrong_number"]))
         else:
-            word = self.twins.word(self, message, fields)
+            packet = self.twins.packet(self, message, fields)
         if "wrong_check" in faults:
-            word = with_data(word, lambda data: data[:-1] + bytes((data[-1] ^ 0x55,)) if data else data)
+            packet = with_data(packet, lambda data: data[:-1] + bytes((data[-1] ^ 0x55,)) if data else data)
         if "short" in faults:
-            word = _shorter(word)
+            packet = _shorter(packet)
         if "late" in faults:
             delay += round(faults["late"] * 1e9)
-        self._transmit(word, delay)
+        self._transmit(packet, delay)
         if "twice" in faults:
-            self._transmit(word, delay + 500_000)
+            self._transmit(packet, delay + 500_000)
 
-    def _transmit(self, word: Any, delay: int) -> None:
+    def _transmit(self, packet: Any, delay: int) -> None:
         self.replies += 1
         if delay:
-            self.clock.post(self.clock.now() + delay, partial(self.twins.send, word))
+            self.clock.post(self.clock.now() + delay, partial(self.twins.send, packet))
         else:
-            self.twins.send(word)
+            self.twins.send(packet)
 
-    def send_raw(self, word: Any) -> None:
+    def send_raw(self, packet: Any) -> None:
         """Send any frame or bytes, as a faulty device does."""
-        self.twins.send(word)
+        self.twins.send(packet)
 
     def _misnumbered(self, message: str, fields: dict[str, Any], number: int) -> Any:
         """An answer with the number said, else with the next one that this robot knows, else with the one before."""
         known = set(self.variant[message].fields)
         mine = {k: v for k, v in self.credentials.items() if k in known}
         if number >= 0:
-            return self.twins.word(self, message, {**dict.fromkeys(mine, number), **fields})
+            return self.twins.packet(self, message, {**dict.fromkeys(mine, number), **fields})
         for step in (1, -1):
             try:
-                return self.twins.word(self, message, {**{k: v + step for k, v in mine.items()}, **fields})
+                return self.twins.packet(self, message, {**{k: v + step for k, v in mine.items()}, **fields})
             except FieldError:
                 pass
-        word = self.twins.word(self, message, fields)
+        packet = self.twins.packet(self, message, fields)
         if self.variant.link != "can":
-            return word
+            return packet
         # A number that the spec does not know: its identifier is as near as any.
-        if isinstance(word, tuple):
-            return tuple(msgspec.structs.replace(f, arbitration_id=f.arbitration_id ^ 1) for f in word)
-        return msgspec.structs.replace(word, arbitration_id=word.arbitration_id ^ 1)
+        if isinstance(packet, tuple):
+            return tuple(msgspec.structs.replace(f, arbitration_id=f.arbitration_id ^ 1) for f in packet)
+        return msgspec.structs.replace(packet, arbitration_id=packet.arbitration_id ^ 1)
 
     def every(self, period_s: float, action: Callable[[], None]) -> None:
         """Do something again and again, from one period from now on, until the device is switched off.
@@ -286,21 +286,21 @@ class Twins(BusEndpoint[Twin]):
 
     def __init__(self, port: Port, variants: Sequence[Variant]) -> None:
         super().__init__(port, variants, direction="to device")
-        #: Words the bus did not take.
+        #: Packets the bus did not take.
         self.not_sent = 0
         #: Requests that were not understood, or addressed to no twin here.
         self.unknown = self.others = 0
         #: Twins that get what is not understood; what was received last, and its end's place in the stream.
         self._ears: list[Twin] = []
         self._tail = b""
-        self._heard = 0
+        self._taken = 0
         if port.link == "serial" and isinstance(self.scanner, StreamScanner):
             # As receivers do: a pause inside a packet ends it, or what follows would be taken for its rest.
             self._silence_ns = round(self.scanner.gap * 1e9)
 
-    def send(self, word: Any) -> None:
-        """Put a word on the bus."""
-        if not self._is_open or not self.port.send(word):
+    def send(self, packet: Any) -> None:
+        """Put a packet on the bus."""
+        if not self._is_open or not self.port.send(packet):
             self.not_sent += 1
 
     def close(self) -> None:
@@ -318,39 +318,39 @@ class Twins(BusEndpoint[Twin]):
     def _received(self, data: bytes, instant: int) -> None:
         if self._ears:
             self._tail = (self._tail + data)[-TAIL:]
-            self._heard += len(data)
+            self._taken += len(data)
         super()._received(data, instant)
 
-    def _not_understood(self, word: Any, instant: int) -> None:
+    def _not_understood(self, unknown: Any, instant: int) -> None:
         self.unknown += 1
-        offset = word.meta.offset
-        if self._ears and offset is not None and word.reason != "skipped":
-            at = offset - self._heard + len(self._tail)
+        offset = unknown.meta.offset
+        if self._ears and offset is not None and unknown.reason != "skipped":
+            at = offset - self._taken + len(self._tail)
             data = self._tail[at:] if at >= 0 else b""
             for twin in self._ears:
-                twin.not_understood(data, word.reason)
+                twin.not_understood(data, unknown.reason)
 
     def _unaddressed(self, record: Any, instant: int) -> None:
         self.others += 1
 
 
-def _shorter(word: Any) -> Any:
+def _shorter(packet: Any) -> Any:
     """A frame or packet that is a byte short; a CAN FD frame of more than 8 has the next length that there is.
 
     Of a transport's frames the last one has a byte: how many of its bytes are only filling is not known here.
     """
-    if isinstance(word, tuple):
-        return with_data(word, lambda data: data[:1])
-    if isinstance(word, (bytes, bytearray)):
-        return word[:-1]
-    size = max((n for n in FD_LENGTHS if n < len(word.data)), default=0)
-    return with_data(word, lambda data: data[:size])
+    if isinstance(packet, tuple):
+        return with_data(packet, lambda data: data[:1])
+    if isinstance(packet, (bytes, bytearray)):
+        return packet[:-1]
+    size = max((n for n in FD_LENGTHS if n < len(packet.data)), default=0)
+    return with_data(packet, lambda data: data[:size])
 
 
-def with_data(word: Any, change: Callable[[bytes], bytes]) -> Any:
+def with_data(packet: Any, change: Callable[[bytes], bytes]) -> Any:
     """A frame or packet with other data bytes; of the frames of a transport, the last one."""
-    if isinstance(word, tuple):
-        return (*word[:-1], with_data(word[-1], change))
-    if isinstance(word, (bytes, bytearray)):
-        return change(bytes(word))
-    return msgspec.structs.replace(word, data=change(word.data))
+    if isinstance(packet, tuple):
+        return (*packet[:-1], with_data(packet[-1], change))
+    if isinstance(packet, (bytes, bytearray)):
+        return change(bytes(packet))
+    return msgspec.structs.replace(packet, data=change(packet.data))

@@ -42,9 +42,9 @@ class WatchedPort:
         """Start receiving."""
         passed = self._passed
 
-        def both(word: Any, instant: int) -> None:
-            passed(word, instant, False)
-            received(word, instant)
+        def both(packet: Any, instant: int) -> None:
+            passed(packet, instant, False)
+            received(packet, instant)
 
         self.port.open(both)
 
@@ -54,7 +54,7 @@ class WatchedPort:
 
     def send(
         self,
-        word: Any,
+        packet: Any,
         age_ns: int = 0,
         *,
         urgent: bool = False,
@@ -62,14 +62,14 @@ class WatchedPort:
         report: Left | None = None,
     ) -> bool:
         """As of the port below."""
-        is_taken = self.port.send(word, age_ns, urgent=urgent, topic=topic, report=report)
+        is_taken = self.port.send(packet, age_ns, urgent=urgent, topic=topic, report=report)
         if is_taken:
-            self._passed(word, self.port.clock.now(), True)
+            self._passed(packet, self.port.clock.now(), True)
         return is_taken
 
-    def wire_ns(self, word: Any) -> int:
+    def wire_ns(self, packet: Any) -> int:
         """As of the port below."""
-        return self.port.wire_ns(word)
+        return self.port.wire_ns(packet)
 
     def close(self) -> None:
         """Stop receiving."""

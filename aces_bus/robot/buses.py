@@ -117,7 +117,7 @@ def open_gates(
 
 
 def port_for(gate: CanGate | SerialGate | DatagramGate, bus: Bus, loop: Loop) -> Any:
-    """The port of a bus's gate, which knows what words cost."""
+    """The port of a bus's gate, which knows what packets cost."""
     more: dict[str, Any] = {}
     if isinstance(gate, CanGate):
         more["bitrate"] = bus.bitrate

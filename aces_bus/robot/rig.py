@@ -166,7 +166,7 @@ class Rig:
         except DeviceError as error:
             if kind is None:
                 raise
-            self.events.tell(DeviceEvent("not stopped", self.clock.now(), "", "", str(error)))
+            self.events.emit(DeviceEvent("not stopped", self.clock.now(), "", "", str(error)))
         finally:
             self.close()
 

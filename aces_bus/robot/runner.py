@@ -1,29 +1,22 @@
 """Controllers on a robot: states up, set-points down, errors by the shortcut, one clean end.
 
 1. What runs is the same in every world (real buses, virtual time, a replay): only the clock and the tasks differ.
-2. Whatever happens, the end is: motion stops, controllers end, buses close, logs close; each once, in this order.
-3. A controller's thread computes and nothing else. Guards, reactions and stops are on the thread of the buses, where nothing
-   waits for a controller: what a fault stops is stopped when the fault is received, whatever the controller's rate.
-4. Each controller has a guard and a supervisor: limits of the robot's file, a dead-man, reactions to events. When a guard
-   trips, the devices that its controller drives are stopped as declared, or held where they are with live set-points.
-5. A stop that was not confirmed is owed: it is repeated when the bus or the device is back. No wait here is without an end.
+2. A controller's thread computes and nothing else. Guards, reactions and stops are on the thread of the buses.
+3. Each controller has a guard and a supervisor: limits of the robot's file, a dead-man, reactions to events.
+4. No wait here is without an end.
 
 Controllers are stepped with the instants that their cycles were due: they and their guards see even steps, however late
-a thread woke up. Set-points that come after the end, or after a trip, go nowhere.
+a thread woke up. Set-points that come after the end, or after a trip, go nowhere. What faults lead to is in
+`run_faults`, how a run ends in `run_end`.
 """
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent.futures import Future
-from dataclasses import dataclass, field
-from functools import partial
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal
 
 from ..controller import (
     IGNORE,
-    ControlEvent,
     ControllerLike,
     Guard,
     Reaction,
@@ -31,85 +24,28 @@ from ..controller import (
     bounds_of,
     parse_reactions,
 )
-from ..controller.events import EventLike, Listeners, raised_text
-from ..controller.guard import Action, Bounds, Trip
-from ..device import Device, DeviceEvent, Job, stop_devices, wait_stopped
-from ..errors import AcesError, CallerError, DeviceError, NotStoppedError, UnknownNameError
-from ..runtime import Loop, Task, Tasks, ThreadTasks, VirtualClock, VirtualTasks
+from ..controller.events import EventLike, Listeners
+from ..controller.guard import Action, Bounds
+from ..device import Device
+from ..errors import AcesError, CallerError, NotStoppedError, UnknownNameError
+from ..runtime import Task, Tasks, ThreadTasks, VirtualClock
 from .checks import KINDS_OF_FAULTS
-from .rig import Rig, States
-
-T = TypeVar("T")
+from .rig import Rig
+from .run_base import RunLogger
+from .run_end import Ended, RunEnd
+from .run_faults import OF_LOGS
 
 #: Priorities of components by default: buses above control above logging.
 CONTROL, LOGGING = 40, 5
 #: A controller that gives nothing for so many of its periods, and so many seconds, is taken for dead.
 DEAD_PERIODS, DEAD_S = 5, 0.1
-#: Events after which a stop that was not confirmed is sent again.
-BACK = frozenset({"reopened", "recovered", "error-active", "answers", "rebooted"})
 #: Seconds in which every polled device must have answered before controllers begin.
 RECEIVE_S = 5.0
-#: Seconds that any one part of an end may take.
-PATIENCE_S = 2.0
-#: How often the buses' thread looks whether controllers still come back (ns), and a run in virtual time at its end.
-WATCH_NS, STEP_NS = 20_000_000, 1_000_000
-#: Events of logs.
-OF_LOGS = ("log-failed", "log-dropped")
-#: A repeated failure is reported this often at most (ns).
-REPEAT_NS = 1_000_000_000
+#: How often a run in virtual time looks at its end (ns).
+STEP_NS = 1_000_000
 
 
-class RunLogger(Protocol):
-    """What a runner asks of a logger."""
-
-    @property
-    def name(self) -> str:
-        """What it is called."""
-        ...
-
-    @property
-    def rate_hz(self) -> float:
-        """How often it samples."""
-        ...
-
-    @property
-    def states(self) -> Sequence[str]:
-        """The names of the states that it records."""
-        ...
-
-    def bind(self, states: Mapping[str, Any]) -> None:
-        """Take them."""
-        ...
-
-    def start(self, now: int) -> None:
-        """Begin."""
-        ...
-
-    def step(self, now: int) -> None:
-        """Sample once; must not block."""
-        ...
-
-    def stop(self, now: int) -> None:
-        """End: all is on disk."""
-        ...
-
-
-@dataclass
-class Ended:
-    """How a run ended: `reason` "" for its time being up; `tripped` controllers with why; `failed` what went wrong at the
-    end itself, and of that `not_stopped` the devices that may still move, with why. `held`: those left as they were, on
-    request.
-    """
-
-    reason: str
-    tripped: dict[str, str]
-    seconds: float
-    failed: list[str] = field(default_factory=list[str])
-    not_stopped: dict[str, str] = field(default_factory=dict[str, str])
-    held: list[str] = field(default_factory=list[str])
-
-
-class Runner:
+class Runner(RunEnd):
     """Runs controllers and loggers on a rig. Made by `run_virtual`, `run_real`, `run_replay`, or by hand.
 
     `tasks`: threads or events. `reactions` add to the robot file's, and these to the supervisor's; those that name functions
@@ -137,53 +73,10 @@ class Runner:
         history: int = 512,
         states: Mapping[str, Mapping[str, Any]] | None = None,
     ) -> None:
-        self.rig, self.clock = rig, rig.clock
-        self.drives, self.hold_s, self.at_end = drives, hold_s, at_end
-        self.states = States(rig, history=history, declared=states)
-        self.loggers = list(loggers)
-        if tasks is None:
-            tasks = ThreadTasks(self.clock) if isinstance(self.clock, Loop) else VirtualTasks(self.clock)
-        self.tasks = tasks
-        tasks.failed = self._failed
-        #: What happened, newest last.
-        self.events: deque[Any] = deque(maxlen=1024)
-        self.handlers: list[Callable[[Any], None]] = []
-        self.set_points = 0
-        #: The last set-points, by state.
-        self.given: dict[str, float] = {}
-        self.supervisors: list[Supervisor] = []
-        #: Controller → why what it drives was switched off.
-        self._stopped: dict[str, str] = {}
-        #: Controller → the trip that was last acted upon.
-        self._obeyed: dict[str, Trip] = {}
-        #: Controller → the instant at which it began a step that is not over yet.
-        self._inside: dict[str, int] = {}
-        #: Controller → the begin of the step that it was last taken for dead in.
-        self._dead_since: dict[str, int] = {}
-        self._told: dict[str, int] = {}
-        #: Devices whose stop was not confirmed, by name.
-        self._owed: dict[str, Device] = {}
-        self._is_attending = False
-        self._stopping: Job | None = None
-        self._setters: dict[str, Callable[[float], None]] = {}
-        self._failed_at_end: list[str] = []
-        self._not_stopped: dict[str, str] = {}
-        self._held: list[str] = []
-        #: Why controllers were stopped, before an end that holds.
-        self._tripped: dict[str, str] | None = None
-        #: What is left of the end.
-        self._to_end: deque[tuple[str, Callable[[], Any]]] = deque()
-        self._is_bound = False
-        self._logging: list[RunLogger] = []
-        self._seconds = 0.0
-        #: What is done before the buses are opened and after they are closed: loops, twins.
-        self.before: list[Callable[[], Any]] = []
-        self.after: list[Callable[[], Any]] = []
-        #: The virtual robot or replay behind it; None on real buses.
-        self.world: Any = None
-        self._phase: Literal["new", "ready", "running", "over"] = "new"
-        self._began = 0
-        self._reason = ""
+        super().__init__(
+            rig, loggers, tasks, hold_s=hold_s, at_end=at_end, drives=drives, history=history, states=states
+        )
+        self.tasks.failed = self._failed
         names = [*(one.name for one in controllers), *(one.name for one in loggers)]
         double = {name for name in names if names.count(name) > 1}
         if double:
@@ -204,7 +97,7 @@ class Runner:
         for logger in self.loggers:
             listeners = getattr(logger, "listeners", None)
             if isinstance(listeners, Listeners):
-                listeners.add(self._tell_all)
+                listeners.add(self._emit_all)
             self._add_task(logger, logger.step, LOGGING)
         rig.on_event(self._happened)
 
@@ -307,186 +200,6 @@ class Runner:
             self._obey(supervisor)
             self._give(given)
 
-    def _give(self, given: Mapping[str, float]) -> None:
-        """Hand set-points down."""
-        if not given:
-            return
-        self.set_points += len(given)
-        self.given.update(given)
-        if not self.drives:
-            return
-        setters = self._setters
-        for name, value in given.items():
-            give = setters.get(name)
-            if give is None:
-                give = setters[name] = self.rig.door.writer(self.states.whole(name))
-            give(value)
-
-    # ------------------------------------------------------------------ errors
-
-    def _happened(self, event: DeviceEvent) -> None:
-        """The shortcut: what happened below reaches every supervisor at once, and is acted upon next."""
-        self._note(event)
-        if self._phase == "running":
-            self._handle(event)
-            if self._owed and event.kind in BACK:
-                self.clock.call_soon(lambda: self._repay(event.source))
-
-    def _handle(self, event: EventLike) -> None:
-        for supervisor in self.supervisors:
-            supervisor.handle(event)
-        if not self._is_attending:
-            self._is_attending = True
-            self.clock.call_soon(self._attend_all)
-
-    def _attend_all(self) -> None:
-        self._is_attending = False
-        now = self.clock.now()
-        for supervisor in self.supervisors:
-            self._attend(supervisor, now)
-
-    def _attend(self, supervisor: Supervisor, now: int) -> None:
-        if self._phase == "running" and supervisor.has_events:
-            given = supervisor.attend(now)
-            self._obey(supervisor)
-            self._give(given)
-
-    def _failed(self, task: Task, error: BaseException) -> None:
-        """A component raised: a logger, as controllers have supervisors for that."""
-        is_log = any(logger.name == task.name for logger in self.loggers)
-        self._raised(task.name, OF_LOGS[0] if is_log else "raised", error)
-
-    def bus_failed(self, error: BaseException) -> None:
-        """Something raised on the buses' thread."""
-        self._raised("buses", "bug", error)
-
-    def _raised(self, source: str, kind: str, error: BaseException) -> None:
-        now = self.clock.now()
-        if now - self._told.get(source, -REPEAT_NS) >= REPEAT_NS:
-            self._told[source] = now
-            self._tell_all(ControlEvent(kind, now, source, raised_text(error)))
-
-    def _tell_all(self, event: ControlEvent) -> None:
-        """What components tell reaches every supervisor, too."""
-        self._note(event)
-        self._handle(event)
-
-    def _note(self, event: Any) -> None:
-        self.events.append(event)
-        for handler in self.handlers:
-            try:
-                handler(event)
-            except Exception as error:  # a user's code: the other handlers are called all the same
-                self.rig.events.failures.append(error)
-
-    def _fault(self, source: str, error: BaseException | str) -> None:
-        """Something of the end went wrong; the end goes on."""
-        said = error if isinstance(error, str) else raised_text(error)
-        self._failed_at_end.append(f"{source}: {said}")
-        self._note(ControlEvent("failed", self.clock.now(), source, said))
-
-    def _obey(self, supervisor: Supervisor) -> None:
-        """A guard has stopped motion: what its controller drives is held or switched off, as declared."""
-        trip = supervisor.guard.tripped
-        if trip is None or not trip.latched or self._obeyed.get(supervisor.name) is trip:
-            return
-        self._obeyed[supervisor.name] = trip
-        if trip.action == "hold":
-            if self.hold_s is not None:
-                self.clock.call_in(round(self.hold_s * 1e9), lambda: self._let_go(supervisor, trip))
-            self._hold(supervisor, trip)
-            return
-        self._stopped[supervisor.name] = trip.reason
-        if self.drives:
-            self._stop(supervisor.name, self.driven(supervisor))
-
-    def _hold(self, supervisor: Supervisor, trip: Trip) -> None:
-        """Set-points that stay where they are, at the controller's rate, whether it still runs or not."""
-
-        def again() -> None:
-            if self._phase == "running" and supervisor.guard.tripped is trip:
-                self._give(supervisor.guard.tick(self.clock.now()))
-                self.clock.call_in(period, again)
-
-        period = round(1e9 / supervisor.rate_hz)
-        self.clock.call_in(period, again)
-
-    def _let_go(self, supervisor: Supervisor, trip: Trip) -> None:
-        """It has been held for as long as was said."""
-        if self._phase == "running" and supervisor.guard.tripped is trip:
-            supervisor.guard.trip(f"{trip.reason}; held for {self.hold_s:g} s", "disable")
-            supervisor.guard.tick(self.clock.now())
-            self._obey(supervisor)
-
-    @property
-    def held(self) -> dict[str, str]:
-        """Controllers whose joints are held where they are, with why."""
-        return {
-            s.name: s.guard.tripped.reason
-            for s in self.supervisors
-            if s.guard.tripped is not None and s.guard.tripped.action == "hold"
-        }
-
-    def release(self, controller: str) -> None:
-        """Let a controller's set-points through again after a trip; what was switched off has to be enabled before.
-
-        Raises `UnknownNameError`.
-        """
-        found = {supervisor.name: supervisor for supervisor in self.supervisors}
-        if controller not in found:
-            raise UnknownNameError("controller", controller, found)
-
-        def let_through() -> None:
-            self._stopped.pop(controller, None)
-            found[controller].release()
-
-        self.clock.call(let_through)
-
-    def _stop(self, name: str, devices: Collection[Device]) -> None:
-        def over(stopping: Job) -> None:
-            failed = stopping.error.devices if isinstance(stopping.error, NotStoppedError) else {}
-            for device in devices:
-                if device.name in failed:
-                    self._owed[device.name] = device
-                else:
-                    self._owed.pop(device.name, None)
-            if stopping.error is not None:
-                self._note(ControlEvent("failed", self.clock.now(), name, str(stopping.error)))
-
-        stop_devices(self.clock, name, devices).then(over)
-
-    def _repay(self, source: str) -> None:
-        """The bus or device `source` is back: who owes a stop there is stopped again."""
-        owed = [device for device in self._owed.values() if source in (device.name, device.host.name)]
-        if owed and self._phase == "running":
-            self._stop(source, owed)
-
-    def _watch(self) -> None:
-        """On the buses' thread: a controller that does not come back from a step cannot say so itself."""
-        if self._phase != "running":
-            return
-        self.clock.call_in(WATCH_NS, self._watch)
-        now = self.clock.now()
-        for supervisor in self.supervisors:
-            name = supervisor.name
-            began = self._inside.get(name, now)
-            if supervisor.is_overdue(now, began) and self._dead_since.get(name) != began:
-                self._dead_since[name] = began
-                given = supervisor.tell_dead(
-                    now, f"its step has not come back for {(now - began) / 1e9:.3f} s"
-                )
-                self._obey(supervisor)
-                self._give(given)
-
-    def driven(self, supervisor: Supervisor) -> list[Device]:
-        """The devices that a controller gives set-points to; all of them where it does not say."""
-        names = {
-            self.rig.device(self.states.whole(name).partition(".")[0]).name
-            for name in supervisor.writes
-            if name in self.states
-        }
-        return [d for d in self.rig.devices.values() if not names or d.name in names]
-
     # ------------------------------------------------------------------ running
 
     def __enter__(self) -> Runner:
@@ -512,7 +225,7 @@ class Runner:
             if any(host.rate_hz for host in self.rig.hosts.values()):
                 polled = [device for device in self.rig.devices.values() if device.polls]
                 self.clock.wait(
-                    lambda: all(device.last_heard is not None for device in polled), round(RECEIVE_S * 1e9)
+                    lambda: all(device.last_received is not None for device in polled), round(RECEIVE_S * 1e9)
                 )
         except BaseException:
             self.stop("it could not be opened")
@@ -532,7 +245,7 @@ class Runner:
     @property
     def missing(self) -> list[str]:
         """The polled devices that were never heard."""
-        return [d.name for d in self.rig.devices.values() if d.polls and d.last_heard is None]
+        return [d.name for d in self.rig.devices.values() if d.polls and d.last_received is None]
 
     def do(
         self, action: str, timeout_s: float = 60.0, *, devices: Collection[Device | str] | None = None
@@ -592,11 +305,6 @@ class Runner:
                 self.states.whole(error.name)
                 raise
 
-    @property
-    def seconds(self) -> float:
-        """How long it has been running."""
-        return (self.clock.now() - self._began) / 1e9 if self._phase == "running" else 0.0
-
     def run(self, seconds: float | None = None, until: Callable[[], bool] | None = None) -> Ended:
         """Start, let it run until its time is up, `until()` holds or every controller has been stopped, and stop.
 
@@ -632,128 +340,11 @@ class Runner:
                 return
             clock.advance_to(min(end, clock.now() + STEP_NS))
 
-    def stop(self, reason: str = "") -> Ended:
-        """Stop motion, controllers, buses, logs; in this order, whatever fails on the way.
-
-        Called again after it was interrupted, it goes on where it was.
-        """
-        if self._phase != "over":
-            self._seconds, self._reason = self.seconds, reason or self._reason
-            was, self._phase = self._phase, "over"
-            now = self.clock.now()
-            drove = was != "new" and self.drives
-            if drove:
-                if was != "running":  # nothing is left on that has not run
-                    self.at_end = "disable"
-                self._to_end.append(("stop", partial(self._in_time, self._begin_stop)))
-            if was == "running":
-                self._to_end.append(("tasks", self.tasks.stop))
-                self._to_end += [(one.name, partial(one.stop, now)) for one in self.supervisors]
-            if drove:
-                self._to_end.append(("stop", self._await_stopped))
-            self._to_end.append(("buses", lambda: self._in_time(self.rig.close)))
-            self._to_end += [("end", end) for end in self.after]
-            self._to_end += [(one.name, partial(self._close_log, one)) for one in self._logging]
-        interrupted: BaseException | None = None
-        while self._to_end:
-            source, action = self._to_end[0]
-            try:
-                action()
-            except Exception as error:  # whatever it is, the rest is done
-                self._fault(source, error)
-            except BaseException as error:  # Ctrl-C: the rest is done, and then it is raised
-                interrupted = error
-            self._to_end.popleft()
-        if interrupted is not None:
-            raise interrupted
-        return self.ended(reason)
-
-    def _close_log(self, logger: RunLogger) -> None:
-        logger.stop(self.clock.now())
-
-    def _begin_stop(self) -> None:
-        """On the buses' thread: all is stopped, or where it is to be left held, what was not switched off stays."""
-        devices = list(self.rig.devices.values())
-        if self.at_end == "hold":
-            self._tripped = self._reasons
-            for supervisor in self.supervisors:  # to a stand
-                supervisor.guard.trip("the run is over", "hold")
-                self._give(supervisor.guard.tick(self.clock.now()))
-            off = [s for s in self.supervisors if s.name in self._stopped]
-            devices = list({d.name: d for s in off for d in self.driven(s)}.values())
-            self._held = [d.name for d in self.rig.devices.values() if d.is_driven and d not in devices]
-        self._stopping = stop_devices(self.clock, self.rig.robot.name, devices)
-
-    def _await_stopped(self) -> None:
-        if self._stopping is None:  # interrupted, or it failed, which has been said
-            self._not_stopped = dict.fromkeys(self.rig.devices, "its stop could not begin")
-            self._in_time(self._begin_stop)
-            self._not_stopped = {}
-        assert self._stopping is not None
-        self._confirm(self._stopping)
-        done = {*self._not_stopped, *self._held}
-        late = [d for d in self.rig.devices.values() if d.is_driven and d.name not in done]
-        if late:  # something enabled them after the stop had begun
-            self._confirm(self._in_time(partial(stop_devices, self.clock, self.rig.robot.name, late)))
-
-    def _confirm(self, stopping: Job) -> None:
-        """Wait for a stop; who has not stopped is noted, with why."""
-        try:
-            wait_stopped(stopping)
-        except DeviceError as error:
-            if not isinstance(stopping.error, NotStoppedError):
-                self._fault("stop", str(error))
-                self._not_stopped.update(dict.fromkeys(self.rig.devices, str(error)))
-        finally:
-            if isinstance(stopping.error, NotStoppedError):
-                self._not_stopped.update(stopping.error.devices)
-                for name, why in stopping.error.devices.items():
-                    self._fault(name, why)
-
-    def _in_time(self, action: Callable[[], T]) -> T:
-        """Do it on the buses' thread, which may hang or be gone: then, after a while, here."""
-        clock = self.clock
-        if not isinstance(clock, Loop):
-            return action()
-        done: Future[T] = Future()
-
-        def run() -> None:
-            if done.set_running_or_notify_cancel():
-                try:
-                    done.set_result(action())
-                except BaseException as error:  # it is raised where it was asked for
-                    done.set_exception(error)
-
-        clock.call_soon(run)
-        try:
-            return done.result(PATIENCE_S)
-        except TimeoutError:
-            if done.cancel():
-                return action()
-            raise
-
-    def ended(self, reason: str = "") -> Ended:
-        """How it ended."""
-        return Ended(
-            reason or self._reason,
-            self._reasons if self._tripped is None else self._tripped,
-            self._seconds,
-            list(self._failed_at_end),
-            dict(self._not_stopped),
-            list(self._held),
-        )
-
-    @property
-    def _reasons(self) -> dict[str, str]:
-        return {**self._stopped, **{s.name: s.reason for s in self.supervisors if s.reason}}
-
-    @property
-    def stopped(self) -> dict[str, str]:
-        """Controllers that were stopped, with why; those that are `held` are not among them."""
-        return dict(self._stopped)
-
     @property
     def used(self) -> list[str]:
         """The states that controllers read or write, as they call them."""
         names = [name for s in self.supervisors for name in (*s.writes, *s.states)]
         return list(dict.fromkeys(names))
+
+
+__all__ = ["Ended", "RunLogger", "Runner"]

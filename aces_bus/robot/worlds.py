@@ -132,7 +132,7 @@ class ReplayPort:
 
     def send(
         self,
-        word: Any,
+        packet: Any,
         age_ns: int = 0,
         *,
         urgent: bool = False,
@@ -145,7 +145,7 @@ class ReplayPort:
             report("sent", "")
         return True
 
-    def wire_ns(self, word: Any) -> int:
+    def wire_ns(self, packet: Any) -> int:
         """Nothing."""
         return 0
 
@@ -153,12 +153,12 @@ class ReplayPort:
         """Hear no more."""
         self._received = None
 
-    def heard(self, word: Any) -> None:
-        """A word of the recording."""
+    def give(self, packet: Any) -> None:
+        """A packet of the recording."""
         if self.note is not None:
-            self.note(word)
+            self.note(packet)
         if self._received is not None:
-            self._received(word, self.clock.now())
+            self._received(packet, self.clock.now())
 
 
 class Replay:
@@ -225,7 +225,7 @@ class Replay:
             if port is None:
                 self.others += 1
             else:
-                port.heard(frame)
+                port.give(frame)
             self._next()
 
         self.clock.post(due, happen)

@@ -40,7 +40,7 @@ class Derived(TimeSeries):
             (one.stale_after_s for one in inputs if one.stale_after_s is not None), default=None
         )
         self._listeners: list[Listener] = []
-        self._told, self._told_epoch = _NEVER, 0
+        self._emitted, self._emitted_epoch = _NEVER, 0
         self._lock = threading.RLock()  # a listener may set an input
         #: Samples that listeners did not get, as an input's history had gone by then.
         self.skipped = 0
@@ -142,8 +142,8 @@ class Derived(TimeSeries):
         """Call `listener(value, instant)` with each new sample (rule 3)."""
         if not self._listeners:
             newest = self.instant
-            self._told = _NEVER if newest is None else newest
-            self._told_epoch = self.epoch
+            self._emitted = _NEVER if newest is None else newest
+            self._emitted_epoch = self.epoch
             for one in self._sources:
                 one.subscribe(self._advanced)
         self._listeners.append(listener)
@@ -153,16 +153,16 @@ class Derived(TimeSeries):
             newest = self.instant
             if newest is None:
                 return
-            if newest <= self._told:
-                if self.epoch == self._told_epoch:
+            if newest <= self._emitted:
+                if self.epoch == self._emitted_epoch:
                     return
-                self._told = _NEVER
-            self._told_epoch = self.epoch
-            since, self._told = self._told, newest
+                self._emitted = _NEVER
+            self._emitted_epoch = self.epoch
+            since, self._emitted = self._emitted, newest
             for instant in self.samples_between(since + 1, newest):
-                self._tell(instant)
+                self._emit(instant)
 
-    def _tell(self, instant: int) -> None:
+    def _emit(self, instant: int) -> None:
         try:
             value = self.at(instant)
         except StateError:

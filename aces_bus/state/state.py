@@ -113,7 +113,7 @@ class State(TimeSeries):
         self._uneven = self._restarts = self._failed = 0
         self._target: State | None = None
         self._source: SignalSource | None = None
-        self._is_told = False
+        self._is_known = False
 
         self._observe: Observe | None = None
         self._estimate: Estimate | None = None
@@ -144,15 +144,15 @@ class State(TimeSeries):
         given: list[Listener] | None = getattr(source, "given", None)
         if given is not None:  # it says what was really handed down
             given.append(self._was_given)
-            self._is_told = True
+            self._is_known = True
 
     def disconnect(self) -> None:
         """Follow nothing any more; what is known stays."""
         if self._source is not None:
             self._source.listeners.remove(self.push)
-            if self._is_told:
+            if self._is_known:
                 getattr(self._source, "given").remove(self._was_given)  # noqa: B009
-                self._is_told = False
+                self._is_known = False
             self._source = None
 
     # ---- samples come in ------------------------------------------------------------------------------------------
@@ -247,7 +247,7 @@ class State(TimeSeries):
         """Give a set-point, in `unit`. Raises `StateError` when it is read-only or the value is not a finite number."""
         if not self.is_writable:
             raise StateError(f"state {self.name!r} is read-only")
-        if self._is_told and self.setter is not None:
+        if self._is_known and self.setter is not None:
             self.setter(value)
             return
         try:

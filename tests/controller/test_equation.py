@@ -136,6 +136,7 @@ def test_names_are_checked_too() -> None:
         made("X[0] = 1", parameters={"a": 1}, memory={"a": 1})
 
 
+@pytest.mark.slow
 @given(st.text(max_size=60))
 def test_no_text_does_anything_but_compile_or_complain(text: str) -> None:
     """Whatever the text, it is equations or an EquationError."""

@@ -40,7 +40,7 @@ class Walk(Controller):
         super().__init__("walk", rate_hz=100, states=["A"])
         self.fault: Exception | None = None
         self.deaf: Exception | None = None
-        self.heard: list[str] = []
+        self.received: list[str] = []
         self.n = 0
 
     def step(self, now_ns: int) -> Mapping[str, float]:
@@ -52,7 +52,7 @@ class Walk(Controller):
     def handle(self, event: EventLike) -> None:
         if self.deaf is not None:
             raise self.deaf
-        self.heard.append(event.kind)
+        self.received.append(event.kind)
 
 
 def supervised(reactions: Mapping[str, Any] | None = None) -> tuple[Supervisor, Walk]:
@@ -81,7 +81,7 @@ def test_what_is_not_declared_stops_motion_at_the_next_step(kind: str) -> None:
     supervisor, walk = supervised()
     supervisor.step(0)
     supervisor.handle(event(kind, "can1", "why"))
-    assert walk.heard == [kind]
+    assert walk.received == [kind]
     assert supervisor.step(10 * MS) == {"A": 0.01}
     assert supervisor.step(20 * MS) == {"A": 0.01}
     assert supervisor.reason == f"can1: {kind}: why"
@@ -194,7 +194,7 @@ def test_events_come_from_other_threads() -> None:
         thread.join()
     supervisor.handle(event("bus-off"))
     supervisor.step(300 * MS)
-    assert supervisor.counts["tick"] == len(walk.heard) - 1 == 800
+    assert supervisor.counts["tick"] == len(walk.received) - 1 == 800
     assert supervisor.reason == "can0: bus-off"
 
 

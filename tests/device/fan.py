@@ -42,7 +42,7 @@ class Fan(Device):
 
     def off(self) -> Ticket:
         self.drop("Set")
-        return self.tell("Set", left=0, right=0)
+        return self.send("Set", left=0, right=0)
 
     stop_motion = off
 

@@ -24,7 +24,7 @@ def car() -> VirtualRobot:
 def say(robot: VirtualRobot, frame: Frame) -> None:
     """Another node sends a frame."""
     port = robot.ports("other")["line"]
-    port.open(lambda word, instant: None)
+    port.open(lambda packet, instant: None)
     port.send(frame)
 
 
@@ -56,7 +56,7 @@ def test_without_flow_control_it_fails_and_says_so() -> None:
     with car() as robot:
         robot.twins["A"].power(False)
         recorder = ListeningNode(robot.wires["line"])
-        ticket = robot.devices["A"].tell("Write", what=2, data=bytes(40))
+        ticket = robot.devices["A"].send("Write", what=2, data=bytes(40))
         robot.advance(2.0)
         assert "no go-ahead in time" in str(ticket.error)
         firsts = [f for f in recorder.frames() if f.data[:1] == b"\x10"]
@@ -78,7 +78,7 @@ def test_flow_control_is_obeyed(control: str, sent: int) -> None:
     with car() as robot:
         robot.twins["A"].power(False)
         recorder = ListeningNode(robot.wires["line"])
-        robot.devices["A"].tell("Write", what=2, data=bytes(38))
+        robot.devices["A"].send("Write", what=2, data=bytes(38))
         robot.advance(0.01)
         say(robot, Frame(0x7E9, bytes.fromhex(control)))
         robot.advance(0.025)
@@ -178,7 +178,7 @@ def test_a_go_ahead_of_another_unit_is_none() -> None:
     with behind_one_identifier() as robot:
         robot.twins["A"].power(False)
         robot.twins["B"].power(False)
-        ticket = robot.devices["A"].tell("Write", data=bytes(40))
+        ticket = robot.devices["A"].send("Write", data=bytes(40))
         robot.advance(0.1)
         recorder = ListeningNode(robot.wires["line"])
         say(robot, Frame(0x618, bytes.fromhex("F1 30 00 00")))

@@ -39,7 +39,7 @@ class Eager(Fan):
     """Moves when the bus is opened."""
 
     def start(self) -> None:
-        self.tell("Set", left=100, right=100)
+        self.send("Set", left=100, right=100)
 
 
 class Spinning(FanTwin):
@@ -86,7 +86,7 @@ class Fragile(FanTwin):
 @pytest.mark.parametrize(
     ("check", "broken"),
     [
-        ("heard", replace(FAN, device=Deaf)),
+        ("received", replace(FAN, device=Deaf)),
         ("silence", replace(FAN, device=Careless)),
         ("silence", replace(FAN, twin=Fragile)),
         ("misbehaviour", replace(FAN, device=Careless)),

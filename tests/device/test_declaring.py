@@ -44,9 +44,9 @@ def test_a_handler_does_not_replace_a_method() -> None:
 
 
 def test_an_action_does_not_replace_a_method() -> None:
-    """The same of a device's actions: `tell` is how it sends, not something that it does."""
-    with pytest.raises(TypeError, match=r"Wrong.tell is an action, and would replace Device.tell"):
-        type("Wrong", (Device,), {"actions": {"tell": "say it"}, "tell": lambda self: None})
+    """The same of a device's actions: `send` is how it sends, not something that it does."""
+    with pytest.raises(TypeError, match=r"Wrong.send is an action, and would replace Device.send"):
+        type("Wrong", (Device,), {"actions": {"send": "say it"}, "send": lambda self: None})
     with pytest.raises(TypeError, match=r"Wrong.name: every instance has an attribute 'name'"):
         type("Wrong", (Device,), {"name": lambda self: None})
 
@@ -110,7 +110,7 @@ def test_a_value_is_stale_after_five_polls(every_s: float | None, stale_s: float
 
 
 def test_what_a_set_point_waits_for() -> None:
-    """A word of two set-points waits for both, and the device says for which."""
+    """A frame of two set-points waits for both, and the device says for which."""
     with made(FAN) as robot:
         device = robot.devices["A"]
         assert device.waited_for() == []
@@ -153,7 +153,7 @@ def yes_and_no() -> Driver:
     return with_class(provides=(), setup=setup)
 
 
-@pytest.mark.parametrize("check", ["heard", "set", "limits"])
+@pytest.mark.parametrize("check", ["received", "set", "limits"])
 def test_yes_and_no_and_whole_numbers_are_tested(check: str) -> None:
     """The conformance kit sets no to yes, and whole numbers to whole numbers."""
     run_check(check, yes_and_no())

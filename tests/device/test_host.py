@@ -58,9 +58,9 @@ def test_a_writer_writes_what_the_encoder_does() -> None:
         write = encoder.writer(message, {"node": 1})
         for left in (0, 100, 300):
             fields = {"left": left, "right": 7}
-            assert write(fields) == encoder.word(message, {"node": 1, **fields})
+            assert write(fields) == encoder.packet(message, {"node": 1, **fields})
         errors: list[str] = []
-        for encode in (write, lambda fields: encoder.word(message, {"node": 1, **fields})):
+        for encode in (write, lambda fields: encoder.packet(message, {"node": 1, **fields})):
             with pytest.raises(FieldError) as raised:
                 encode({"left": 1e9, "right": 0})
             errors.append(str(raised.value))
@@ -95,6 +95,21 @@ def test_the_budget_carries_polls_over_in_turn() -> None:
         asked = [twin.requests for twin in robot.twins.values()]
         assert max(asked) - min(asked) <= 1
         assert counts.polls - sum(asked) in (0, 1)  # the last may be on its way
+
+
+def test_ticks_are_left_out_after_the_first_one_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first tick waits until all buses are open, which is no overrun; a later one that is late by whole ticks is."""
+    robot = made()
+    host, now, late = host_of(robot), robot.clock.now, [0]
+    monkeypatch.setattr(robot.clock, "now", lambda: now() + late[0])
+    robot.open()
+    late[0] = 55_000_000
+    robot.advance(0.001)
+    assert (host.counts.ticks, host.counts.ticks_missed) == (1, 0)
+    late[0] = 100_000_000
+    robot.advance(0.1)
+    assert host.counts.ticks_missed == 10
+    assert robot.events.count("overrun") == 1
 
 
 def test_a_poll_without_an_answer_is_sent_again_in_the_next_tick() -> None:
@@ -260,16 +275,16 @@ def test_a_stop_is_before_what_is_asked_again() -> None:
         sent: list[tuple[str, str]] = []
         transmit = host.transmit
 
-        def recorded(word: Any, device: Any, message: str, *rest: Any, **more: Any) -> bool:
+        def recorded(packet: Any, device: Any, message: str, *rest: Any, **more: Any) -> bool:
             sent.append((device.name, message))
-            return transmit(word, device, message, *rest, **more)
+            return transmit(packet, device, message, *rest, **more)
 
         host.transmit = recorded  # type: ignore[method-assign]
         asked = fan.ask("Ask", reply="State", retries=2)
         waiting = fan.ask("Ask", reply="State", retries=0)
         waiting.then(lambda _: other.ask("Ask", reply="State", retries=0))
         robot.advance(0.01)
-        stopped = fan.tell_now("Set", left=0, right=0)
+        stopped = fan.send_now("Set", left=0, right=0)
         robot.advance(0.5)
         assert sent == [("A", "Ask"), ("A", "Set"), ("B", "Ask")]
         assert stopped.state == "done"
@@ -277,12 +292,12 @@ def test_a_stop_is_before_what_is_asked_again() -> None:
         sent.clear()
         asked = fan.ask("Ask", reply="State", retries=1)
         robot.advance(0.01)
-        other.tell_now("Set", left=0, right=0)
+        other.send_now("Set", left=0, right=0)
         robot.advance(0.5)
         assert sent == [("A", "Ask"), ("B", "Set"), ("A", "Ask")]
 
 
-def test_strangers_and_foreign_words_are_named() -> None:
+def test_unknown_devices_and_packets_are_named() -> None:
     """A device that is not in the robot, and a frame of the wrong length, are told with what they were."""
     with made() as robot:
         other = robot.wires["line"].attach("other")

@@ -7,11 +7,13 @@ from typing import Any, ClassVar
 import pytest
 
 from aces_bus.device import Driver, Job, Steps, Ticket, stop_devices, wait_stopped
+from aces_bus.device.motor import MotorDevice, age_on_bus
+from aces_bus.device.ticket import Awaited
 from aces_bus.errors import DeviceError, NotStoppedError
 from aces_bus.frames import Frame
 from aces_bus.hardware import ListeningNode
 from aces_bus.robot import Rig, VirtualRobot, connect
-from tests.device.fan import ROBOT, Fan, FanTwin, robot_of
+from tests.device.fan import ROBOT, Fan, FanTwin, fan, robot_of
 
 SET = 0x111
 
@@ -23,7 +25,7 @@ class Asked(Fan):
 
     def off(self) -> Ticket:
         self.drop("Set")
-        return self.tell_now("Set", left=0, right=0)
+        return self.send_now("Set", left=0, right=0)
 
     stop_motion = off
 
@@ -52,7 +54,7 @@ def robot() -> Any:
         yield made
 
 
-def words(recorder: ListeningNode, identifier: int) -> list[str]:
+def data_of(recorder: ListeningNode, identifier: int) -> list[str]:
     return [frame.data.hex() for frame in recorder.frames() if frame.arbitration_id == identifier]
 
 
@@ -66,7 +68,9 @@ def test_a_stop_leaves_at_once(robot: VirtualRobot) -> None:
     began = robot.clock.now()
     job = stop(robot)
     wait_stopped(job)
-    first = [(now - began, frame.arbitration_id) for now, frame in recorder.heard if frame.data == bytes(4)]
+    first = [
+        (now - began, frame.arbitration_id) for now, frame in recorder.received if frame.data == bytes(4)
+    ]
     assert [identifier for _, identifier in first[:2]] == [SET, SET + 1]
     assert first[1][0] < 1_000_000
     assert (robot.twins["A"].left, robot.twins["B"].left) == (0, 0)
@@ -80,18 +84,18 @@ def test_a_stop_is_repeated_until_the_device_says_so(
     missed = [2]
     send = robot.rig.hosts["line"].port.send
 
-    def lossy(word: Frame, *how: Any, **more: Any) -> bool:
-        if word.arbitration_id == SET and not any(word.data) and missed[0]:
+    def lossy(frame: Frame, *how: Any, **more: Any) -> bool:
+        if frame.arbitration_id == SET and not any(frame.data) and missed[0]:
             missed[0] -= 1
             more["report"]("sent", "")  # it left, and was not heard
             return True
-        return send(word, *how, **more)
+        return send(frame, *how, **more)
 
     monkeypatch.setattr(robot.rig.hosts["line"].port, "send", lossy)
     recorder = ListeningNode(robot.wires["line"])
     wait_stopped(stop(robot))
     assert robot.twins["A"].left == 0
-    assert words(recorder, SET).count("00000000") == 1
+    assert data_of(recorder, SET).count("00000000") == 1
     assert robot.events.count("not stopped", "A") == 2
     assert "it still turns" in robot.events.of("not stopped")[0].detail
     assert robot.events.count("not stopped", "B") == 0
@@ -101,11 +105,31 @@ def test_who_has_not_stopped_is_named(robot: VirtualRobot) -> None:
     """Within its bound a stop fails with the devices that have not, and why; the others have."""
     robot.twins["A"].power(False)
     began = robot.clock.now()
-    with pytest.raises(NotStoppedError, match=r"^NOT switched off: A \(.*no answer to Ask") as failed:
+    why = r"^NOT switched off: A \(.*no answer to Ask.*; it was last heard 1\.\d s ago"
+    with pytest.raises(NotStoppedError, match=why) as failed:
         wait_stopped(stop(robot))
     assert robot.clock.now() - began < 2_500_000_000
     assert list(failed.value.devices) == ["A"]
     assert robot.twins["B"].left == 0
+
+
+def test_a_status_that_came_late_says_how_old_it_is(robot: VirtualRobot) -> None:
+    """What waited in an adapter or a server since the bus had it is no news; a clock that is another's says nothing."""
+    now = robot.clock.now() / 1e9
+    scanner = fan.scanner()
+
+    def status(stamp: float | None) -> Any:
+        (record,) = scanner.feed([Frame(0x121, bytes(5), timestamp=stamp)])
+        return record
+
+    assert [age_on_bus(status(stamp), robot.clock) for stamp in (None, now + 1, now - 1e6)] == [None] * 3
+    asked = Awaited(robot.clock)
+    asked.finish(status(now - 0.2))
+    board: Any = robot.devices["A"]
+    with pytest.raises(
+        DeviceError, match=r"its status \(0\.2 s old: its answers come late\) says that LHP is still on"
+    ):
+        MotorDevice.confirm_off(board, lambda: asked, lambda: ["LHP"]).wait()
 
 
 def test_a_driver_that_raises_stops_nobody_else_s_stop(
@@ -126,13 +150,13 @@ def test_a_driver_that_raises_stops_nobody_else_s_stop(
 def test_what_is_told_is_over_when_it_has_left(robot: VirtualRobot) -> None:
     """A ticket without an answer waits for its frame to leave, and fails when it does not."""
     device = robot.devices["A"]
-    ticket = device.tell("Set", left=0, right=0)
+    ticket = device.send("Set", left=0, right=0)
     assert not ticket.is_over
     robot.advance(0.001)
     assert ticket.state == "done"
     port: Any = robot.rig.hosts["line"].port
     port.node.disconnect()
-    ticket = device.tell("Set", left=0, right=0)
+    ticket = device.send("Set", left=0, right=0)
     robot.advance(0.9)
     assert not ticket.is_over
     robot.advance(0.2)
@@ -140,7 +164,7 @@ def test_what_is_told_is_over_when_it_has_left(robot: VirtualRobot) -> None:
     port.node.connect()
     recorder = ListeningNode(robot.wires["line"])
     robot.advance(0.005)
-    assert "00000000" not in words(recorder, SET)  # nor does it leave late
+    assert "00000000" not in data_of(recorder, SET)  # nor does it leave late
 
 
 def left(world: VirtualRobot, *, drives: bool, dies: bool = False, error: Exception | None = None) -> Rig:
@@ -172,8 +196,8 @@ def test_a_rig_stops_what_it_drove_when_it_is_left(drives: bool) -> None:
         with pytest.raises(ZeroDivisionError):
             left(world, drives=drives, error=ZeroDivisionError())
         assert world.twins["A"].left == 0
-        assert bool(words(recorder, SET)) is drives
-        assert not words(recorder, SET + 1)
+        assert bool(data_of(recorder, SET)) is drives
+        assert not data_of(recorder, SET + 1)
         left(world, drives=drives)
         assert world.twins["A"].left == 0
 

@@ -117,9 +117,9 @@ def test_a_stop_goes_before_all_that_waits() -> None:
         sent: list[tuple[str, bool]] = []
         transmit = device.host.transmit
 
-        def recorded(word: Any, of: Any, message: str, *rest: Any, urgent: bool = False, **more: Any) -> Any:
+        def recorded(frame: Any, of: Any, message: str, *rest: Any, urgent: bool = False, **more: Any) -> Any:
             sent.append((message, urgent))
-            return transmit(word, of, message, *rest, urgent=urgent, **more)
+            return transmit(frame, of, message, *rest, urgent=urgent, **more)
 
         device.host.transmit = recorded
         device.stop_motion().wait(3)

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from aces_bus import Frame
-from aces_bus.device import UNKNOWN
-from aces_bus.errors import CallerError, DeviceError
+from aces_bus.device import UNKNOWN, stop_devices, wait_stopped
+from aces_bus.errors import CallerError, DeviceError, NotStoppedError
 from aces_bus.hardware import CanGate
 from aces_bus.hardware.ports import port_of
 from aces_bus.hardware.simulated.bus import ListeningNode
@@ -262,8 +262,36 @@ def test_a_stop_does_not_wait_for_the_tick() -> None:
         assert robot["J.state"].value != "operation enabled"
 
 
+@pytest.mark.parametrize("is_known", [False, True])
+def test_a_stop_reaches_a_drive_that_takes_no_pdos(is_known: bool) -> None:
+    """Pre-operational, as its heartbeat says or does not say yet: it is stopped, and its statusword is read, over SDO."""
+    with _running() as robot:
+        robot["J.position"].set(1.0)
+        robot.advance(0.3)
+        twin, axis = robot.twins["D"], robot.twins["D"].axes[0]
+        twin.fault("no_heartbeat", on=not is_known)
+        twin.node.nmt.state = "PRE-OPERATIONAL"
+        robot.advance(0.2)
+        assert axis.state == "operation enabled"
+        stopping = robot.devices["D"].stop_motion()
+        robot.advance(0.15)
+        assert axis.state != "operation enabled"
+        stopping.wait(0.1)
+
+
+def test_a_stop_over_sdo_counts_when_the_statusword_says_so() -> None:
+    """A drive that acknowledges the controlword and does not obey is named."""
+    with _running() as robot:
+        twin, axis = robot.twins["D"], robot.twins["D"].axes[0]
+        twin.node.nmt.state = "PRE-OPERATIONAL"
+        axis.written = lambda *_: None
+        with pytest.raises(NotStoppedError, match="J stays enabled"):
+            wait_stopped(stop_devices(robot.clock, "one", [robot.devices["D"]]))
+        assert axis.state == "operation enabled"
+
+
 def test_stopping_ends_what_leads_the_drive_on() -> None:
-    """A stop in the middle of enabling or homing is the last word: the job fails, and the drive stays disabled."""
+    """A stop in the middle of enabling or homing has the last say: the job fails, and the drive stays disabled."""
     with _running(enabled=False) as robot:
         device = robot.devices["D"]
         for begin in (device.enable, device.home):
@@ -435,7 +463,9 @@ def test_an_enabled_drive_watches_over_the_host() -> None:
         assert set(_frames(recorder, 0x77F)) == {"05"}
         assert len(_frames(recorder, 0x77F)) >= 4 * 3
         assert robot["J.state"].value == "operation enabled"
+        assert robot.devices["D"].alone_s == 0.5
         robot.devices["D"].stop_motion().wait(2)
+        assert robot.devices["D"].alone_s is None
         assert "23 16 10 01 00 00 7F 00" in _frames(recorder, 0x605)
         before = len(_frames(recorder, 0x77F))
         robot.advance(2)
@@ -450,8 +480,8 @@ def test_a_drive_without_its_host_goes_into_fault_and_is_enabled_anew() -> None:
         device, axis = robot.devices["D"], robot.twins["D"].axes[0]
         port = device.host.port
         send = port.send
-        port.send = lambda word, *a, **k: (
-            True if getattr(word, "arbitration_id", 0) == 0x77F else send(word, *a, **k)
+        port.send = lambda frame, *a, **k: (
+            True if getattr(frame, "arbitration_id", 0) == 0x77F else send(frame, *a, **k)
         )
         robot.advance(0.3)
         assert axis.state == "operation enabled"

@@ -224,10 +224,10 @@ def answers(robot: VirtualRobot, message: str, **fields: Any) -> list[Any]:
     found: list[Any] = []
     scanner = dynamixel.scanner(direction="from device", include_unknown=True)
     port = robot.ports("listener")["line"]
-    word = dynamixel.encode(message, **fields)
-    scanner.sent(word)
+    packet = dynamixel.encode(message, **fields)
+    scanner.sent(packet)
     port.open(lambda data, _: found.extend(scanner.feed(data)))
-    port.send(word)
+    port.send(packet)
     robot.advance(0.05)
     return found
 

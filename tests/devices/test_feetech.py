@@ -60,17 +60,17 @@ def test_goals_are_counts_in_the_byte_order_of_the_series(
         robot.advance(0.1)
         device, twin = first(robot)
         device.enable().wait()
-        words: list[bytes] = []
-        robot.ports("ear")["line"].open(lambda data, _: words.append(bytes(data)))
+        packets: list[bytes] = []
+        robot.ports("ear")["line"].open(lambda data, _: packets.append(bytes(data)))
         robot["J1.position"].set(0.5)
         robot.advance(3.0)
         assert twin["goal_position"] == counts
-        assert any(bytes.fromhex(sent) in word for word in words)
+        assert any(bytes.fromhex(sent) in packet for packet in packets)
         assert robot["J1.position"].value == pytest.approx(0.5, abs=6e-3)
 
 
 def test_servos_of_both_series_share_a_line() -> None:
-    """Their set-points go out in a packet each, as their words are not alike."""
+    """Their set-points go out in a packet each, as their registers are not alike."""
     with made(other="SCS0009") as robot:
         robot.advance(0.1)
         robot.rig.each("enable").wait()

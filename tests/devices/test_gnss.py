@@ -117,7 +117,7 @@ def test_a_time_counts_when_all_of_it_is_certain() -> None:
         twin.power(False)
         robot.advance(0.1)
         scanner = ubx.scanner(direction="from device")
-        (record,) = scanner.feed(ubx["NavPvt"].examples[0].word.data)
+        (record,) = scanner.feed(ubx["NavPvt"].examples[0].packet.data)
         pvt = as_dict(record)
         heard(robot, ("NavPvt", pvt))
         assert values(robot)["time"] == pytest.approx(BEGIN.timestamp() - 1234e-9, abs=5e-7)
@@ -136,7 +136,7 @@ def test_rmc_alone_has_a_place() -> None:
         robot.twins["GNSS"].power(False)
         robot.advance(0.1)
         scanner = nmea0183.scanner()
-        records = [scanner.feed(nmea0183[name].examples[0].word.data)[0] for name in ("RMC", "GGA")]
+        records = [scanner.feed(nmea0183[name].examples[0].packet.data)[0] for name in ("RMC", "GGA")]
         rmc, gga = map(as_dict, records)
         heard(robot, ("RMC", rmc))
         found = values(robot)
@@ -161,9 +161,9 @@ def test_sentences_and_packets_of_one_solution_agree() -> None:
         scanner = make_scanner([ubx.variant(), nmea0183.variant()], direction="from device")
         send = twin.twins.send
 
-        def noted(word: bytes) -> None:
-            seen.extend(scanner.feed(word))
-            send(word)
+        def noted(packet: bytes) -> None:
+            seen.extend(scanner.feed(packet))
+            send(packet)
 
         twin.twins.send = noted
         twin.feed = in_circle(10, 30)

@@ -23,9 +23,9 @@ test_driver = driver_tests(driver)
 
 
 OTHERS = {
-    "three channels": (D12_THREE, ("declared", "heard", "set", "reboot", "actions", "scan")),
-    "D08": (D08, ("declared", "heard", "set", "reboot", "actions", "scan")),
-    "D08X": (D08X, ("declared", "heard", "quiet_before")),
+    "three channels": (D12_THREE, ("declared", "received", "set", "reboot", "actions", "scan")),
+    "D08": (D08, ("declared", "received", "set", "reboot", "actions", "scan")),
+    "D08X": (D08X, ("declared", "received", "quiet_before")),
 }
 
 
@@ -76,7 +76,7 @@ def references(robot: VirtualRobot, run: Callable[[], object]) -> list[tuple[int
     (wire,) = robot.wires.values()
     recorder = ListeningNode(wire)
     run()
-    return [(now, frame.data) for now, frame in recorder.heard if 0x10 <= frame.arbitration_id < 0x40]
+    return [(now, frame.data) for now, frame in recorder.received if 0x10 <= frame.arbitration_id < 0x40]
 
 
 # ---------------------------------------------------------------------- enabling and references

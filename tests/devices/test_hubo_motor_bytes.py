@@ -73,7 +73,7 @@ class Bench:
         """What stood on the wire since the last look."""
         self.robot.advance(0.02)
         told = [f"{f.arbitration_id:03X}#{f.data.hex(' ').upper()}" for f in self.recorder.frames()]
-        self.recorder.heard.clear()
+        self.recorder.received.clear()
         return told
 
 
@@ -139,17 +139,17 @@ def play(b: Bench, message: Message, example: Example) -> tuple[list[str], list[
         b.sent()
     end.__dict__["receive"] = note
     if message.direction == "to device":
-        b.device.tell(message.name, **fields)
+        b.device.send(message.name, **fields)
     else:
         for ask in (b.device.shape.status, *b.device.shape.encoders):
             if ask is not None and message.name in ask.reply and example.request is None:
-                b.device.tell(ask.message, **ask.fields)
+                b.device.send(ask.message, **ask.fields)
                 b.sent()
         try:
-            word = b.twin.twins.word(b.twin, message.name, fields)
+            frame = b.twin.twins.packet(b.twin, message.name, fields)
         except FieldError:  # an example may leave fields out
-            word = Frame(example.word.identifier or 0, example.word.data)
-        b.twin.send_raw(word)
+            frame = Frame(example.packet.identifier or 0, example.packet.data)
+        b.twin.send_raw(frame)
     wire = b.sent()
     end.__dict__.pop("receive")
     return wire, heard
@@ -162,8 +162,8 @@ def test_worked_examples_are_sent_and_received(board: Board) -> None:
         b.twin.fault("silent")
         for message, example in EXAMPLES[board]:
             wire, heard = play(b, message, example)
-            data = example.word.data.hex(" ").upper()
-            assert f"{example.word.identifier:03X}#{data}" in wire, message.name
+            data = example.packet.data.hex(" ").upper()
+            assert f"{example.packet.identifier:03X}#{data}" in wire, message.name
             assert [type(record).__name__ for record in heard] == [message.name]
             for name, value in example.fields.items():
                 assert same(getattr(heard[0], name), value), (message.name, name, heard[0])

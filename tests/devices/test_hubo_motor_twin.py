@@ -153,7 +153,7 @@ def test_the_bits_are_all_there_are() -> None:
     """The list above has every flag that the spec has a name for."""
     variant = hubo.variant("D12")
     scanner = make_scanner([variant], direction="from device", include_unknown=True)
-    scanner.sent(variant.encoder.word(variant["SendStatus"], {"board": 0}))
+    scanner.sent(variant.encoder.packet(variant["SendStatus"], {"board": 0}))
     (record,) = scanner.feed((Frame(0x150, b"\xff" * 8),))
     motor: Any = record.motor[0]
     assert {bit for bit, _ in BITS} == {*motor.drive, *motor.errors}
@@ -287,9 +287,9 @@ def test_nothing_malformed_is_ever_answered() -> None:
         robot.advance(0.5)
         board, twin = robot.devices["JMC0"], robot.twins["JMC0"]
         before = twin.replies
-        board.tell("GetParameters", selector=99)
-        board.tell("GetParameters", selector=30)
-        board.tell("DeadZone", channel=3, dead_zone=5)
+        board.send("GetParameters", selector=99)
+        board.send("GetParameters", selector=30)
+        board.send("DeadZone", channel=3, dead_zone=5)
         robot.advance(0.004)
         kept: Any = [channel.stored.dead_zone for channel in twin.channels]
         assert kept == [0, 0]

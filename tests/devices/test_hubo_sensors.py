@@ -86,7 +86,7 @@ def listen(robot: VirtualRobot) -> dict[str, ListeningNode]:
 
 def frames(recorder: ListeningNode) -> list[str]:
     """What was heard, as candump writes it."""
-    return [f"{frame.arbitration_id:03X}#{frame.data.hex().upper()}" for _, frame in recorder.heard]
+    return [f"{frame.arbitration_id:03X}#{frame.data.hex().upper()}" for _, frame in recorder.received]
 
 
 def answer(robot: VirtualRobot, bus: str, frame: str) -> None:
@@ -543,10 +543,10 @@ def test_all_forms_of_d12(mode: str, force: str, tilt: str) -> None:
         encoder = robot.devices["FT_RF"].variant.encoder
         requests = [robot.devices["FT_RF"].variant["SensorRequest"]] * 2
         for request, sensor in zip(requests, (1, 0xFF), strict=True):
-            node.send(encoder.word(request, {"sensor": sensor, "mode": mode}))
+            node.send(encoder.packet(request, {"sensor": sensor, "mode": mode}))
             robot.advance(0.01)
         scanner = make_scanner([robot.devices["FT_RF"].variant], direction="both")
-        records = scanner.feed([frame for _, frame in heard["lower"].heard])
+        records = scanner.feed([frame for _, frame in heard["lower"].received])
         kinds = [type(record).__name__ for record in records]
         assert kinds[:4] == ["SensorRequest", force, tilt, "SensorRequest"]
         assert sorted(kinds[4:]) == sorted([force, force, tilt, tilt])
@@ -557,13 +557,13 @@ def test_bench_commands_of_d08(old: VirtualRobot) -> None:
     board, twin = old.devices["FT_RF"], old.twins["FT_RF"]
     twin.feed = lambda now: (3.0, 4.0, 100.0)
     old.advance(0.1)
-    board.tell("NullSensor", what="fz")
+    board.send("NullSensor", what="fz")
     old.advance(0.1)
     assert old["RFFT.fz_digits"].value == pytest.approx(0, abs=12)
     assert abs(old["RFFT.my_digits"].value) > 20
     noise = twin.groups["force"].noise
-    board.tell("DataType", type="average")
-    board.tell("DaOut", value=123)
+    board.send("DataType", type="average")
+    board.send("DaOut", value=123)
     old.advance(0.01)
     assert twin.groups["force"].noise == noise / 2
     pair = board.ask("OffsetQuery", reply="OffsetPair", axis="fz").wait()

@@ -50,7 +50,7 @@ def robot() -> Iterator[VirtualRobot]:
 def listen(robot: VirtualRobot) -> list[bytes]:
     """All datagrams from now on."""
     heard: list[bytes] = []
-    robot.wires["pc"].attach("listener", lambda word, instant: heard.append(word))
+    robot.wires["pc"].attach("listener", lambda packet, instant: heard.append(packet))
     return heard
 
 

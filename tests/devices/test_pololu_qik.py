@@ -51,7 +51,7 @@ def robot() -> Iterator[VirtualRobot]:
 def listen(robot: VirtualRobot) -> bytearray:
     """All bytes from now on."""
     heard = bytearray()
-    robot.wires["drives"].attach("listener", lambda word, instant: heard.extend(word), echo=False)
+    robot.wires["drives"].attach("listener", lambda packet, instant: heard.extend(packet), echo=False)
     return heard
 
 

@@ -47,9 +47,9 @@ class Line:
         """Note what a station says, where it says it: at its port."""
         send: Callable[..., bool] = station.port.send
 
-        def noted(word: bytes, *how: Any, **more: Any) -> bool:
-            said.extend(word)
-            return send(word, *how, **more)
+        def noted(packet: bytes, *how: Any, **more: Any) -> bool:
+            said.extend(packet)
+            return send(packet, *how, **more)
 
         station.port.send = noted
 
@@ -111,7 +111,7 @@ def test_the_examples_of_many() -> None:
     device.act(everybody=True)
     assert line.said() == ("FF FF FE 02 05 FA", "")
     assert twin["goal_position"] == 0
-    device.tell("Write", id=BROADCAST, start=3, data=b"\x01")
+    device.send("Write", id=BROADCAST, start=3, data=b"\x01")
     assert line.said() == ("FF FF FE 04 03 03 01 F6", "")
     assert twin["id"] == 1
 

@@ -13,9 +13,10 @@ from typing import Any
 import msgspec
 import pytest
 
+from aces_bus.controller import IGNORE, controller
 from aces_bus.device import Robot
 from aces_bus.hardware.simulated.serial_line import Noise
-from aces_bus.robot import VirtualRobot, parse_robot, simulate
+from aces_bus.robot import VirtualRobot, parse_robot, run_virtual, simulate
 from aces_devices.robotis_rx import RobotisRXTwin, driver
 from tests.conftest import PROFILE
 from tests.counting import calls
@@ -136,11 +137,11 @@ def test_polls_keep_to_the_budget() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("flip", "share"), [(1e-4, 0.95), (1e-3, 0.9)])
 def test_noise_costs_what_it_hits(flip: float, share: float) -> None:
-    """A garbled word costs its time-out and no more; it is told, and no wrong value is taken for a position."""
+    """A garbled packet costs its time-out and no more; it is reported, and no wrong value is taken for a position."""
     settings = {"timeout_s": 0.002}
     found = measure(50, settings=settings, noise={"servos": Noise(seed=3, flip=flip)}, note=f"noise {flip:g}")
     assert found.total >= share * found.possible
-    assert found.robot.events.count("malformed") > 0
+    assert found.robot.events.count("garbled") > 0
     host = found.robot.rig.hosts["servos"]
     assert host.counts.missed > 0
     bins = host.scanner.counts
@@ -207,6 +208,48 @@ def test_a_servo_that_answers_with_another_id_is_named() -> None:
     assert min(n for name, n in found.reads.items() if name != "RAP") >= 0.9 * 50 * found.seconds
 
 
+def test_noise_stops_no_run() -> None:
+    """What noise garbles is asked again: it is told, and the controller goes on."""
+
+    @controller(rate_hz=50, writes=["RHP"])
+    def hold(RHP: Any, t: float) -> dict[str, float]:
+        return {"RHP": 0.1}
+
+    noise = {"servos": Noise(seed=3, flip=2e-3)}
+    robot = VirtualRobot(minihubo().part("RHP"), rate_hz=50, load=LOAD, noise=noise)
+    with run_virtual(robot, [hold], reactions={"alarm": IGNORE}) as run:  # of requests that noise has changed
+        run.do("enable")
+        ended = run.run(2.0)
+    assert ended.tripped == {}
+    assert robot.events.count("garbled") > 0
+
+
+def test_an_answer_whose_end_comes_too_late_is_lost() -> None:
+    """Its first bytes came in time: it is asked for again, as if all of it were lost, and nothing is malformed."""
+    stretched: list[int] = []
+
+    def stretch(robot: VirtualRobot) -> None:
+        twin = robot.twins["S40"]
+        transmit = twin._transmit
+
+        def in_parts(packet: bytes, delay: int) -> None:
+            twin._transmit = transmit
+            stretched.append(robot.clock.now())
+            transmit(packet[:3], delay)
+            transmit(packet[3:], delay + 30_000_000)
+
+        twin._transmit = in_parts
+
+    found = measure(50, before=stretch, settings={"timeout_s": 0.02}, note="one answer in two parts")
+    assert len(stretched) == 1
+    assert [event.detail for event in found.robot.events.of("garbled")] == ["ff …: incomplete"]
+    assert {event.kind for event in found.robot.events.last} <= {"opened", "garbled", "overrun"}
+    assert found.reads["RAP"] >= 50 * found.seconds - 2
+    found.robot.twins["S40"].fault("short")
+    found.robot.advance(0.2)
+    assert found.robot.events.count("silent", "S40") == 1
+
+
 def test_a_packet_to_many_fits_the_receive_buffer() -> None:
     """An RX-28 receives 143 bytes: 45 goals in one SyncWrite, the 46th in a second one."""
     devices = "\n".join(
@@ -226,9 +269,9 @@ def test_a_packet_to_many_fits_the_receive_buffer() -> None:
         port = virtual.rig.hosts["line"].port
         send = port.send
 
-        def noted(word: bytes, *how: Any, **more: Any) -> bool:
-            packets.append(len(word))
-            return bool(send(word, *how, **more))
+        def noted(packet: bytes, *how: Any, **more: Any) -> bool:
+            packets.append(len(packet))
+            return bool(send(packet, *how, **more))
 
         port.send = noted  # type: ignore[method-assign]
         for n in range(46):
@@ -239,6 +282,7 @@ def test_a_packet_to_many_fits_the_receive_buffer() -> None:
         assert goals == {int(1.0 / (300 / 1023) * 57.29577951308232)}
 
 
+@pytest.mark.slow
 def test_a_robot_of_servos_costs_what_its_packets_do() -> None:
     """50 Hz, all joints: a second of MiniHubo is some 270,000 calls, a fifth of a second where that was measured."""
     found = measure(50, seconds=0.2)

@@ -19,7 +19,7 @@ from aces_protocols.robstride.spec import robstride
 COMMANDS = "told by what answers commands alone; none is sent while it is off"
 EXCUSED = {
     "set: HIP.velocity": "it is what damping aims at; stiffness holds",
-    **{f"heard: {name}": COMMANDS for name in ("*.torque", "*.state", "*.temperature")},
+    **{f"received: {name}": COMMANDS for name in ("*.torque", "*.state", "*.temperature")},
 }
 test_robstride = driver_tests(driver, excused=EXCUSED)
 

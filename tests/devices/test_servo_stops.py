@@ -43,11 +43,11 @@ def noted(robot: VirtualRobot) -> Sent:
     """Devices, messages and fields that leave from now on, in their order."""
     host: Any = robot.rig.hosts["line"]
     sent: Sent = []
-    word, transmit = host.word, host.transmit
+    packet, transmit = host.packet, host.transmit
     fields_of: dict[bytes, dict[str, Any]] = {}
 
     def made(device: Any, message: str, fields: Any) -> Any:
-        found = word(device, message, fields)
+        found = packet(device, message, fields)
         fields_of[found] = {**device.credentials, **fields}
         return found
 
@@ -55,7 +55,7 @@ def noted(robot: VirtualRobot) -> Sent:
         sent.append((device.name, message, fields_of.get(found, {})))
         return bool(transmit(found, device, message, *how, **more))
 
-    host.word, host.transmit = made, left
+    host.packet, host.transmit = made, left
     return sent
 
 

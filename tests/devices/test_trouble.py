@@ -164,7 +164,7 @@ def test_two_boards_with_one_number(robot: VirtualRobot, hubo: Robot) -> None:
 
     only = {name: replace(c, active=name == BOARD) for name, c in hubo.devices.items()}
     double = simulate(replace(hubo, devices=only), robot.ports("double"), seed=2)
-    double.twins[BOARD].reply_delay_ns += 3_000_000  # words of the same bits at the same time are one word
+    double.twins[BOARD].reply_delay_ns += 3_000_000  # frames of the same bits at the same time are one frame
     with double:
         robot.advance(1.0)
         assert robot.events.count("duplicate reply", BOARD) >= 1

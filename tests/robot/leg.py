@@ -69,7 +69,7 @@ class Leg:
         if owner:
             mine.append(Wish(owner, writes=("HIP.position",)))
         self.run: Runner = run_virtual(robot, mine, guard=True)
-        self.heard = ListeningNode(self.run.world.wires["can"])
+        self.received = ListeningNode(self.run.world.wires["can"])
         states = self.run.states
         self.udp = UdpStates(states, dict.fromkeys(JOINTS, 0), clock=self.run.clock, allow_set=True)
         self.zenoh = Inlet(self.run.clock, states, AccessEvents(), "zenoh", all_states=states)
@@ -114,7 +114,7 @@ class Leg:
         board, place, direction, zero, _, _ = JOINTS[joint]
         return [
             (instant / 1e9, direction * (count_of(frame.data, place) / COUNTS - zero))
-            for instant, frame in self.heard.heard
+            for instant, frame in self.received.received
             if frame.arbitration_id == 0x010 + board
         ]
 
@@ -123,7 +123,9 @@ class Leg:
         board, place, direction, zero, _, _ = JOINTS[joint]
         end = round(at * 1e9)
         data = next(
-            f.data for t, f in reversed(self.heard.heard) if t < end and f.arbitration_id == 0x060 + board
+            f.data
+            for t, f in reversed(self.received.received)
+            if t < end and f.arbitration_id == 0x060 + board
         )
         count = int.from_bytes(data[4 * place : 4 * place + 4], "little", signed=True)
         return direction * (count / COUNTS - zero)

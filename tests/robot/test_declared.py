@@ -158,6 +158,7 @@ RHP = { device = "JMC1", command = "duty", gear = [1, 1], harmonic = 100, encode
 """
 
 
+@pytest.mark.slow
 def test_refresh_asks_the_device_with_the_next_tick() -> None:
     """Once for what the same message gives, and not again before it has answered; others are not asked."""
     text = '[states]\n"A.left" = { period_s = 60 }\n"B.left" = { period_s = 60 }'

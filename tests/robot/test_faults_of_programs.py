@@ -28,17 +28,18 @@ from tests.robot.walking import (
 # ---------------------------------------------------------------------- programs
 
 
-def test_a_controller_that_raises() -> None:
-    """What a controller raises while walking is told in the same cycle, and stops its motors."""
+@pytest.mark.parametrize("error", [ZeroDivisionError("off the rails"), SystemExit("off the rails")])
+def test_a_controller_that_raises(error: BaseException) -> None:
+    """What a controller raises while walking is told in the same cycle, and stops its motors; so is that it exits."""
 
     class Bad(Walk):
         def step(self, now_ns: int) -> Mapping[str, float]:
             if self.seconds(now_ns) > 0.2:
-                raise ZeroDivisionError("off the rails")
+                raise error
             return super().step(now_ns)
 
     ended, _, look, run = walk_into(lambda run: None, walk=Bad(HUBO))
-    assert "ZeroDivisionError: off the rails" in ended.tripped["walk"]
+    assert f"raised: {type(error).__name__}: off the rails" in ended.tripped["walk"]
     assert look.last_given() - look.rows[0][0] == 200 * MS
     assert ended.seconds == pytest.approx(0.21, abs=0.002)
     assert motors_are_off(run)
@@ -66,7 +67,7 @@ def test_a_controller_that_waits_for_ever() -> None:
     [
         ({"LHP": 0.1}, "named 'LHP'"),
         ({"RHP.current": 1.0}, "'RHP.current' is read-only"),
-        ([0.1, 0.2], "'list' object"),
+        ([0.1, 0.2], "it gave a list; set-points are a dict"),
         (None, "no set-points for 110 ms"),
     ],
 )

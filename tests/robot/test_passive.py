@@ -101,6 +101,7 @@ def test_a_run_looks_on_beside_a_master() -> None:
         run_real(robot, [], buses={"line": options}, passive=True, transmit=True, load=drivers)
 
 
+@pytest.mark.slow
 def test_gates_of_a_looker_cannot_send_and_take_no_lock() -> None:
     """By construction; a serial line has one reader, so that a looker takes its lock, too."""
     if os.name != "posix":

@@ -50,7 +50,7 @@ def test_the_same_seed_is_the_same_run() -> None:
         robot = VirtualRobot(robot_of(ROBOT), rate_hz=100, seed=3, load=drivers)
         recorder = ListeningNode(robot.wires["line"])
         run_virtual(robot, [follower()]).run(0.3)
-        return list(recorder.heard)
+        return list(recorder.received)
 
     assert frames() == frames()
 
@@ -80,7 +80,7 @@ def test_a_recording_takes_the_robots_place() -> None:
     robot = VirtualRobot(robot_of(ROBOT), rate_hz=100, load=drivers)
     recorder = ListeningNode(robot.wires["line"])
     run_virtual(robot, [follower(goal=50.0)]).run(0.4)
-    frames = [Frame(f.arbitration_id, f.data, instant / 1e9, "can0") for instant, f in recorder.heard]
+    frames = [Frame(f.arbitration_id, f.data, instant / 1e9, "can0") for instant, f in recorder.received]
     seen: list[float] = []
 
     class Watch(Controller):

@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from aces_bus import load_robot
 from aces_bus.controller import IGNORE, Controller, Reaction, stop
 from aces_bus.errors import CallerError
 from aces_bus.hardware import CanGate, port_of
@@ -63,6 +64,7 @@ class Log:
         self._do("stop")
 
 
+@pytest.mark.slow
 def test_a_controller_that_does_not_come_back_is_stopped() -> None:
     """On threads, the buses' thread finds a step that hangs, stops its devices and ends the run, with the reason."""
     robot = robot_of(ROBOT)
@@ -202,6 +204,23 @@ def test_missing_devices_are_named() -> None:
         assert run.missing == ["B"]
 
 
+def test_a_bus_that_cannot_be_closed_is_named_and_holds_up_no_other() -> None:
+    """Each bus is closed for itself, within a time of its own."""
+    run = run_virtual(load_robot("hubo2plus").part("RHP", "RSP"), [])
+    run.open()
+    lower, upper = run.rig.hosts.values()
+
+    def hang() -> None:
+        raise TimeoutError("not over after 2 s")
+
+    lower.close = hang  # type: ignore[method-assign]
+    ended = run.stop()
+    assert [text.partition(" (")[0] for text in ended.failed] == [
+        "bus lower: TimeoutError: not over after 2 s"
+    ]
+    assert not upper.is_open
+
+
 def test_set_points_after_the_end_go_nowhere() -> None:
     """A step that ends after the run sets nothing: what was stopped stays so."""
     run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers)
@@ -261,7 +280,7 @@ def test_what_raises_on_the_buses_thread_stops_motion() -> None:
             if run.set_points:
                 raise RuntimeError("off by one")
 
-        run.rig.devices["A"].heard = broken  # type: ignore[method-assign]
+        run.rig.devices["A"].received = broken  # type: ignore[method-assign]
         ended = run.run(60.0)
     assert ended.tripped["drive"].startswith("buses: bug: RuntimeError: off by one (")
 

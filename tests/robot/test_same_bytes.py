@@ -29,7 +29,7 @@ with tempfile.TemporaryDirectory() as folder:
     with run:
         run.do("enable")
         run.run(0.2)
-    text = "".join(f"{at} {frame}\\n" for one in listeners for at, frame in one.heard)
+    text = "".join(f"{at} {frame}\\n" for one in listeners for at, frame in one.received)
     digest = hashlib.sha256(text.encode() + log.read_bytes()).hexdigest()
     print(len(text.splitlines()), len(log.read_bytes()), digest, "compiled" if is_compiled() else "interpreted")
 """

@@ -32,7 +32,7 @@ from aces_bus.robot.checks import KINDS_OF_FAULTS
 from tests.conftest import ROOT
 from tests.robot.walking import CYCLE, FAULT_AT, HUBO, MS, Walk, hubo_leg, motors_are_off
 
-#: From a fault that is received to the words of the stop on the wire: the frame under way, and those of four boards.
+#: From a fault that is received to the frames of the stop on the wire: the frame under way, and those of four boards.
 AT_ONCE = MS
 
 
@@ -424,6 +424,7 @@ def test_a_bus_that_stays_off_is_said_with_all_names() -> None:
     """The end names every board that is not known to be off, within its bound, and raises where nobody reads it."""
     found = case(lambda run: bus_off(run, 60.0), seconds=3.0, reactions=PASSIVE)
     assert {"JMC0", "JMC1", "JMC2", "JMC3"} <= set(found.ended.not_stopped)
+    assert found.ended.not_stopped["JMC1"].startswith("bus lower is bus-off: ")
     run = run_virtual(hubo_leg(), [Walk(HUBO)], rate_hz=100)
     run.supervisors[0].controller.clock = run.clock  # type: ignore[attr-defined]
     run.open()
@@ -480,6 +481,7 @@ ROWS = {
         "faults:test_answers_that_are_lost",
         "served faults:test_answers_that_are_lost_or_late",
     ],
+    "packets of a serial line are garbled (noise)": ["line:test_noise_stops_no_run"],
     "answers are late": [
         "faults:test_answers_that_are_late",
         "served faults:test_answers_that_are_lost_or_late",
@@ -532,6 +534,7 @@ FILES = {
     "passive": "test_passive.py",
     "faults": "test_faults.py",
     "programs": "test_faults_of_programs.py",
+    "line": "../devices/test_robotis_rx_line.py",
 }
 
 

@@ -111,13 +111,11 @@ def finite_number(value: Any) -> float:
 
 def attribute_reader(column: LogColumn, state: Any) -> tuple[Read, str]:
     """How the column is read from its state, and its unit; raises `CallerError` when the state has no such attribute."""
-    attribute = column.attribute
-    get: Callable[[], Any]
+    attribute, unit = column.attribute, "s"
     owner = state
     try:
         if attribute == "age":
-            get, unit = (lambda: state.age_s), "s"
-            get()
+            owner.age_s  # noqa: B018 — there is one
         else:
             if attribute == "rate":
                 owner = state.rate()
@@ -125,16 +123,25 @@ def attribute_reader(column: LogColumn, state: Any) -> tuple[Read, str]:
                 owner = state.integral()
             elif attribute == "setpoint":
                 owner = state.setpoint
-            get, unit = (lambda: owner[0]), getattr(owner, "unit", None) or ""
+            unit = getattr(owner, "unit", None) or ""
     except AttributeError:
         raise CallerError(
             f"column {column.name!r}: this state ({type(state).__name__}) has no {attribute}"
         ) from None
 
-    def read() -> float:
+    def read_age() -> float:
         try:
-            return finite_number(get())
+            return finite_number(state.age_s)
         except Exception:  # a derived quantity is the user's own function: rule 1
             return NAN
 
-    return read, unit
+    def read() -> float:
+        try:
+            value = owner[0]
+            if value.__class__ is float and -_INFINITY < value < _INFINITY:  # nearly always
+                return value
+            return finite_number(value)
+        except Exception:
+            return NAN
+
+    return read_age if attribute == "age" else read, unit

@@ -202,7 +202,7 @@ class Logger:
                 self.lost += len(self._queue)
                 self._sink = None
                 self._spoil("the disk does not answer")
-                self._tell("log-failed", f"the disk does not answer; {self._total()}")
+                self._emit("log-failed", f"the disk does not answer; {self._total()}")
                 return
         self._write()
         sink, self._sink = self._sink, None
@@ -213,9 +213,9 @@ class Logger:
                 act()
             except Exception as error:  # the format's library has errors of its own
                 self._spoil(f"{what}{_why(error)}")
-                self._tell("log-failed", f"{self.path}: {what}{_why(error)}; {self._total()}")
+                self._emit("log-failed", f"{self.path}: {what}{_why(error)}; {self._total()}")
         if self.dropped:
-            self._tell("log-dropped", self._total())
+            self._emit("log-dropped", self._total())
 
     # ------------------------------------------------------------------ alone
 
@@ -264,14 +264,14 @@ class Logger:
         self._spoil(_why(error))
         if not self._is_failing:
             self._is_failing = True
-            self._tell("log-failed", f"{self.path}: {_why(error)}; {self._total()}, and counting")
+            self._emit("log-failed", f"{self.path}: {_why(error)}; {self._total()}, and counting")
 
     def _drop(self) -> None:
         self.dropped += 1
         self._spoil("the disk is too slow")
         if not self._is_dropping:
             self._is_dropping = True
-            self._tell("log-dropped", f"{self.path}: the disk is too slow, rows are dropped")
+            self._emit("log-dropped", f"{self.path}: the disk is too slow, rows are dropped")
 
     def _spoil(self, why: str) -> None:
         self.failure = self.failure or why
@@ -279,11 +279,11 @@ class Logger:
     def _total(self) -> str:
         return f"{self.written} rows written, {self.dropped} dropped, {self.lost} lost"
 
-    def _tell(self, kind: str, detail: str) -> None:
+    def _emit(self, kind: str, detail: str) -> None:
         now = 0 if self._clock is None else self._clock.now()
         event = ControlEvent(kind, now, self.name, detail)
         self.events.append(event)
-        self.listeners.tell(event)
+        self.listeners.emit(event)
 
     def __str__(self) -> str:
         return f"{self.name}: {self.rate_hz:g} Hz, {self._total()}"

@@ -41,7 +41,7 @@ class CanopenNode(ObjectAccess):
         self.is_set_up = False
         self.last_beat: int | None = None
         self._tried_at = self.clock.now()
-        #: How many boot-up messages were heard.
+        #: How many boot-up messages were received.
         self.boots = 0
         self._set_up: Job | None = None
 
@@ -90,7 +90,7 @@ class CanopenNode(ObjectAccess):
         self.is_set_up = False
         self.quiet(True)
         if not isinstance(job.error, NoReplyError):
-            self.tell_event("alarm", f"cannot be set up: {job.error}")
+            self.emit_event("alarm", f"cannot be set up: {job.error}")
 
     def _look(self) -> None:
         """Every now and then: is a node that was absent there, is one that was there gone?"""
@@ -100,13 +100,13 @@ class CanopenNode(ObjectAccess):
             self.set_up()
         beat = self.heartbeat_ms * 1_000_000
         if self.is_set_up and beat and not self.is_silent and self.last_beat is not None:
-            age = now - max(self.last_beat, self.last_heard or 0)
+            age = now - max(self.last_beat, self.last_received or 0)
             if age > 3 * beat:
                 self.is_silent = True
-                self.tell_event("silent", f"no heartbeat for {age / 1e9:.1f} s")
+                self.emit_event("silent", f"no heartbeat for {age / 1e9:.1f} s")
         self.clock.call_in(min(RETRY_NS, beat or RETRY_NS), self._look)
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """Heartbeats and emergencies."""
         name = type(record).__name__
         if name == "Heartbeat":
@@ -137,18 +137,18 @@ class CanopenNode(ObjectAccess):
         raw = int.from_bytes(record.meta.raw[:2], "little")
         if raw & 0xFF00 == 0:
             self.error.update("", instant)
-            self.tell_event("alarm over", "error reset")
+            self.emit_event("alarm over", "error reset")
             return
         text = self.describe_emergency(raw)
         details = f", details {record.details.hex(' ')}" if any(record.details) else ""
         self.error.update(text, instant)
-        self.tell_event("alarm", f"{text}{details}")
+        self.emit_event("alarm", f"{text}{details}")
 
     def describe_emergency(self, code: int) -> str:
         """An emergency's code in words."""
         return f"error {code:04X}"
 
-    def overheard(self, record: Any, instant: int) -> bool:
+    def received_by_others(self, record: Any, instant: int) -> bool:
         """The heartbeat of the program that drives, where this one looks on."""
         return type(record).__name__ == "Heartbeat" and record.node == self.watchdog.host_node
 
@@ -156,6 +156,11 @@ class CanopenNode(ObjectAccess):
     def is_operational(self) -> bool:
         """Whether it takes PDOs, as far as is known: one that has lost the host does not."""
         return self.is_set_up and self.network.last in (UNKNOWN, "operational")
+
+    @property
+    def alone_s(self) -> float | None:
+        """How long it waits for the host's heartbeat, while it watches."""
+        return None if self.watchdog.entry is None else self.watchdog.wait_ms / 1000
 
     # ------------------------------------------------------------------ down
 
@@ -167,7 +172,7 @@ class CanopenNode(ObjectAccess):
         def steps(job: Job) -> Steps:
             if command in ("stop", "pre_operational"):
                 self.quiet(True)
-            yield self.tell("Nmt", command=command)
+            yield self.send("Nmt", command=command)
             if command == "start" and self.is_set_up:
                 self.quiet(False)
 

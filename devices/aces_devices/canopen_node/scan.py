@@ -29,7 +29,7 @@ def scan_nodes(host: Host, job: Job, profile: int, driver: str, prefix: str, *, 
         for node, probe in probes.items():
             job.progress, job.text = node / len(NODES), f"node {node}"
             try:
-                told = yield probe.ask(
+                answer = yield probe.ask(
                     "SdoUpload",
                     reply=("SdoUploaded", "SdoAborted"),
                     timeout_s=ANSWER_S,
@@ -40,11 +40,11 @@ def scan_nodes(host: Host, job: Job, profile: int, driver: str, prefix: str, *, 
             except AcesError:
                 continue
             answered.add(node)
-            if type(told).__name__ == "SdoUploaded" and told.data[:2] == profile.to_bytes(2, "little"):
+            if type(answer).__name__ == "SdoUploaded" and answer.data[:2] == profile.to_bytes(2, "little"):
                 model = yield from _model(probe)
                 found.append(_config(host, driver, prefix, node, model, None))
         for node, probe in probes.items() if with_silent else ():
-            if probe.last_heard is not None and node not in answered:
+            if probe.last_received is not None and node not in answered:
                 doc = "sends, and does not answer SDO: what it is is not known"
                 found.append(_config(host, driver, prefix, node, None, doc))
     finally:

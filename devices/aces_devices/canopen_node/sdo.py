@@ -76,11 +76,10 @@ class SdoChannel:
             failed: AcesError | None = None
             for number, (index, subindex, data) in enumerate(writes):
                 try:
-                    told = yield self._order_now(index, subindex, data) if number else first
-                    if not self._is_about(told, index, subindex):
-                        raise DeviceError(
-                            f"{self.device.name} answers about {told.index:04X}:{told.subindex}, not {index:04X}:{subindex}"
-                        )
+                    answer = yield self._order_now(index, subindex, data) if number else first
+                    if not self._is_about(answer, index, subindex):
+                        about = f"{answer.index:04X}:{answer.subindex}, not {index:04X}:{subindex}"
+                        raise DeviceError(f"{self.device.name} answers about {about}")
                 except AcesError as error:
                     failed = failed or error
             if failed is not None:
@@ -89,7 +88,7 @@ class SdoChannel:
         return self._queued("stop", steps)
 
     def _order_now(self, index: int, subindex: int, data: bytes) -> Ticket:
-        return self.device.tell_now(
+        return self.device.send_now(
             "SdoDownload",
             reply=("SdoDownloaded", "SdoAborted"),
             timeout_s=self.timeout_s,
@@ -97,12 +96,12 @@ class SdoChannel:
             **_order(index, subindex, data),
         )
 
-    def _is_about(self, told: Any, index: int, subindex: int) -> bool:
+    def _is_about(self, answer: Any, index: int, subindex: int) -> bool:
         """Whether an answer is about this object; raises `SdoRefused`."""
-        if (told.index, told.subindex) != (index, subindex):
+        if (answer.index, answer.subindex) != (index, subindex):
             return False
-        if type(told).__name__ == "SdoAborted":
-            raise SdoRefused(self.device.name, index, subindex, told.code)
+        if type(answer).__name__ == "SdoAborted":
+            raise SdoRefused(self.device.name, index, subindex, answer.code)
         return True
 
     def _queued(self, name: str, steps: Callable[[], Steps]) -> Job:
@@ -126,7 +125,7 @@ class SdoChannel:
     def _ask(self, message: str, replies: tuple[str, ...], index: int, subindex: int, **fields: Any) -> Steps:
         """One request about an object and its answer; answers about another object come from an older request."""
         for _ in range(3):
-            told = yield self.device.ask(
+            answer = yield self.device.ask(
                 message,
                 reply=(*replies, "SdoAborted"),
                 timeout_s=self.timeout_s,
@@ -135,8 +134,8 @@ class SdoChannel:
                 subindex=subindex,
                 **fields,
             )
-            if self._is_about(told, index, subindex):
-                return told
+            if self._is_about(answer, index, subindex):
+                return answer
         raise DeviceError(
             f"{self.device.name} answers about other objects than {index:04X}:{subindex}: does another master use its SDO?"
         )
@@ -145,25 +144,25 @@ class SdoChannel:
         self, message: str, reply: str, index: int, subindex: int, toggle: int, **fields: Any
     ) -> Steps:
         """One segment. It is not repeated: the node would take it for the next one."""
-        told = yield self.device.ask(
+        answer = yield self.device.ask(
             message, reply=(reply, "SdoAborted"), timeout_s=self.timeout_s, retries=0, toggle=toggle, **fields
         )
-        if type(told).__name__ == "SdoAborted":
-            raise SdoRefused(self.device.name, index, subindex, told.code)
-        if told.toggle != toggle:
+        if type(answer).__name__ == "SdoAborted":
+            raise SdoRefused(self.device.name, index, subindex, answer.code)
+        if answer.toggle != toggle:
             self._abort(index, subindex, "toggle")
             raise DeviceError(
                 f"{self.device.name}: a segment of {index:04X}:{subindex} came twice or not at all"
             )
-        return told
+        return answer
 
     def _abort(self, index: int, subindex: int, code: str) -> None:
-        self.device.tell("SdoAbort", index=index, subindex=subindex, code=code)
+        self.device.send("SdoAbort", index=index, subindex=subindex, code=code)
 
     def _upload(self, index: int, subindex: int) -> Steps:
-        told = yield from self._ask("SdoUpload", ("SdoUploaded", "SdoUploadStarted"), index, subindex)
-        if type(told).__name__ == "SdoUploaded":
-            return told.data[: 4 - told.unused] if told.sized else told.data
+        answer = yield from self._ask("SdoUpload", ("SdoUploaded", "SdoUploadStarted"), index, subindex)
+        if type(answer).__name__ == "SdoUploaded":
+            return answer.data[: 4 - answer.unused] if answer.sized else answer.data
         data = bytearray()
         toggle, is_last = 0, False
         while not is_last:

@@ -97,7 +97,7 @@ class CanopenTwin(Twin):
 
     # ------------------------------------------------------------------ hearing
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """All messages of the spec."""
         name = type(record).__name__
         state = self.node.nmt.state
@@ -127,7 +127,7 @@ class CanopenTwin(Twin):
             self._repeat()
         self.changed_state(self.node.nmt.state, self.clock.now())
 
-    def overheard(self, record: Any, instant: int) -> bool:
+    def received_by_others(self, record: Any, instant: int) -> bool:
         """The heartbeat of a node that it may watch over."""
         if type(record).__name__ != "Heartbeat":
             return False

@@ -119,6 +119,6 @@ class Watchdog:
         watching = [one for one in mates if isinstance(one, Watchdog) and one.entry is not None]
         leader = next(one for one in watching if one.host_node == self.host_node)
         if leader is self and device.host.is_open:
-            device.tell("Heartbeat", node=self.host_node, state="operational", toggle=0)
+            device.send("Heartbeat", node=self.host_node, state="operational", toggle=0)
         wait_ms = min(one.wait_ms for one in watching)
         device.clock.call_in(wait_ms * 1_000_000 // BEATS, self._beat)

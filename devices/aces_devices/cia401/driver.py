@@ -123,7 +123,7 @@ class Cia401(CanopenNode):
                     (yield from self._error_object(value, where[1])),
                 )
         yield from self._read_all()
-        yield self.tell("Nmt", command="start")
+        yield self.send("Nmt", command="start")
         self.is_set_up = True
         self.error.update("", self.clock.now())
         if self._reading is None:
@@ -185,14 +185,14 @@ class Cia401(CanopenNode):
         for one, signal in self._by_where.get(where, ()):
             signal.update(one.value(number), instant)
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """PDOs; what any node says."""
         name = type(record).__name__
         layout = self.inputs.get(int(name[-1])) if name.startswith("Tpdo") else None
         if layout is None:
-            super().heard(record, instant)
+            super().received(record, instant)
         elif len(record.data) < layout.size:
-            self.tell_event("malformed", f"{name} has {len(record.data)} bytes, fewer than are mapped")
+            self.emit_event("malformed", f"{name} has {len(record.data)} bytes, fewer than are mapped")
         else:
             word = int.from_bytes(record.data, "little")
             for place in layout.places:
@@ -217,7 +217,7 @@ class Cia401(CanopenNode):
 
     def _set(self, one: IoChannel, value: Any) -> None:
         if self.host.passive:
-            self.tell_event("not sent", f"{one.name}: this bus is only listened to")
+            self.emit_event("not sent", f"{one.name}: this bus is only listened to")
             return
         if self._is_unknown:
             self._early[one.name] = value
@@ -231,12 +231,12 @@ class Cia401(CanopenNode):
 
     def _give(self, one: IoChannel, value: Any) -> None:
         if not self.is_operational or one.where not in self.numbers:
-            self.tell_event(
+            self.emit_event(
                 "not sent", f"{one.name}: the module is not operational; the set-point is dropped"
             )
             return
         if self._stop_number(one.where, 0) is None:
-            self.tell_event(
+            self.emit_event(
                 "not sent",
                 f"{one.name}: the module's error value (6444) is {self.errors[one.where][1]}, and CiA 401 leaves open"
                 " what that is of 16 bits; say what stops it, as stop = 0.0 of the channel",
@@ -265,7 +265,7 @@ class Cia401(CanopenNode):
                     yield self.sdo.download(*where, self._bytes(where, self.goals[where]))
         except AcesError as error:
             self._unsent.clear()
-            self.tell_event("not sent", str(error))
+            self.emit_event("not sent", str(error))
             raise
 
     def _send(self) -> None:
@@ -322,7 +322,7 @@ class Cia401(CanopenNode):
         }
         self.goals = dict(wanted)
         for number, layout in list(self._taking()) if self.is_operational else ():
-            self.tell_now(f"Rpdo{number}", data=self._content(layout))
+            self.send_now(f"Rpdo{number}", data=self._content(layout))
         written = self.sdo.download_now(
             [(*where, self._bytes(where, goal)) for where, goal in wanted.items()]
         )

@@ -66,8 +66,8 @@ class DriveAxis:
             raise CallerError(
                 f"{device.name}: settings mode is one of {', '.join(TARGETS)}, not {self.wanted!r}"
             )
-        #: How many statuswords were heard.
-        self.heard = 0
+        #: How many statuswords were received.
+        self.received = 0
         self._is_fresh = False
         self._raised_at = 0
         #: A set-point that came before the drive was heard.
@@ -155,7 +155,7 @@ class DriveAxis:
 
     def _status(self, word: int, instant: int) -> None:
         signals = self.signals
-        self.heard += 1
+        self.received += 1
         if word != self.statusword:
             self.statusword = word
             self.state = drive_state(word)
@@ -205,7 +205,7 @@ class DriveAxis:
             self.hold()
             self.outputs[CONTROLWORD], self.outputs[MODE] = ENABLE, self.mode_shown
         if not self.takes:
-            self.device.tell_event(
+            self.device.emit_event(
                 "not sent", f"{self.joint.name} is {self._why()}: the set-point is dropped"
             )
             return
@@ -234,7 +234,7 @@ class DriveAxis:
                 self.device.put(self, CONTROLWORD)
             elif now - self._raised_at > TAKES_NS:
                 self._raised_at = now
-                self.device.tell_event("alarm", f"{self.joint.name} does not take its set-point")
+                self.device.emit_event("alarm", f"{self.joint.name} does not take its set-point")
         elif self._is_fresh and not is_taken:
             self._is_fresh = False
             self._raised_at = now

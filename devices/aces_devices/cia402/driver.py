@@ -43,6 +43,9 @@ from .units import DriveSettings
 
 #: Seconds that one step of the state machine may take, and a change of mode.
 STEP_S, MODE_S = 1.0, 1.0
+#: A stop that no PDO has answered for so long (s) goes over SDO; then the statusword is looked at this often (ns). How long
+#: it may stay enabled (s): the stop is repeated then.
+SOON_S, LOOK_NS, STOP_S = 0.1, 20_000_000, 0.3
 #: `Host.postpone` for good (s).
 LONG_S = 1e9
 #: Object → the signals that it gives.
@@ -149,20 +152,20 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
                 slot.replies = frozenset((f"Tpdo{holder}",))
                 slot.due = self.clock.now()
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """PDOs, heartbeats and emergencies."""
         name = type(record).__name__
         readers = self._readers.get(name)
         if readers is not None:
             data = record.data
             if len(data) < self.inputs[int(name[-1])].size:
-                self.tell_event("malformed", f"{name} has {len(data)} bytes, fewer than are mapped")
+                self.emit_event("malformed", f"{name} has {len(data)} bytes, fewer than are mapped")
                 return
             word = int.from_bytes(data, "little")
             for place, axis, index in readers:
                 axis.update(index, place.take(word), instant)
         else:
-            super().heard(record, instant)
+            super().received(record, instant)
 
     def describe_emergency(self, code: int) -> str:
         """An emergency's code in words."""
@@ -226,20 +229,22 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
             yield self.sdo.download(CONTROLWORD + axis.offset, 0, word.to_bytes(2, "little"))
             return
         self.put(axis, CONTROLWORD)
-        before = axis.heard
-        yield self.until(lambda: axis.heard >= before + 2, STEP_S, lambda: f"{axis.name} says no statusword")
+        before = axis.received
+        yield self.until(
+            lambda: axis.received >= before + 2, STEP_S, lambda: f"{axis.name} says no statusword"
+        )
 
     def _ready(self) -> Steps:
         """The node is set up and says its state."""
         if not self.is_set_up:
             yield self.set_up()
         elif not self.is_operational:
-            yield self.tell("Nmt", command="start")
+            yield self.send("Nmt", command="start")
             self.quiet(False)
         for axis in self.axes:
-            before = axis.heard
+            before = axis.received
             yield self.until(
-                lambda axis=axis, before=before: axis.heard > before,  # type: ignore[misc]
+                lambda axis=axis, before=before: axis.received > before,  # type: ignore[misc]
                 STEP_S,
                 lambda axis=axis: f"{axis.name} says no statusword",  # type: ignore[misc]
             )
@@ -284,13 +289,13 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
 
     def disable(self, joint: str | None = None) -> Job:
         """Torque off."""
-        return self._down("disable", SHUTDOWN, self.axes_of(joint))
+        return self._down("disable", SHUTDOWN, self.axes_of(joint), STEP_S)
 
     def stop_motion(self) -> Job:
         """Quick stop, of all joints."""
-        return self._down("stop", QUICK_STOP, self.axes)
+        return self._down("stop", QUICK_STOP, self.axes, STOP_S)
 
-    def _down(self, name: str, word: int, axes: Sequence[DriveAxis]) -> Job:
+    def _down(self, name: str, word: int, axes: Sequence[DriveAxis], within_s: float) -> Job:
         """A controlword that stops, at once: in PDOs, else over SDO; over when statuswords made after it say so."""
         self.end_led()
         self.epoch += 1
@@ -306,39 +311,57 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
         #: By PDO where the node takes them and they are known; it may move where it does not.
         takers = self._takers if self.is_operational else {}
         numbers = {axis: takers.get(CONTROLWORD + axis.offset) for axis in axes}
-        told = [
-            self.tell_now(f"Rpdo{number}", **fields)
+        sent = [
+            self.send_now(f"Rpdo{number}", **fields)
             for number in sorted({number for number in numbers.values() if number is not None})
             if (fields := self.gathered(f"Rpdo{number}", ())) is not None
         ]
-        writes = [
-            (CONTROLWORD + axis.offset, 0, word.to_bytes(2, "little"))
-            for axis, number in numbers.items()
-            if number is None
-        ]
-        written = self.sdo.download_now(writes) if writes else None
+        others = [axis for axis, number in numbers.items() if number is None]
+        written = self._write_control(others, word) if others else None
         self._go_on_writing()
-        before = {axis: axis.heard for axis in axes}
+        before = {axis: axis.received for axis in axes}
 
         def steps(job: Job) -> Steps:
-            yield from told
+            yield from sent
             if written is not None:
                 yield written
-            for axis in axes if self.is_operational else ():
-                yield self.until(
-                    lambda axis=axis: axis.heard >= before[axis] + 2,  # type: ignore[misc]
-                    STEP_S,
-                    lambda axis=axis: f"{axis.name} says no statusword",  # type: ignore[misc]
-                )
-                yield self.until(
-                    lambda axis=axis: axis.state != "operation enabled",  # type: ignore[misc]
-                    STEP_S,
-                    lambda axis=axis: f"{axis.name} stays enabled",  # type: ignore[misc]
-                )
+            is_asked = not self.is_operational
+            try:
+                for axis in () if is_asked else axes:
+                    yield self.until(
+                        lambda axis=axis: axis.received >= before[axis] + 2,  # type: ignore[misc]
+                        SOON_S,
+                        lambda: "",
+                    )
+            except DeviceError:  # it takes no PDOs, and its heartbeat has not said so yet
+                is_asked = True
+                yield self._write_control(axes, word)
+            for axis in axes:
+                yield from self._off(axis, within_s, is_asked=is_asked)
             if all(axis.state != "operation enabled" for axis in self.axes):
                 yield from self.watchdog.end()
 
         return self.job(name, steps)
+
+    def _write_control(self, axes: Sequence[DriveAxis], word: int) -> Job:
+        """A controlword over SDO, instead of all that waits there."""
+        data = word.to_bytes(2, "little")
+        return self.sdo.download_now([(CONTROLWORD + axis.offset, 0, data) for axis in axes])
+
+    def _off(self, axis: DriveAxis, within_s: float, *, is_asked: bool) -> Steps:
+        """Until its statusword says that it is not enabled; where no PDO brings it, it is asked for over SDO."""
+        end = self.clock.now() + round(within_s * 1e9)
+        while is_asked:
+            data: bytes = yield self.sdo.upload(STATUSWORD + axis.offset)
+            axis.update(STATUSWORD, int.from_bytes(data[:2], "little"), self.clock.now())
+            if axis.state != "operation enabled" or self.clock.now() >= end:
+                break
+            yield LOOK_NS
+        yield self.until(
+            lambda: axis.state != "operation enabled",
+            0 if is_asked else within_s,
+            lambda: f"{axis.name} stays enabled",
+        )
 
     def reset_fault(self, joint: str | None = None) -> Job:
         """Acknowledge a fault. Fails with `DeviceError` while its cause is there."""

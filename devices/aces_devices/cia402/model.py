@@ -45,7 +45,7 @@ TORQUE_MODES = ("profile_torque", "cyclic_torque")
 
 
 class AxisModel:
-    """One axis. `objects` are its numbers by index (those of records: index << 8 | subindex); `tell` sends an emergency."""
+    """One axis. `objects` are its numbers by index (those of records: index << 8 | subindex); `send` sends an emergency."""
 
     def __init__(
         self,
@@ -53,10 +53,10 @@ class AxisModel:
         units: Units,
         objects: dict[int, int],
         now: int,
-        tell: Callable[[int, int], None],
+        report: Callable[[int, int], None],
     ) -> None:
         self.joint, self.units, self.objects = joint, units, objects
-        self._tell = tell
+        self._report = report
         lower = -1e9 if joint.lower is None else joint.lower - 0.2
         upper = 1e9 if joint.upper is None else joint.upper + 0.2
         self.motor = MotorJoint(MotorModel(), now, lower=lower, upper=upper)
@@ -165,7 +165,7 @@ class AxisModel:
         if state in ("fault", "fault reaction active"):
             if word & 0x80 and not old & 0x80 and not self.causes:
                 self.state, self.error = "switch on disabled", 0
-                self._tell(0, 0)
+                self._report(0, 0)
             return
         if not word & 2:  # disable voltage
             self._enter("switch on disabled")
@@ -263,7 +263,7 @@ class AxisModel:
         if (self.cannot_home and (is_there or self._searched > 500)) or self._searched > SEARCH_MS:
             self._bits |= FAILED
             self._stop_search()
-            self._tell(NO_HOME, REGISTERS[NO_HOME])
+            self._report(NO_HOME, REGISTERS[NO_HOME])
         elif is_there:
             self._found(at)
 
@@ -283,7 +283,7 @@ class AxisModel:
     def fail(self, code: int) -> None:
         """A fault: it stops, and says so."""
         self._fail(code)
-        self._tell(code, REGISTERS.get(code, 0x01))
+        self._report(code, REGISTERS.get(code, 0x01))
 
     def _fail(self, code: int) -> None:
         self.error = code

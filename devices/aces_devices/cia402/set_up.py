@@ -45,7 +45,7 @@ def set_up(device: Cia402, job: Job) -> Steps:
         raise DeviceError(f"{device.name}: node {device.node} is of device profile {profile}, not 402")
     job.progress, job.text = 0.1, "PDOs"
     if device.pdo == "write":
-        yield device.tell("Nmt", command="pre_operational")
+        yield device.send("Nmt", command="pre_operational")
         yield from _write(device)
     elif device.pdo == "read":
         for side in (RECEIVED, SENT):
@@ -70,13 +70,13 @@ def set_up(device: Cia402, job: Job) -> Steps:
     job.progress, job.text = 0.9, "start"
     if device.boots != boots:
         return
-    yield device.tell("Nmt", command="start")
+    yield device.send("Nmt", command="start")
     device.begin()
-    heard = [axis.heard for axis in device.axes]
+    received = [axis.received for axis in device.axes]
     yield device.until(
         lambda: (
             device.network.last == "operational"
-            or any(axis.heard > before for axis, before in zip(device.axes, heard, strict=True))
+            or any(axis.received > before for axis, before in zip(device.axes, received, strict=True))
         ),
         1.0 + 2 * device.heartbeat_ms / 1000,
         lambda: f"node {device.node} was started, and sends neither PDOs nor that it is operational",

@@ -140,7 +140,7 @@ class Damiao(MitMotor):
         if self._filed is not None and any(
             abs(one - other) > 1e-3 * other for one, other in zip(ranges, self._filed, strict=True)
         ):
-            self.tell_event(
+            self.emit_event(
                 "alarm",
                 f"its ranges are {', '.join(f'{one:g}' for one in ranges[:3])}; the robot's file means"
                 f" {', '.join(f'{one:g}' for one in self._filed[:3])}. The motor's count",
@@ -156,12 +156,12 @@ class Damiao(MitMotor):
             try:
                 yield from self.read_ranges()
             except AcesError:
-                if self.last_heard is not None:
+                if self.last_received is not None:
                     raise
 
         return self.job("start", steps)
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """A feedback says whether it is on."""
         if type(record).__name__ != "Feedback":
             return
@@ -204,7 +204,7 @@ class Damiao(MitMotor):
 
     def switch_off(self) -> Ticket:
         """Off; its answer says so."""
-        return self.tell_now("Disable", reply="Feedback")
+        return self.send_now("Disable", reply="Feedback")
 
     def ask_state(self) -> Ticket:
         """Ask for a feedback."""
@@ -243,8 +243,8 @@ class Damiao(MitMotor):
         number, kind = self._register(register)
 
         def steps(job: Job) -> Steps:
-            told = yield self.ask(f"Read{kind}", reply=f"Read{kind}Reply", register=number)
-            return told.value
+            answer = yield self.ask(f"Read{kind}", reply=f"Read{kind}Reply", register=number)
+            return answer.value
 
         return self.job(f"read {register}", steps)
 
@@ -258,10 +258,10 @@ class Damiao(MitMotor):
 
         def steps(job: Job) -> Steps:
             given = float(value) if kind == "Float" else int(value)
-            told = yield self.ask(f"Write{kind}", reply=f"Write{kind}Reply", register=number, value=given)
-            if abs(told.value - given) > 1e-5 * abs(given):
+            answer = yield self.ask(f"Write{kind}", reply=f"Write{kind}Reply", register=number, value=given)
+            if abs(answer.value - given) > 1e-5 * abs(given):
                 raise DeviceError(
-                    f"{self.name}: register {register} was written {given}, and is {told.value}"
+                    f"{self.name}: register {register} was written {given}, and is {answer.value}"
                 )
 
         return self.job(f"write {register}", steps)
@@ -292,7 +292,7 @@ class Damiao(MitMotor):
         def steps(job: Job) -> Steps:
             yield self.ask_state()
             self.check_off("registers can be stored")
-            yield self.tell("Store", how=1)
+            yield self.send("Store", how=1)
 
         return self.job("store", steps)
 
@@ -308,11 +308,11 @@ def _scan(name: str, host: Host, job: Job) -> Steps:
     found: list[DeviceConfig] = []
     for motor in range(1, 16):
         job.progress, job.text = motor / 15, f"motor {motor}, {len(found)} found"
-        told = yield from host.answers(
+        answer = yield from host.answers(
             name, {"motor": motor}, "AskFeedback", reply="Feedback", timeout_s=0.05, retries=2, how=0
         )
-        if told is not None:
-            settings = {"master": told.master} if told.master else {}
+        if answer is not None:
+            settings = {"master": answer.master} if answer.master else {}
             found.append(
                 DeviceConfig(
                     name=f"DM{motor}",

@@ -153,7 +153,7 @@ class DamiaoTwin(Twin):
 
     # ------------------------------------------------------------------ commands
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """A command of a mode, where it is the present one."""
         if type(record).__name__ != _MODES[int(self.registers[10])]:
             return
@@ -188,7 +188,7 @@ class DamiaoTwin(Twin):
     @on("ReadFloat", "ReadInteger")
     def read(self, request: Any) -> None:
         """What it holds; registers that it has not are not answered."""
-        self.tell(request, "Read")
+        self.answer(request, "Read")
 
     @on("WriteFloat", "WriteInteger")
     def write(self, request: Any) -> None:
@@ -196,7 +196,7 @@ class DamiaoTwin(Twin):
         number = REGISTERS.get(request.register)
         if number is not None and number not in READ_ONLY and self._can_be(number, request.value):
             self.registers[number] = request.value
-        self.tell(request, "Write")
+        self.answer(request, "Write")
 
     def _can_be(self, number: int, value: float) -> bool:
         """Whether a register can have a value: a mode that there is, an identifier that its answers can come under."""
@@ -206,7 +206,7 @@ class DamiaoTwin(Twin):
             return value in Master.values
         return number not in INTEGERS or (math.isfinite(value) and 0 <= value < 1 << 32)
 
-    def tell(self, request: Any, verb: str) -> None:
+    def answer(self, request: Any, verb: str) -> None:
         """The register of a request."""
         number = REGISTERS.get(request.register)
         if number is None:

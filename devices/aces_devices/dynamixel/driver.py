@@ -128,7 +128,7 @@ class Dynamixel(ServoDevice):
         """A Ping is answered by model and firmware."""
         span = RegisterSpan(0, PINGED, ())
         span.codecs = (0, self.codec("model_number")), (2, self.codec("firmware_version"))
-        self._spans[self.host.word(self, "Ping", {})] = span
+        self._spans[self.host.packet(self, "Ping", {})] = span
 
     def renumbered(self) -> None:
         """Its Ping is another, too."""
@@ -226,11 +226,11 @@ class Dynamixel(ServoDevice):
         drive_mode = self.codec("drive_mode").value(table["drive_mode"])
         self.is_woken_by_goals = bool(drive_mode.torque_on_by_goal)
         if self.is_woken_by_goals:
-            self.tell_event(
+            self.emit_event(
                 "alarm", "a goal would switch its torque on (drive_mode): none is taken before it is enabled"
             )
         if drive_mode.time_based_profile:
-            self.tell_event(
+            self.emit_event(
                 "alarm", "its profiles are times (drive_mode): speed and acceleration limits mean nothing"
             )
         if self.mode == "position":
@@ -269,7 +269,7 @@ class Dynamixel(ServoDevice):
             self.is_cut_off = True
             self.drop(self.goal)
             text = "bus watchdog: it had no instruction for too long, and has stopped; enable it anew"
-            self.tell_event("alarm", text)
+            self.emit_event("alarm", text)
         else:
             super().changed(which)
 
@@ -286,9 +286,14 @@ class Dynamixel(ServoDevice):
     def want(self, message: str, path: str, value: Any) -> None:
         """As `RegisterDevice.want`; a goal that it does not take now is reported, and not kept for later."""
         if path == self.goal and self._takes_no_goals:
-            self.tell_event("not sent", f"{path} = {value}: it is not enabled")
+            self.emit_event("not sent", f"{path} = {value}: it is not enabled")
         else:
             super().want(message, path, value)
+
+    @property
+    def alone_s(self) -> float | None:
+        """Its bus watchdog, which `enable` sets."""
+        return self.settings.watchdog_s or None
 
     # ------------------------------------------------------------------ actions
 

@@ -44,7 +44,7 @@ class NmeaReceiver(Receiver):
         super().setup()
         self._fix_at: int | None = None
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """Take what a sentence says."""
         match type(record).__name__:
             case "GGA" | "GNS":
@@ -158,7 +158,7 @@ def _scan(host: Host, job: Job) -> Steps:
     probe = host.probe("nmea0183")
     try:
         yield LISTEN_NS
-        if probe.last_heard is None:
+        if probe.last_received is None:
             return []
         return [DeviceConfig(name="GNSS", driver="nmea0183", bus=host.name)]
     finally:

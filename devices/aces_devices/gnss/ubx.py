@@ -60,7 +60,7 @@ class UbxReceiver(Receiver):
         """Set the receiver, where the file says so."""
         return self.configure() if self.settings.configure else None
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """Take what NavPvt says."""
         if type(record).__name__ != "NavPvt":
             return
@@ -331,9 +331,9 @@ class UbxTwin(ReceiverTwin):
                 if key[0] == NMEA:
                     self._speak(epoch, SENTENCE_NUMBERS[key[1]])
                 else:
-                    self._tell(key, epoch)
+                    self._send_message(key, epoch)
 
-    def _tell(self, key: tuple[int, int], epoch: Epoch) -> None:
+    def _send_message(self, key: tuple[int, int], epoch: Epoch) -> None:
         message, fields = MESSAGES[key]
         self.reply(message, delay_ns=0, **fields(epoch))
 
@@ -359,7 +359,7 @@ class UbxTwin(ReceiverTwin):
     def answer(self, request: Any) -> None:
         """One message, now."""
         wanted = type(request).__name__.removesuffix("Poll")
-        self._tell(next(key for key, (name, _) in MESSAGES.items() if name == wanted), self.epoch())
+        self._send_message(next(key for key, (name, _) in MESSAGES.items() if name == wanted), self.epoch())
 
     @on("MonVerPoll")
     def answer_version(self, request: Any) -> None:

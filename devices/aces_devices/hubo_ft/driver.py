@@ -62,7 +62,7 @@ class ForceTorqueBoard(SensorBoard):
         if force is not None and matrix:
             self.products(force, self._force, _AXES)
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """What a matrix makes of digits; readings at the end of their range."""
         name = type(record).__name__
         update = self.made_of.get(name) if self.made_of else None
@@ -79,10 +79,10 @@ class ForceTorqueBoard(SensorBoard):
 
     def null(self) -> Job:
         """Take the present force, torque and, of a D12 foot, tilt for zero."""
-        words: list[tuple[str, dict[str, Any]]] = [("NullSensor", {"what": "force_torque"})]
+        requests: list[tuple[str, dict[str, Any]]] = [("NullSensor", {"what": "force_torque"})]
         if self.config.kind == "foot" and not self.is_old:
-            words.append(("NullSensor", {"what": "tilt"}))
-        return self.nulled(*words)
+            requests.append(("NullSensor", {"what": "tilt"}))
+        return self.nulled(*requests)
 
 
 EXAMPLE = """

@@ -34,7 +34,7 @@ class ImuBoard(SensorBoard):
         self.ask_for(Poll("ImuRequest", reply="Imu", fields={"select": "imu"}))
         self.axes(sensor, "Imu", [(name, name, unit, _DEGREE) for name, unit in MOTION])
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """What a matrix makes of digits."""
         if self.made_of and type(record).__name__ == "ImuD08":
             self.made_of["ImuD08"]((*record.acceleration, *record.gyro), instant)

@@ -97,7 +97,7 @@ class MotorAxis:
         """Position (rad) of an encoder count."""
         return count * self.scale - self.zero * self.direction
 
-    def heard(self, count: int, instant: int, moves: bool) -> None:
+    def received(self, count: int, instant: int, moves: bool) -> None:
         """The encoder says `count`; `moves` False: a zero is being set, and the difference is no movement."""
         position, velocity = self.position, self.velocity
         if position is not None:
@@ -312,18 +312,18 @@ class MotorBoard(MotorDevice[MotorAxis]):
 
     def _declare_status(self, axis: MotorAxis) -> None:
         shape = self.shape
-        told: Mapping[str, str] = {}
+        meanings: Mapping[str, str] = {}
         if shape.status is not None and shape.reports_drive:
-            told = {**_DRIVE_STATUS, **(_HOME_STATUS if shape.has_home_flag else {})}
+            meanings = {**_DRIVE_STATUS, **(_HOME_STATUS if shape.has_home_flag else {})}
         elif (
             shape.status is not None
             and axis.channel < (3 if self.dialect == "D08X" else 2)
             and shape.channels < 5
         ):
-            told = _SEARCH_STATUS
+            meanings = _SEARCH_STATUS
         stale_s = max(0.1, 5 * self.settings.status_s)
         replies = shape.status.reply if shape.status is not None else ()
-        for name, doc in told.items():
+        for name, doc in meanings.items():
             axis.signals[name] = self.add_signal(
                 name, owner=axis.name, stale_s=stale_s, doc=doc, read_from=replies
             )
@@ -371,7 +371,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
 
     # ------------------------------------------------------------------ up
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """A record of this board."""
         hear = self._hearers.get(type(record).__name__)
         if hear is not None:
@@ -385,7 +385,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
             for axis, count in zip(axes, record.position, strict=False):
                 if is_neck:
                     count = round((count + pi) * 4096 / tau)
-                axis.heard(count, instant, not homing or axis.channel not in homing)
+                axis.received(count, instant, not homing or axis.channel not in homing)
             if self.comply is not None:
                 self.comply(instant)
 
@@ -416,15 +416,15 @@ class MotorBoard(MotorDevice[MotorAxis]):
             news += [f"{axis.name}: {name}" for name in bad if name not in before]
             gone += [f"{axis.name}: {name}" for name in before if name not in bad]
         if news:
-            self.tell_event("alarm", ", ".join(news))
+            self.emit_event("alarm", ", ".join(news))
         if gone:
-            self.tell_event("alarm over", ", ".join(gone))
+            self.emit_event("alarm over", ", ".join(gone))
         if lost:
             self.rebooted(f"{', '.join(lost)} lost its home")
         elif self.is_enabled and not on and not self.homing:
             if wrong:
                 self.quiet()
-                self.tell_event("alarm", "the board has switched itself off")
+                self.emit_event("alarm", "the board has switched itself off")
             else:
                 self.rebooted("drivers or control went off without a command")
 
@@ -434,8 +434,10 @@ class MotorBoard(MotorDevice[MotorAxis]):
         for axis, motor in zip(self.axes, record.motor, strict=False):
             lost += self._home_lost(axis, search_state(motor) == "done")
             parts = ("origin", "limit_switch", "encoder")
-            told = tuple(f"{part}_{getattr(motor, part)}" for part in parts if getattr(motor, part) != "none")
-            axis.show("status", told, instant)
+            meanings = tuple(
+                f"{part}_{getattr(motor, part)}" for part in parts if getattr(motor, part) != "none"
+            )
+            axis.show("status", meanings, instant)
             axis.show("homed", axis.was_homed, instant)
         if lost:
             self.rebooted(f"{', '.join(lost)} lost its home")

@@ -124,7 +124,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
             super().want(message, path, value)
         else:
             (axis,) = self.axes_of(path[-1])
-            self.tell_event("not sent", f"{axis.name} is not enabled: the set-point is dropped")
+            self.emit_event("not sent", f"{axis.name} is not enabled: the set-point is dropped")
 
     def takes(self, signal: Signal) -> bool | None:
         """Set-points go out while the board is enabled."""
@@ -158,7 +158,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
 
     # ------------------------------------------------------------------ up
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """The status: switches, home, errors."""
         if type(record).__name__ not in REPLIES:
             return
@@ -172,7 +172,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
             axis.show("driver_on", "driver_on" in axis.drive, instant)
             axis.show("control_on", "control_on" in axis.drive, instant)
             axis.show("homed", axis.was_homed, instant)
-            self.tell_alarms(axis.failed, before, f"{axis.name}: ")
+            self.emit_alarms(axis.failed, before, f"{axis.name}: ")
         if self.is_enabled and any("control_on" not in axis.drive for axis in self.axes):
             self._end()
             if not any(axis.failed for axis in self.axes):
@@ -194,8 +194,8 @@ class HuboMotorD15(MotorDevice[D15Axis]):
         def steps(job: Job) -> Steps:
             yield self.ask("SendEncoderD15", reply="EncoderD15", mode="once")
             for axis in self.axes:
-                yield self.tell("DriverSwitchD15", channel=axis.channel + 1, state="on")
-                yield self.tell("ControlD15", channel=axis.channel + 1, state="on")
+                yield self.send("DriverSwitchD15", channel=axis.channel + 1, state="on")
+                yield self.send("ControlD15", channel=axis.channel + 1, state="on")
             yield 10_000_000
             yield self._status()
             off = [axis.name for axis in self.axes if not {"driver_on", "control_on"} <= axis.drive]
@@ -226,15 +226,15 @@ class HuboMotorD15(MotorDevice[D15Axis]):
     def _off(self, name: str, *, is_driver_too: bool) -> Job:
         self.end_led()
         self._end()
-        told: list[Any] = [
-            self.tell_now("ControlD15", channel=axis.channel + 1, state="off") for axis in self.axes
+        states: list[Any] = [
+            self.send_now("ControlD15", channel=axis.channel + 1, state="off") for axis in self.axes
         ]
         if is_driver_too:
-            told += [
-                self.tell("DriverSwitchD15", channel=axis.channel + 1, state="off") for axis in self.axes
+            states += [
+                self.send("DriverSwitchD15", channel=axis.channel + 1, state="off") for axis in self.axes
             ]
 
-        return together(self.clock, f"{self.name} {name}", told)
+        return together(self.clock, f"{self.name} {name}", states)
 
     def home(self, joint: str | None = None, timeout_s: float = HOME_S) -> Job:
         """Search home; enables before. Raises `DeviceError` when the board reports errors, or does not find it in time."""
@@ -247,7 +247,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
             for axis in self.in_turn(job, axes):
                 self.hold("ReferenceD15", timeout_s)
                 self._given.get("ReferenceD15", {}).pop(f"position.{axis.channel}", None)
-                yield self.tell("HomeD15", channel=axis.channel + 1)
+                yield self.send("HomeD15", channel=axis.channel + 1)
                 yield LOOK_NS
                 yield from self._searched(axis, timeout_s)
             yield self.ask("SendEncoderD15", reply="EncoderD15", mode="once")
@@ -275,7 +275,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
 
         def steps(job: Job) -> Steps:
             for axis in axes:
-                yield self.tell("ClearErrorD15", channel=axis.channel + 1)
+                yield self.send("ClearErrorD15", channel=axis.channel + 1)
             yield 10_000_000
             yield self._status()
 
@@ -291,7 +291,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
             if self.is_enabled:
                 raise DeviceError(f"{self.name} is enabled: disable it, then change its position mode")
             for axis in axes:
-                yield self.tell("PositionModeD15", channel=axis.channel + 1, mode=mode)
+                yield self.send("PositionModeD15", channel=axis.channel + 1, mode=mode)
 
         return self.job("position mode", steps)
 
@@ -392,16 +392,16 @@ class HuboMotorD15Twin(Twin):
     def status(self, request: Any) -> None:
         """Switches, home, errors, modes."""
         now = self.clock.now()
-        told = [{"drive": 0, "home": 0, "errors": 0, "modes": 0} for _ in range(2)]
+        states = [{"drive": 0, "home": 0, "errors": 0, "modes": 0} for _ in range(2)]
         for number, motor in self.motors.items():
             self._look(motor, now)
-            told[number] = {
+            states[number] = {
                 "drive": int(motor.is_driven) | int(motor.is_controlled) << 1,
                 "home": 6 if motor.is_homed else 0,
                 "errors": motor.errors,
                 "modes": 0x80 | (int(motor.is_incremental) << 5),
             }
-        self.reply("StatusD15", motor=told, rest=b"")
+        self.reply("StatusD15", motor=states, rest=b"")
 
     def _look(self, motor: _SimulatedMotor, now: int) -> None:
         """What has become of it since it was looked at."""

@@ -161,7 +161,7 @@ class HuboMotor(Homing):
                 fields = {field: given.get(name, known.get(name)) for name, field in WRITES[message].items()}
                 if axis is not None and message not in OF_BOARD:
                     fields["channel"] = axis.channel
-                yield self.tell(message, **fields)
+                yield self.send(message, **fields)
                 yield PAUSE_NS
 
         return self.job("set parameters", steps)
@@ -200,7 +200,7 @@ class HuboMotor(Homing):
                     if end is not None:
                         options = ["enable", "update"] if enabled else ["update"]
                         count = int(axis.to_counts(end) / 2) * 2
-                        yield self.tell(message, channel=axis.channel, options=options, limit=count)
+                        yield self.send(message, channel=axis.channel, options=options, limit=count)
                         yield PAUSE_NS
 
         return self.job("set limits", steps)
@@ -212,7 +212,7 @@ class HuboMotor(Homing):
         self.only_d12("defaults")
         self._confirmed(confirm, "its gains, home offsets and limits will be lost")
         self.quiet()
-        return self.tell("InitBoard")
+        return self.send("InitBoard")
 
     def set_board_number(self, number: int, confirm: bool, period_ms: int = 5) -> Ticket:
         """Give the board another number (0xF0); this device talks to that one from then on (D12)."""
@@ -227,7 +227,7 @@ class HuboMotor(Homing):
             )
         self._confirmed(confirm, "two boards with one number cannot be distinguished again")
         self.quiet()
-        ticket = self.tell("SetBoardNumber", number=number, period=period_ms)
+        ticket = self.send("SetBoardNumber", number=number, period=period_ms)
         self.host.renumber(self, board=number)
         return ticket
 

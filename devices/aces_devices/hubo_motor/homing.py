@@ -85,14 +85,14 @@ class Homing(Switching):
 
     def _home_d12(self, job: Job, axes: list[MotorAxis], whole: bool) -> Steps:
         if self.shape.has_driver_switch and not self.is_enabled:
-            yield self.tell("DriverSwitch", state="on")
+            yield self.send("DriverSwitch", state="on")
         began = self.clock.now()
         for axis in axes[:1] if whole else axes:
             self._announce()
-            yield self.tell("Home", motor="all" if whole else f"motor_{axis.channel + 1}")
+            yield self.send("Home", motor="all" if whole else f"motor_{axis.channel + 1}")
         if self.kind == "hand":
             for _ in range(2):
-                yield self.tell("ControlMode", mode=self.hand_mode)
+                yield self.send("ControlMode", mode=self.hand_mode)
         first = {axis.channel: axis.count for axis in axes}
         moved: set[int] = set()
         waiting, rested = list(axes), dict.fromkeys((axis.channel for axis in axes), began)
@@ -188,8 +188,8 @@ class Homing(Switching):
 
     def _home_d08(self, job: Job, axes: list[MotorAxis]) -> Steps:
         if not self.is_enabled:
-            yield self.tell("DriverSwitch", state="on")
-            yield self.tell("ControlOn")
+            yield self.send("DriverSwitch", state="on")
+            yield self.send("ControlOn")
         status = self.shape.status
         assert status is not None
         assert self.shape.home is not None
@@ -199,7 +199,7 @@ class Homing(Switching):
                 job.text = f"searching {axis.name}, try {attempt} of {tries}"
                 self._announce()
                 began = self.clock.now()
-                yield self.tell(self.shape.home, **self.home_fields(axis))
+                yield self.send(self.shape.home, **self.home_fields(axis))
                 state = "searching"
                 while state == "searching":
                     yield LOOK_NS
@@ -221,7 +221,7 @@ class Homing(Switching):
     def _home_blind(self, job: Job, axes: list[MotorAxis], message: str, fields: dict[str, Any]) -> Steps:
         """Fingers of D08 are driven against their stop; no status says when they are there."""
         self._announce()
-        yield self.tell(message, **fields)
+        yield self.send(message, **fields)
         yield round(self.settings.hold_home_s * 1e9)
         return [axis.name for axis in axes]
 
@@ -238,9 +238,9 @@ class Homing(Switching):
             try:
                 number = axes[0].channel
                 if self.dialect == "D12":
-                    yield self.tell("EncoderZero", channel="all" if joint is None else f"channel_{number}")
+                    yield self.send("EncoderZero", channel="all" if joint is None else f"channel_{number}")
                 else:
-                    yield self.tell("EncoderZeroD08", motor="all" if joint is None else f"motor_{number + 1}")
+                    yield self.send("EncoderZeroD08", motor="all" if joint is None else f"motor_{number + 1}")
                 # The old set-points mean other places now.
                 self.epoch += 1
                 for axis in axes:

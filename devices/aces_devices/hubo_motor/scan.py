@@ -60,14 +60,14 @@ def scan_boards(host: Host, job: Job) -> Steps:
     #: Of each number, the lengths of encoder replies that do not fit the kind in the table; of other answers None.
     answers: dict[int, list[int | None]] = {}
 
-    def unknown(word: Any, instant: int) -> None:
+    def unknown(record: Any, instant: int) -> None:
         for base in (_ENCODER, _STATUS):
-            board = (word.meta.identifier or 0) - base
+            board = (record.meta.identifier or 0) - base
             if board in probes:
-                answers.setdefault(board, []).append(len(word.meta.raw) if base == _ENCODER else None)
+                answers.setdefault(board, []).append(len(record.meta.raw) if base == _ENCODER else None)
 
     def is_there(board: int) -> bool:
-        return board in answers or probes[board].last_heard is not None
+        return board in answers or probes[board].last_received is not None
 
     host.unknown_handlers.append(unknown)
     try:
@@ -77,7 +77,7 @@ def scan_boards(host: Host, job: Job) -> Steps:
             for start in range(0, len(waiting), AT_ONCE):
                 for board in waiting[start : start + AT_ONCE]:
                     with suppress(AcesError):  # NameInfo of one byte is for hands only: others are not that
-                        probes[board].tell(message, **fields)
+                        probes[board].send(message, **fields)
                 yield PATIENCE_NS
             job.progress = (number + 1) / len(requests)
     finally:
@@ -87,7 +87,7 @@ def scan_boards(host: Host, job: Job) -> Steps:
     found = [
         device.config
         for device in own.values()
-        if device.config.driver == "hubo_motor" and device.last_heard is not None and not device.is_silent
+        if device.config.driver == "hubo_motor" and device.last_received is not None and not device.is_silent
     ]
     for board in filter(is_there, probes):
         lengths = [size for size in answers.get(board, ()) if size is not None]

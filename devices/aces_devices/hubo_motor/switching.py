@@ -73,11 +73,11 @@ class Switching(MotorBoard):
             yield self.tick_ns()
         job.progress, job.text = 0.6, "switches"
         if self.kind == "hand":
-            yield self.tell("ControlMode", mode=self.hand_mode)
+            yield self.send("ControlMode", mode=self.hand_mode)
         if shape.has_driver_switch:
-            yield self.tell("DriverSwitch", state="on")
+            yield self.send("DriverSwitch", state="on")
         if shape.has_switches:
-            yield self.tell("ControlOn")
+            yield self.send("ControlOn")
         if shape.reports_drive and shape.status is not None:
             yield from self._seeing_enabled(job)
         self.is_enabled = True
@@ -175,7 +175,7 @@ class Switching(MotorBoard):
                 yield stopped
             yield PAUSE_NS
             if self.shape.has_driver_switch:
-                yield self.tell("DriverSwitch", state="off")
+                yield self.send("DriverSwitch", state="off")
 
         return self.job("disable", steps)
 
@@ -190,7 +190,7 @@ class Switching(MotorBoard):
         if was_compliant or self.set_message == shape.pwm:
             ticket = self._pwm_off()
         if shape.has_switches:
-            ticket = self.tell_now("ControlOff")
+            ticket = self.send_now("ControlOff")
         return ticket
 
     def confirm_stopped(self) -> Job | None:
@@ -212,7 +212,7 @@ class Switching(MotorBoard):
         fields: dict[str, Any] = {"mode": "off", "duty": zeros}
         if not shape.pwm_signed or shape.pwm_off == "Pwm":
             fields.update(unsigned(zeros, shape.directions))
-        return self.tell_now(shape.pwm_off, **fields)
+        return self.send_now(shape.pwm_off, **fields)
 
     # ------------------------------------------------------------------ gains and modes
 
@@ -250,7 +250,7 @@ class Switching(MotorBoard):
         if not messages or all(value is None for value in (*given, *stored)):
             return []
         numbers = [int((b or 0) if a is None else a) for a, b in zip(given, stored, strict=True)]
-        return [self.tell(messages[axis.channel], kp=numbers[0], ki=numbers[1], kd=numbers[2])]
+        return [self.send(messages[axis.channel], kp=numbers[0], ki=numbers[1], kd=numbers[2])]
 
     def set_control_mode(self, mode: Literal["position", "torque", "current", "hybrid"]) -> Ticket:
         """What references mean: position; current (D12) or torque (D08); hybrid: wrist position and finger current."""
@@ -260,7 +260,7 @@ class Switching(MotorBoard):
         if self.kind == "hand":
             self._change_hand(mode)
         self.control_mode = mode
-        return self.tell("ControlMode" if self.dialect == "D12" else "ControlModeD08", mode=mode)
+        return self.send("ControlMode" if self.dialect == "D12" else "ControlModeD08", mode=mode)
 
     def _change_hand(self, mode: str) -> None:
         """A hand's fingers are given currents or, in mode `position`, positions: another message."""
@@ -279,26 +279,26 @@ class Switching(MotorBoard):
     def override_gains(self, first: int, second: int, seconds: float = 0.0) -> Ticket:
         """Scale the gains of channels 0 and 1, in %, within so much time (D12; hubo-ach never tried it)."""
         self.only_d12("a gain override")
-        return self.tell("GainOverride", gain=[first, second], time=round(1000 * seconds))
+        return self.send("GainOverride", gain=[first, second], time=round(1000 * seconds))
 
     def switching_mode(self, *, free_wheeling: bool) -> Ticket:
         """Non-complementary switching lets a motor wheel freely (D12)."""
         self.only_d12("the switching mode")
-        return self.tell("SwitchingMode", mode="non_complementary" if free_wheeling else "complementary")
+        return self.send("SwitchingMode", mode="non_complementary" if free_wheeling else "complementary")
 
     def beep(self, seconds: float = 0.3) -> Ticket:
         """Beep, in steps of 0.1 s up to 25.5 s (D12)."""
         self.only_d12("a beeper")
         if not 0 <= seconds <= 25.5:
             raise CallerError(f"{self.name}: a beep takes 0 to 25.5 s, not {seconds}")
-        return self.tell("Beep", time=round(seconds, 1))
+        return self.send("Beep", time=round(seconds, 1))
 
     def alarm(self, sound: int = 0) -> Ticket:
         """Sound 1 to 4; 0 is silence (D12)."""
         self.only_d12("an alarm")
         if sound not in range(5):
             raise CallerError(f"{self.name}: alarm sounds are 0 to 4, not {sound}")
-        return self.tell("Alarm", sound="off" if sound == 0 else f"sound_{sound}")
+        return self.send("Alarm", sound="off" if sound == 0 else f"sound_{sound}")
 
     def only_d12(self, what: str) -> None:
         """Raises `CallerError` on a board of the older firmware."""
@@ -324,7 +324,7 @@ class Switching(MotorBoard):
     def _softening(self, job: Job) -> Steps:
         if not self.is_enabled:
             raise self.fail("enable it first")
-        yield self.tell("SwitchingMode", mode="non_complementary")
+        yield self.send("SwitchingMode", mode="non_complementary")
         self.comply = self._comply
         self._filtering = False
         for axis in self.axes:
@@ -344,8 +344,8 @@ class Switching(MotorBoard):
                 if axis.duty is not None:
                     axis.duty.update(0.0, self.clock.now())
         yield self.tick_ns()
-        yield self.tell("SwitchingMode", mode="complementary")
-        yield self.tell("ControlOn")
+        yield self.send("SwitchingMode", mode="complementary")
+        yield self.send("ControlOn")
         length, self.filter_length = self.filter_length, RIGID_FILTER
         for axis in self.axes:
             goal = goals[axis.channel]

@@ -72,8 +72,8 @@ class HuboMotorTwin(Twin):
                 channel.powered(now)
             return
         self._listening = self._handlers
-        #: The last word of some replies, and the fields it was made of.
-        self._words: dict[str, tuple[dict[str, Any], Any]] = {}
+        #: The last frame of some replies, and the fields it was made of.
+        self._frames: dict[str, tuple[dict[str, Any], Any]] = {}
         self.dialect, self.kind, self.shape = shape_of(self)
         #: Whether its encoder replies have two bytes a channel.
         self._is_short = self.shape.channels > 2 and self.kind != "neck"
@@ -155,13 +155,13 @@ class HuboMotorTwin(Twin):
         self.reply(asked[0].reply[0], position=[*counts, 0] if channels == 1 else counts)
 
     def repeat(self, message: str, **fields: Any) -> None:
-        """Reply, with the word of the last time where the fields are the same: most status replies are."""
+        """Reply, with the frame of the last time where the fields are the same: most status replies are."""
         if self.active_faults or not self.is_powered:
             self.reply(message, **fields)
             return
-        known = self._words.get(message)
+        known = self._frames.get(message)
         if known is None or known[0] != fields:
-            known = self._words[message] = (fields, self.twins.word(self, message, fields))
+            known = self._frames[message] = (fields, self.twins.packet(self, message, fields))
         self._transmit(known[1], self.reply_delay_ns)
 
     @on("SendCurrent")
@@ -180,12 +180,12 @@ class HuboMotorTwin(Twin):
             self.reply(current.reply[0], current=[*signed, 0][:2])
             return
         most = {1: 10.23, 2: 10.23, 5: 0.255}.get(self.kind if isinstance(self.kind, int) else 0, 1.02)
-        told = [min(most, round(one, 3)) for one in amps]
+        reported = [min(most, round(one, 3)) for one in amps]
         if self.shape.channels == 5:
-            self.repeat(current.reply[0], current=told)
+            self.repeat(current.reply[0], current=reported)
             return
         heat = 95.0 if "hot" in self.active_faults else max(c.joint.temperature for c in self.channels)
-        wide = told if self.shape.channels > 2 else [*told, 0.0][:2]
+        wide = reported if self.shape.channels > 2 else [*reported, 0.0][:2]
         self.repeat(current.reply[0], current=wide, temperature=min(255, int(heat)))
 
     @on("SendStatus")
@@ -466,7 +466,7 @@ class HuboMotorTwin(Twin):
         """It answers to another number from now on."""
         self.board.period = request.period
         self.twins.renumber(self, board=request.number)
-        self._words.clear()
+        self._frames.clear()
 
     @on("Beep")
     def beep(self, request: Any) -> None:

@@ -57,23 +57,23 @@ class PowerBoard(Device):
                 name, unit=unit, of=f"Power.{name}", stale_s=max(0.1, 5 * every), source="hubo-ach"
             )
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """Whether the battery is low."""
         if type(record).__name__ != "Power":
             return
         voltage = record.voltage
         if not self.is_low and voltage < self.low_v:
             self.is_low = True
-            self.tell_event("alarm", f"low battery: {voltage:.1f} V, below {self.low_v:g} V")
+            self.emit_event("alarm", f"low battery: {voltage:.1f} V, below {self.low_v:g} V")
         elif self.is_low and voltage > self.low_v + RECOVERED_V:
             self.is_low = False
-            self.tell_event("alarm over", f"battery: {voltage:.1f} V")
+            self.emit_event("alarm over", f"battery: {voltage:.1f} V")
 
     def alarm(self, sound: int = 1) -> Ticket:
         """Sound the alarm: 1 to 4; 0 ends it. Raises `CallerError` for another sound."""
         if not 0 <= int(sound) < len(SOUNDS):
             raise CallerError(f"{self.name}: there is no alarm {sound}; there are 1 to 4, and 0 for none")
-        return self.tell("Alarm", sound=SOUNDS[int(sound)])
+        return self.send("Alarm", sound=SOUNDS[int(sound)])
 
     def quiet(self) -> Ticket:
         """End the alarm."""
@@ -81,7 +81,7 @@ class PowerBoard(Device):
 
     def beep(self, seconds: float = 0.3) -> Ticket:
         """Beep for up to 25.5 s. Raises `FieldError` for longer."""
-        return self.tell("Beep", time=float(seconds))
+        return self.send("Beep", time=float(seconds))
 
 
 def _scan(host: Host, job: Job) -> Steps:

@@ -156,10 +156,10 @@ class SensorBoard(Device):
         """Tell a fault when it begins and when it is over."""
         if is_on and what not in self.alarms:
             self.alarms.add(what)
-            self.tell_event("alarm", what)
+            self.emit_event("alarm", what)
         elif not is_on and what in self.alarms:
             self.alarms.discard(what)
-            self.tell_event("alarm over", what)
+            self.emit_event("alarm over", what)
 
     # ------------------------------------------------------------------ actions
 
@@ -167,15 +167,15 @@ class SensorBoard(Device):
         """Take the present readings for zero."""
         return self.nulled(("NullSensor", {"what": "force_torque"}))
 
-    def nulled(self, *words: tuple[str, dict[str, Any]]) -> Job:
+    def nulled(self, *requests: tuple[str, dict[str, Any]]) -> Job:
         """Send null commands: in D08 three times each, as its programs do, in D12 once."""
 
         def steps(job: Job) -> Steps:
             for turn in range(NULLS if self.is_old else 1):
                 if turn:
                     yield APART_NS
-                for message, fields in words:
-                    yield self.tell(message, **fields)
+                for message, fields in requests:
+                    yield self.send(message, **fields)
 
         return self.job("null", steps)
 
@@ -189,13 +189,13 @@ class SensorBoard(Device):
         """Set the board's period (ms). In D12 the answer says what the board took; in D08 nothing is answered."""
         period = self.period_ms if period_ms is None else period_ms
         if self.is_old:
-            return self.tell("SetPeriod", period=period)
+            return self.send("SetPeriod", period=period)
         return self.ask("GetBoardInfo", reply="SensorBoardInfo", period=period)
 
     def init(self) -> Ticket | Job:
         """Set the board up anew: 0xFA in D12, NameInfo in D08."""
         if not self.is_old:
-            return self.tell("InitSensor")
+            return self.send("InitSensor")
         tail = self.settings.name_info_tail
         if tail is None and self.credentials["board"] not in HANDS:
             return self.refused(
@@ -263,9 +263,9 @@ def _scan(driver: str, kinds: Sequence[str], timeout_s: float, host: Host, job: 
     for number, board in enumerate(boards):
         who = {"board": board, "sensor": board - 0x2F}
         message, reply, fields = _QUESTIONS["old" if old else "imu" if table[board] == "imu" else "force"]
-        told = yield from host.answers("hubo", who, message, reply=reply, timeout_s=timeout_s, **fields)
+        answer = yield from host.answers("hubo", who, message, reply=reply, timeout_s=timeout_s, **fields)
         job.progress = (number + 1) / len(boards)
-        if told is None:
+        if answer is None:
             continue
         found.append(
             DeviceConfig(

@@ -96,7 +96,7 @@ class SensorTwin(Twin):
     # ------------------------------------------------------------------ set-up
 
     @on("GetBoardInfo")
-    def tell_info(self, request: Any) -> None:
+    def send_info(self, request: Any) -> None:
         """The period that the request carries is taken, and told."""
         self.period_ms = request.period
         self.reply("SensorBoardInfo", period=self.period_ms)
@@ -108,7 +108,7 @@ class SensorTwin(Twin):
             group.zero = [0.0] * len(group.zero)
 
     @on("NameInfoSensor")
-    def tell_name(self, request: Any) -> None:
+    def send_name(self, request: Any) -> None:
         """The period, and limits that a sensor has not."""
         self.period_ms = request.period
         self.reply("NameInfoReply", period=self.period_ms, limit=[0, 0])
@@ -133,18 +133,18 @@ class SensorTwin(Twin):
                 group.noise *= 0.5 if wanted else 2.0
 
     @on("DaOffsetQuery")
-    def tell_da(self, request: Any) -> None:
+    def send_da(self, request: Any) -> None:
         """The same offset on all axes."""
         self.reply("DaOffset", mx=self.da_value, my=self.da_value, fz=self.da_value)
 
     @on("AdOffsetQuery")
-    def tell_ad(self, request: Any) -> None:
+    def send_ad(self, request: Any) -> None:
         """What was nulled."""
         mx, my, fz = self._zeros()
         self.reply("AdOffset", mx=mx, my=my, fz=fz)
 
     @on("OffsetQuery")
-    def tell_pair(self, request: Any) -> None:
+    def send_pair(self, request: Any) -> None:
         """Both offsets of one axis."""
         axis = ("mx", "my", "fz").index(str(request.axis)) if str(request.axis) in ("mx", "my", "fz") else 0
         self.reply("OffsetPair", ad=self._zeros()[axis], da=self.da_value)

@@ -66,17 +66,17 @@ class HuboviaJoint(Device):
     def _angle(self, joint: Joint, position: float) -> dict[str, Any]:
         angle = degrees(joint.direction * position + (joint.zero or 0.0))
         if abs(angle) > MOST:
-            self.tell_event("limited", f"{joint.name}: {angle:g}° does not fit into a datagram")
+            self.emit_event("limited", f"{joint.name}: {angle:g}° does not fit into a datagram")
             angle = MOST if angle > 0 else -MOST
         self.last = angle_bytes(angle)
         return self.last
 
     def repeat(self) -> Ticket | None:
         """Send the last set-point once more; nothing when there was none."""
-        return None if self.last is None else self.tell("Joint", angle=self.last)
+        return None if self.last is None else self.send("Joint", angle=self.last)
 
     def stop_motion(self) -> None:
-        """Forget the set-point that waits. The protocol has no word that stops what has begun."""
+        """Forget the set-point that waits. The protocol has no message that stops what has begun."""
         self.drop("Joint")
 
 

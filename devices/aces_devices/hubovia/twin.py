@@ -61,9 +61,9 @@ class MotorTwin(Twin):
         """Turn to an angle."""
         now = self.clock.now()
         self._sync(now)
-        told = request.angle
-        size = told.degrees + told.hundredths
-        angle = -size if told.negative else size
+        wanted = request.angle
+        size = wanted.degrees + wanted.hundredths
+        angle = -size if wanted.negative else size
         self.angle, self._goal = angle, radians(angle)
 
     def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:

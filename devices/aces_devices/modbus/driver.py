@@ -161,8 +161,8 @@ class ModbusDevice(Device):
     def receive(self, record: Any, instant: int) -> None:
         """A record of this device; an answer of another size than was asked for is late, and gives no value."""
         if type(record).__name__ in ("Registers", "Bits") and self._raw_of(record) is None:
-            self.last_heard = instant
-            self.tell_event("late reply", f"{len(record.meta.raw)} bytes, which nothing asks for now")
+            self.last_received = instant
+            self.emit_event("late reply", f"{len(record.meta.raw)} bytes, which nothing asks for now")
             return
         super().receive(record, instant)
 
@@ -172,11 +172,11 @@ class ModbusDevice(Device):
         for message in ("ReadRegisters", "ReadBits"):
             self.host.postpone(self, message, LATE_NS / 1e9)
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """Take the registers that were asked for."""
         name = type(record).__name__
         if name == "Refusal":
-            self.tell_event("alarm", f"refuses function {record.function}: {record.reason}")
+            self.emit_event("alarm", f"refuses function {record.function}: {record.reason}")
         elif name in ("Registers", "Bits"):
             raw = self._raw_of(record)
             assert raw is not None  # see `receive`
@@ -275,7 +275,7 @@ class ModbusDevice(Device):
         """A set-point: written now, or when the write before is over; of several that wait the last."""
         self._register(name).raw(value)  # raises for what does not fit
         if self.host.passive:
-            self.tell_event("not sent", f"{name}: this bus is only listened to")
+            self.emit_event("not sent", f"{name}: this bus is only listened to")
             return
         self.is_driven = True
         self._wanted[name] = value
@@ -301,7 +301,7 @@ class ModbusDevice(Device):
         for name, value in self.settings.stop.items():
             one = self.table[name]
             message, reply, fields = self._order(one, one.raw(value))
-            ticket = self.tell_now(
+            ticket = self.send_now(
                 message, reply=reply, timeout_s=self.settings.timeout_s, retries=2, **fields
             )
             tickets.append((name, ticket))

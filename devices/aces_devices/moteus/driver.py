@@ -233,13 +233,13 @@ class Moteus(Device):
 
     # ------------------------------------------------------------------ up
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """Values of registers; what is not a number is not known."""
         for one in record.subframes:
             if one.reason is not None:
-                self.tell_event("malformed", f"a sub-frame of its answer is {one.reason}")
+                self.emit_event("malformed", f"a sub-frame of its answer is {one.reason}")
             elif one.kind == "read_error":
-                self.tell_event("malformed", f"it cannot read {one.data.register}: error {one.data.error}")
+                self.emit_event("malformed", f"it cannot read {one.data.register}: error {one.data.error}")
         values = register_values(record.subframes)
         for name, (target, to_si) in self.known.items():
             value = values.get(name)
@@ -252,12 +252,12 @@ class Moteus(Device):
         self.is_enabled.update(self.takes_set_points and mode == "position", instant)
         fault = str(values.get("fault", "unknown"))
         before, self.alarms = self.alarms, frozenset((fault,)) if mode == "fault" else frozenset()
-        self.tell_alarms(self.alarms, before)
+        self.emit_alarms(self.alarms, before)
         if not self.takes_set_points or mode == "position":
             return
         self._off()
         if mode == "position_timeout":
-            self.tell_event(
+            self.emit_event(
                 "alarm", f"no set-point came for {self.watchdog_s:g} s: its watchdog has stopped it"
             )
         elif mode != "fault":
@@ -318,7 +318,7 @@ class Moteus(Device):
     def _stop(self) -> Ticket:
         self._off()
         mode = "brake" if self.settings.stop == "brake" else "stopped"
-        return self.tell_now("Command", subframes=[write("i8", mode=mode)])
+        return self.send_now("Command", subframes=[write("i8", mode=mode)])
 
     def confirm_stopped(self) -> Job:
         """Whether it says so."""

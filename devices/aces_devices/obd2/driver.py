@@ -102,7 +102,7 @@ class Obd2(Device):
                     one, unit=unit, read_from=("Live",), stale_s=stale_s, doc=doc, source="SAE J1979"
                 )
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """Take the values of an answer that have signals."""
         if type(record).__name__ != "Live":
             return

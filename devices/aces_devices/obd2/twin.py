@@ -33,7 +33,7 @@ class Obd2Twin(Twin):
             self.ecu.codes["P0302"] = {"failed", "pending", "confirmed"}
 
     @on("ReadLive", "ReadLiveAll")
-    def tell_values(self, request: Any) -> None:
+    def send_values(self, request: Any) -> None:
         """The values that it has of up to six; nothing when it has none of them."""
         self.kept()
         values: list[dict[str, Any]] = []
@@ -46,19 +46,19 @@ class Obd2Twin(Twin):
             self.reply("Live", values=values)
 
     @on("ReadStoredCodes", "ReadStoredCodesAll")
-    def tell_stored(self, request: Any) -> None:
+    def send_stored(self, request: Any) -> None:
         """Confirmed codes."""
         self.kept()
         self.reply("StoredCodes", codes=self.ecu.with_status({"confirmed"}))
 
     @on("ReadPendingCodes", "ReadPendingCodesAll")
-    def tell_pending(self, request: Any) -> None:
+    def send_pending(self, request: Any) -> None:
         """Codes of this or the last drive."""
         self.kept()
         self.reply("PendingCodes", codes=self.ecu.with_status({"pending"}))
 
     @on("ReadPermanentCodes", "ReadPermanentCodesAll")
-    def tell_permanent(self, request: Any) -> None:
+    def send_permanent(self, request: Any) -> None:
         """Codes that nobody clears."""
         self.reply("PermanentCodes", codes=sorted(self.ecu.permanent))
 
@@ -69,7 +69,7 @@ class Obd2Twin(Twin):
         self.reply("CodesCleared")
 
     @on("ReadInfo", "ReadInfoAll")
-    def tell_info(self, request: Any) -> None:
+    def send_info(self, request: Any) -> None:
         """The vehicle's number, its software, its name."""
         match request.what:
             case "supported":

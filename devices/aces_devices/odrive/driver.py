@@ -111,7 +111,7 @@ class Odrive(SingleMotor):
         if not self.is_new:
             actions: Mapping[str, str] = type(self).actions
             self.actions = {name: text for name, text in actions.items() if name not in NEW}  # type: ignore[misc]
-        #: How many heartbeats were heard.
+        #: How many heartbeats were received.
         self.beats = 0
         joint, scale, slow = self.joint, self.scale, max(0.5, 5 * settings.health_s)
         speed = joint.max_speed if joint is not None else None
@@ -169,7 +169,7 @@ class Odrive(SingleMotor):
         if settings.estimates == "asked":
             self.polls = [Poll("GetEncoderEstimates", "EncoderEstimates"), *self.polls]
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """A heartbeat says whether it is on."""
         if type(record).__name__ == "Heartbeat":
             self.beats += 1
@@ -188,13 +188,13 @@ class Odrive(SingleMotor):
         joint, (message, ramp) = self.joint, TARGETS[self.mode]
         if joint is not None and joint.max_speed is not None and joint.max_current is not None:
             velocity = abs(self.scale.raw_speed(joint.max_speed))
-            yield self.tell("SetLimits", velocity=velocity, current=joint.max_current)
-        yield self.tell(
+            yield self.send("SetLimits", velocity=velocity, current=joint.max_current)
+        yield self.send(
             "SetControllerModes", control=self.mode, input=ramp if self.settings.ramped else "passthrough"
         )
-        yield self.tell(message, **_FORWARD.get(message, {}), **{self.mode: self._present()})
+        yield self.send(message, **_FORWARD.get(message, {}), **{self.mode: self._present()})
         job.progress, job.text = 0.5, "closed loop"
-        yield self.tell("SetAxisState", state="closed_loop")
+        yield self.send("SetAxisState", state="closed_loop")
 
     def stay(self) -> None:
         """Where it is; no velocity, no torque."""
@@ -216,7 +216,7 @@ class Odrive(SingleMotor):
 
     def switch_off(self) -> Ticket:
         """Idle."""
-        return self.tell_now("SetAxisState", state="idle")
+        return self.send_now("SetAxisState", state="idle")
 
     def ask_state(self) -> Awaited:
         """The next heartbeat but one: the next may have been made before."""
@@ -227,7 +227,7 @@ class Odrive(SingleMotor):
 
     def clear_errors(self) -> Ticket:
         """Clear all errors of the drive."""
-        return self.tell("ClearErrors", **({"identify": 0} if self.is_new else {}))
+        return self.send("ClearErrors", **({"identify": 0} if self.is_new else {}))
 
     def read_errors(self) -> Job:
         """Ask for the error registers: name → value, in firmware 0.6 names of bits."""
@@ -248,7 +248,7 @@ class Odrive(SingleMotor):
         """Disarm the axis with an error; set-points end."""
         self.end_led()
         self.end_set_points()
-        return self.tell_now("Estop")
+        return self.send_now("Estop")
 
     def calibrate(self) -> Job:
         """Full calibration; it moves. Fails with `DeviceError` when it does not succeed."""
@@ -257,7 +257,7 @@ class Odrive(SingleMotor):
         def steps(job: Job) -> Steps:
             yield self.ask_state()
             self.check_off("it can be calibrated")
-            yield self.tell("SetAxisState", state="full_calibration")
+            yield self.send("SetAxisState", state="full_calibration")
             yield self.ask_state()
             state = self.signals[f"{self.name}.state"]
             yield self.until(lambda: state.last == "idle", CALIBRATION_S, lambda: "calibration does not end")
@@ -273,13 +273,13 @@ class Odrive(SingleMotor):
             yield self.ask_state()
             self.check_off("zero can be set")
             if self.is_new:
-                yield self.tell("SetAbsolutePosition", position=self.scale.raw_angle(0.0))
+                yield self.send("SetAbsolutePosition", position=self.scale.raw_angle(0.0))
             else:  # counts of an encoder whose resolution CAN does not tell
                 if self.scale.zero:
                     raise CallerError(
                         f"{self.name}: firmware 0.5 takes 0 only, and {self.owner} has zero = {self.scale.zero:g}"
                     )
-                yield self.tell("SetLinearCount", count=0)
+                yield self.send("SetLinearCount", count=0)
             self.epoch += 1
 
         return self.job("set zero", steps)
@@ -296,9 +296,9 @@ class Odrive(SingleMotor):
 
         def steps(job: Job) -> Steps:
             if position is not None:
-                yield self.tell("SetPositionGain", gain=float(position))
+                yield self.send("SetPositionGain", gain=float(position))
             if velocity is not None and integrator is not None:
-                yield self.tell("SetVelocityGains", gain=float(velocity), integrator=float(integrator))
+                yield self.send("SetVelocityGains", gain=float(velocity), integrator=float(integrator))
 
         return self.job("set gains", steps)
 
@@ -328,7 +328,7 @@ class Odrive(SingleMotor):
             )
         code = _code(self.name, type)
         data = struct.pack(code, value if code == "<f" else int(value))
-        return self.tell("RxSdo", opcode="write", endpoint=int(endpoint), value=data)
+        return self.send("RxSdo", opcode="write", endpoint=int(endpoint), value=data)
 
     def reboot(self) -> Ticket:
         """Boot anew: it is off then, and has forgotten what was not saved."""
@@ -343,7 +343,7 @@ class Odrive(SingleMotor):
     def _boot(self, action: str) -> Ticket:
         self.end_led()
         self.end_set_points()
-        return self.tell("Reboot", **({"action": action} if self.is_new else {}))
+        return self.send("Reboot", **({"action": action} if self.is_new else {}))
 
 
 def _code(who: str, type: str) -> str:

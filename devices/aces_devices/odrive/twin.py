@@ -115,7 +115,7 @@ class OdriveTwin(Twin):
         if fields is not None:
             self.reply(name, **fields)
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """Whatever asks, by a remote frame or by one without data."""
         name = type(record).__name__
         if name.startswith("Get"):

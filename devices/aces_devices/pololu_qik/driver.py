@@ -157,14 +157,14 @@ class Qik(Device):
                 source="Pololu 0J25 5.b",
             )
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """Tell errors when they come and when they have gone."""
         if type(record).__name__ != "Errors":
             return
         before, self.errors = self.errors, frozenset(record.errors)
         if not self._was_asked:  # nothing was sent before: that is no fault of this bus
             self._was_asked, self.errors = True, self.errors - {"timeout"}
-        self.tell_alarms(self.errors, before)
+        self.emit_alarms(self.errors, before)
 
     # ------------------------------------------------------------------ actions
 
@@ -197,14 +197,14 @@ class Qik(Device):
         def steps(job: Job) -> Steps:
             fields: dict[str, Any] = {"parameter": parameter, "value": value}
             if not self.answers:
-                ticket = self.tell("SetConfiguration", **fields)
+                ticket = self.send("SetConfiguration", **fields)
                 yield ticket
-                yield self.host.port.wire_ns(ticket.word) + PAUSE_NS
+                yield self.host.port.wire_ns(ticket.packet) + PAUSE_NS
                 return None
-            told = yield self.ask("SetConfiguration", reply="ConfigurationSet", timeout_s=0.05, **fields)
-            if told.result != "ok":
-                raise DeviceError(f"{self.name} does not take {value} for {parameter}: {told.result}")
-            return told
+            answer = yield self.ask("SetConfiguration", reply="ConfigurationSet", timeout_s=0.05, **fields)
+            if answer.result != "ok":
+                raise DeviceError(f"{self.name} does not take {value} for {parameter}: {answer.result}")
+            return answer
 
         return self.job(f"set {parameter}", steps)
 
@@ -233,13 +233,18 @@ class Qik(Device):
         """Stop both motors; set-points end."""
         return self._both("brake", "SetSpeed", reverse=0, high=0, speed=0)
 
+    @property
+    def alone_s(self) -> float | None:
+        """Its serial time-out."""
+        return self.timeout_s or None
+
     def stop_motion(self) -> Job:
         """Speed 0, which brakes."""
         return self.brake()
 
     def _both(self, name: str, message: str, **fields: Any) -> Job:
         self.drop("SetSpeed")
-        tickets = [self.tell_now(message, motor=motor, **fields) for motor in (0, 1)]
+        tickets = [self.send_now(message, motor=motor, **fields) for motor in (0, 1)]
         return together(self.clock, f"{self.name} {name}", tickets)
 
     def firmware(self) -> Ticket:
@@ -252,8 +257,8 @@ class Qik(Device):
         def steps(job: Job) -> Steps:
             found: dict[str, int] = {}
             for number, parameter in enumerate(PARAMETERS):
-                told = yield self.ask("GetConfiguration", reply="Configuration", parameter=parameter)
-                found[parameter] = told.value
+                answer = yield self.ask("GetConfiguration", reply="Configuration", parameter=parameter)
+                found[parameter] = answer.value
                 job.progress = (number + 1) / len(PARAMETERS)
             return found
 

@@ -79,7 +79,7 @@ class QikTwin(Twin):
             for joint in self.joints:
                 self.world.joints[joint.name] = _Joint(self.wheels[joint.channel], joint.direction)
         self.errors = 0
-        self.heard_at = now
+        self.received_at = now
         self._watch: Any = None
         for wheel in self.wheels:
             wheel.free(now)
@@ -87,7 +87,7 @@ class QikTwin(Twin):
     def receive(self, record: Any, instant: int) -> None:
         """Any command to this device, in time or not."""
         if self.is_powered:
-            self.heard_at = instant
+            self.received_at = instant
             self._watch_over()
             if "overrun" in self.active_faults:
                 self._failed(OVERRUN)
@@ -111,13 +111,13 @@ class QikTwin(Twin):
 
     def _watch_over(self) -> None:
         if self._watch is None and self.timeout_ns:
-            self._watch = self.clock.call_at(self.heard_at + self.timeout_ns, self._is_late)
+            self._watch = self.clock.call_at(self.received_at + self.timeout_ns, self._is_late)
 
     def _is_late(self) -> None:
         self._watch = None
         if not self.is_powered or not self.timeout_ns:
             return
-        if self.clock.now() - self.heard_at >= self.timeout_ns:
+        if self.clock.now() - self.received_at >= self.timeout_ns:
             self._failed(TIMEOUT)
         else:
             self._watch_over()
@@ -125,18 +125,18 @@ class QikTwin(Twin):
     # ------------------------------------------------------------------ commands
 
     @on("GetFirmware")
-    def tell_firmware(self, request: Any) -> None:
+    def send_firmware(self, request: Any) -> None:
         """Version 1."""
         self.reply("Firmware", version="1")
 
     @on("GetError")
-    def tell_errors(self, request: Any) -> None:
+    def send_errors(self, request: Any) -> None:
         """The errors, which are over now."""
         bits, self.errors = self.errors, 0
         self.reply("Errors", errors=bits)
 
     @on("GetConfiguration")
-    def tell_parameter(self, request: Any) -> None:
+    def send_parameter(self, request: Any) -> None:
         """A parameter; of one that does not exist 0xFF, and a format error."""
         known = self.parameters.get(str(request.parameter))
         if known is None:

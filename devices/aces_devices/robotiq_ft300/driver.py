@@ -80,7 +80,7 @@ class Ft300(ModbusDevice):
 
     def _sent(self, value: int) -> Steps:
         """Steps that write `stream`, whose answer may be lost among the packets."""
-        yield self.tell(
+        yield self.send(
             "WriteRegisters", start=self.table["stream"].entry.address, count=1, registers=[value]
         )
 
@@ -94,10 +94,10 @@ class Ft300(ModbusDevice):
         self._is_wanted = False
         return self.host.ask(Ticket(self.clock, self, "the stream's end", STOP, frozenset(), 0))
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """Take a packet of the stream, or what was read."""
         if type(record).__name__ != "ForceTorque":
-            super().heard(record, instant)
+            super().received(record, instant)
             return
         self._streamed_at = instant
         for name, value in zip(AXES, (*record.force, *record.torque), strict=True):

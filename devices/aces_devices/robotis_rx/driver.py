@@ -133,7 +133,7 @@ class RobotisRX(ServoDevice):
         low, high = table["cw_angle_limit"], table["ccw_angle_limit"]
         turns = self.command == "duty"
         if (low == high == 0) != turns:
-            self.tell_event(
+            self.emit_event(
                 "alarm",
                 "it turns without end (both angle limits are 0), the joint does not"
                 if not turns

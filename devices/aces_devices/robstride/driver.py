@@ -162,7 +162,7 @@ class Robstride(MitMotor):
 
     # ------------------------------------------------------------------ up
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """A feedback says whether it is on; parameters are where it is, and how it is."""
         name = type(record).__name__
         if name == "Feedback":
@@ -184,7 +184,7 @@ class Robstride(MitMotor):
         elif name == "FaultReport":
             now = frozenset((*record.faults, *(f"{warning} (warning)" for warning in record.warnings)))
             before, self._alarms = self._alarms, now
-            self.tell_alarms(now, before, f"{self.owner}: ")
+            self.emit_alarms(now, before, f"{self.owner}: ")
 
     def takes(self, signal: Signal) -> bool | None:
         """Until it has said that it is on, it counts as off."""
@@ -217,7 +217,7 @@ class Robstride(MitMotor):
 
     def switch_off(self) -> Ticket:
         """Stop; its answer says so."""
-        return self.tell_now("Stop", reply="Feedback", timeout_s=ANSWER_S, host=self.settings.host, clear=0)
+        return self.send_now("Stop", reply="Feedback", timeout_s=ANSWER_S, host=self.settings.host, clear=0)
 
     def ask_state(self) -> Ticket:
         """Stop it, which is what makes it say how it is."""
@@ -255,17 +255,17 @@ class Robstride(MitMotor):
 
         def steps(job: Job) -> Steps:
             for _ in range(ANOTHERS):
-                told = yield self.ask(
+                answer = yield self.ask(
                     "ReadParameter",
                     reply=f"{kind}Parameter",
                     timeout_s=ANSWER_S,
                     host=self.settings.host,
                     index=name,
                 )
-                if told.index == name:  # else it is the late answer to another question
-                    if told.status != "ok":
+                if answer.index == name:  # else it is the late answer to another question
+                    if answer.status != "ok":
                         raise DeviceError(f"{self.name}: it does not give {name}")
-                    return told.value
+                    return answer.value
             raise DeviceError(f"{self.name}: asked for {name}, it answers others")
 
         return self.job(f"read {name}", steps)
@@ -292,9 +292,9 @@ class Robstride(MitMotor):
             index=name,
             value=given,
         )
-        told = yield self.read(name)
-        if abs(told - given) > 1e-5 * abs(given):
-            raise DeviceError(f"{self.name}: {name} was written {given}, and is {told}")
+        answer = yield self.read(name)
+        if abs(answer - given) > 1e-5 * abs(given):
+            raise DeviceError(f"{self.name}: {name} was written {given}, and is {answer}")
 
     def unique_id(self) -> Ticket:
         """Ask for its unique id: the record's `unique_id`."""
@@ -310,7 +310,7 @@ class Robstride(MitMotor):
             raise CallerError(
                 f"{self.name}: say confirm=True; what was written so far outlives power-off then"
             )
-        return self.tell("Save", host=self.settings.host)
+        return self.send("Save", host=self.settings.host)
 
 
 def _scan(host: Host, job: Job) -> Steps:

@@ -301,7 +301,7 @@ class ServoDevice(RegisterDevice):
 
     # ------------------------------------------------------------------ up
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """Every status has errors, or says that there are none."""
         if type(record).__name__ != "Status":
             return
@@ -317,13 +317,13 @@ class ServoDevice(RegisterDevice):
             return
         for name in sorted(now - self.errors):
             if name in ("checksum", "crc"):
-                self.tell_event("malformed", "the servo says that a request's checksum was wrong")
+                self.emit_event("garbled", "the servo says that a request's checksum was wrong")
             else:
-                self.tell_event("alarm", name)
+                self.emit_event("alarm", name)
         if trips := now & self._shutdown():
             self.trips = trips
         for name in sorted(self.errors - now - self.of_request):
-            self.tell_event("alarm over", name)
+            self.emit_event("alarm over", name)
         self.errors = now
 
     def refusal(self, record: Any) -> str:
@@ -334,7 +334,7 @@ class ServoDevice(RegisterDevice):
         """Torque that is off: by an alarm, or because the servo has rebooted and knows nothing any more."""
         if set(which) <= {"torque_enable", "torque_limit"} and self.trips:
             self.drop(self.goal)
-            self.tell_event("alarm", f"torque is off: {', '.join(sorted(self.trips))}")
+            self.emit_event("alarm", f"torque is off: {', '.join(sorted(self.trips))}")
         else:
             super().changed(which)
 
@@ -349,7 +349,7 @@ class ServoDevice(RegisterDevice):
         """Its answers are malformed again and again: noise does that now and then, two servos with one id each time."""
         self.malformed_in_a_row += 1
         if self.malformed_in_a_row % MALFORMED == 0:
-            self.tell_event(
+            self.emit_event(
                 "two devices",
                 f"{self.malformed_in_a_row} malformed answers in a row: are there two servos with"
                 f" {shown(self.credentials)}?",
@@ -373,14 +373,14 @@ class ServoDevice(RegisterDevice):
                 return None  # reported already; a servo that comes later is received without it
             model = self.codec("model_number").value(table["model_number"])
             if self.config.model is not None and model != self.config.model:
-                self.tell_event("alarm", f"it is a {model}; the robot's file says {self.config.model}")
+                self.emit_event("alarm", f"it is a {model}; the robot's file says {self.config.model}")
             level = table["status_return_level"] + self.level_offset
             if level != self.level and 1 <= level < len(LEVELS):
                 self._set_level(level)
             if self.mode_register:
                 mode = self.codec(self.mode_register).value(table[self.mode_register])
                 if mode != self.mode:
-                    self.tell_event("alarm", self._other_mode(mode))
+                    self.emit_event("alarm", self._other_mode(mode))
             self.learned(table)
             return table
 
@@ -466,14 +466,14 @@ class ServoDevice(RegisterDevice):
 
     def act(self, *, everybody: bool = False) -> Any:
         """Carry out what was held back; `everybody`: in all servos at once, unanswered."""
-        return self.tell("Action", id=BROADCAST) if everybody else self.obeyed("Action", "acting")
+        return self.send("Action", id=BROADCAST) if everybody else self.obeyed("Action", "acting")
 
     def obeyed(self, message: str, doing: str, **fields: Any) -> Job:
         """Send an instruction; the job is over when it was acknowledged, where the servo does that."""
 
         def steps(job: Job) -> Steps:
             if not self.acknowledges:
-                yield from self._told(message, **fields)
+                yield from self._unanswered(message, **fields)
                 return
             record = yield self._ask(message, None, **fields)
             self._raise_refusal(record, doing)
@@ -526,7 +526,7 @@ class ServoDevice(RegisterDevice):
 
         def steps(job: Job) -> Steps:
             yield from self.unlock()
-            yield self._told_and_forgotten("set baud", "Write", start=codec.address, data=data)
+            yield self._sent_and_forgotten("set baud", "Write", start=codec.address, data=data)
 
         return self.job("set baud", steps)
 
@@ -537,9 +537,9 @@ class ServoDevice(RegisterDevice):
                 f"{self.name}: a reset also forgets id and line speed; say confirm=True to do it"
             )
         message, fields = self.reset
-        return self._told_and_forgotten("factory reset", message, **fields)
+        return self._sent_and_forgotten("factory reset", message, **fields)
 
-    def _told_and_forgotten(self, name: str, message: str, **fields: Any) -> Job:
+    def _sent_and_forgotten(self, name: str, message: str, **fields: Any) -> Job:
         def steps(job: Job) -> Steps:
             yield from self._try(message, **fields)
             self.forget()
@@ -549,7 +549,7 @@ class ServoDevice(RegisterDevice):
     def _try(self, message: str, **fields: Any) -> Steps:
         """Steps that send something once, and wait for an acknowledgement that may not come."""
         if not self.acknowledges:
-            yield from self._told(message, **fields)
+            yield from self._unanswered(message, **fields)
             return
         ticket = self.ask(message, reply=self.reply, timeout_s=self.timeout_s, retries=0, **fields)
         try:

@@ -54,14 +54,14 @@ def servo_scan(
             name=f"S{number}", driver=driver, bus=host.name, credentials={"id": number}, channels=1
         )
         wait_s = LONGEST_DELAY_S + adapter_s + host.port.wire_ns(bytes(8)) / 1e9
-        malformed = ("malformed", device.name)
+        garbled = ("garbled", device.name)
         for _ in range(tries):
-            before = host.events.counts[malformed]
+            before = host.events.counts[garbled]
             try:
                 yield device.ask("Ping", reply="Status", timeout_s=wait_s, retries=0)
                 break
             except NoReplyError:
-                if host.events.counts[malformed] == before:
+                if host.events.counts[garbled] == before:
                     return None
         else:
             doc = "its answers are damaged: two servos with this id, or a bad line"

@@ -214,15 +214,15 @@ class Uds(Device):
         """A record of this device: patience, an answer to what was asked, or one that is late and answers nothing."""
         name = type(record).__name__
         if name == "Refused" and record.reason == "response_pending":
-            self.last_heard = instant
+            self.last_received = instant
             self.host.prolong(self, self.patience_s)
             return
         asked = next((one for one in self.awaiting if _is_answer(record, one)), None)
         if asked is None:
             is_awaited = any(name in one.reply for one in self.awaiting)
             if is_awaited or (name == "Session" and not self.host.passive):
-                self.last_heard = instant
-                self.tell_event("late reply", f"{_shown(record)}, which nothing asks for now")
+                self.last_received = instant
+                self.emit_event("late reply", f"{_shown(record)}, which nothing asks for now")
                 # What was begun is not known to be over, and is nothing to go on with.
                 self.is_engaged |= name == "Session" and str(record.session) != "default"
                 return
@@ -235,7 +235,7 @@ class Uds(Device):
             self._trouble.update(", ".join(confirmed) or "none", instant)
         super().receive(record, instant)
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """Values by their identifiers; sessions; refusals."""
         match type(record).__name__:
             case "Data":
@@ -250,7 +250,7 @@ class Uds(Device):
             case "Refused" if self._asks_session:
                 pass  # it does not say which one it is in
             case "Refused":
-                self.tell_event("alarm", f"refuses {record.service}: {record.reason}")
+                self.emit_event("alarm", f"refuses {record.service}: {record.reason}")
                 if record.reason in NO_SESSION and self.session != "default":
                     self._begun("default")
                     self.rebooted("the session is over")
@@ -266,7 +266,7 @@ class Uds(Device):
                 return
             inside, data = data[2 : 2 + one.size], data[2 + one.size :]
             if len(inside) < one.size or (len(data) == 1):
-                self.tell_event(
+                self.emit_event(
                     "malformed", f"{one.name}: {len(inside) + len(data)} bytes, its type has {one.size}"
                 )
                 return
@@ -290,7 +290,7 @@ class Uds(Device):
             yield KEEP_NS
             if self.session != "default" and self.host.is_open:
                 try:
-                    yield self.tell("TesterPresent", none=0, suppress=1)
+                    yield self.send("TesterPresent", none=0, suppress=1)
                 except AcesError:
                     pass  # reported as not sent; the session may be over, and refusals will say so
 
@@ -438,13 +438,13 @@ class Uds(Device):
         """A set-point: written now."""
         if self.host.passive or not self.takes(self[name]):
             why = "this bus is only listened to" if self.host.passive else f"{self.name} is not enabled"
-            self.tell_event("not sent", f"{name}: {why}")
+            self.emit_event("not sent", f"{name}: {why}")
             return
         self.is_driven = True
 
         def over(job: Job) -> None:
             if job.error is not None:
-                self.tell_event("not sent", str(job.error))
+                self.emit_event("not sent", str(job.error))
 
         self.write(name, value).then(over)
 
@@ -544,7 +544,7 @@ class Uds(Device):
         self.end_led()
         if not self.is_engaged:
             return None
-        tell = partial(self.tell_now, timeout_s=self.settings.timeout_s)
+        tell = partial(self.send_now, timeout_s=self.settings.timeout_s)
         stops = [
             tell("ControlRoutine", reply=("Routine", "Refused"), action="stop", routine=number, data=b"")
             for number in sorted(self.started)
@@ -572,7 +572,7 @@ class Uds(Device):
         def steps(job: Job) -> Steps:
             self._asks_session = True
             try:
-                answer = yield self.tell_now(
+                answer = yield self.send_now(
                     "ReadData",
                     reply=("Data", "Refused"),
                     timeout_s=self.settings.timeout_s,
@@ -589,9 +589,9 @@ class Uds(Device):
         return self.job("look which session it is in", steps)
 
 
-def _content(word: Any) -> bytes:
+def _content(packet: Any) -> bytes:
     """What a request says, as far as its first frame has it: its service and what follows (ISO 15765-2)."""
-    data: bytes = (word[0] if isinstance(word, tuple) else word).data
+    data: bytes = (packet[0] if isinstance(packet, tuple) else packet).data
     return data[2:] if data[0] >> 4 else data[1 : 1 + data[0]]
 
 
@@ -602,7 +602,7 @@ def _is_answer(record: Any, ticket: Ticket) -> bool:
         return bool(SERVICE_OF[ticket.message] == record.service)
     if name not in ticket.reply:
         return False
-    said, asked = record.meta.raw, _content(ticket.word)
+    said, asked = record.meta.raw, _content(ticket.packet)
     if ticket.message == "ReadData":
         return said[1:3] in [asked[at : at + 2] for at in range(1, len(asked), 2)]
     size = REPEATED.get(name, 0)

@@ -187,7 +187,7 @@ class UdsTwin(Twin):
             case "EndTransfer":
                 return self._end_download()
             case _:
-                return self._tell_codes(name, request)
+                return self._send_codes(name, request)
 
     # ------------------------------------------------------------------ sessions
 
@@ -349,7 +349,7 @@ class UdsTwin(Twin):
 
     # ------------------------------------------------------------------ trouble codes
 
-    def _tell_codes(self, name: str, request: Any) -> tuple[str, dict[str, Any]]:
+    def _send_codes(self, name: str, request: Any) -> tuple[str, dict[str, Any]]:
         """Codes with their status; their failure type is 00, which says nothing more."""
         codes = self.ecu.codes
         every = {"available": 0xFF}

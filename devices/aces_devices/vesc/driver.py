@@ -148,7 +148,7 @@ class Vesc(Device):
         # The field's turns a minute at 1 rad/s of the joint; tachometer counts a rad.
         rpm = direction * 60 / tau * self.ratio * self.settings.pole_pairs
         counts = direction * TACHOMETER * self.settings.pole_pairs * self.ratio / tau
-        heard = self.wire.gives
+        received = self.wire.gives
         most = {
             "duty": joint.max_duty if joint else None,
             "current": joint.max_current if joint else None,
@@ -163,7 +163,7 @@ class Vesc(Device):
                 if kind != "position":
                     limit = 1.0 if kind == "duty" and most is None else most
                     more |= {"lower": None if limit is None else -limit, "upper": limit}
-            made = self.add_signal(name, read_from=heard, source="comm/commands.c", **more)
+            made = self.add_signal(name, read_from=received, source="comm/commands.c", **more)
             self.known[field] = (made, to_si)
 
         signed = partial(mul, direction)
@@ -196,7 +196,7 @@ class Vesc(Device):
         self.is_enabled = self.add_signal(
             "enabled",
             owner=owner,
-            read_from=heard,
+            read_from=received,
             doc="Whether set-points are taken; see the action enable.",
         )
         for name, field, unit, doc in (
@@ -228,7 +228,7 @@ class Vesc(Device):
 
     # ------------------------------------------------------------------ up
 
-    def heard(self, record: Any, instant: int) -> None:
+    def received(self, record: Any, instant: int) -> None:
         """Status messages, and answers that are whole."""
         match type(record).__name__:
             case "Status":
@@ -245,7 +245,7 @@ class Vesc(Device):
                 if answer is not None:
                     self._answer(answer, instant)
                 elif is_broken:
-                    self.tell_event("malformed", "an answer in pieces is not whole, or its check is wrong")
+                    self.emit_event("malformed", "an answer in pieces is not whole, or its check is wrong")
 
     def _answer(self, answer: Any, instant: int) -> None:
         if type(answer).__name__ == "Firmware":
@@ -255,7 +255,7 @@ class Vesc(Device):
         self._know({name: getattr(answer, name) for name in self.known}, instant)
         fault = str(answer.fault)
         before, self.alarms = self.alarms, frozenset() if fault == "none" else frozenset((fault,))
-        self.tell_alarms(self.alarms, before)
+        self.emit_alarms(self.alarms, before)
         if self.alarms and self.takes_set_points:
             self._off()
         self.is_enabled.update(self.takes_set_points, instant)
@@ -311,7 +311,7 @@ class Vesc(Device):
         """End set-points and brake; when the controller's time-out is over, what that is configured for goes on."""
         self.end_led()
         self._off()
-        return self.tell_now("SetBrakeCurrent", current=self.settings.brake_current)
+        return self.send_now("SetBrakeCurrent", current=self.settings.brake_current)
 
     def stop_motion(self) -> Ticket:
         """End set-points; the motor is free, or brakes (setting `stop`)."""
@@ -319,7 +319,7 @@ class Vesc(Device):
             return self.brake()
         self.end_led()
         self._off()
-        return self.tell_now("SetCurrent", current=0.0)
+        return self.send_now("SetCurrent", current=0.0)
 
     def confirm_stopped(self) -> Job:
         """Whether no current drives it on: there is none, or it goes against the motion."""

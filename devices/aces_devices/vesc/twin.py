@@ -57,7 +57,7 @@ class VescTwin(VescMotorTwin):
         self.buffers = Buffers(number)
         self.reader = PacketReader("to device")
         if self.config.settings.get("values") == "status":
-            self.every(STATUS_S, self.tell_status)
+            self.every(STATUS_S, self.send_status)
 
     @on(*SET_POINTS)
     def take(self, request: Any) -> None:
@@ -70,11 +70,11 @@ class VescTwin(VescMotorTwin):
         self.reply("Pong", host=request.host, hardware="vesc")
 
     @on("PollPosition")
-    def tell_position(self, request: Any) -> None:
+    def send_position(self, request: Any) -> None:
         """The rotor's angle."""
         self.reply("RotorPosition", position=self.model.values["position"])
 
-    def tell_status(self) -> None:
+    def send_status(self) -> None:
         """Send status messages 1, 4 and 5."""
         values = self.model.values
         self.reply("Status", speed=values["speed"], current=values["motor_current"], duty=values["duty"])

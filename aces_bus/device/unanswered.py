@@ -1,0 +1,204 @@
+"""What was asked on a host's bus and is not answered yet: who gets which answer, and what becomes of what is missed.
+
+1. A record answers the oldest request of its device that it can answer; what no request waits for is late, a second answer,
+   or a device that speaks by itself.
+2. One timer for all: the earliest deadline. What is missed is asked again as often as was said, then fails or is counted.
+"""
+
+from __future__ import annotations
+
+from heapq import heappop, heappush
+from typing import TYPE_CHECKING, Any
+
+from ..errors import NoReplyError
+from ..protocol import StreamScanner
+from ..runtime import Timer
+from .device import Device
+from .half_duplex import ask_less
+from .poll import PollSlot
+from .ticket import Ticket
+
+if TYPE_CHECKING:
+    from .host import Host
+
+#: An answer this soon (ns) after another to the same request is a second device's.
+DUPLICATE_REPLY_NS = 20_000_000
+#: An answer that is later than this (ns) does not come any more.
+LATE_REPLY_NS = 500_000_000
+#: Held up itself for so long (ns), this machine receives what has come meanwhile before a device counts as missing.
+HELD_UP_NS, LISTEN_NS = 5_000_000, 10_000_000
+
+
+class Unanswered:
+    """Made by `Host`, for its bus."""
+
+    def __init__(self, host: Host) -> None:
+        self.host, self.clock = host, host.clock
+        #: When an answer was last received.
+        self.received_at = 0
+        self._deadlines: list[tuple[int, int, Ticket]] = []
+        self._timer: Timer | None = None
+        self._is_hearing = False
+        self._serial_number = 0
+
+    # ------------------------------------------------------------------ waiting
+
+    def wait_for(self, ticket: Ticket, now: int, more_ns: int = 0) -> None:
+        """A ticket's packet is on its way: wait for the answer until its time is up, and for those before it."""
+        ticket.sent_at = now
+        slot: PollSlot | None = ticket.poll
+        wire_ns = self.host.port.wire_ns(ticket.packet) if slot is None else slot.wire_ns
+        device: Device = ticket.device
+        device.awaiting.append(ticket)
+        self._watch(ticket, now + ticket.timeout_ns + wire_ns + more_ns)
+
+    def prolong(self, device: Device, until: int) -> None:
+        """What was asked of a device may be answered until this instant (ns)."""
+        for ticket in device.awaiting:
+            if ticket.deadline < until:
+                self._watch(ticket, until)
+
+    def _watch(self, ticket: Ticket, deadline: int) -> None:
+        """See to it that a ticket's deadline is looked at."""
+        ticket.deadline = deadline
+        self._serial_number += 1
+        heappush(self._deadlines, (deadline, self._serial_number, ticket))
+        timer = self._timer
+        if timer is None or timer.action is None or timer.instant > deadline:
+            if timer is not None:
+                timer.cancel()
+            self._timer = self.clock.call_at(deadline, self._expire)
+
+    def _expire(self) -> None:
+        """Look for tickets whose time is up."""
+        now = self.clock.now()
+        timer = self._timer
+        if timer is not None and now - timer.instant > HELD_UP_NS and not self._is_hearing:
+            self._is_hearing = True  # never in virtual time: it is not held up
+            self._timer = self.clock.call_in(LISTEN_NS, self._expire)
+            return
+        self._is_hearing = False
+        deadlines = self._deadlines
+        while deadlines:
+            deadline, _, ticket = deadlines[0]
+            device: Device = ticket.device
+            is_waited_for = ticket in device.awaiting
+            if deadline > now and is_waited_for:
+                break
+            heappop(deadlines)
+            if is_waited_for and ticket.deadline <= now:
+                device.awaiting.remove(ticket)
+                self._missed(ticket, now)
+        self._timer = self.clock.call_at(deadlines[0][0], self._expire) if deadlines else None
+
+    def _missed(self, ticket: Ticket, now: int) -> None:
+        host, device = self.host, ticket.device
+        host.counts.missed += 1
+        for name in ticket.reply:
+            device.timed_out[name] = device.timed_out.get(name, 0) + 1
+        device.missed_at = now
+        line = host.line
+        if isinstance(host.scanner, StreamScanner) and (
+            line is not None or now - host.bytes_at > host.scanner.gap * 1e9
+        ):
+            # Only who was asked spoke on a line: the next answer must not fill what is left of a garbled one.
+            host.fell_silent()
+        if ticket.tries <= ticket.retries:
+            host.counts.repeated += 1
+            if line is not None:
+                line.again(ticket)
+            else:
+                host.send(ticket, now)
+            return
+        if ticket.poll is not None:
+            ticket.poll.waiting = None
+        self._count_miss(device, ticket, now)
+        if line is not None and device.is_silent and ticket.poll is not None:
+            ask_less(host.slots, ticket, now)
+        if ticket.poll is None:
+            tries = f"{ticket.tries} tries" if ticket.tries > 1 else "one try"
+            error = NoReplyError(
+                f"{host.name} {device.name}: no answer to {ticket.message} within {ticket.timeout_ns / 1e6:g} ms ({tries});"
+                " is it powered, on this bus, and of this number?"
+            )
+            host.emit("no reply", device.name, f"{ticket.message}, {tries}")
+            ticket.fail(error)
+        device.no_reply(ticket)
+        if line is not None:
+            line.free(ticket)
+
+    def _count_miss(self, device: Device, ticket: Ticket, now: int) -> None:
+        """A device that misses requests again and again is silent."""
+        if device.misses == 0 or (
+            device.last_received is not None and device.last_received >= device.missing_since
+        ):
+            device.misses, device.missing_since = 0, ticket.sent_at
+        device.misses += 1
+        # Polls of one tick miss together: that is one miss in a row, however many they are.
+        is_long = now - device.missing_since > device.silent_after * ticket.timeout_ns // 2
+        if device.misses >= device.silent_after and is_long and not device.is_silent:
+            device.is_silent = True
+            age = (
+                "never heard"
+                if device.last_received is None
+                else f"last heard {(now - device.last_received) / 1e9:.3f} s ago"
+            )
+            self.host.emit("silent", device.name, f"{device.misses} requests without an answer, {age}")
+
+    # ------------------------------------------------------------------ answers
+
+    def answered(self, device: Device, name: str, record: Any, instant: int) -> None:
+        """A record of a device: the oldest request that it answers is done. Called by `Device.receive`."""
+        host = self.host
+        counts = host.counts
+        counts.received += 1
+        self.received_at = instant
+        if device.is_silent:
+            device.is_silent = False
+            host.emit("answers", device.name)
+        for ticket in device.awaiting:
+            if name in ticket.reply:
+                break
+        else:
+            self._unasked(device, name, instant)
+            return
+        device.awaiting.remove(ticket)
+        device.misses = 0
+        device.answered[name] = instant
+        if (device.timed_out or device.second_answers) and instant - device.missed_at > LATE_REPLY_NS:
+            device.timed_out.clear()  # what has not come by now never will
+            device.second_answers.clear()
+        ticket.answered_at = instant
+        counts.answered += 1
+        latency = instant - ticket.sent_at
+        if latency > counts.latency_ns:
+            counts.latency_ns = latency
+        if latency > host.period_ns and host.period_ns:
+            counts.answered_late += 1
+        slot: PollSlot | None = ticket.poll
+        if slot is not None:  # how long the round takes
+            slot.waiting = None
+            cycle = instant - slot.asked_at
+            if cycle > counts.cycle_ns:
+                counts.cycle_ns = cycle
+            counts.cycle_sum_ns += cycle
+            counts.cycles += 1
+        line = host.line
+        if line is not None:
+            if slot is not None:
+                slot.cost_ns = instant - slot.asked_at  # learnt: the poll with its answer
+            line.free(ticket)
+        ticket.finish(record)
+
+    def _unasked(self, device: Device, name: str, instant: int) -> None:
+        """A record that no request waits for: of a device that speaks by itself, late, or of a second one."""
+        before = device.answered.get(name)
+        late = device.timed_out.get(name, 0)
+        expected = device.second_answers.get(name, 0)
+        if late:
+            device.timed_out[name] = late - 1
+            self.host.emit("late reply", device.name, name)
+        elif expected:  # this one was asked for, too: on a full bus the first was only slow
+            device.second_answers[name] = expected - 1
+        elif before is not None and instant - before < DUPLICATE_REPLY_NS:
+            self.host.unknown_traffic.duplicate(device, f"{name} came twice", instant)

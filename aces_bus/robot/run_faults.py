@@ -1,0 +1,177 @@
+"""What faults lead to: an event reaches every supervisor at once, and what a guard trips is stopped, or held.
+
+1. All of it is on the thread of the buses, where nothing waits for a controller: what a fault stops is stopped when the
+   fault is received, whatever the controller's rate.
+2. When a guard trips, the devices that its controller drives are stopped as declared, or held where they are with live
+   set-points.
+3. A stop that was not confirmed is owed: it is repeated when the bus or the device is back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+
+from ..controller import ControlEvent, Supervisor
+from ..controller.events import EventLike, raised_text
+from ..controller.guard import Trip
+from ..device import Device, DeviceEvent, Job, stop_devices
+from ..errors import NotStoppedError, UnknownNameError
+from ..runtime import Task
+from .run_base import RunBase
+
+#: Events after which a stop that was not confirmed is sent again.
+BACK = frozenset({"reopened", "recovered", "error-active", "answers", "rebooted"})
+#: How often the buses' thread looks whether controllers still come back (ns).
+WATCH_NS = 20_000_000
+#: Events of logs.
+OF_LOGS = ("log-failed", "log-dropped")
+#: A repeated failure is reported this often at most (ns).
+REPEAT_NS = 1_000_000_000
+
+
+class RunFaults(RunBase):
+    """From events to stops."""
+
+    # ------------------------------------------------------------------ events
+
+    def _happened(self, event: DeviceEvent) -> None:
+        """The shortcut: what happened below reaches every supervisor at once, and is acted upon next."""
+        self._note(event)
+        if self._phase == "running":
+            self._handle(event)
+            if self._owed and event.kind in BACK:
+                self.clock.call_soon(lambda: self._repay(event.source))
+
+    def _handle(self, event: EventLike) -> None:
+        for supervisor in self.supervisors:
+            supervisor.handle(event)
+        if not self._is_attending:
+            self._is_attending = True
+            self.clock.call_soon(self._attend_all)
+
+    def _attend_all(self) -> None:
+        self._is_attending = False
+        now = self.clock.now()
+        for supervisor in self.supervisors:
+            self._attend(supervisor, now)
+
+    def _attend(self, supervisor: Supervisor, now: int) -> None:
+        if self._phase == "running" and supervisor.has_events:
+            given = supervisor.attend(now)
+            self._obey(supervisor)
+            self._give(given)
+
+    def _failed(self, task: Task, error: BaseException) -> None:
+        """A component raised: a logger, as controllers have supervisors for that."""
+        is_log = any(logger.name == task.name for logger in self.loggers)
+        self._raised(task.name, OF_LOGS[0] if is_log else "raised", error)
+
+    def bus_failed(self, error: BaseException) -> None:
+        """Something raised on the buses' thread."""
+        self._raised("buses", "bug", error)
+
+    def _raised(self, source: str, kind: str, error: BaseException) -> None:
+        now = self.clock.now()
+        if now - self._reported.get(source, -REPEAT_NS) >= REPEAT_NS:
+            self._reported[source] = now
+            self._emit_all(ControlEvent(kind, now, source, raised_text(error)))
+
+    def _emit_all(self, event: ControlEvent) -> None:
+        """What components tell reaches every supervisor, too."""
+        self._note(event)
+        self._handle(event)
+
+    def _watch(self) -> None:
+        """On the buses' thread: a controller that does not come back from a step cannot say so itself."""
+        if self._phase != "running":
+            return
+        self.clock.call_in(WATCH_NS, self._watch)
+        now = self.clock.now()
+        for supervisor in self.supervisors:
+            name = supervisor.name
+            began = self._inside.get(name, now)
+            if supervisor.is_overdue(now, began) and self._dead_since.get(name) != began:
+                self._dead_since[name] = began
+                given = supervisor.emit_dead(
+                    now, f"its step has not come back for {(now - began) / 1e9:.3f} s"
+                )
+                self._obey(supervisor)
+                self._give(given)
+
+    # ------------------------------------------------------------------ stops and holds
+
+    def _obey(self, supervisor: Supervisor) -> None:
+        """A guard has stopped motion: what its controller drives is held or switched off, as declared."""
+        trip = supervisor.guard.tripped
+        if trip is None or not trip.latched or self._obeyed.get(supervisor.name) is trip:
+            return
+        self._obeyed[supervisor.name] = trip
+        if trip.action == "hold":
+            if self.hold_s is not None:
+                self.clock.call_in(round(self.hold_s * 1e9), lambda: self._let_go(supervisor, trip))
+            self._hold(supervisor, trip)
+            return
+        self._stopped[supervisor.name] = trip.reason
+        if self.drives:
+            self._stop(supervisor.name, self.driven(supervisor))
+
+    def _hold(self, supervisor: Supervisor, trip: Trip) -> None:
+        """Set-points that stay where they are, at the controller's rate, whether it still runs or not."""
+
+        def again() -> None:
+            if self._phase == "running" and supervisor.guard.tripped is trip:
+                self._give(supervisor.guard.tick(self.clock.now()))
+                self.clock.call_in(period, again)
+
+        period = round(1e9 / supervisor.rate_hz)
+        self.clock.call_in(period, again)
+
+    def _let_go(self, supervisor: Supervisor, trip: Trip) -> None:
+        """It has been held for as long as was said."""
+        if self._phase == "running" and supervisor.guard.tripped is trip:
+            supervisor.guard.trip(f"{trip.reason}; held for {self.hold_s:g} s", "disable")
+            supervisor.guard.tick(self.clock.now())
+            self._obey(supervisor)
+
+    @property
+    def held(self) -> dict[str, str]:
+        """Controllers whose joints are held where they are, with why."""
+        return {
+            s.name: s.guard.tripped.reason
+            for s in self.supervisors
+            if s.guard.tripped is not None and s.guard.tripped.action == "hold"
+        }
+
+    def release(self, controller: str) -> None:
+        """Let a controller's set-points through again after a trip; what was switched off has to be enabled before.
+
+        Raises `UnknownNameError`.
+        """
+        found = {supervisor.name: supervisor for supervisor in self.supervisors}
+        if controller not in found:
+            raise UnknownNameError("controller", controller, found)
+
+        def let_through() -> None:
+            self._stopped.pop(controller, None)
+            found[controller].release()
+
+        self.clock.call(let_through)
+
+    def _stop(self, name: str, devices: Collection[Device]) -> None:
+        def over(stopping: Job) -> None:
+            failed = stopping.error.devices if isinstance(stopping.error, NotStoppedError) else {}
+            for device in devices:
+                if device.name in failed:
+                    self._owed[device.name] = device
+                else:
+                    self._owed.pop(device.name, None)
+            if stopping.error is not None:
+                self._note(ControlEvent("failed", self.clock.now(), name, str(stopping.error)))
+
+        stop_devices(self.clock, name, devices).then(over)
+
+    def _repay(self, source: str) -> None:
+        """The bus or device `source` is back: who owes a stop there is stopped again."""
+        owed = [device for device in self._owed.values() if source in (device.name, device.host.name)]
+        if owed and self._phase == "running":
+            self._stop(source, owed)
