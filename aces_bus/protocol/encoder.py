@@ -81,9 +81,9 @@ class Encoder:
             return new_can(*built)
         return [new_can(*parts) for parts in self._carried(message, built, number)]
 
-    def word(self, message: Message, fields: dict[str, Any]) -> Frame | bytes:
+    def packet(self, message: Message, fields: dict[str, Any]) -> Frame | bytes:
         """What goes out: an immutable frame (CAN) or the packet's bytes. Raises as `encode`; of a message that takes several
-        frames see `words`."""
+        frames see `as_sent`."""
         built = self._built(message, fields)
         if isinstance(built, bytes):
             return built
@@ -91,7 +91,7 @@ class Encoder:
             raise CallerError(f"{message.name} goes out in several frames ({message.transport.title})")
         return _frame(built)
 
-    def words(self, message: Message, fields: dict[str, Any]) -> list[Frame | bytes]:
+    def as_sent(self, message: Message, fields: dict[str, Any]) -> list[Frame | bytes]:
         """All that goes out for one message: one frame or packet, or the frames of its transport. Raises as `encode`."""
         built = self._built(message, fields)
         if isinstance(built, bytes):
@@ -121,15 +121,15 @@ class Encoder:
     def writer(
         self, message: Message, tags: Mapping[str, Any]
     ) -> Callable[[Mapping[str, Any]], Frame | bytes | tuple[Frame | bytes, ...]]:
-        """`word` of one message for one device: its fields `tags` are prepared, and need not be given again. Of a message
+        """`packet` of one message for one device: its fields `tags` are prepared, and need not be given again. Of a message
         that a transport carries, a tuple of its frames."""
         quick = self._quick.get(message.name)
 
         def usual(fields: Mapping[str, Any]) -> Frame | bytes:
-            return self.word(message, {**tags, **fields})
+            return self.packet(message, {**tags, **fields})
 
         if message.transport is not None:
-            return lambda fields: tuple(self.words(message, {**tags, **fields}))
+            return lambda fields: tuple(self.as_sent(message, {**tags, **fields}))
         if quick is None or message.framing is not None:
             return usual
         known = {**self._unsaid.get(message.name, {}), **tags}

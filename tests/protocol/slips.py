@@ -220,22 +220,22 @@ def recording(spec: str) -> list[Any]:
     found: list[Any] = []
     for n in range(LENGTH):
         for index, (name, fields) in enumerate(_SCENES[spec](n)):
-            word = protocol.encode(name, **fields)
+            packet = protocol.encode(name, **fields)
             direction = protocol[name].direction
             assert direction is not None
             time = n * 0.01 + index * 0.0002
             if protocol.link == "can":
                 found.append(
                     Frame(
-                        word.arbitration_id,
-                        bytes(word.data),
+                        packet.arbitration_id,
+                        bytes(packet.data),
                         time,
                         "can0",
-                        word.is_extended_id,
-                        word.is_remote_frame,
+                        packet.is_extended_id,
+                        packet.is_remote_frame,
                         is_rx=direction == "from device",
                     )
                 )
             else:
-                found.append(Chunk(word, time, direction))
+                found.append(Chunk(packet, time, direction))
     return found

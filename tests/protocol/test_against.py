@@ -114,13 +114,13 @@ def test_random_values_are_no_quantities(name: str) -> None:
     """Messages with any values at all are not said to have another byte order, sign or check."""
     protocol = {"hubo": hubo, "robotis": robotis, **SPECS}[name]
     variant = protocol.variant()
-    words: list[Any] = []
+    traffic: list[Any] = []
     for number, message in enumerate(list(variant.messages.values())[:8]):
         source = spread(number, 1 << 14)
-        words += [word for _ in range(40) for word in draw_packet(message, source.branch(), variant).words]
+        traffic += [one for _ in range(40) for one in draw_packet(message, source.branch(), variant).as_sent]
     if protocol.link != "can":
-        words = [b"".join(words)]
-    found = [one for one in check_recordings(variant, [words], direction="both") if one.rule in DRAWN]
+        traffic = [b"".join(traffic)]
+    found = [one for one in check_recordings(variant, [traffic], direction="both") if one.rule in DRAWN]
     assert [str(one) for one in found if "malformed" not in one.text] == []
 
 
@@ -270,6 +270,7 @@ def tables(recording: list[Frame], size: int) -> Iterator[FrameTable]:
         yield FrameTable.from_frames(recording[at : at + size], first.channels)
 
 
+@pytest.mark.slow
 def test_pieces_say_what_the_whole_says() -> None:
     """However a recording is cut, the observations are the same."""
     node = IdField("node", range(1, 4))

@@ -7,13 +7,13 @@ import random
 from collections.abc import Iterable
 from typing import Any
 
-from construct import Byte, Int16sl, Struct
+from construct import Byte, Bytes, Const, Int16sl, Struct
 from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
-from aces_bus.protocol import CanScanner, Counter, IdField, Protocol, load_protocol
+from aces_bus.protocol import CanScanner, Counter, IdField, Protocol, Unknown, load_protocol
 from aces_bus.protocol.columns.can import CanColumns
 from aces_bus.protocol.columns.table import MessageTable
 from aces_bus.protocol.declare.protocol import Variant
@@ -87,6 +87,49 @@ def test_pieces_decoded_apart_are_the_capture(seed: int, cuts: list[int]) -> Non
     lines, counts = apart(variant, table, cuts)
     assert lines == expected
     assert counts == one.counts
+
+
+def asking() -> Protocol:
+    """Commands of one identifier, told apart by their first byte; one of them asks for a value."""
+    protocol = Protocol("asking", link="can")
+    ask = protocol.message(
+        "Ask", id=0x10, direction="to device", payload=Struct(Const(b"\x01"), "which" / Byte)
+    )
+    protocol.message("Go", id=0x10, direction="to device", payload=Struct(Const(b"\x02"), "speed" / Int16sl))
+    protocol.message("Beep", id=0x10, direction="to device", payload=Struct(Const(b"\x03")))
+    for which, (name, payload) in enumerate({"Value": Int16sl, "Text": Bytes(2)}.items()):
+        reply = ask.where(which=which)
+        protocol.message(
+            name, id=0x20, direction="from device", reply_to=reply, payload=Struct("it" / payload)
+        )
+    return protocol
+
+
+_COMMANDS = st.tuples(st.sampled_from((0x10, 0x10, 0x20)), st.integers(0, 4), st.binary(max_size=3))
+
+
+@given(st.lists(_COMMANDS, max_size=40))
+def test_only_requests_of_a_shared_identifier_are_decided_one_by_one(
+    some: list[tuple[int, int, bytes]],
+) -> None:
+    """Commands beside them are decoded as columns; values and losses are those of the live scanner."""
+    variant = asking().variant()
+    table = FrameTable.from_frames(
+        [Frame(key, bytes([kind]) + more, 1.0, "can0") for key, kind, more in some]
+    )
+    one = CanColumns([variant], direction="both", include_unknown=True)
+    live = CanScanner([variant], direction="both", include_unknown=True)
+    lines = flat(one.feed(table))
+    assert [name for _, name, *_ in lines] == [
+        "" if isinstance(item, Unknown) else type(item).__name__ for item in live.feed(table.frames())
+    ]
+    assert one.counts == live.counts
+
+    piece = CanColumns([variant], direction="both", defer=True)
+    piece.feed(table)
+    left = [row for _, rows in piece.hand_over().deferred for row in rows.tolist()]
+    asked = [row for row, name, *_ in lines if name == "Ask"]
+    assert left == sorted({*asked, *(row for row, (key, *_) in enumerate(some) if key == 0x20)})
 
 
 def counting() -> Protocol:

@@ -163,7 +163,7 @@ def test_requests_counters_and_pages_carry_on(name: str, step: int) -> None:
 def test_the_scenes_hold_what_they_are_for() -> None:
     """Answers of both kinds and unanswered ones, counters that jump, absent and unknown values, losses."""
     scanner = a_bus().scanner(include_unknown=True)
-    items = scanner.feed(SCENES["bus"][1].words)
+    items = scanner.feed(SCENES["bus"][1].traffic)
     names = {type(item).__name__ for item in items}
     assert names >= {"Layout", "Count", "State", "Ask", "Answer1", "Answer2", "Unknown"}
     assert scanner.counts.missed > 0
@@ -171,7 +171,7 @@ def test_the_scenes_hold_what_they_are_for() -> None:
     assert {None} < {state.angle for state in states}
     assert {"off", "on"} <= {state.mode for state in states}
     stream = a_stream().scanner(include_unknown=True)
-    stream.feed(SCENES["stream"][1].words)
+    stream.feed(SCENES["stream"][1].traffic)
     assert stream.counts.records > 40
     assert stream.counts.malformed
     assert stream.counts.skipped
@@ -307,8 +307,8 @@ class Spoilt:
     def counts(self) -> Any:
         return self.good.counts
 
-    def feed(self, words: Any) -> list[MessageTable]:
-        return self.spoilt(self.good.feed(words))
+    def feed(self, traffic: Any) -> list[MessageTable]:
+        return self.spoilt(self.good.feed(traffic))
 
     def close(self) -> list[MessageTable]:
         return self.spoilt(self.good.close())

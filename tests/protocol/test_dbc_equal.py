@@ -273,6 +273,7 @@ def identified(path: Path, text: str, frames: list[Frame]) -> list[Any]:
     return list(_scanner(load_database(path).protocol, raw=False).feed(frames))
 
 
+@pytest.mark.slow
 @given(messages=groups(), data=st.binary(min_size=8, max_size=8))
 def test_a_declared_source_has_its_own_message(
     messages: dict[int, str], data: bytes, tmp_path_factory: pytest.TempPathFactory

@@ -9,7 +9,7 @@ from construct import Array, Byte, Const, Int16ul, Struct, this
 
 from aces_bus.frames import Frame
 from aces_bus.protocol import Protocol, Sum, Unknown, Variant
-from aces_bus.protocol.declare.examples import parse_word
+from aces_bus.protocol.declare.examples import parse_packet
 from aces_bus.protocol.explain import Attempt, Tracer, why_unknown
 from aces_bus.protocol.explain.template import Template
 from aces_bus.protocol.lint.examples import example_frame
@@ -42,13 +42,13 @@ def heard_of(attempts: list[Attempt]) -> list[ScannedItem]:
 
 def explained(variants: tuple[Variant, ...], direction: Any, scene: Any) -> list[Attempt]:
     tracer = Tracer(variants, direction=direction)
-    if isinstance(scene.words, bytes):
-        return tracer.explain_stream(scene.words, idle_at=scene.idle_at, sent_at=scene.sent_at)
+    if isinstance(scene.traffic, bytes):
+        return tracer.explain_stream(scene.traffic, idle_at=scene.idle_at, sent_at=scene.sent_at)
     attempts: list[Attempt] = []
     at = 0
-    for offset, frame in [*scene.sent_at, (len(scene.words), None)]:
-        for word in scene.words[at:offset]:
-            attempts += tracer.explain_frames([word], len(attempts))
+    for offset, frame in [*scene.sent_at, (len(scene.traffic), None)]:
+        for one in scene.traffic[at:offset]:
+            attempts += tracer.explain_frames([one], len(attempts))
         at = offset
         if frame is not None:
             tracer.sent_frame(frame)
@@ -89,7 +89,7 @@ def test_values_read_on_the_way_are_the_records_values(case: Case) -> None:
             assert comparable(reading.value) == comparable(value), reading
 
 
-def test_a_packet_word_by_word() -> None:
+def test_a_packet_part_by_part() -> None:
     """Length and instruction rule templates out; what is left is read, and the check says whether it was right."""
     tracer = Tracer([robotis.variant()], direction="to device")
     good, bad, *rest = tracer.explain_stream(bytes.fromhex("FF FF 01 04 02 00 32 C6 FF FF 01 02 01 FC"))
@@ -114,7 +114,7 @@ def test_a_request_decides_between_replies() -> None:
     """Of replies that look alike all live to the last byte; the request that was seen is named."""
     tracer = Tracer([hubo.variant()])
     reply = "1C5#C8 00 01 00 F4 01 A0 4F"
-    frames = [example_frame(parse_word(text, is_can=True)) for text in ("001#05 24 07", reply, reply)]
+    frames = [example_frame(parse_packet(text, is_can=True)) for text in ("001#05 24 07", reply, reply)]
     _, told, lost = tracer.explain_frames(frames)
     assert told.verdict == "Parameters1"
     assert told.request is not None
@@ -133,7 +133,7 @@ def test_what_lies_outside_is_left_out() -> None:
 
 
 def test_long_packets_are_told_by_their_ends() -> None:
-    """Of a packet of thousands of bytes the first words and the last are explained, and the others counted."""
+    """Of a packet of thousands of bytes the first parts and the last are explained, and the others counted."""
     from construct import GreedyBytes, Int16ul, Struct, this
 
     from aces_bus.protocol import Sum
@@ -157,12 +157,12 @@ def test_a_template_never_kills_what_its_construct_takes() -> None:
         for message in protocol.declared:
             template = Template(message, message.name)
             for example in message.examples:
-                data = example.word.data
+                data = example.packet.data
                 for size in range(1, len(data) + 1):
                     assert template.death(data[:size], None, None) is None, (message, size)
 
 
-def test_error_frames_have_no_words() -> None:
+def test_error_frames_have_no_parts() -> None:
     """A frame that says that the bus had an error is no message of anybody."""
     (attempt,) = Tracer([hubo.variant()]).explain_frames([Frame(1, b"", is_error_frame=True)])
     assert (attempt.verdict, attempt.steps) == ("error frame", ())

@@ -134,16 +134,16 @@ def compiled(folder: Path, made: CSource) -> Path:
     return folder / "program"
 
 
-def answers(program: Path, words: Sequence[tuple[int, int, bytes]]) -> list[str]:
-    text = "".join(f"{number} {identifier:x} {data.hex() or '-'}\n" for number, identifier, data in words)
+def answers(program: Path, inputs: Sequence[tuple[int, int, bytes]]) -> list[str]:
+    text = "".join(f"{number} {identifier:x} {data.hex() or '-'}\n" for number, identifier, data in inputs)
     run = subprocess.run([program], input=text, capture_output=True, text=True, timeout=60, check=True)
     return run.stdout.splitlines()
 
 
-def word_of(packet: DrawnPacket) -> tuple[int, bytes]:
+def identifier_and_data(packet: DrawnPacket) -> tuple[int, bytes]:
     """Identifier and data, or 0 and the packet."""
-    (word,) = packet.words
-    return (0, bytes(word)) if isinstance(word, bytes) else (word.arbitration_id, bytes(word.data))
+    (sent,) = packet.as_sent
+    return (0, sent) if isinstance(sent, bytes) else (sent.arbitration_id, sent.data)
 
 
 def value_at(record: Any, way: Sequence[Any]) -> Any:
@@ -168,8 +168,8 @@ def decoded(variant: Variant, packet: DrawnPacket, *, raw: bool) -> Any:
     scanner.reset()
     found: list[Any] = []
     for one in (packet.request, packet):
-        for word in one.words if one is not None else ():
-            found = scanner.feed(word if isinstance(word, bytes) else [word])
+        for sent in one.as_sent if one is not None else ():
+            found = scanner.feed(sent if isinstance(sent, bytes) else [sent])
     return next((one for one in found if type(one).__name__ == packet.message.name), None)
 
 
@@ -206,7 +206,7 @@ def compare(variant: Variant, one: CMessage, packet: DrawnPacket, lines: list[st
                 assert again in (None, "-1")  # and neither is what is no number
             elif again is not None and (limits is None or limits[0] <= unit <= limits[1]):
                 assert again == "1", (one.name, member.name, unit)
-    identifier, data = word_of(packet)
+    identifier, data = identifier_and_data(packet)
     assert int(lines.pop(0), 16) == identifier
     packed = bytes.fromhex(lines.pop(0))
     if not any(loss.message == packet.message.name and "written as 0" in loss.reason for loss in made.losses):
@@ -222,6 +222,7 @@ def variant_of(name: str) -> Variant:
     return (SPECS[name] if name in SPECS else load_protocol(name)).variant()
 
 
+@pytest.mark.slow
 @needs_cc
 @pytest.mark.parametrize("name", [*NAMES, *(ALL if IS_LONG else [])])
 def test_a_compiler_agrees_with_the_scanner(tmp_path: Path, name: str) -> None:
@@ -239,7 +240,7 @@ def test_a_compiler_agrees_with_the_scanner(tmp_path: Path, name: str) -> None:
                 packets.append((number, draw_packet(one.message, spread(seed), variant)))
             except UndrawableError:
                 break
-    lines = answers(program, [(number, *word_of(packet)) for number, packet in packets])
+    lines = answers(program, [(number, *identifier_and_data(packet)) for number, packet in packets])
     count = sum(compare(variant, made.messages[number], packet, lines, made) for number, packet in packets)
     assert lines == []
     assert count > len(packets)
@@ -251,11 +252,11 @@ def check_refusals(
 ) -> None:
     """Packets with another bit, byte or length are taken by the C of a message where the scanner takes them for it."""
     random_ = random.Random(3)
-    words: list[tuple[int, int, bytes]] = []
+    inputs: list[tuple[int, int, bytes]] = []
     wanted: list[bool] = []
     for number, packet in [one for one in packets for _ in range(4)]:
         message = packet.message
-        identifier, data = word_of(packet)
+        identifier, data = identifier_and_data(packet)
         changed = bytearray(data)
         kind = random_.randrange(4)
         if changed and kind < 2:
@@ -264,9 +265,9 @@ def check_refusals(
             identifier ^= 1 << random_.randrange(29 if message.extended else 11)
         else:
             changed = changed[:-1] if random_.random() < 0.5 else changed + b"\0"
-        words.append((number, identifier, bytes(changed)))
+        inputs.append((number, identifier, bytes(changed)))
         wanted.append(_fits(message, identifier, bytes(changed)))
-    lines = answers(program, words)
+    lines = answers(program, inputs)
     found = [line == "taken" for line in lines if line in ("taken", "refused")]
     assert found == wanted
     assert False in wanted

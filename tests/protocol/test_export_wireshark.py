@@ -118,14 +118,14 @@ def record(folder: Path, frames: Sequence[Frame]) -> Path:
     return path
 
 
-def packets(folder: Path, words: Sequence[bytes], link: int = 147) -> Path:
-    """Words as packets of a user's link type, in a pcap file."""
-    path = folder / "words.pcap"
+def pcap_file(folder: Path, packets: Sequence[bytes], link: int = 147) -> Path:
+    """Packets of a user's link type, in a pcap file."""
+    path = folder / "packets.pcap"
     with path.open("wb") as file:
         file.write(struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, 1 << 18, link))
-        for number, word in enumerate(words):
+        for number, packet in enumerate(packets):
             file.write(
-                struct.pack("<IIII", number // 1000, number % 1000 * 1000, len(word), len(word)) + word
+                struct.pack("<IIII", number // 1000, number % 1000 * 1000, len(packet), len(packet)) + packet
             )
     return path
 
@@ -226,13 +226,13 @@ def _is_plain(text: str) -> bool:
 
 def _near(one: float, other: float) -> bool:
     if math.isnan(other) or math.isinf(other):
-        return True  # tshark's words for them differ between versions
+        return True  # tshark's packets for them differ between versions
     return math.isclose(one, other, rel_tol=1e-5, abs_tol=1e-30)
 
 
 def drawn(variant: Variant, seeds: Iterable[int], direction: Any = None) -> list[Any]:
-    """Words of every message of a variant, each behind the request that it answers."""
-    words: list[Any] = []
+    """Packets of every message of a variant, each behind the request that it answers."""
+    packets: list[Any] = []
     for seed in seeds:
         for message in variant.messages_for(direction):
             try:
@@ -240,15 +240,15 @@ def drawn(variant: Variant, seeds: Iterable[int], direction: Any = None) -> list
             except UndrawableError:
                 continue
             if packet.request is not None:
-                words += packet.request.words
-            words += packet.words
-    return words
+                packets += packet.request.as_sent
+            packets += packet.as_sent
+    return packets
 
 
-def check_can(folder: Path, variant: Variant, words: Sequence[Frame]) -> set[str]:
+def check_can(folder: Path, variant: Variant, packets: Sequence[Frame]) -> set[str]:
     """Assert that tshark shows of each frame what a scanner decodes; names of the messages that were among them."""
     frames = [Frame(w.arbitration_id, w.data, is_extended_id=w.is_extended_id, is_remote_frame=w.is_remote_frame,
-                    is_fd=w.is_fd, timestamp=0.001 * n) for n, w in enumerate(words)]  # fmt: skip
+                    is_fd=w.is_fd, timestamp=0.001 * n) for n, w in enumerate(packets)]  # fmt: skip
     raw = make_scanner([variant], include_unknown=True, raw=True).feed(frames)
     physical = make_scanner([variant], include_unknown=True).feed(frames)
     source, _ = print_dissector(variant)
@@ -341,25 +341,25 @@ def test_packets_of_several_frames(name: str, tmp_path: Path) -> None:
     assert any(reason.startswith("malformed: frame") for reason in reasons), reasons
 
 
-def check_stream(folder: Path, variant: Variant, direction: Any, words: Sequence[bytes]) -> set[str]:
-    """As `check_can`, for words in packets of their own."""
+def check_stream(folder: Path, variant: Variant, direction: Any, packets: Sequence[bytes]) -> set[str]:
+    """As `check_can`, for packets of a stream."""
     scanners = [
         StreamScanner([variant], direction=direction, include_unknown=True, raw=raw) for raw in (True, False)
     ]
     wanted: list[list[Any]] = []
-    for word in words:
-        raw, physical = (scanner.datagram(word) for scanner in scanners)
+    for packet in packets:
+        raw, physical = (scanner.datagram(packet) for scanner in scanners)
         wanted.append([(a, b) for a, b in zip(raw, physical, strict=True) if not isinstance(a, Unknown)])
     source, _ = print_dissector(variant, direction=direction)
-    shown = tshark(folder, source, packets(folder, words))
+    shown = tshark(folder, source, pcap_file(folder, packets))
     seen = set()
     is_sure = not any(flatten(message).opaque for message in variant.messages.values())
-    for word, records, messages in zip(words, wanted, shown, strict=True):
+    for packet, records, messages in zip(packets, wanted, shown, strict=True):
         told = [message for message in messages if "message" in message]
         names = [message["message"][0] for message in told] + [raw.meta.message for raw, _ in records]
         if not is_sure and names[: len(told)] != names[len(told) :]:
             continue  # some are told by their head alone, as the losses say
-        assert names[: len(told)] == [a.meta.message for a, _ in records], (word.hex(), records, messages)
+        assert names[: len(told)] == [a.meta.message for a, _ in records], (packet.hex(), records, messages)
         for (raw, physical), message in zip(records, told, strict=True):
             compare(variant, raw, physical, message)
             seen.add(raw.meta.message)
@@ -369,34 +369,34 @@ def check_stream(folder: Path, variant: Variant, direction: Any, words: Sequence
 @needs_tshark
 @pytest.mark.parametrize("name", STREAMS)
 def test_streams(name: str, tmp_path: Path) -> None:
-    """Lengths, ends, silence, stuffing, checks, characters: packets whole, cut, behind junk and several in a word."""
+    """Lengths, ends, silence, stuffing, checks, characters: packets whole, cut, behind junk and several at once."""
     protocol = {"robotis": robotis, "nmea0183": nmea0183, **SPECS}[name]
     for variant in protocol.variants():
         for direction in ("to device", "from device", "both") if IS_LONG else ("both",):
             if not variant.messages_for(direction):
                 continue
-            words = drawn(variant, range(SEEDS), direction)
+            packets = drawn(variant, range(SEEDS), direction)
             rng = random.Random(name)
-            words += [rng.randbytes(3) + word for word in words[:6]]
-            words += [word[: rng.randrange(1, len(word) + 1)] for word in words[:6]]
-            words.append(b"".join(words[:8]))
-            assert check_stream(tmp_path, variant, direction, words), variant
+            packets += [rng.randbytes(3) + packet for packet in packets[:6]]
+            packets += [packet[: rng.randrange(1, len(packet) + 1)] for packet in packets[:6]]
+            packets.append(b"".join(packets[:8]))
+            assert check_stream(tmp_path, variant, direction, packets), variant
 
 
-def segments(folder: Path, words: Sequence[bytes]) -> Path:
-    """Words as segments of one TCP connection to port 5000: raw IPv4 in a pcap file."""
+def segments(folder: Path, packets: Sequence[bytes]) -> Path:
+    """Packets as segments of one TCP connection to port 5000: raw IPv4 in a pcap file."""
     path = folder / "segments.pcap"
     sent = 1
     with path.open("wb") as file:
         file.write(struct.pack("<IHHIIII", 0xA1B2C3D4, 2, 4, 0, 0, 1 << 18, 101))
-        for number, word in enumerate(words):
+        for number, packet in enumerate(packets):
             ip = struct.pack(
-                ">BBHHHBBH4s4s", 0x45, 0, 40 + len(word), number, 0, 64, 6, 0, b"\n\0\0\1", b"\n\0\0\2"
+                ">BBHHHBBH4s4s", 0x45, 0, 40 + len(packet), number, 0, 64, 6, 0, b"\n\0\0\1", b"\n\0\0\2"
             )
             tcp = struct.pack(">HHIIBBHHH", 4000, 5000, sent, 1, 0x50, 0x18, 8192, 0, 0)
-            data = ip + tcp + word
+            data = ip + tcp + packet
             file.write(struct.pack("<IIII", number, 0, len(data), len(data)) + data)
-            sent += len(word)
+            sent += len(packet)
     return path
 
 
@@ -439,12 +439,12 @@ _packet(
 def test_lists_of_items(tmp_path: Path) -> None:
     """Tagged items, known, unknown and malformed; groups up to the end and counted; behind sums that are negated."""
     variant = tlv.variant()
-    words = drawn(variant, range(40))
+    packets = drawn(variant, range(40))
     known = {"kind": "speed", "data": -3.5}, {"kind": "state", "data": {"mode": "on", "height": 0.5}}
     short = {"kind": 0x203, "data": b"\x01", "reason": "size 1"}  # one byte of five
-    words.append(tlv.encode("Data", time=1, items=[*known, {"kind": 77, "data": b"xyz"}, short, known[0]]))
-    words += [word[:-1] + bytes([word[-1] ^ 1]) for word in words[:4]]
-    assert check_stream(tmp_path, variant, "both", words) == {"Data", "Pairs", "Levels", "Fixed"}
+    packets.append(tlv.encode("Data", time=1, items=[*known, {"kind": 77, "data": b"xyz"}, short, known[0]]))
+    packets += [packet[:-1] + bytes([packet[-1] ^ 1]) for packet in packets[:4]]
+    assert check_stream(tmp_path, variant, "both", packets) == {"Data", "Pairs", "Levels", "Fixed"}
 
 
 @needs_tshark

@@ -436,6 +436,7 @@ BO_ 3 Third: 8 ECU
     assert found.protocol["Third"].fields == ("d", "reserved")
 
 
+@pytest.mark.slow
 def test_no_message_gets_the_signals_of_another(tmp_path: Path) -> None:
     """However the quotes are broken: what an open string takes in is given back to whom it belongs."""
     rng = random.Random(11)

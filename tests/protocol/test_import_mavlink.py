@@ -19,7 +19,7 @@ from aces_bus.protocol.exchange import ImportedProtocol, load_database
 from aces_bus.protocol.exchange.export_wireshark import print_dissector
 from aces_bus.testing import laws
 from aces_bus.testing.source import spread
-from tests.protocol.test_export_wireshark import compare, needs_tshark, packets, tshark
+from tests.protocol.test_export_wireshark import compare, needs_tshark, pcap_file, tshark
 
 FOLDER = Path(__file__).parents[1] / "data" / "mavlink"
 
@@ -181,16 +181,16 @@ def test_wireshark_gives_the_zeros_back(tmp_path: Path) -> None:
     variant = rover().variant()
     source, losses = print_dissector(variant)
     assert not losses
-    words = [V2, SIGNED, EMPTY]
+    packets = [V2, SIGNED, EMPTY]
     shown = tshark(
         tmp_path,
         source,
-        packets(tmp_path, words),
+        pcap_file(tmp_path, packets),
         "-o",
         'uat:user_dlts:"User 0 (DLT=147)","rover","0","","0",""',
     )
-    for word, found in zip(words, shown, strict=True):
-        (raw,), (physical,) = rover().scanner(raw=True).feed(word), rover().scanner().feed(word)
+    for packet, found in zip(packets, shown, strict=True):
+        (raw,), (physical,) = rover().scanner(raw=True).feed(packet), rover().scanner().feed(packet)
         assert compare(variant, raw, physical, found[0]) > 5
 
 

@@ -297,6 +297,83 @@ def test_what_has_no_flat_form_goes_through_construct() -> None:
     ]
 
 
+def lists_in_items() -> Protocol:
+    """Items that hold lists: groups behind a field, as many as counted, other items, and what is no list."""
+    signal = Struct("id" / Byte, "level" / Quantity(Byte, unit="dB", scale=0.5))
+    return tlv(
+        kinds={
+            "sky": (1, Struct("time" / Byte, "satellites" / GreedyRange(signal))),
+            "counted": (2, PrefixedArray(Byte, signal)),
+            "more": (3, Items(tag=Byte, size=Byte, kinds={"volt": (7, Quantity(Byte, unit="V"))})),
+            "plain": (4, Quantity(Byte, unit="A")),
+            "deep": (5, GreedyRange(PrefixedArray(Byte, Byte))),
+        }
+    )
+
+
+NESTED = "00 01 05 09 03 08 04 0A  02 03 01 05 06  03 03 07 01 0C  04 01 63  05 03 01 02 00"
+
+
+def test_lists_inside_items_have_columns() -> None:
+    """Read by construct, and every kind's values are columns all the same; what is two lists deep is one value."""
+    protocol = lists_in_items()
+    assert protocol.variant()["M"].plan.opaque == "lists of items inside one another"
+    table = protocol.decode(packet(NESTED) * 2)["M"]
+    found = {column.kind.name: column.to_list()[1] for column in table.columns()}
+    assert {"seq": found.pop("seq"), "items": found.pop("items")} == read(protocol, NESTED)
+    assert found == {
+        "items.sky.time": 9,
+        "items.sky.satellites": [{"id": 3, "level": 4.0}, {"id": 4, "level": 5.0}],
+        "items.sky.satellites.id": [3, 4],
+        "items.sky.satellites.level": [4.0, 5.0],
+        "items.counted": [{"id": 5, "level": 3.0}],
+        "items.counted.id": [5],
+        "items.counted.level": [3.0],
+        "items.more": [{"kind": "volt", "data": 12, "reason": None}],
+        "items.more.volt": 12,
+        "items.plain": 99,
+    }
+    assert table["items.sky.satellites.level"].kind.unit == "dB"
+    (record,) = protocol.scanner().feed(packet(NESTED))
+    assert protocol.encode("M", **as_dict(record)) == packet(NESTED)
+
+
+def test_a_bad_item_costs_itself_among_lists_too() -> None:
+    """Half a group: the item is bytes with the reason, its columns are absent."""
+    table = lists_in_items().decode(packet("00 01 04 09 03 08 04 04 01 63"))["M"]
+    assert table["items.sky.time"].to_list() == [None]
+    assert table["items.plain"].to_list() == [99]
+
+
+def test_drawings_and_tables_see_lists_inside_items() -> None:
+    """A panel for each group, a line a value, with the place in its group."""
+    plan = lists_in_items().variant()["M"].plan
+    picture = "\n".join(draw_text(plan))
+    assert "data of items.sky, tag 1, each of data.satellites:" in picture
+    rows = {row.name: row for row in field_table(plan)}
+    level = rows["items.sky.satellites.level"]
+    assert (level.place, level.unit, level.scale) == ("byte 1 of each in tag 1", "dB", "0.5")
+    assert rows["items"].type == "items, by construct"
+
+
+def test_tools_see_lists_inside_items(tmp_path: Path, aces: Aces) -> None:
+    """Units in lines, conditions on what is inside."""
+    (tmp_path / "nested.py").write_text(
+        "from construct import Byte, GreedyRange, Struct, this\n"
+        "from aces_bus.protocol import Items, Protocol, Quantity\n"
+        'p = Protocol("nested", link="serial")\n'
+        'packet = p.framing(sync=b"\\xa5", header=Struct("length" / Byte), size=this.length + 2, max_size=257)\n'
+        'group = Struct("id" / Byte, "level" / Quantity(Byte, unit="dB", scale=0.5))\n'
+        'kinds = {"sky": (1, GreedyRange(group)), "volt": (2, Quantity(Byte, unit="V"))}\n'
+        'packet("M", payload=Struct("items" / Items(tag=Byte, size=Byte, kinds=kinds)))\n'
+    )
+    (tmp_path / "log.bin").write_bytes(bytes.fromhex("A5 07 01 02 03 08 02 01 0C"))
+    options = ["decode", str(tmp_path / "log.bin"), "-p", str(tmp_path / "nested.py")]
+    shown = aces(*options, "--where", "items.volt>11").out
+    assert "items=[sky=[{id=3, level=4.0 dB}], volt=12 V]" in shown
+    assert '"data": [{"id": 3, "level": 4.0}]' in aces(*options, "--format", "jsonl").out
+
+
 def test_on_can_the_frame_bounds_the_list() -> None:
     """Items in a CAN FD frame; the DBC says what it cannot hold."""
     protocol = Protocol("dids", link="can")

@@ -20,7 +20,7 @@ from aces_bus.protocol import (
     Xor,
     bits,
 )
-from aces_bus.protocol.declare.examples import parse_word
+from aces_bus.protocol.declare.examples import parse_packet
 from aces_bus.protocol.files import load_file
 from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire
 from aces_bus.protocol.lint.fields import is_unit, suggest
@@ -386,7 +386,7 @@ def test_protocols_on_one_bus_collide_with_a_witness() -> None:
     (clash,) = check_wire(variants)
     assert (clash.rule, clash.level, clash.message) == ("collision", "error", "Alike")
     assert clash.witness is not None
-    image = parse_word(clash.witness, is_can=True).image
+    image = parse_packet(clash.witness, is_can=True).image
     assert one["State"].struct.parse(image, raw=True)["node"] == 5
     assert other["Alike"].struct.parse(image, raw=True)["c"] is not None
     apart = [one.variant().on("can0"), other.variant().on("can1")]

@@ -23,7 +23,7 @@ from aces_bus.protocol import (
     as_dict,
     make_scanner,
 )
-from aces_bus.protocol.declare.examples import Example, parse_word
+from aces_bus.protocol.declare.examples import Example, parse_packet
 from aces_bus.protocol.lint import check_protocol
 from aces_bus.protocol.lint.examples import agree, example_frame, failure
 from tests.laws.wires import PROTOCOLS, REGISTERED
@@ -101,13 +101,13 @@ def test_an_example_with_its_request() -> None:
     for name, what in (("A", 1), ("B", 2)):
         p.message(name, id=2, reply_to=ask.where(what=what), payload=Struct("x" / Int16ul))
     a, b = p["A"], p["B"]
-    word, fields = parse_word("002#0102", is_can=True), {"x": 0x201, "what": 1}
-    assert failure(a, Example(word, fields, parse_word("001#01", is_can=True))) is None
-    assert failure(a, Example(word, {"x": 0x201})) is None, "without its request it cannot be recognised"
+    packet, fields = parse_packet("002#0102", is_can=True), {"x": 0x201, "what": 1}
+    assert failure(a, Example(packet, fields, parse_packet("001#01", is_can=True))) is None
+    assert failure(a, Example(packet, {"x": 0x201})) is None, "without its request it cannot be recognised"
     assert "is none of Ask(what=2)" in (
-        failure(b, Example(word, {}, parse_word("001#01", is_can=True))) or ""
+        failure(b, Example(packet, {}, parse_packet("001#01", is_can=True))) or ""
     )
-    assert "answers none" in (failure(ask, Example(parse_word("001#01", is_can=True), {}, word)) or "")
+    assert "answers none" in (failure(ask, Example(parse_packet("001#01", is_can=True), {}, packet)) or "")
 
 
 def test_a_message_that_another_takes_is_said() -> None:
@@ -146,9 +146,9 @@ def test_frames_of_every_kind_can_be_written() -> None:
         "123#R": (0x123, False),
     }
     for text, (identifier, extended) in kinds.items():
-        word = parse_word(text, is_can=True)
-        assert (word.identifier, word.extended) == (identifier, extended)
-        assert parse_word(str(word), is_can=True) == word
+        packet = parse_packet(text, is_can=True)
+        assert (packet.identifier, packet.extended) == (identifier, extended)
+        assert parse_packet(str(packet), is_can=True) == packet
 
 
 @pytest.mark.parametrize("name", REGISTERED)
@@ -180,15 +180,15 @@ def _scanned(variant: Any, message: Any, example: Example) -> bool:
     scanner = _scanner(variant, message.direction if variant.link != "can" else None)
     scanner.reset()
     if variant.link == "can":
-        words = [] if example.request is None else [example.request]
+        before = [] if example.request is None else [example.request]
         records = scanner.feed(
-            [example_frame(word) for word in [*words, *(example.frames or (example.word,))]]
+            [example_frame(packet) for packet in [*before, *(example.frames or (example.packet,))]]
         )
-        records = records[len(words) :]
+        records = records[len(before) :]
     else:
         if example.request is not None:
             scanner.sent(example.request.data)
-        records = scanner.feed(example.word.data) + scanner.close()
+        records = scanner.feed(example.packet.data) + scanner.close()
     if [type(record).__name__ for record in records] != [message.name]:
         return False
     values = as_dict(records[0])
@@ -202,8 +202,10 @@ def _scanned(variant: Any, message: Any, example: Example) -> bool:
         )
     else:
         made = variant.encoder.encode(message.name, **values)
-        same = made == example.word.data if variant.link != "can" else bytes(made.data) == example.word.data
-        if str(example.word).startswith("b"):
+        same = (
+            made == example.packet.data if variant.link != "can" else bytes(made.data) == example.packet.data
+        )
+        if str(example.packet).startswith("b"):
             # Numbers as characters may have more or fewer decimals than we would write, if they read the same.
             again = as_dict(scanner.feed(made)[0])
             same = all(agree(again[field], value) for field, value in values.items())

@@ -124,6 +124,7 @@ def test_a_hundred_slips_are_caught(tmp_path: Path) -> None:
     assert len(missed) <= 5, "\n".join(map(str, missed))
 
 
+@pytest.mark.slow
 def test_a_mutation_changes_one_place() -> None:
     """A mutant is the shipped source but for a line or two, and the same seed draws the same ones."""
     assert drawn(SMALL, 12, 1) == drawn(SMALL, 12, 1)

@@ -85,6 +85,7 @@ def test_golden_files_of_canboat(name: str, refused: list[int], shared_captures:
             at = record.data.index(bytes.fromhex(text), at)
 
 
+@pytest.mark.slow
 @pytest.mark.shared
 def test_what_is_lost_in_them_is_said(shared_captures: Path) -> None:
     """Frames of packets that lack one are malformed; canboat is silent about them."""

@@ -79,6 +79,7 @@ def _streaming(made: Protocol, direction: str | None = None) -> StreamScanner:
     return scanner
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunk", [1, 7, 500, 100_000])
 def test_false_headers_cost_no_more_than_twice_the_input(chunk: int) -> None:
     """The prefix sums of a failed check ended where they began, so that every false header was summed anew."""

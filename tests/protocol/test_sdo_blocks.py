@@ -47,17 +47,17 @@ def frames(*texts: str, times: tuple[float, ...] = ()) -> list[Frame]:
 
 def fed(*texts: str, times: tuple[float, ...] = ()) -> list[str]:
     """What each thing is that a scanner gives, which reference and columns say, too: the message, or the reason."""
-    words = frames(*texts, times=times)
+    given = frames(*texts, times=times)
     for law in (laws.oracle, laws.chunking, laws.accounting):
-        law(sdo_like.variant(), None, laws.Scene(tuple(words)), cuts=range(1, len(words)))
+        law(sdo_like.variant(), None, laws.Scene(tuple(given)), cuts=range(1, len(given)))
     scanner = sdo_like.scanner(include_unknown=True)
-    items: list[Any] = [*scanner.feed(words), *scanner.close()]
+    items: list[Any] = [*scanner.feed(given), *scanner.close()]
     return [getattr(one, "reason", type(one).__name__).removeprefix("malformed: ") for one in items]
 
 
 @pytest.mark.slow
 def test_a_conversation_is_one_record_each_way() -> None:
-    """What begins, carries, takes and ends it are its frames; the receiver's last word is counted apart."""
+    """What begins, carries, takes and ends it are its frames; the receiver's last frame is counted apart."""
     assert fed(*WRITE, DONE) == ["WriteBlocks", "control: block transfer over"]
     assert fed(ASKED, *READ, READ_DONE) == ["ReadBlocks", "ObjectInBlocks", "control: block transfer over"]
     (record,) = sdo_like.scanner().feed(frames(*WRITE, times=tuple(0.1 * n for n in range(6))))
@@ -124,6 +124,7 @@ def test_what_a_transfer_lacks_is_said_and_its_frames_are_no_messages() -> None:
     assert fed(*WRITE[:3]) == ["pending"] * 3
 
 
+@pytest.mark.slow
 def test_who_begins_anew_has_given_up() -> None:
     """The sender with its first frame, before there are segments; the receiver with any other request."""
     assert fed(*WRITE[:2], *WRITE) == ["restarted"] * 2 + ["WriteBlocks"]
@@ -205,18 +206,18 @@ def test_scanner_reference_and_columns_agree_on_what_goes_wrong(seed: int) -> No
     """Conversations of several nodes side by side, with frames lost, doubled and moved, and cut anywhere."""
     source = Random(seed)
     running = [shaken(source, talk(source, node) + talk(source, node)) for node in (1, 2, 127)]
-    words: list[Frame] = []
+    frames: list[Frame] = []
     time = 0.0
     while running:
         mine = source.choice(running)
         time += source.choice((0.0, 0.001, 0.001, 0.001, 0.02, 1.1 if source.random() < 0.1 else 0.0))
         channel = "can0" if mine[0].arbitration_id & 0x7F == 2 else None
         one = mine.pop(0)
-        words.append(Frame(one.arbitration_id, one.data, round(time, 6), channel))
+        frames.append(Frame(one.arbitration_id, one.data, round(time, 6), channel))
         running = [one for one in running if one]
-    cuts = sorted(source.sample(range(1, len(words)), 4))
+    cuts = sorted(source.sample(range(1, len(frames)), 4))
     for law in (laws.oracle, laws.chunking, laws.accounting, laws.no_false_accept):
-        law(sdo_like.variant(), None, laws.Scene(tuple(words)), cuts=cuts)
+        law(sdo_like.variant(), None, laws.Scene(tuple(frames)), cuts=cuts)
 
 
 def test_whatever_is_lost_nothing_false_is_read() -> None:

@@ -28,8 +28,8 @@ class FakePort:
     def __init__(self, sent: list[Frame]) -> None:
         self.sent = sent
 
-    def send(self, word: Any, *_: Any, **options: Any) -> bool:
-        self.sent.append(word)
+    def send(self, frame: Any, *_: Any, **options: Any) -> bool:
+        self.sent.append(frame)
         return True
 
 

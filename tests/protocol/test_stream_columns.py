@@ -162,7 +162,7 @@ def packets(name: str) -> tuple[bytes, ...]:
     protocol = PROTOCOLS[name]
     found = [case.data for case in STREAMS if case.spec == name]
     found += [piece.data for case in STREAMS if case.spec == name for piece in case.before]
-    found += [example.word.data for message in protocol.declared for example in message.examples]
+    found += [example.packet.data for message in protocol.declared for example in message.examples]
     rng = random.Random(1)
     for _ in range(0 if found else 40):
         framing = protocol.framings[0]

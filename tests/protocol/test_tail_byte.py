@@ -59,12 +59,12 @@ def test_checks_hold_in_columns_too() -> None:
     fields = {"voltage": 1.0, "current": 1.0, "temperature": 1.0, "rest": b"12345"}
     given: list[Frame] = []
     for number in range(40):
-        for place, word in enumerate(
+        for place, frame in enumerate(
             encoder.next("EscStatus", priority=number % 8, node=9, errors=number, **fields)
         ):
-            data = bytearray(word.data)
+            data = bytearray(frame.data)
             data[0] ^= place == 1 and number % 10 == 3
-            given.append(Frame(word.arbitration_id, bytes(data), is_extended_id=True))
+            given.append(Frame(frame.arbitration_id, bytes(data), is_extended_id=True))
     decoded = dronecan_like.decode(given)
     assert decoded["EscStatus"]["errors"].values.tolist() == [n for n in range(40) if n % 10 != 3]
     assert decoded.counts.reasons == {"malformed: checksum": 12}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 from construct import Byte, GreedyBytes, Struct
 from msgspec.structs import replace
@@ -12,6 +13,7 @@ from msgspec.structs import replace
 from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
 from aces_bus.protocol import FastPacket, IdField, IsoTp, J1939Transport, Protocol, SdoTransfer, TailByte
+from aces_bus.protocol.columns.key_numbers import KeyNumbers, few_keys
 from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.declare.transport import Transport
 from aces_bus.protocol.live.reassemble import Reassembler
@@ -61,7 +63,7 @@ def packets(protocol: Protocol, name: str, who: int, source: random.Random) -> I
         while not transport.carries(size + 1) or (name == "J1939, to one" and size < 8):
             size += 1
         data = source.randbytes(size)
-        more = {"priority": 6} if TRANSPORTS[name][2] else {}
+        more = {"priority": 2 + who} if TRANSPORTS[name][2] else {}
         for frame in encoder.next("Packet", who=who, head=head, data=data, **more):
             yield Frame(
                 frame.arbitration_id,
@@ -131,3 +133,31 @@ def test_what_is_without_fault_is_made_in_columns(name: str, monkeypatch: pytest
         )
     assert (scanner.counts.malformed, scanner.counts.unknown) == (0, 0)
     assert count == len(protocol.scanner().feed(frames)) > 30
+
+
+def test_keys_have_numbers_of_their_own() -> None:
+    """However many come, in whatever order; a key keeps its number."""
+    source = np.random.default_rng(7)
+    numbers, known = KeyNumbers(), dict[int, int]()
+    for count in (1, 3, 40, 5_000):
+        keys = source.integers(0, 1 << 32, count, np.uint32).repeat(3)
+        source.shuffle(keys)
+        places = numbers.places(keys)
+        assert places.max() < numbers.room
+        assert len(np.unique(places)) == len(np.unique(keys))
+        for key, number in zip(keys.tolist(), numbers.of(keys).tolist(), strict=True):
+            assert known.setdefault(key, number) == number
+    assert sorted(known.values()) == list(range(len(known)))
+
+
+@pytest.mark.parametrize("bits", [(0, 0), (0, 8), (3, 5), (21, 8), (24, 8)])
+def test_keys_that_differ_in_few_bits_are_told_apart_by_them(bits: tuple[int, int]) -> None:
+    """A number says the key; more than eight bits are too many."""
+    shift, width = bits
+    few = np.arange(1 << width, dtype=np.uint32)[:: max(1, (1 << width) - 3)]
+    keys = (np.uint32(0x1F00_0000 if shift < 20 else 0x123) | few << np.uint32(shift)).repeat(2)
+    found = few_keys(keys)
+    assert found is not None
+    assert (found.keys[found.numbers] == keys).all()
+    assert found.present().tolist() == np.unique(keys).tolist()
+    assert few_keys(np.array([0x100, 0x001], np.uint32)) is None

@@ -342,9 +342,9 @@ def test_a_recording_does_not_contradict_and_suggests() -> None:
         for packet in packets
         for frame in (packet[0], *frames_of(0x7E0, "30 00 00"), *packet[1:], packet[-1])
     ]
-    words = [Frame(f.arbitration_id, bytes(f.data), 0.01 * n) for n, f in enumerate(frames)]
-    assert [one for one in check_recordings(protocol.variant(), [words]) if one.level != "note"] == []
-    (suggested,) = suggest_examples(protocol, [words])
+    recorded = [Frame(f.arbitration_id, bytes(f.data), 0.01 * n) for n, f in enumerate(frames)]
+    assert [one for one in check_recordings(protocol.variant(), [recorded]) if one.level != "note"] == []
+    (suggested,) = suggest_examples(protocol, [recorded])
     assert len(suggested.example.frames) == 3
     assert failure(suggested.message, suggested.example) is None
     assert "7E8#10 0F 62 00" in suggested.source

@@ -34,7 +34,7 @@ def test_a_sentence_is_written() -> None:
 
 def test_packets_and_sentences_share_a_line() -> None:
     """A u-blox receiver sends both: one scanner gives each byte one owner."""
-    pvt = ubx["NavPvt"].examples[0].word.data
+    pvt = ubx["NavPvt"].examples[0].packet.data
     scanner = make_scanner([ubx.variant(), nmea0183.variant()], direction="from device")
     data = GGA + pvt + GGA + pvt
     assert [type(one).__name__ for one in scanner.feed(data)] == ["GGA", "NavPvt", "GGA", "NavPvt"]

@@ -74,7 +74,7 @@ def test_half_a_packet_does_not_hold_up_the_next_one() -> None:
 
 def test_the_stream_of_the_force_sensor_shares_the_line() -> None:
     """Between answers, told by its own head and check."""
-    forces = modbus["ForceTorque"].examples[0].word.data
+    forces = modbus["ForceTorque"].examples[0].packet.data
     scanner = scanner_of("from device")
     scanner.sent(READ)
     assert names(scanner.feed(forces + FORCES + forces)) == ["ForceTorque", "Registers", "ForceTorque"]

@@ -23,11 +23,11 @@ def test_its_check_is_that_of_the_catalogue() -> None:
     draw = random.Random(1)
     for size in (0, 1, 2, 7, 255, 256, 300, 511):
         data = draw.randbytes(size)
-        word = framed(b"\x14" + data)
-        assert word[-3:] == model.calc(b"\x14" + data).to_bytes(2, "big") + b"\x03"
-        (record,) = vesc_uart.scanner(direction="to device" if size < 255 else "from device").feed(word)
+        packet = framed(b"\x14" + data)
+        assert packet[-3:] == model.calc(b"\x14" + data).to_bytes(2, "big") + b"\x03"
+        (record,) = vesc_uart.scanner(direction="to device" if size < 255 else "from device").feed(packet)
         assert type(record).__name__ == ("Terminal" if size < 255 else "LongAnswer")
-        assert record.meta.size == len(word)
+        assert record.meta.size == len(packet)
 
 
 def test_a_wrong_byte_costs_a_packet() -> None:

@@ -25,7 +25,7 @@ from ..lint.finding import Level
 from .fields import AGAIN, SHARE
 from .finding import Moment, Observation
 
-#: Share of a stream's bytes that may be lost without a word.
+#: Share of a stream's bytes that may be lost without a finding.
 LOST = 0.1
 GROUPS, SAMPLES = 512, 16
 #: Findings of one kind that are listed one by one.
@@ -425,7 +425,7 @@ def _of_opcodes(
 
 
 def _why(message: Message, packet: bytes) -> str:
-    """Why a packet is not a message, in the words of its construct."""
+    """Why a packet is not a message, as its construct says it."""
     try:
         message.struct.parse(packet)
     except (ConstructError, AcesError) as error:

@@ -82,20 +82,20 @@ class RecordingCheck:
         self._names.append(str(getattr(capture, "name", "")))
         self._start = None
         scanners: dict[Way | None, tuple[ColumnScanner, _Window]] = {}
-        for words, stated, time in capture_pieces(capture, self.variants[0]):
+        for traffic, stated, time in capture_pieces(capture, self.variants[0]):
             way: Way | None = self.direction or stated
             if way not in scanners:
                 scanner = make_column_scanner(self.variants, direction=way, include_unknown=True, raw=True)
                 scanners[way] = scanner, _Window()
             scanner, window = scanners[way]
-            if isinstance(words, FrameTable):
-                self._begin(words.time[words.time != NO_TIME][:1].tolist())
-                self._take(scanner.feed(words), way, window, words)
-                window.frames += len(words)
+            if isinstance(traffic, FrameTable):
+                self._begin(traffic.time[traffic.time != NO_TIME][:1].tolist())
+                self._take(scanner.feed(traffic), way, window, traffic)
+                window.frames += len(traffic)
                 continue
             self._begin([to_ns(time)] if time is not None else [])
-            for at in range(0, max(1, len(words)), PIECE):
-                piece = words[at : at + PIECE]
+            for at in range(0, max(1, len(traffic)), PIECE):
+                piece = traffic[at : at + PIECE]
                 window.add(piece)
                 self._take(feed(scanner, piece, time), way, window, None)
         for way, (scanner, window) in scanners.items():

@@ -42,16 +42,16 @@ class SuggestedExample:
     def source(self) -> str:
         """`("001#05 24 07", {"board": 5}),`"""
         example = self.example
-        words = [example.word] if example.request is None else [example.word, example.request]
-        first, *request = (_literal(word.data if _is_text(word) else str(word)) for word in words)
+        shown = [example.packet] if example.request is None else [example.packet, example.request]
+        first, *request = (_literal(packet.data if _is_text(packet) else str(packet)) for packet in shown)
         if example.frames:
             first = _literal([str(frame) for frame in example.frames])
         return f"({', '.join([first, _literal(example.fields), *request])}),"
 
 
-def _is_text(word: ExampleFrame) -> bool:
+def _is_text(packet: ExampleFrame) -> bool:
     """Whether a packet reads better as characters."""
-    return word.identifier is None and str(word).startswith(("b'", 'b"'))
+    return packet.identifier is None and str(packet).startswith(("b'", 'b"'))
 
 
 @dataclass
@@ -99,11 +99,11 @@ def _variants(spec: Protocol | Variant | Sequence[Variant]) -> Sequence[Variant]
 
 def _records(variants: Sequence[Variant], capture: Any, direction: Way | None) -> Iterator[Record]:
     scanners: dict[Way | None, Any] = {}
-    for words, stated, _ in capture_pieces(capture, variants[0]):
+    for traffic, stated, _ in capture_pieces(capture, variants[0]):
         way = direction or stated
         if way not in scanners:
             scanners[way] = make_scanner(list(variants), direction=way)
-        yield from scanners[way].feed(words.frames() if isinstance(words, FrameTable) else words)
+        yield from scanners[way].feed(traffic.frames() if isinstance(traffic, FrameTable) else traffic)
     for scanner in scanners.values():
         yield from scanner.close()
 
@@ -117,10 +117,10 @@ def _take(
         return
     meta, message = record.meta, message_of(type(record))
     name = message.name
-    word = _word(meta)
+    packet = _packet(meta)
     candidates = found.setdefault((meta.protocol, name), _Candidates())
     candidates.count += 1
-    asked.setdefault((meta.channel, name), deque(maxlen=REQUESTS)).append(word)
+    asked.setdefault((meta.channel, name), deque(maxlen=REQUESTS)).append(packet)
     fields = {one: _plain(getattr(record, one)) for one in field_names(type(record))}
     worth = len({repr(value) for value in _values(fields) if value not in (0, None, b"", "")})
     if len(candidates.best) == CANDIDATES and worth <= candidates.best[-1][0]:
@@ -128,19 +128,19 @@ def _take(
     requests = tuple(
         reversed(
             [
-                word
+                packet
                 for one in (*message.reply_to, *message.after)
-                for word in asked.get((meta.channel, one.message.name), ())
+                for packet in asked.get((meta.channel, one.message.name), ())
             ]
         )
     )
     shown = {one: value for one, value in fields.items() if _is_literal(value)}
-    candidates.best.append((worth, word, shown, requests, _frames(message, meta)))
+    candidates.best.append((worth, packet, shown, requests, _frames(message, meta)))
     candidates.best.sort(key=lambda one: -one[0])
     del candidates.best[CANDIDATES:]
 
 
-def _word(meta: Meta) -> ExampleFrame:
+def _packet(meta: Meta) -> ExampleFrame:
     if meta.identifier is None:
         return ExampleFrame(meta.raw)
     return ExampleFrame(meta.raw, meta.identifier, meta.extended, meta.remote, meta.fd)
@@ -154,15 +154,15 @@ def _frames(message: Message, meta: Meta) -> tuple[ExampleFrame, ...]:
 
 def _holding(variant: Variant, message: Message, candidates: _Candidates) -> Iterator[SuggestedExample]:
     seen: set[ExampleFrame] = set()
-    for _, word, fields, requests, frames in candidates.best:
-        if word in seen:
+    for _, packet, fields, requests, frames in candidates.best:
+        if packet in seen:
             continue
-        seen.add(word)
-        alone = Example(word, fields, frames=frames)
+        seen.add(packet)
+        alone = Example(packet, fields, frames=frames)
         # A request is only in the way where the reply is recognised without.
         is_clear = not requests or read_example(variant, message, alone).message == message.name
         for example in (
-            [alone] if is_clear else [*(Example(word, fields, one, frames) for one in requests), alone]
+            [alone] if is_clear else [*(Example(packet, fields, one, frames) for one in requests), alone]
         ):
             if failure(message, example) is None:
                 yield SuggestedExample(message, example, candidates.count)

@@ -126,20 +126,52 @@ class ArrowLayout:
             names = self.sources.names if slot.role == "source" else self.labels.names
             return _dictionary(pa, values, absent, names)
         if slot.holds == "time":
-            return pa.array(values, pa.int64(), mask=absent, from_pandas=False).view(type_)
+            return _as_they_lie(pa, type_, values, np.int64, absent)
         if slot.name in self.enumerations:
             known = self.enumerations[slot.name]
             codes = known.codes(values)
             found = _dictionary(pa, codes, absent, known.labels.names)
             return found if pa.types.is_dictionary(type_) else found.cast(type_)
         if values.dtype == object:
-            return pa.array(values.tolist(), type_)
-        return pa.array(values, type_, mask=absent, from_pandas=False)
+            return _texts(pa, type_, values.tolist())
+        return _as_they_lie(pa, type_, values, np.bool_ if slot.holds == "bool" else slot.dtype, absent)
 
 
 def _dictionary(pa: Any, codes: Array, absent: Array | None, names: list[str]) -> Any:
-    indices = pa.array(codes, pa.int32(), mask=absent, from_pandas=False)
-    return pa.DictionaryArray.from_arrays(indices, pa.array(names, pa.string()))
+    indices = _as_they_lie(pa, pa.int32(), codes, np.int32, absent)
+    return pa.DictionaryArray.from_arrays(indices, _texts(pa, pa.string(), names))
+
+
+# `pa.array` begins by importing pandas where that is installed, which costs more than a small recording: what every
+# batch has is made of buffers.
+
+
+def _as_they_lie(pa: Any, type_: Any, values: Array, dtype: Any, absent: Array | None) -> Any:
+    """Numbers or truth values, in memory that Arrow shares where it can; `dtype` is what `type_` is to NumPy."""
+    present = None if absent is None else pa.py_buffer(_bits(~absent))
+    values = np.ascontiguousarray(values, dtype)
+    data = _bits(values) if values.dtype == np.bool_ else values
+    return pa.Array.from_buffers(type_, len(values), [present, pa.py_buffer(data)])
+
+
+def _bits(flags: Array) -> Array:
+    return np.packbits(flags, bitorder="little")
+
+
+def _texts(pa: Any, type_: Any, values: list[Any]) -> Any:
+    """Texts or bytes, None where there is none."""
+    present = None
+    if None in values:
+        present = pa.py_buffer(_bits(np.array([one is not None for one in values])))
+    if type_ == pa.string():
+        values = [None if one is None else one.encode() for one in values]
+    data = values if present is None else [one or b"" for one in values]
+    ends = np.zeros(len(data) + 1, np.int64)
+    np.cumsum(np.fromiter(map(len, data), np.int64, len(data)), out=ends[1:])
+    if ends[-1] > np.iinfo(np.int32).max:  # more than an array can hold
+        return pa.array(values, type_)
+    buffers = [present, pa.py_buffer(ends.astype(np.int32)), pa.py_buffer(b"".join(data))]
+    return pa.Array.from_buffers(type_, len(data), buffers)
 
 
 def _type(pa: Any, slot: DatasetColumn, *, absolute: bool, is_named: bool) -> Any:

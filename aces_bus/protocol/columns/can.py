@@ -1,7 +1,8 @@
 """CAN frames to columns: whole tables of frames at once.
 
 1. The answer is the live scanner's, value for value and bin for bin; frames that hang on others (requests, replies, modes)
-   or have no columns go through the live scanner itself, in their order.
+   or have no columns go through the live scanner itself, in their order. Of a key that requests share with other messages,
+   the frames of requests do.
 2. Frames are sorted by what they may be, not by identifier: one sort a table, then every message is a slice.
 
 The sort is stable, so a message's frames stay in the order of the capture. What an identifier may be is looked up once:
@@ -27,9 +28,10 @@ from ..declare.ambiguity import ordered
 from ..declare.message import Direction, Message
 from ..declare.protocol import Variant
 from ..declare.transport import Transport
-from ..live.can import CanScanner, ChannelScanners
+from ..live.can import CanScanner
+from ..live.channels import ChannelScanners
 from ..live.decide import REMEMBERED
-from .key_numbers import KeyNumbers
+from .key_numbers import KeyNumbers, few_keys
 from .reassemble import CarriedTable, ColumnReassembler
 from .rows import PacketRows, RowDecoder
 from .scanner import RecordColumns
@@ -49,6 +51,8 @@ class _Candidate(NamedTuple):
     protocol: str
     #: The number of its variant.
     wire: int
+    #: Whether replies hang on it, or it uses up a request: its frames are the live scanner's.
+    is_live: bool
 
 
 class _Lost(NamedTuple):
@@ -84,11 +88,16 @@ class _KeySlots:
         #: All other keys that were looked up, and their slots.
         self._keys = KeyNumbers()
         self._slots = np.empty(0, np.int32)
+        self._by_place = self._slots
 
     def of(self, table: FrameTable) -> Array:
         """The slot of each frame, int32 (n,)."""
         flags = table.flags
         any_flags = int(np.bitwise_or.reduce(flags)) if len(flags) else 0
+        if len(self._keys) < REMEMBERED and not any_flags & ERROR and (few := few_keys(table.key)):
+            slots = self._other_slots(few.present())
+            if (slots == slots[0]).all():
+                return np.broadcast_to(slots[0], len(table))
         if not any_flags & UNUSUAL:
             return self._standard_slots(table.id)
         key = table.key
@@ -109,18 +118,21 @@ class _KeySlots:
             return self._other_slots(identifiers)  # no frame of a bus, but a table may hold it
         slots: Array = self._standard.take(identifiers)
         if len(slots) and int(slots.min()) < 0:
-            for key in np.unique(identifiers[slots < 0]).tolist():
+            is_new = np.zeros(STANDARD, bool)
+            is_new[identifiers] = True
+            for key in np.flatnonzero(is_new & (self._standard < 0)).tolist():
                 self._standard[key] = self._slot(key)
             slots = self._standard.take(identifiers)
         return slots
 
     def _other_slots(self, keys: Array) -> Array:
         if len(self._keys) < REMEMBERED:
-            numbers = self._keys.of(keys)
+            places = self._keys.places(keys)
             if len(new := self._keys.known[len(self._slots) :]):
                 slots = [self._slot(key) for key in new.tolist()]
                 self._slots = np.concatenate([self._slots, np.array(slots, np.int32)])
-            found: Array = self._slots.take(numbers)
+                self._by_place = self._keys.by_place(self._slots)
+            found: Array = self._by_place.take(places)
             return found
         unique, inverse = np.unique(keys, return_inverse=True)
         return np.array([self._slot(key) for key in unique.tolist()], np.int32)[inverse]
@@ -200,12 +212,14 @@ class CanColumns:
         names: list[tuple[int, str]] = []
         for number, wire in enumerate(self._wires):
             for message in ordered(wire.candidates(key, transport)):
-                if self._is_live(number, message):
+                if message.name in wire.contextual or self._candidate(number, message).decoder.reason:
                     return _LIVE
                 names.append((number, message.name))
         if not names:
             return _UNKNOWN
         chosen = tuple(names)
+        if all(self._decoders[name].is_live for name in chosen):
+            return _LIVE
         if chosen not in self._by_names:
             self._by_names[chosen] = len(self._candidates)
             self._candidates.append(tuple(self._decoders[name] for name in chosen))
@@ -213,11 +227,9 @@ class CanColumns:
 
     def _is_live(self, number: int, message: Message) -> bool:
         """Whether a message hangs on others, or has no columns."""
-        wire = self._wires[number]
-        names = (wire.contextual, wire.context.requests, wire.context.answers)
-        return any(message.name in some for some in names) or bool(
-            self._candidate(number, message).decoder.reason
-        )
+        candidate = self._candidate(number, message)
+        is_contextual = message.name in self._wires[number].contextual
+        return candidate.is_live or is_contextual or bool(candidate.decoder.reason)
 
     def _carrier_slot(self, transport: Transport) -> int:
         """The slot of a transport's frames. Where one of its messages is decided by the live scanner, so are all of them: in
@@ -247,7 +259,9 @@ class CanColumns:
         if name not in self._decoders:
             variant = self.variants[number]
             decoder = RowDecoder(message.plan, raw=self.raw, message=message)
-            self._decoders[name] = _Candidate(message, decoder, variant.name, number)
+            context = self._wires[number].context
+            is_live = message.name in context.requests or message.name in context.answers
+            self._decoders[name] = _Candidate(message, decoder, variant.name, number, is_live)
         return self._decoders[name]
 
     # ------------------------------------------------------------------ feeding
@@ -267,9 +281,10 @@ class CanColumns:
         lost: list[_Lost] = []
         tables: list[MessageTable] = []
         older: list[MessageTable] = []
+        live: list[Array] = []
         for slot, start, end in batch.slices:
             if slot == _LIVE or (self._defer and slot in self._carriers):
-                self._live(batch, start, end, tables, lost, older)
+                live.append(batch.order[start:end])
             elif slot in self._carriers:
                 some, numbers = table, rows
                 if end - start < len(table):
@@ -281,7 +296,10 @@ class CanColumns:
                     batch, batch.order[start:end], "unknown" if slot == _UNKNOWN else "error frame", lost
                 )
             else:
-                self._decode(batch, start, end, self._candidates[slot], tables, lost)
+                live += self._decode(batch, start, end, self._candidates[slot], tables, lost)
+        if live:
+            places = live[0] if len(live) == 1 else np.sort(np.concatenate(live))
+            self._live(batch, places, tables, lost, older)
         out = merge_tables(tables)
         if self.include_unknown and (lost or older):
             out += merge_tables([*older, self._lost_table(batch, lost)] if lost else older)
@@ -351,27 +369,36 @@ class CanColumns:
         candidates: tuple[_Candidate, ...],
         tables: list[MessageTable],
         lost: list[_Lost],
-    ) -> None:
-        """The frames [start, end) of the sorted batch, which may be these messages."""
+    ) -> list[Array]:
+        """The frames [start, end) of the sorted batch, which may be these messages. Gives the places of those that are left
+        to the live scanner."""
+        live: list[Array] = []
         rows: PacketRows = batch.rows(start, end).reaching(max(c.decoder.extent for c in candidates))
         left: Array | None = None  # places in [start, end) that no message has accepted yet; None: all
         for candidate in candidates:
             good = candidate.decoder.accepts(rows)
             if good is None:
-                self._add(batch, start, end, left, candidate, rows, tables)
-                return
+                if candidate.is_live:
+                    live.append(batch.some(start, end, left))
+                else:
+                    self._add(batch, start, end, left, candidate, rows, tables)
+                return live
             if good.any():
                 mine = np.flatnonzero(good)
                 taken = mine if left is None else left[mine]
-                self._add(batch, start, end, taken, candidate, rows.take(mine), tables)
+                if candidate.is_live:
+                    live.append(batch.some(start, end, taken))
+                else:
+                    self._add(batch, start, end, taken, candidate, rows.take(mine), tables)
                 rest = np.flatnonzero(~good)
                 left = rest if left is None else left[rest]
                 rows = rows.take(rest)
-        places = batch.order[start:end] if left is None else batch.order[start:end][left]
+        places = batch.some(start, end, left)
         reasons = self._why(candidates, rows, batch.transport)
         for place, reason in zip(places.tolist(), reasons, strict=True):
             self._counts.lose(batch.frames_of(place), reason)
         lost.append(_Lost(places, reasons))
+        return live
 
     def _add(
         self,
@@ -395,14 +422,12 @@ class CanColumns:
     def _live(
         self,
         batch: _Batch,
-        start: int,
-        end: int,
+        places: Array,
         tables: list[MessageTable],
         lost: list[_Lost],
         older: list[MessageTable],
     ) -> None:
         """Frames that the live scanner decides, in their order; `older` are losses of frames of earlier pieces."""
-        places = batch.order[start:end]
         some = batch.table.take(places)
         if self._defer:
             self._deferred.append((some, batch.numbers[places]))
@@ -514,14 +539,13 @@ class _Batch:
         carried: CarriedTable | None = None,
     ) -> None:
         self.table = table
+        self._slots, self._top = slots, top
         #: Each slot that occurs, with its part of the sorted columns.
         self.slices: list[tuple[int, int, int]]
-        self._is_sorted = bool((slots[0] == slots).all())
+        self._is_sorted = slots.strides == (0,) or bool((slots[0] == slots).all())
         if self._is_sorted:
-            self.order = np.arange(len(slots))
             self.slices = [(int(slots[0]), 0, len(slots))]
         else:
-            self.order = np.argsort(slots.astype(np.uint16) if top < 1 << 16 else slots, kind="stable")
             ends = np.cumsum(np.bincount(slots, minlength=top)).tolist()
             self.slices = [
                 (slot, start, end) for slot, (start, end) in enumerate(pairwise([0, *ends])) if end > start
@@ -530,6 +554,14 @@ class _Batch:
         self.transport, self.carried = transport, carried
         #: The frames' numbers in the capture, in the table's order.
         self.numbers = numbers
+
+    @cached_property
+    def order(self) -> Array:
+        """The places of the frames, slot behind slot."""
+        slots = self._slots
+        if self._is_sorted:
+            return np.arange(len(slots))
+        return np.argsort(slots.astype(np.uint16) if self._top < 1 << 16 else slots, kind="stable")
 
     # The sorted columns, made when some message of the table is decoded.
 
@@ -603,7 +635,7 @@ class _Batch:
             part = column[start:end]
             return part if which is None else part[which]
 
-        message, decoder, protocol, _ = candidate
+        message, decoder, protocol, *_ = candidate
 
         def make(kind: ColumnKind) -> Column:
             return decoder.column(kind, rows)

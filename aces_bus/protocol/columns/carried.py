@@ -7,76 +7,96 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
-from ...frame_table import FD as FD_FLAG
 from ...frame_table import FrameTable
 from ..declare.transport import FrameKind, FrameNumber, Transport
-from ..keys import FD
-from .key_numbers import KeyNumbers
+from .grouped import GroupedFrames, bare_keys
+from .key_numbers import KeyNumbers, few_keys
 from .table import Array
 
-#: What a frame is: nothing of a packet, a whole one, a first frame, one that follows; not known yet.
-NO_PART, SINGLE, FIRST, NEXT, OPEN = range(5)
+#: What a frame is: nothing of a packet, a whole one, a first frame, one that follows.
+NO_PART, SINGLE, FIRST, NEXT = range(4)
 _ROLES = {"single": SINGLE, "first": FIRST, "next": NEXT, "control": NO_PART}
-#: A code is the number of a frame's kind, and its role in the lowest bits.
-_ROLE_BITS = 3
-#: More kinds than this have no code.
-_MOST_KINDS = 30
-#: Keys below this are numbers of sessions as they are: those of 11 bits.
-_FEW = 0x800
+#: The number of a frame's kind, where more must be looked at than the telling byte.
+_OPEN = 255
 #: The size of packets of which only the last frame says that it is the last.
 UNSIZED = -1
 
 
 @dataclass
 class FrameParts:
-    """Frames of a transport as columns of n: `role`; `session`, a number below `sessions`; `number` of a following frame.
+    """Frames of a transport that are parts of packets, n of them, session behind session.
 
-    Of first and single frames: `kind`, a number of `heads`; `size`, how many bytes the packet has, its address among them,
-    or `UNSIZED`; `keys`, the packet's. `heads` are (bytes in front of the packet's, bytes behind them) of such a frame;
-    the packet's first `address` bytes stand in front of all. `following` is the same of frames that follow.
+    `heads` are the m first and single frames (places in `frames`, rising). Of each: `role`; `kind`, a number of `around`;
+    `size`, how many bytes the packet has, its address among them, or `UNSIZED`; `keys`, the packet's. `around` are (bytes in
+    front of the packet's, bytes behind them) of such a frame; the packet's first `address` bytes stand in front of all.
+    `following` is the same of frames that follow: all others.
 
-    `last`: whether a following frame says that it is the last (None: none says so). `piece`: how many bytes of the packet a
-    following frame has (None: as many as there is room). `reasons` are of frames that are no part of a packet, by their
-    places. `tied`: frames whose sessions end one another, which only the rule decides, by the number of their party (−1:
-    all others).
+    `number` (n): of a following frame. `last` (n): whether it says that it is the last (None: none says so). `piece` (n):
+    how many bytes of the packet it has (None: as many as there is room). `reasons` are of frames that are no part of a
+    packet, by their places in the table. `tied`: frames whose sessions end one another, which only the rule decides, as
+    places in the table, a party each; `tied_sessions` is how many sessions these are.
     """
 
+    frames: GroupedFrames
+    heads: Array
     role: Array
-    session: Array
-    sessions: int
-    number: Array
     kind: Array
     size: Array
     keys: Array
-    heads: list[tuple[int, int]]
+    number: Array
+    around: list[tuple[int, int]]
     following: tuple[int, int]
     last: Array | None = None
     piece: Array | None = None
     reasons: list[tuple[Array, str]] = field(default_factory=list)
-    tied: Array | None = None
+    tied: list[Array] = field(default_factory=list)
+    tied_sessions: int = 0
 
-    def by_kind(self, places: Array) -> Iterator[tuple[tuple[int, int], Array | None]]:
-        """The `heads` of some frames, with which of them each is of (None: all)."""
-        kinds = self.kind[places]
-        if len(kinds) and (kinds == kinds[0]).all():
-            yield self.heads[int(kinds[0])], None
+    def lose(self, lost: Sequence[tuple[Array, str]], party: Array | None = None) -> None:
+        """Take frames away that are no parts of packets after all (places in `frames`, no place twice), and of the others
+        those that are tied: `party` (n) is the number of their party, −1 of all that are free."""
+        lost = [one for one in lost if len(one[0])]
+        if not lost and party is None:
             return
-        for number in np.flatnonzero(np.bincount(kinds)).tolist():
-            yield self.heads[number], np.flatnonzero(kinds == number)
+        order = self.frames.order
+        kept = np.ones(len(order), bool)
+        for places, reason in lost:
+            kept[places] = False
+            self.reasons.append((order[places], reason))
+        if party is not None:
+            is_tied = kept & (party >= 0)
+            kept &= ~is_tied
+            self.tied = [np.sort(order[is_tied & (party == one)]) for one in np.unique(party[is_tied])]
+            self.tied_sessions = len(np.unique(self.frames.session[is_tied]))
+        places = np.flatnonzero(kept)
+        which = np.flatnonzero(kept.take(self.heads))
+        self.frames = self.frames.take(places)
+        self.heads = np.searchsorted(places, self.heads[which])
+        self.role, self.kind, self.size, self.keys = (
+            column[which] for column in (self.role, self.kind, self.size, self.keys)
+        )
+        self.number = self.number[places]
+        self.last = None if self.last is None else self.last[places]
+        self.piece = None if self.piece is None else self.piece[places]
 
 
 class PartReader(Protocol):
     """Reads the parts of frames, table after table."""
 
-    def read(self, table: FrameTable) -> FrameParts | None:
-        """What each frame of a table is; None where frames are of acknowledged packets, which only the rule knows."""
+    def sessions(self, table: FrameTable) -> Array:
+        """A number for the session of each frame, as narrow as may be."""
+        ...
+
+    def read(self, frames: GroupedFrames) -> FrameParts | None:
+        """What each frame is; None where some are of acknowledged packets, which only the rule knows."""
         ...
 
 
@@ -97,7 +117,7 @@ def can_table(transport: Transport) -> bool:
         and all(_reach(n) <= _needs(one) for one in parts for n in (one.sequence, one.last))
         and transport.modulo <= 256
         and transport.address <= 1
-        and len(transport.kinds) <= _MOST_KINDS
+        and len(transport.kinds) < _OPEN
     )
 
 
@@ -121,159 +141,155 @@ class KindReader:
         self.transport = transport
         self._keys = KeyNumbers()
         kinds = transport.kinds
-        self._none = len(kinds)
-        self._role_of = [_ROLES[kind.role] for kind in kinds] + [NO_PART]
-        self._code_of = np.array([n << _ROLE_BITS | role for n, role in enumerate(self._role_of)], np.uint8)
-        #: By the byte that tells: the code, or `OPEN` where more must be looked at.
-        self._codes = np.array([self._code(value) for value in range(256)], np.uint8)
-        self._needs = np.array([_needs(kind) for kind in kinds] + [0], np.int64)
+        #: The number of the frames that are of no kind, and of those that follow.
+        self._none, self._next = len(kinds), kinds.index(transport.following)
+        self._role_of = np.array([*(_ROLES[kind.role] for kind in kinds), NO_PART], np.uint8)
+        #: By the byte that tells: the number of the kind, or `_OPEN`.
+        self._kinds = np.array([self._kind(value) for value in range(256)], np.uint8)
+        self._needs = np.array([_needs(kind) for kind in kinds] + [0], np.uint8)
         self._most_needed = max(1, int(self._needs.max()))
         self._sequence = transport.following.sequence
-        self._heads = [(transport.address + kind.head, kind.tail) for kind in kinds]
+        self._around = [(transport.address + kind.head, kind.tail) for kind in kinds]
 
-    def _code(self, value: int) -> int:
+    def _kind(self, value: int) -> int:
         """What a telling byte says: one kind, none, or that there are several."""
         candidates = self.transport.by_telling[value]
         if not candidates:
-            return int(self._code_of[self._none])
+            return self._none
         kind, is_sure = candidates[0]
-        if is_sure and not kind.over:
-            return int(self._code_of[self.transport.kinds.index(kind)])
-        return OPEN
+        return self.transport.kinds.index(kind) if is_sure and not kind.over else _OPEN
 
-    def read(self, table: FrameTable) -> FrameParts:
-        """What each frame of a table is."""
-        transport, following = self.transport, self.transport.following
-        rows = _Rows.of(table, transport.address)
-        code = self._codes.take(rows.cell(transport.telling))
-        open_ones = np.flatnonzero(code == OPEN)
-        if len(open_ones):
-            code[open_ones] = self._told_apart(rows.at(open_ones))
-        if rows.shortest < 1:
-            code[rows.length < 1] = self._code_of[self._none]
-        role = code & np.uint8((1 << _ROLE_BITS) - 1)
-        reasons: list[tuple[Array, str]] = []
-        if rows.shortest < self._most_needed:
-            short = np.flatnonzero(rows.length < self._most_needed)
-            needs = self._needs.take(code[short] >> _ROLE_BITS)
-            _lose(role, short[rows.length[short] < needs], "malformed: length", reasons)
-        n = len(table)
-        kind, size = np.zeros(n, np.uint8), np.zeros(n, np.int32)
-        self._read_heads(rows, code, role, kind, size, reasons)
-        if int(role.min()) == NO_PART:
-            self._name_others(code, reasons)
-        cells = np.zeros(n, np.uint8) if following.number is None else rows.number(following.number)
+    def sessions(self, table: FrameTable) -> Array:
+        """A number for the session of each frame."""
         keys = bare_keys(table)
-        session, sessions = self._sessions(table, rows, keys)
-        return FrameParts(
+        few = few_keys(keys)
+        if few is not None:
+            parts = [(few.numbers, len(few.keys))]
+        else:
+            parts = [(self._keys.places(keys), self._keys.room)]
+        if (channels := len(table.channels.names)) > 1:
+            parts.append((table.channel, channels))
+        if self._sequence is not None:
+            rows = _Rows.of(table.data, table.length, self.transport.address)
+            parts.append((rows.number(self._sequence), 1 << self._sequence.width))
+        if self.transport.address:
+            parts.append((np.where(table.length > 0, table.data[:, 0], np.uint8(0)), 256))
+        return joined_numbers(parts)
+
+    def read(self, frames: GroupedFrames) -> FrameParts:
+        """What each frame is."""
+        transport, following = self.transport, self.transport.following
+        rows = _Rows.of(frames.data, frames.length, transport.address)
+        kinds = self._kinds.take(rows.cell(transport.telling))
+        if rows.shortest < 1:
+            kinds[rows.length < 1] = self._none
+        heads = np.flatnonzero(kinds != self._next)
+        kind = kinds[heads]
+        open_ones = np.flatnonzero(kind == _OPEN)
+        if len(open_ones):
+            kind[open_ones] = self._distinguished(rows.at(heads[open_ones]))
+            if (is_next := kind == self._next).any():
+                kinds[heads[is_next]] = self._next
+                heads, kind = heads[~is_next], kind[~is_next]
+        lost: list[tuple[Array, str]] = []
+        role, size = self._read_heads(rows, heads, kind, lost)
+        if rows.shortest < int(self._needs[self._next]):
+            is_short = (kinds == self._next) & (rows.length < self._needs[self._next])
+            lost.append((np.flatnonzero(is_short), "malformed: length"))
+        parts = FrameParts(
+            frames,
+            heads,
             role,
-            session,
-            sessions,
-            cells,
             kind,
             size,
-            keys,
-            self._heads,
-            (transport.address + following.head, following.tail),
+            frames.keys_of(heads),
+            rows.cell(0) if following.number is None else rows.number(following.number),
+            self._around,
+            self._around[self._next],
             None if following.last is None else rows.number(following.last) == 1,
             None if rows.is_even else rows.length - np.uint8(following.head + following.tail),
-            reasons,
         )
+        parts.lose(lost)
+        return parts
 
-    def _told_apart(self, rows: _Rows) -> Array:
-        """The codes of frames whose telling byte does not say all."""
-        codes = np.full(len(rows), self._code_of[self._none])
+    def _distinguished(self, rows: _Rows) -> Array:
+        """The kinds of frames whose telling byte does not say all."""
+        found = np.full(len(rows), self._none, np.uint8)
         telling = rows.cell(self.transport.telling)
-        for value in np.flatnonzero(np.bincount(telling)).tolist():
+        for value in numbers_in(telling):
             left = telling == value
             for kind, is_sure in self.transport.by_telling[value]:
                 mine = left & (rows.length > kind.over) if kind.over else left
                 for bits, wanted in () if is_sure else kind.match:
                     mine = mine & (rows.number(bits) == wanted) & (rows.length >= _reach(bits))
-                codes[mine] = self._code_of[self.transport.kinds.index(kind)]
+                found[mine] = self.transport.kinds.index(kind)
                 left = left & ~mine
-        return codes
+        return found
 
     def _read_heads(
-        self,
-        rows: _Rows,
-        code: Array,
-        role: Array,
-        kind: Array,
-        size: Array,
-        reasons: list[tuple[Array, str]],
-    ) -> None:
-        """Kinds and sizes of first and single frames; one whose size cannot be is no part any more."""
+        self, rows: _Rows, heads: Array, kinds: Array, lost: list[tuple[Array, str]]
+    ) -> tuple[Array, Array]:
+        """The roles and sizes of frames that do not follow, which are of these kinds; `lost` are those that are no part."""
         transport = self.transport
-        places = np.flatnonzero((role == FIRST) | (role == SINGLE))
-        numbers = code[places] >> _ROLE_BITS
-        kind[places] = numbers
-        for number in np.flatnonzero(np.bincount(numbers)).tolist():
-            one = transport.kinds[number]
-            mine = places if (numbers == number).all() else places[numbers == number]
-            some = rows.at(mine)
-            piece = some.length.astype(np.int64) - (one.head + one.tail)
-            if one.size is None:
-                size[mine] = piece + transport.address if one.role == "single" else UNSIZED
+        role, size = self._role_of.take(kinds), np.zeros(len(heads), np.int32)
+        for number in numbers_in(kinds):
+            which: Any = np.flatnonzero(kinds == number)
+            if len(which) == len(heads):
+                which = slice(None)
+            places = heads[which]
+            if number == self._none:
+                lost.append((places, f"malformed: no frame of {transport.title}"))
                 continue
-            given = some.number(one.size).astype(np.int64)
+            one = transport.kinds[number]
+            if one.role == "control":
+                lost.append((places, f"control: {one.name}"))
+                continue
+            some = rows.at(places)
+            if rows.shortest < self._most_needed:
+                is_short = some.length < self._needs[number]
+                lost.append((places[is_short], "malformed: length"))
+            else:
+                is_short = np.False_
+            piece = some.length.astype(np.int32) - np.int32(one.head + one.tail)
+            if one.size is None:
+                size[which] = piece + transport.address if one.role == "single" else UNSIZED
+                continue
+            given = some.number(one.size)
             good = (given >= one.least) & (given <= one.most)
             if one.role == "single":
                 good &= given <= piece
                 most = transport.frame_size
             else:
                 most = transport.max_size
-            _lose(role, mine[~good], "malformed: length", reasons)
-            _lose(role, mine[good & (given > most)], "malformed: too long", reasons)
-            size[mine] = np.minimum(given, most) + transport.address
-
-    def _name_others(self, code: Array, reasons: list[tuple[Array, str]]) -> None:
-        """The reasons of frames that steer, and of those that are none of the transport."""
-        others = np.flatnonzero(code & np.uint8((1 << _ROLE_BITS) - 1) == NO_PART)
-        numbers = code[others] >> _ROLE_BITS
-        for number in np.flatnonzero(np.bincount(numbers)).tolist():
-            is_known = number < self._none
-            reasons.append(
-                (
-                    others[numbers == number],
-                    f"control: {self.transport.kinds[number].name}"
-                    if is_known
-                    else f"malformed: no frame of {self.transport.title}",
-                )
-            )
-
-    def _sessions(self, table: FrameTable, rows: _Rows, keys: Array) -> tuple[Array, int]:
-        """A number for the session of each frame, and what all are below."""
-        if len(keys) and int(keys.max()) < _FEW:
-            parts = [(keys, _FEW)]
-        else:
-            parts = [(self._keys.of(keys), len(self._keys))]
-        if len(table.channel) and (channels := len(table.channels.names)) > 1:
-            parts.append((table.channel, channels))
-        if self._sequence is not None:
-            parts.append((rows.number(self._sequence), 1 << self._sequence.width))
-        if self.transport.address:
-            parts.append((np.where(table.length > 0, table.data[:, 0], np.uint8(0)), 256))
-        return joined_numbers(parts)
+            if not good.all():
+                lost.append((places[~(good | is_short)], "malformed: length"))
+            if (is_long := given > most).any():
+                lost.append((places[is_long & good & ~is_short], "malformed: too long"))
+                given = np.minimum(given, most)
+            size[which] = given
+            if transport.address:
+                size[which] += transport.address
+        return role, size
 
 
-def _lose(role: Array, places: Array, reason: str, reasons: list[tuple[Array, str]]) -> None:
-    """Frames that are no part of a packet after all."""
-    if len(places):
-        role[places] = NO_PART
-        reasons.append((places, reason))
+def numbers_in(column: Array) -> list[int]:
+    """The small numbers that there are in a column, rising."""
+    if len(column) and (column == column[0]).all():
+        return [int(column[0])]
+    found: list[int] = np.flatnonzero(np.bincount(column)).tolist()
+    return found
 
 
-def joined_numbers(parts: list[tuple[Array, int]]) -> tuple[Array, int]:
+def joined_numbers(parts: Sequence[tuple[Array, int]]) -> Array:
     """One number for several, each of which is below its count; as narrow as may be, for narrow ones are sorted quicker."""
-    (first, count), *more = parts
-    for _, size in more:
-        count *= size
-    kind = np.dtype(np.uint8 if count < 1 << 8 else np.uint16 if count < 1 << 16 else np.int64)
-    joined = first.astype(kind)
-    for part, size in more:
-        joined = joined * kind.type(size) + part.astype(kind, copy=False)
-    return joined, count
+    most = math.prod(count for _, count in parts) - 1
+    kind = np.dtype(np.uint8 if most < 1 << 8 else np.uint16 if most < 1 << 16 else np.int64)
+    joined = parts[0][0].astype(kind, copy=False)
+    for part, count in parts[1:]:
+        if count <= most:
+            joined = joined * kind.type(count)
+        joined = joined + part.astype(kind, copy=False)
+    return joined
 
 
 class _Rows:
@@ -285,12 +301,9 @@ class _Rows:
         self._cells: dict[int, Array] = {}
 
     @classmethod
-    def of(cls, table: FrameTable, address: int) -> _Rows:
-        """Those of all frames of a table."""
-        length: Array = table.length
-        if address:
-            length = np.maximum(length, address) - np.uint8(address)
-        return cls(table.data, length, address)
+    def of(cls, data: Array, length: Array, address: int) -> _Rows:
+        """Those of frames of these lengths."""
+        return cls(data, np.maximum(length, address) - np.uint8(address) if address else length, address)
 
     def __len__(self) -> int:
         return len(self.length)
@@ -336,17 +349,9 @@ class _Rows:
         number: Array = self.cell(bits.byte)
         if bits.size > 1:
             steps = range(bits.size) if bits.order == "big" else reversed(range(bits.size))
-            number = np.zeros(len(self), np.int64)
+            number = np.zeros(len(self), np.int32 if bits.size < 4 else np.int64)
             for step in steps:
                 number = number << 8 | self.cell(bits.byte + step)
         if bits.mask != (1 << 8 * bits.size) - 1:
             number = number & number.dtype.type(bits.mask)
         return number >> number.dtype.type(bits.shift) if bits.shift else number
-
-
-def bare_keys(table: FrameTable) -> Array:
-    """The keys of frames without the flag of CAN FD."""
-    if not len(table.flags) or not int(np.bitwise_or.reduce(table.flags)) & FD_FLAG:
-        return table.key
-    keys: Array = table.key & np.uint32(~FD & 0xFFFF_FFFF)
-    return keys

@@ -122,13 +122,13 @@ def decode_tables(
             if len(table) and (wanted is None or table.message in wanted or not table.message):
                 parts.setdefault(table.message, []).append(table)
 
-    for words, way, time in capture_pieces(capture, variant):
+    for traffic, way, time in capture_pieces(capture, variant):
         way = direction or way
         if way not in scanners:
             scanners[way] = make_column_scanner(
                 [variant], direction=way, include_unknown=include_unknown, raw=raw
             )
-        keep(feed(scanners[way], words, time))
+        keep(feed(scanners[way], traffic, time))
     for scanner in scanners.values():
         keep(scanner.close())
     if not scanners:
@@ -142,15 +142,17 @@ def decode_tables(
     return DecodedRecording(variant, tables, sum_counts(scanner.counts for scanner in scanners.values()))
 
 
-def feed(scanner: ColumnScanner, words: Any, time: float | None) -> list[MessageTable]:
+def feed(scanner: ColumnScanner, traffic: Any, time: float | None) -> list[MessageTable]:
     """`scanner.feed`, with the time of a chunk of bytes where the capture has one and the scanner takes it."""
     if time is None:
-        return scanner.feed(words)
+        return scanner.feed(traffic)
     if isinstance(scanner, RecordColumns):
         live: Any = scanner.scanner
-        return scanner.tables(live.feed(words, time), None)
+        return scanner.tables(live.feed(traffic, time), None)
     timed: Any = scanner.feed
-    tables: list[MessageTable] = timed(words, time) if len(signature(timed).parameters) > 1 else timed(words)
+    tables: list[MessageTable] = (
+        timed(traffic, time) if len(signature(timed).parameters) > 1 else timed(traffic)
+    )
     return tables
 
 

@@ -8,12 +8,16 @@ multiplication and two reads, where a search in a sorted list takes as many step
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from .table import Array
 
 #: Multipliers that are tried: odd, with bits all over (of the golden ratio and of a linear congruence behind it).
 _TRIES = 64
+#: So many keys are looked at first.
+_SAMPLE = 4096
 
 
 class KeyNumbers:
@@ -31,22 +35,45 @@ class KeyNumbers:
     def __len__(self) -> int:
         return len(self.known)
 
+    @property
+    def room(self) -> int:
+        """What all `places` are below."""
+        return len(self._there) if self._is_scattered else len(self.known)
+
+    def by_place(self, values: Array) -> Array:
+        """What is given by the numbers of the known keys, by their `places`."""
+        return values.take(self._number) if self._is_scattered else values
+
     def of(self, keys: Array) -> Array:
         """The numbers of keys, int32 (n,)."""
+        places = self.places(keys)
+        found: Array = self._number.take(places) if self._is_scattered else places
+        return found
+
+    def places(self, keys: Array) -> Array:
+        """Places of keys, below `room` (n,): each key has one of its own, until a new key comes."""
         keys = keys.astype(np.uint32, copy=False)
+        if not self._is_scattered and not len(self.known):
+            self._learn(keys[:_SAMPLE])  # most are among them, and few are sorted quickly
         if self._is_scattered:
-            places = (keys * self._multiplier) >> self._shift
-            if (self._there.take(places) == keys).all():
-                found: Array = self._number.take(places)
-                return found
-        new = np.setdiff1d(keys, self.known)
-        if len(new):
-            self.known = np.concatenate([self.known, new.astype(np.uint32)])
-            self._scatter()
-            if self._is_scattered:
-                return self.of(keys)
+            places = ((keys * self._multiplier) >> self._shift).astype(np.intp)
+            is_there = self._there.take(places) == keys
+            if is_there.all():
+                return places
+            self._learn(keys[~is_there])
+            return self.places(keys)
+        self._learn(keys)
+        if self._is_scattered:
+            return self.places(keys)
         order = np.argsort(self.known)
         return order[np.searchsorted(self.known[order], keys)].astype(np.int32)
+
+    def _learn(self, keys: Array) -> None:
+        """Give numbers to those of some keys that have none."""
+        new = np.setdiff1d(keys, self.known)
+        if len(new):
+            self.known = np.concatenate([self.known, new])
+            self._scatter()
 
     def _scatter(self) -> None:
         """Look for a multiplier that gives each key a place of its own."""
@@ -68,3 +95,28 @@ class KeyNumbers:
                 return
             multiplier = (multiplier * 0x19660D + 0x3C6EF35F) % (1 << 32) | 1
         self._is_scattered = False
+
+
+class FewKeys(NamedTuple):
+    """Keys that differ in at most eight bits side by side: the number of each, uint8 (n,), and the key of every number."""
+
+    numbers: Array
+    keys: Array
+
+    def present(self) -> Array:
+        """The keys that occur."""
+        some = np.bincount(self.numbers[:_SAMPLE], minlength=len(self.keys))
+        return self.keys[some > 0 if some.all() else np.bincount(self.numbers, minlength=len(self.keys)) > 0]
+
+
+def few_keys(keys: Array) -> FewKeys | None:
+    """Keys as numbers by the bits in which they differ, which takes no look-up; None where these are too many."""
+    differs = int(np.bitwise_or.reduce(keys ^ keys[:1])) if len(keys) else 0
+    shift = max(0, (differs & -differs).bit_length() - 1)
+    width = (differs >> shift).bit_length()
+    if not len(keys) or width > 8:
+        return None
+    mask = (1 << width) - 1
+    numbers = (keys >> np.uint32(shift)).astype(np.uint8) & np.uint8(mask)
+    among = np.arange(mask + 1, dtype=np.uint32) << np.uint32(shift)
+    return FewKeys(numbers, among | np.uint32(int(keys[0]) & ~(mask << shift)))

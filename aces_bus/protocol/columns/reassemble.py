@@ -12,27 +12,40 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from ...frame_table import EXTENDED, NO_TIME, RX, TX, FrameTable, rows_at
+from ...frame_table import EXTENDED, NO_TIME, RX, TX, FrameTable
 from ..declare.transport import Transport
 from ..live.reassemble import Reassembler
-from .carried import NEXT, FrameParts, PartReader, bare_keys
+from .carried import NEXT, FrameParts, PartReader
+from .grouped import GroupedFrames, bare_keys
 from .runs import AlikePackets, Runs, sorted_places
 from .sessions import part_reader
 from .table import Array
 from .unwrap import without_check
 
-#: Widths of the tables of packets: short packets do not take the room of long ones.
-_WIDTHS = (8, 64, 512)
-#: Above this width, by so many bytes.
+#: Up to these sizes packets are in one table: short ones do not take the room of long ones.
+_SIZES = (8, 64, 512)
+#: Above them, up to each further multiple of so many bytes.
 _STEP = 1024
 #: The flags of a frame that its packet has, too: those of its identifier and of its way.
 _KEPT = EXTENDED | RX | TX
 
-#: Packets that are alike: their frames' places (m, count), those of their last frames, keys, sizes, bytes.
-_Alike = tuple[Array, Array, Array, Array, Array]
+
+class _Alike(NamedTuple):
+    """Packets that are alike: so many `frames` each. Places of frames in the table: all are `order` from `starts` on;
+    `first` and `last` are where a packet begins and ends. Keys; sizes; bytes (m, width)."""
+
+    order: Array
+    frames: int
+    starts: Array
+    first: Array
+    last: Array
+    keys: Array
+    length: Array
+    data: Array
 
 
 @dataclass
@@ -41,21 +54,23 @@ class CarriedTable:
 
     `packets` is a table like that of frames: `time` is that of the last frame, `length` and `data` are the packet's. `rows`:
     the last frame's number in the capture; `first_time`: the instant of the first one; `counts`: how many frames. Which
-    these are, `frames_of` says: `shapes` has the places of all frames of packets that are alike (m, count), `where` the
-    shape of each packet and its row there.
+    these are, `frames_of` says: `shapes` has, of packets that are alike, the places of frames and where among them each
+    packet's begin; `where` the shape of each packet and its row there.
     """
 
     packets: FrameTable
     rows: Array
     first_time: Array
     counts: Array
-    shapes: list[Array]
+    shapes: list[tuple[Array, Array]]
     where: tuple[Array, Array]
 
     def frames_of(self, number: int) -> Array:
         """The places of the frames of one packet, in the order in which they came, in the table that was decided."""
         shape, row = self.where
-        frames: Array = np.sort(self.shapes[int(shape[number])][int(row[number])])
+        order, starts = self.shapes[int(shape[number])]
+        start = int(starts[int(row[number])])
+        frames: Array = np.sort(order[start : start + int(self.counts[number])])
         return frames
 
 
@@ -120,7 +135,7 @@ class _Piece:
         self.transport, self.table, self.rows, self._extra_of = transport, table, rows, extra_of
         self._unwraps = type(transport).unwrapped is not Transport.unwrapped
         self._check = transport.added_check
-        #: By width.
+        #: By the size up to which they are in one table.
         self._packets: dict[int, list[_Alike]] = {}
         self._lost: list[Array] = []
         self._reasons: list[str] = []
@@ -132,26 +147,32 @@ class _Piece:
         return DecidedTable(self.table, self.rows, packets, lost, self._reasons)
 
     def _joined(self, some: list[_Alike]) -> CarriedTable:
-        """Packets of one width, in the order of their last frames."""
+        """Packets of one table, in the order of their last frames."""
         table = self.table
-        shapes = [one[0] for one in some]
-        first = np.concatenate([frames[:, 0] for frames in shapes])
-        sizes = [len(frames) for frames in shapes]
-        shape = np.repeat(np.arange(len(shapes)), sizes)
-        row = np.concatenate([np.arange(n) for n in sizes])
-        last, keys, length, data = (
-            np.concatenate([one[k] for one in some]) if len(some) > 1 else some[0][k] for k in (1, 2, 3, 4)
+        sizes = [len(one.starts) for one in some]
+        first, last, keys, length = (
+            getattr(some[0], name) if len(some) == 1 else np.concatenate([getattr(one, name) for one in some])
+            for name in ("first", "last", "keys", "length")
         )
+        data = _stacked([one.data for one in some])
+        shape, counts = np.repeat(np.arange(len(some)), sizes), np.repeat([one.frames for one in some], sizes)
+        row = np.concatenate([np.arange(n) for n in sizes])
         if (last[1:] < last[:-1]).any():
             order = sorted_places(last, len(table))
-            last, first, shape, row = last[order], first[order], shape[order], row[order]
+            last, first, shape, row, counts = (
+                last[order],
+                first[order],
+                shape[order],
+                row[order],
+                counts[order],
+            )
             keys, length, data = keys[order], length[order], data[order]
         flags = table.flags[last] & np.uint8(_KEPT)
         number = keys & np.uint32(0x1FFF_FFFF)
         packets = FrameTable(
             table.time[last], table.channel[last], number, flags, length, data, table.channels
         )
-        counts = np.array([frames.shape[1] for frames in shapes])[shape]
+        shapes = [(one.order, one.starts) for one in some]
         return CarriedTable(packets, self.rows[last], table.time[first], counts, shapes, (shape, row))
 
     def _lose(self, places: Sequence[int] | Array, reason: str) -> None:
@@ -159,15 +180,19 @@ class _Piece:
             self._lost.append(np.asarray(places, np.int64))
             self._reasons += [reason] * len(places)
 
-    def _add(self, frames: Array, last: Array, keys: Array, length: Array, data: Array) -> None:
+    def _add(self, packets: _Alike) -> None:
         """Packets of as many frames each."""
-        if self._unwraps and frames.shape[1] > 1:
+        order, count, starts, first, last, keys, length, data = packets
+        if self._unwraps and count > 1:
             good, length, data = self._unwrapped(keys, length, data)
-            self._lose(frames[~good].ravel(), "malformed: checksum")
-            frames, last, keys = frames[good], last[good], keys[good]
+            if not good.all():
+                frames = order[starts[~good][:, None] + np.arange(count)]
+                self._lose(frames.ravel(), "malformed: checksum")
+                starts, first, last, keys = starts[good], first[good], last[good], keys[good]
             if not len(keys):
                 return
-        self._packets.setdefault(data.shape[1], []).append((frames, last, keys, length, data))
+            packets = _Alike(order, count, starts, first, last, keys, length, data)
+        self._packets.setdefault(_class_of(data.shape[1]), []).append(packets)
 
     def _unwrapped(self, keys: Array, length: Array, data: Array) -> tuple[Array, Array, Array]:
         """Of packets of several frames: where the check that their transport has added is right, and sizes and bytes of
@@ -237,16 +262,21 @@ class _Piece:
         """Packets that the rule has made, as key, bytes and places: all of one width and so many frames at once."""
         shapes: dict[tuple[int, int], list[tuple[int, bytes, list[int]]]] = {}
         for one in made:
-            shapes.setdefault((_width_of(len(one[1])), len(one[2])), []).append(one)
+            shapes.setdefault((_class_of(len(one[1])), len(one[2])), []).append(one)
         for (width, _), some in shapes.items():
             data = np.frombuffer(b"".join(one[1].ljust(width, b"\0") for one in some), np.uint8)
             frames = np.array([one[2] for one in some], np.int64)
             self._add(
-                frames,
-                frames[:, -1],
-                np.array([one[0] for one in some], np.uint32),
-                np.array([len(one[1]) for one in some], np.int64),
-                data.reshape(-1, width),
+                _Alike(
+                    frames.ravel(),
+                    frames.shape[1],
+                    np.arange(len(frames)) * frames.shape[1],
+                    frames[:, 0],
+                    frames[:, -1],
+                    np.array([one[0] for one in some], np.uint32),
+                    np.array([len(one[1]) for one in some], np.int64),
+                    data.reshape(-1, width),
+                )
             )
 
     def _items(self, places: Array | None) -> dict[int, tuple[int, bytes, int, float | None]]:
@@ -273,31 +303,27 @@ class _Piece:
     def in_columns(self, reader: PartReader) -> Array | None:
         """Decide all frames; the places of those that are under way. None where only the rule can say: of
         acknowledged packets, and which packet is given up where more may be under way than there are senders."""
-        parts = reader.read(self.table)
+        parts = reader.read(GroupedFrames.of(self.table, reader.sessions(self.table)))
         if parts is None:
             return None
         for places, reason in parts.reasons:
             self._lose(places, reason)
-        runs = Runs(self.transport, self.table, parts)
+        if not len(parts.frames):
+            return self._by_rule([(places.tolist(), None) for places in parts.tied], None)
+        runs = Runs(self.transport, parts)
         if runs.most_open() > self.transport.senders:
             return None
         for packets in runs.packets:
             self._gather(parts, packets)
         under_way = runs.frames_of(np.flatnonzero(runs.under_way))
-        return np.sort(np.concatenate([under_way, self._faulty(runs, parts)]))
+        return np.sort(np.concatenate([under_way, self._faulty(runs, parts.tied)]))
 
-    def _faulty(self, runs: Runs, parts: FrameParts) -> Array:
+    def _faulty(self, runs: Runs, tied: Sequence[Array]) -> Array:
         """Runs that are no whole packet: frames are lost, or under way where the session has nothing behind them."""
         bad = np.flatnonzero(~(runs.good | runs.under_way))
-        if not len(bad) and parts.tied is None:
-            return np.empty(0, np.int64)
-        listed: list[tuple[Sequence[int], int | None]] = []
+        listed: list[tuple[Sequence[int], int | None]] = [(places.tolist(), None) for places in tied]
         headless: list[Array] = []
-        needed: list[Array] = []
-        if parts.tied is not None:
-            for party in np.unique(parts.tied[parts.tied >= 0]).tolist():
-                needed.append(np.flatnonzero(parts.tied == party))
-                listed.append((needed[-1].tolist(), None))
+        needed: list[Array] = [*tied]
         starts, ends = runs.starts[bad], runs.starts[bad] + runs.sizes[bad]
         for start, end, role, is_last in zip(
             starts.tolist(), ends.tolist(), runs.role[bad].tolist(), runs.is_last[bad].tolist(), strict=True
@@ -315,43 +341,67 @@ class _Piece:
 
     def _gather(self, parts: FrameParts, packets: AlikePackets) -> None:
         """The bytes of packets that are alike."""
-        for head, some in parts.by_kind(packets.frames[:, 0]):
-            frames, last, size = packets.frames, packets.last, packets.size
-            if some is not None:
-                frames, last, size = frames[some], last[some], size[some]
-            self._add(frames, last, parts.keys[frames[:, 0]], size, self._bytes(parts, head, frames, size))
+        starts, count, size, keys = packets.starts, packets.count, packets.size, packets.keys
+        frames = parts.frames
+        width = frames.data.shape[1]
+        # Frames of a packet, which are side by side, as single elements are copied much faster than one by one.
+        windows = np.ndarray(len(frames) - count + 1, f"V{width * count}", frames.data, 0, (width,))
+        rows = windows[starts].view(np.uint8).reshape(-1, count, width)
+        if packets.places is not None:
+            rows = np.take_along_axis(rows, packets.places[:, :, None], axis=1)
+        length = int(frames.length[starts[0]])
+        data = self._bytes(rows, length, parts.around[packets.head], parts.following, size)
+        self._add(_Alike(frames.order, count, starts, packets.first, packets.last, keys, size, data))
 
-    def _bytes(self, parts: FrameParts, head: tuple[int, int], frames: Array, size: Array) -> Array:
-        """The bytes of packets, uint8 (m, width) with zeros behind each, whose first frames have what is theirs between
-        `head`."""
-        table, address = self.table, self.transport.address
-        m, count = frames.shape
+    def _bytes(
+        self, rows: Array, length: int, around: tuple[int, int], following: tuple[int, int], size: Array
+    ) -> Array:
+        """The bytes of packets whose frames are `rows` (m, count, …), the first one of which has `length`: uint8 (m, width)
+        with zeros behind each. `around` and `following` say how much of the first and the other frames is not theirs."""
+        address = self.transport.address
+        m, count, _ = rows.shape
         least, most = int(size.min()), int(size.max())
-        width = _width_of(most)
-        data = np.zeros((m, width), np.uint8)
-        rows = rows_at(table.data, frames.ravel()).reshape(m, count, -1)
-        length = int(table.length[frames[0, 0]])
-        begin, behind = head
+        width = -(-most // 8) * 8
+        data = np.empty((m, width), np.uint8)
+        data[:, most:] = 0
+        begin, behind = around
         end = length - behind if count > 1 else rows.shape[2]
         at = min(most, address + end - begin)
-        data[:, :address] = rows[:, 0, :address]
-        data[:, address:at] = rows[:, 0, begin : begin + at - address]
-        begin, behind = parts.following
+        flat, frame = rows.reshape(m, -1), rows.shape[2]
+        _copy(data, (0, 0), flat, (0, 0), address, 1)
+        _copy(data, (address, 0), flat, (begin, 0), at - address, 1)
+        begin, behind = following
         room = length - begin - behind
-        if count > 2:
-            # Pieces as single elements are copied much faster than byte for byte.
-            piece, step = f"V{room}", rows.strides
-            source = np.ndarray((m, count - 2), piece, rows, step[1] + begin, step[:2])
-            np.ndarray((m, count - 2), piece, data, at, (width, room))[...] = source
-            at += (count - 2) * room
+        _copy(data, (at, room), flat, (frame + begin, frame), room, count - 2)
         if count > 1:
-            stop = min(most - at, room)
-            data[:, at : at + stop] = rows[:, -1, begin : begin + stop]
+            at += (count - 2) * room
+            _copy(data, (at, 0), flat, ((count - 1) * frame + begin, 0), min(most - at, room), 1)
         if least < most:
-            data *= np.arange(width) < size[:, None]
+            data[:, least:most] *= np.arange(least, most) < size[:, None]
         return data
 
 
-def _width_of(size: int) -> int:
-    """How wide the table is that a packet of `size` bytes is in."""
-    return next((width for width in _WIDTHS if size <= width), -(-size // _STEP) * _STEP)
+def _class_of(size: int) -> int:
+    """The size up to which packets are in one table with those of `size` bytes."""
+    return next((most for most in _SIZES if size <= most), -(-size // _STEP) * _STEP)
+
+
+def _stacked(some: Sequence[Array]) -> Array:
+    """Rows of bytes of several widths as those of the widest one."""
+    if len(some) == 1:
+        return some[0]
+    data = np.zeros((sum(map(len, some)), max(rows.shape[1] for rows in some)), np.uint8)
+    at = 0
+    for rows in some:
+        data[at : at + len(rows), : rows.shape[1]] = rows
+        at += len(rows)
+    return data
+
+
+def _copy(to: Array, at: Sequence[int], source: Array, begin: Sequence[int], size: int, count: int) -> None:
+    """Copy from each row of `source` to that of `to` the `count` pieces of `size` bytes, the first one of which begins at
+    `begin[0]` and is to be at `at[0]`; from one to the next it is `begin[1]` and `at[1]`."""
+    if size > 0 and count > 0:
+        kind, shape = f"V{size}", (len(to), count)
+        pieces = np.ndarray(shape, kind, source, begin[0], (source.strides[0], begin[1]))
+        np.ndarray(shape, kind, to, at[0], (to.strides[0], at[1]))[...] = pieces

@@ -5,71 +5,89 @@
    of its session follows. Of all other runs this file says only that they are neither.
 2. Frames whose sessions end one another (`FrameParts.tied`) are in no run.
 
-Packets that are alike (as many frames, first frames of one length) are judged together, in rows of frames: a column of all
-frames costs as much as all that is done with the first frames.
+Frames come in the order of their sessions, where those of a run are side by side.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from ...frame_table import NO_TIME, FrameTable
+from ...frame_table import NO_TIME
 from ..declare.transport import Transport
-from .carried import FIRST, NEXT, NO_PART, SINGLE, UNSIZED, FrameParts
+from .carried import FIRST, NEXT, SINGLE, UNSIZED, FrameParts, numbers_in
 from .table import Array
 
 
 @dataclass(frozen=True)
 class AlikePackets:
-    """Packets of as many frames each, whose first frames have one length: their frames' places (m, count), the place of the
-    frame that came last, and how many bytes each has, its address among them."""
+    """m packets of `count` frames each, which stand side by side from `starts` on, in the order of their last frames.
 
-    frames: Array
-    last: Array
+    `head` is the number of their kind (`FrameParts.around`), `keys` are theirs, `size` says how many bytes each has, its
+    address among them. `first` and `last` are the places in the table of the first and the last frame to come. `places`
+    (m, count) says where the frames belong that are not in their places; None: all are.
+    """
+
+    starts: Array
+    count: int
+    head: int
+    keys: Array
     size: Array
+    first: Array
+    last: Array
+    places: Array | None = None
+
+    def take(self, which: Array, head: int) -> AlikePackets:
+        """Some of them, which are of one kind."""
+        starts, keys, size, first, last = (
+            column[which] for column in (self.starts, self.keys, self.size, self.first, self.last)
+        )
+        places = None if self.places is None else self.places[which]
+        return AlikePackets(starts, self.count, head, keys, size, first, last, places)
 
 
 class Runs:
     """Frames in the order of their sessions, in runs. `good` are whole packets, `under_way` what may become one."""
 
-    def __init__(self, transport: Transport, table: FrameTable, parts: FrameParts) -> None:
-        self.transport, self.table, self.parts = transport, table, parts
-        session = parts.session
-        is_in = parts.role != NO_PART if parts.reasons else None
-        if parts.tied is not None:
-            is_in = parts.tied < 0 if is_in is None else is_in & (parts.tied < 0)
-        if is_in is None:
-            self.order = np.argsort(session, kind="stable")
-        else:
-            some = np.flatnonzero(is_in)
-            self.order = some[np.argsort(session[some], kind="stable")]
-        n = len(self.order)
-        role = parts.role.take(self.order)
-        session = session.take(self.order)
+    def __init__(self, transport: Transport, parts: FrameParts) -> None:
+        self.transport, self.parts = transport, parts
+        self.time, self.order = parts.frames.table.time, parts.frames.order
+        n, session = len(self.order), parts.frames.session
         self._is_new = np.ones(n + 1, bool)
         np.not_equal(session[1:], session[:-1], out=self._is_new[1:n])
-        begins = role != NEXT
-        begins |= self._is_new[:n]
-        #: Of each run: where it begins in `order`, how many frames it has, what its first frame is.
-        self.starts = np.flatnonzero(begins)
+        #: Of each run: where it begins in `order`, what its first frame is, how many frames it has.
+        self.starts, self.role, self._kind, self._size, self._keys = self._begun()
         self.sizes = np.empty_like(self.starts)
         np.subtract(self.starts[1:], self.starts[:-1], out=self.sizes[:-1])
-        self.sizes[-1:] = n - self.starts[-1:]
-        self.role = role.take(self.starts)
+        self.sizes[-1] = n - self.starts[-1]
         #: The whole packets, in each item in the order of their last frames.
         self.packets: list[AlikePackets] = []
         self.good = (self.role == SINGLE) & (self.sizes == 1)
         self.under_way = np.zeros(len(self.starts), bool)
-        alone = self.order[self.starts[self.good]]
-        if len(alone):
-            alone.sort()
-            self.packets.append(AlikePackets(alone[:, None], alone, parts.size[alone].astype(np.int64)))
+        if self.good.any():
+            alone = self.starts[self.good]
+            self._put_together(np.flatnonzero(self.good), self._size[self.good], np.ones(len(alone), bool))
         firsts = np.flatnonzero(self.role == FIRST)
         if len(firsts):
-            self._judge(firsts)
+            self._judge(firsts, slice(None) if len(firsts) == len(self.starts) else firsts)
+
+    def _begun(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Where runs begin: with first and single frames, and where a session does. What is known of their first frames."""
+        parts = self.parts
+        known = parts.heads, parts.role, parts.kind, parts.size, parts.keys
+        sessions = np.flatnonzero(self._is_new[:-1])
+        at = np.searchsorted(parts.heads, sessions)
+        is_headless = np.append(parts.heads, -1)[at] != sessions
+        if not is_headless.any():
+            return known
+        at, headless = at[is_headless], sessions[is_headless]
+        starts, role, kind, size, keys = (
+            np.insert(column, at, more) for column, more in zip(known, (headless, NEXT, 0, 0, 0), strict=True)
+        )
+        return starts, role, kind, size, keys
 
     @cached_property
     def is_last(self) -> Array:
@@ -85,8 +103,7 @@ class Runs:
 
     def most_open(self) -> int:
         """How many packets are under way at once, or more than that."""
-        tied = self.parts.tied
-        others = 0 if tied is None else int(np.count_nonzero(np.bincount(self.parts.session[tied >= 0])))
+        others = self.parts.tied_sessions
         sessions = int(np.count_nonzero(self._is_new)) - 1
         senders = self.transport.senders
         if sessions + others <= senders:
@@ -94,7 +111,7 @@ class Runs:
         more = np.flatnonzero((self.role == FIRST) & ((self.sizes > 1) | ~self.good))
         if len(more) + others <= senders:
             return len(more) + others
-        n = len(self.parts.role)
+        n = len(self.time)
         last = self.starts[more] + self.sizes[more]
         until = np.where(self.is_last[more], n, self.order[np.minimum(last, len(self.order) - 1)])
         if not self.transport.any_order:
@@ -104,119 +121,149 @@ class Runs:
 
     # ------------------------------------------------------------------ what is without fault
 
-    def _judge(self, firsts: Array) -> None:
-        """Which runs that begin with a first frame are whole packets, and which are under way."""
-        transport, table, parts = self.transport, self.table, self.parts
-        begin, sizes = self.starts[firsts], self.sizes[firsts]
-        head = self.order.take(begin)
-        length = table.length.take(head).astype(np.int64)
-        around = np.array([before + behind for before, behind in parts.heads], np.int64)
-        #: Bytes of the packet in the first frame, its address among them; room in those that follow.
-        piece = length - around.take(parts.kind.take(head)) + transport.address
-        room = length - sum(parts.following)
-        size = parts.size.take(head).astype(np.int64)
-        rest = size - piece
-        count = np.where(rest > 0, -(-rest // np.maximum(room, 1)), 0) + 1
-        is_full = length == 8 if not transport.fd else np.isin(length, np.array(transport.lengths()))
-        is_full &= room > 0
-        is_whole = (sizes == count) & (is_full | (sizes == 1) & (room > 0))
-        may_go_on = (sizes < count) & is_full
-        if (is_unsized := size == UNSIZED).any():
-            is_whole = np.where(is_unsized, (sizes > 1) & is_full, is_whole)
-            may_go_on = np.where(is_unsized, is_full, may_go_on)
-        if transport.any_order:
+    def _judge(self, firsts: Array, which: slice | Array) -> None:
+        """Which runs that begin with a first frame are whole packets, and which are under way; `which` are the same ones."""
+        transport, parts = self.transport, self.parts
+        begin, sizes, size = self.starts[which], self.sizes[which], self._size[which]
+        length = _same(parts.frames.length.take(begin))
+        around = np.array([before + behind for before, behind in parts.around], np.int32)
+        # Bytes of the packet in the first frame, its address among them; room in those that follow.
+        piece = length - around[_same(self._kind[which])] + np.int32(transport.address)
+        room = length - np.int32(sum(parts.following))
+        size = _same(size)
+        is_unsized = size == UNSIZED
+        count = (np.maximum(size - piece, 0) + (room - 1)) // np.maximum(room, 1) + 1
+        is_full = (length == 8) if not transport.fd else np.isin(length, np.array(transport.lengths()))
+        is_full = is_full & (room > 0)
+        is_whole = np.where(is_unsized, sizes > 1, sizes == count) & (is_full | (sizes == 1) & (room > 0))
+        is_due = self._are_due()[which]
+        may_go_on = (is_unsized | (sizes < count)) & is_full & self.is_last[which] & is_due
+        if not transport.any_order:
+            is_whole &= is_due
+        else:
             is_whole &= sizes <= transport.modulo
-        self._first, self._room, self._size = piece, room, size
-        whole = np.flatnonzero(is_whole)
-        if len(whole):
-            last = self.order.take(begin[whole] + (sizes[whole] - 1))
-            whole = whole[sorted_places(last, len(parts.role))]
-            for some in _alike(whole, sizes[whole] * 128 + length[whole]):
-                self._judge_alike(firsts, some)
-        left = np.flatnonzero(may_go_on & ~self.good[firsts] & self.is_last[firsts])
-        if len(left):
-            self._judge_under_way(firsts, left)
-
-    def _judge_alike(self, firsts: Array, some: Array) -> None:
-        """Of runs that are alike, and have as many frames as they should, those that are packets."""
-        transport, parts = self.transport, self.parts
-        runs = firsts[some]
-        count, room = int(self.sizes[runs[0]]), int(self._room[some[0]])
-        frames = self.order.take(self.starts[runs][:, None] + np.arange(count))
-        last, size = frames[:, -1].copy(), self._size[some]
-        is_right = np.ones(len(some), bool)
-        due = (np.arange(count - 1) + transport.first_number) % transport.modulo
-        is_due = parts.number.take(frames)[:, 1:] == due.astype(np.uint8)
-        if not is_due.all():
-            is_right = is_due.all(axis=1)
-            if transport.any_order:
-                shuffled = np.flatnonzero(~is_right)
-                frames[shuffled], is_right[shuffled] = self._in_places(frames[shuffled])
-        if not self._is_soon(frames[:, 0], last):
-            # The order in which they came.
-            is_right &= ~self._late(np.sort(frames, axis=1)).any(axis=1)
-        end: Array = np.full(len(some), room)
-        if parts.piece is not None and count > 1:
-            piece = parts.piece.take(frames)[:, 1:]
-            end = piece[:, -1].astype(np.int64)
-            if not (is_full := piece[:, :-1] == room).all():
-                is_right &= is_full.all(axis=1)
+            may_go_on &= sizes <= transport.modulo
         if parts.piece is not None or parts.last is not None:
-            before = self._first[some] + (count - 2) * room
-            is_unsized = size == UNSIZED
-            is_right &= np.where(is_unsized, end <= room, (count < 2) | (before + end >= size))
-            size = np.where(is_unsized, before + end, size)
-            is_right &= ~is_unsized | (size <= transport.longest + transport.overhead)
-        if parts.last is not None and count > 1:
-            says_last = parts.last.take(frames)[:, 1:]
-            is_right &= says_last[:, -1]
-            if says_last[:, :-1].any():
-                is_right &= ~says_last[:, :-1].any(axis=1)
-        if not is_right.all():
-            frames, last, size, runs = frames[is_right], last[is_right], size[is_right], runs[is_right]
-        if len(runs):
-            self.good[runs] = True
-            self.packets.append(AlikePackets(frames, last, size))
+            end, is_end, is_even = self._ends(which, begin, sizes, room)
+            so_far = piece + (sizes - 2) * room + end
+            fits = so_far <= transport.longest + transport.overhead
+            is_whole &= is_even & is_end
+            is_whole &= np.where(is_unsized, (end <= room) & fits, (sizes == 1) | (so_far >= size))
+            may_go_on &= is_even & (end == room) & (fits | ~is_unsized)
+            if parts.last is not None:
+                may_go_on &= ~is_end | (sizes == 1)
+            size = np.where(is_unsized, so_far, size)
+        whole = self._in_time(firsts, np.flatnonzero(is_whole))
+        if len(whole):
+            runs, size, is_due = firsts[whole], np.broadcast_to(size, len(firsts))[whole], is_due[whole]
+            for some in _alike(sizes[whole] * 128 + (length if length.ndim == 0 else length[whole])):
+                self._put_together(runs[some], size[some], is_due[some])
+        left = np.flatnonzero(may_go_on)
+        if len(left):
+            left = left[~self.good[firsts[left]]]
+            self.under_way[firsts[self._in_time(firsts, left)]] = True
 
-    def _judge_under_way(self, firsts: Array, some: Array) -> None:
-        """Of runs at the ends of their sessions, those that are packets without fault so far."""
-        transport, parts = self.transport, self.parts
-        runs = firsts[some]
-        starts, sizes = self.starts[runs], self.sizes[runs]
-        frames = self.order[_ranges(starts, sizes)]
-        begin = np.cumsum(sizes) - sizes
-        place = np.arange(len(frames)) - np.repeat(begin, sizes)
-        due = (place + (transport.first_number - 1)) % transport.modulo
-        is_right = parts.number[frames] == due
-        room = self._room[some]
+    def _are_due(self) -> Array:
+        """Whether the frames of each run have the numbers that are due, one behind the other."""
+        transport = self.transport
+        due = self.parts.number.copy()
+        due[self.starts] = (transport.first_number - 1) % transport.modulo
+        due += 1  # 256 is 0 by itself
+        if transport.modulo & transport.modulo - 1:
+            due %= transport.modulo
+        else:
+            due &= transport.modulo - 1
+        return self._without(self.parts.number[1:] != due[:-1], self.starts[1:] - 1, begin=1)
+
+    def _ends(
+        self, which: slice | Array, begin: Array, sizes: Array, room: Array
+    ) -> tuple[Array, Array, Array]:
+        """Of runs that begin there: how many bytes of the packet the last frame has (`room` where there is but one), whether
+        it says that it is the last, and whether those between are full and say that they are not."""
+        parts, starts = self.parts, self.starts
+        last = begin + (sizes - 1)
+        ends = last if isinstance(which, slice) else starts + (self.sizes - 1)
+        end, is_end, is_even = room, np.ones(len(begin), bool), np.ones(len(begin), bool)
         if parts.piece is not None:
-            is_right &= parts.piece[frames] == np.repeat(room, sizes)
+            full = room
+            if room.ndim:
+                of_runs = np.zeros(len(starts), np.int32)
+                of_runs[which] = room
+                full = np.repeat(of_runs, self.sizes)
+            end = np.where(sizes > 1, parts.piece.take(last), room)
+            is_even &= self._without(parts.piece != full, starts, ends)[which]
         if parts.last is not None:
-            is_right &= ~parts.last[frames]
-        is_right[1:] &= ~self._late(frames)
-        is_right[begin] = True
-        good = np.logical_and.reduceat(is_right, begin)
-        if transport.any_order:
-            good &= sizes <= transport.modulo
-        so_far = self._first[some] + (sizes - 1) * room
-        good &= (self._size[some] != UNSIZED) | (so_far <= transport.longest + transport.overhead)
-        self.under_way[runs] = good
+            is_end = parts.last.take(last) | (sizes == 1)
+            is_even &= self._without(parts.last.copy(), starts, ends)[which]
+        return end, is_end, is_even
 
-    def _is_soon(self, first: Array, last: Array) -> bool:
-        """Whether packets are so short, from the first to the last frame, that no frame can be late."""
-        time = self.table.time
-        most = int((time.take(last) - time.take(first)).max())
-        return self._is_in_time_order and most <= self.transport.timeout_s * 1e9 - 1000
+    def _without(self, is_wrong: Array, *but: Array, begin: int = 0) -> Array:
+        """Whether none of each run's frames is wrong, of those that begin at `begin` of `order`; `but` are never."""
+        for some in but:
+            is_wrong[some] = False
+        found = np.ones(len(self.starts), bool)
+        if is_wrong.any():
+            wrong = np.flatnonzero(is_wrong)
+            found[np.searchsorted(self.starts, wrong + begin, "right") - 1] = False
+        return found
+
+    def _put_together(self, runs: Array, size: Array, is_due: Array) -> None:
+        """Runs that are whole and alike as packets; where frames are not in their places, these are looked for."""
+        count, places = int(self.sizes[runs[0]]), None
+        last = self.order.take(self.starts.take(runs) + (count - 1))
+        if (last[1:] < last[:-1]).any():
+            by_last = sorted_places(last, len(self.time))
+            runs, size, is_due, last = runs[by_last], size[by_last], is_due[by_last], last[by_last]
+        starts = self.starts.take(runs)
+        first = self.order.take(starts)
+        if not is_due.all():
+            places, is_right = self._places(starts, count)
+            if not is_right.all():
+                runs, starts, size, first, last, places = (
+                    column[is_right] for column in (runs, starts, size, first, last, places)
+                )
+        if not len(runs):
+            return
+        self.good[runs] = True
+        kinds = self._kind.take(runs)
+        keys, size = self._keys.take(runs), size.astype(np.int64)
+        packets = AlikePackets(starts, count, int(kinds[0]), keys, size, first, last, places)
+        several = numbers_in(kinds)
+        self.packets += (
+            [packets]
+            if len(several) == 1
+            else [packets.take(np.flatnonzero(kinds == kind), kind) for kind in several]
+        )
+
+    def _in_time(self, firsts: Array, which: Array) -> Array:
+        """Those of some runs (numbers in `firsts`) of which no frame is late."""
+        if not len(which):
+            return which
+        runs, time, limit = firsts[which], self.time, self.transport.timeout_s * 1e9 - 1000
+        starts, sizes = self.starts[runs], self.sizes[runs]
+        first, last = self.order.take(starts), self.order.take(starts + (sizes - 1))
+        slow = np.arange(len(runs))
+        if self._is_in_time_order:
+            slow = np.flatnonzero(time.take(last) - time.take(first) > limit)
+        slow = slow[sizes[slow] > 1]
+        if not len(slow):
+            return which
+        sizes = sizes[slow]
+        is_late = np.append(self._late(self.order[_ranges(starts[slow], sizes)]), False)
+        is_late[np.cumsum(sizes) - 1] = False
+        is_late = np.logical_or.reduceat(is_late, np.cumsum(sizes) - sizes)
+        found: Array = np.delete(which, slow[is_late])
+        return found
 
     @cached_property
     def _is_in_time_order(self) -> bool:
         """Whether all frames have an instant, none an earlier one than the frame before it."""
-        time = self.table.time
+        time = self.time
         return bool((time[1:] >= time[:-1]).all()) and int(time[0]) != NO_TIME
 
     def _late(self, frames: Array) -> Array:
         """Where more than the time-out goes by between two frames (…, n), as the live reassembler computes it (…, n - 1)."""
-        time = self.table.time[frames]
+        time = self.time[frames]
         known = time != NO_TIME
         seconds = time / 1_000_000_000
         late = np.greater(seconds[..., 1:] - seconds[..., :-1], self.transport.timeout_s)
@@ -224,25 +271,29 @@ class Runs:
         found: Array = late
         return found
 
-    def _in_places(self, frames: Array) -> tuple[Array, Array]:
-        """Frames of packets (m, count) in the places that they say they have; in which all are there, each once."""
-        transport, parts = self.transport, self.parts
-        count = frames.shape[1]
-        number = parts.number[frames[:, 1:]].astype(np.int64)
+    def _places(self, starts: Array, count: int) -> tuple[Array, Array]:
+        """By place in each packet, where behind its start that frame is (m, count); in which packets all are there, each
+        once."""
+        transport = self.transport
+        number = self.parts.number[starts[:, None] + np.arange(1, count)].astype(np.int64)
         place = (number - transport.first_number) % transport.modulo + 1
-        order = np.argsort(place, axis=1, kind="stable")
-        is_all = (np.take_along_axis(place, order, axis=1) == np.arange(1, count)).all(axis=1)
-        return np.concatenate(
-            [frames[:, :1], np.take_along_axis(frames[:, 1:], order, axis=1)], axis=1
-        ), is_all
+        found = np.argsort(place, axis=1, kind="stable") + 1
+        is_all: Array = (np.take_along_axis(place, found - 1, axis=1) == np.arange(1, count)).all(axis=1)
+        return np.insert(found, 0, 0, axis=1), is_all
 
 
-def _alike(which: Array, shape: Array) -> list[Array]:
-    """Runs of one shape each; their order stays."""
+def _same(column: Array) -> Array:
+    """A column as int32; as one number where all are the same, with which to go on is quicker."""
+    few = column[:1] if (column == column[0]).all() else column
+    return few.astype(np.int32).reshape(-1 if len(few) == len(column) > 1 else ())
+
+
+def _alike(shape: Array) -> Sequence[slice | Array]:
+    """Which have one shape each; their order stays."""
     if (shape == shape[0]).all():
-        return [which]
+        return [slice(None)]
     order = np.argsort(shape, kind="stable")
-    return np.split(which[order], np.flatnonzero(np.diff(shape[order])) + 1)
+    return np.split(order, np.flatnonzero(np.diff(shape[order])) + 1)
 
 
 def _ranges(starts: Array, sizes: Array) -> Array:

@@ -33,7 +33,7 @@ class ColumnScanner(Protocol):
         """`can`, `serial` or `datagram`."""
         ...
 
-    def feed(self, words: Any, /) -> list[MessageTable]:
+    def feed(self, traffic: Any, /) -> list[MessageTable]:
         """The tables of a piece of a capture, one a message that occurs in it, in declared order."""
         ...
 
@@ -102,13 +102,13 @@ class RecordColumns:
         """Where every byte or frame went so far."""
         return self.scanner.counts
 
-    def feed(self, words: Any, /) -> list[MessageTable]:
+    def feed(self, traffic: Any, /) -> list[MessageTable]:
         """The tables of a piece of a capture."""
-        if isinstance(words, FrameTable):
-            rows = np.arange(self._rows, self._rows + len(words))
-            self._rows += len(words)
-            return self.frames(words, rows)
-        return self.tables(self.scanner.feed(words), None)
+        if isinstance(traffic, FrameTable):
+            rows = np.arange(self._rows, self._rows + len(traffic))
+            self._rows += len(traffic)
+            return self.frames(traffic, rows)
+        return self.tables(self.scanner.feed(traffic), None)
 
     def close(self) -> list[MessageTable]:
         """The capture has ended."""

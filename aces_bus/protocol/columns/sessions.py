@@ -24,11 +24,11 @@ from .carried import (
     FrameParts,
     KindReader,
     PartReader,
-    bare_keys,
     can_table,
     joined_numbers,
 )
-from .key_numbers import KeyNumbers
+from .grouped import GroupedFrames, bare_keys
+from .key_numbers import KeyNumbers, few_keys
 from .table import Array
 
 
@@ -41,121 +41,115 @@ def part_reader(transport: Transport) -> PartReader | None:
     return KindReader(transport) if can_table(transport) else None
 
 
-class _ConversationReader:
-    """What both have in common: conversations of two ends, whose sessions are the two ways."""
+class _Ways:
+    """The sessions of conversations of two ends: each has one a way."""
+
+    def __init__(self) -> None:
+        self._known = KeyNumbers()
+
+    def sessions(self, table: FrameTable, way: Array) -> tuple[Array, int]:
+        """A number for the session of each frame, and what all are below; `way` says who sends to whom."""
+        few = few_keys(way)
+        number, count = (
+            (few.numbers, len(few.keys)) if few is not None else (self._known.places(way), self._known.room)
+        )
+        channels = len(table.channels.names)
+        joined = joined_numbers(
+            [(number, count), (table.channel, channels)] if channels > 1 else [(number, count)]
+        )
+        return joined, count * max(1, channels)
+
+
+def _tied(frames: GroupedFrames, way: Array, back: Callable[[Array], Array], ends: Array) -> Array | None:
+    """By frame the number of its conversation where one of `ends` (places) is in it, else −1; None where there are none.
+    `back` gives the other ways of conversations."""
+    if not len(ends):
+        return None
+    known, which = np.unique(way, return_inverse=True)
+    party = np.minimum(known, back(known)).astype(np.int64)[which] << 16 | frames.channel
+    return np.where(np.isin(party, party[ends]), party, -1)
+
+
+class J1939Reader:
+    """Frames of J1939's transport protocol: what opens and steers sessions, their data, and whole parameter groups."""
 
     def __init__(self, transport: Transport) -> None:
         self.transport = transport
-        self._ways = KeyNumbers()
-        #: By the number of a way, the lower number of the two ways of its conversation.
-        self._party: Array = np.empty(0, np.int64)
+        self._ways = _Ways()
 
-    def _sessions(
-        self, table: FrameTable, way: Array, back: Callable[[Array], Array]
-    ) -> tuple[Array, int, Array]:
-        """The session of each frame, what these are below, and its conversation; `way` says who sends to whom, `back` the
-        other way."""
-        numbers = self._ways.of(way)
-        known = self._ways.known
-        if len(self._party) < len(known):
-            self._ways.of(back(known))
-            known = self._ways.known
-            self._party = np.minimum(np.arange(len(known)), self._ways.of(back(known)))
-        parts: list[tuple[Array, int]] = [(numbers, len(known))]
-        parties: list[tuple[Array, int]] = [(self._party.take(numbers), len(known))]
-        if (channels := len(table.channels.names)) > 1:
-            parts.append((table.channel, channels))
-            parties.append((table.channel, channels))
-        session, count = joined_numbers(parts)
-        return session, count, joined_numbers(parties)[0]
+    def sessions(self, table: FrameTable) -> Array:
+        """A number for the session of each frame."""
+        keys = bare_keys(table)
+        session, count = self._ways.sessions(table, keys & np.uint32(0xFFFF))
+        group = _group(keys)
+        is_single = (group != j1939.DATA) & (group != j1939.CONNECTION)
+        if not is_single.any():
+            return session
+        # Whole groups begin and end nothing: a session that all of them share.
+        return joined_numbers([(np.where(is_single, np.int64(count), session), count + 1)])
 
-
-#: The role of what ties a conversation.
-_TIES = 255
-
-
-def _tied(role: Array, party: Array, ends: Array, is_apart: Array | None = None) -> Array | None:
-    """By frame the number of its conversation where one of `ends` is in it, else −1; None where none is."""
-    if not ends.any():
-        return None
-    is_tied = np.isin(party, np.unique(party[ends])) & (role != NO_PART)
-    if is_apart is not None:
-        is_tied &= ~is_apart
-    return np.where(is_tied, party.astype(np.int64), -1)
-
-
-class J1939Reader(_ConversationReader):
-    """Frames of J1939's transport protocol: what opens and steers sessions, their data, and whole parameter groups."""
-
-    def read(self, table: FrameTable) -> FrameParts:
-        """What each frame of a table is."""
+    def read(self, frames: GroupedFrames) -> FrameParts:
+        """What each frame is."""
         transport = self.transport
-        keys, length, data = bare_keys(table), table.length, table.data
-        group = (keys >> np.uint32(16) & np.uint32(0x3FF)).astype(np.uint16)
-        addresses = keys & np.uint32(0xFFFF)  # destination, source
-        n = len(table)
-        is_data, is_connection = group == j1939.DATA, group == j1939.CONNECTION
-        is_single = ~(is_data | is_connection)
-        first = np.ascontiguousarray(data[:, 0])
-        role = np.full(n, SINGLE, np.uint8)
-        role[is_data] = NEXT
-        packet, size = keys.copy(), length.astype(np.int32)
-        reasons: list[tuple[Array, str]] = []
-
-        def lose(places: Array, reason: str) -> None:
-            if len(places):
-                role[places] = NO_PART
-                reasons.append((places, reason))
-
-        lose(np.flatnonzero(is_data & (length < 2)), "malformed: length")
-        places = np.flatnonzero(is_connection)
-        command = first[places]
+        keys, length, data = frames.keys, frames.length, frames.data
+        group = _group(keys)
+        is_data = group == j1939.DATA
+        lost: list[tuple[Array, str]] = []
+        if int(length.min()) < 2:
+            lost.append((np.flatnonzero(is_data & (length < 2)), "malformed: length"))
+        heads = np.flatnonzero(~is_data)
+        role = np.full(len(heads), SINGLE, np.uint8)
+        packet, size = keys[heads], length[heads].astype(np.int32)
+        # What opens and steers sessions, as places among the heads.
+        opening = np.flatnonzero(group[heads] == j1939.CONNECTION)
+        places = heads[opening]
+        head, key = data[places].astype(np.int64), packet[opening].astype(np.int64)
+        command = head[:, 0]
         left = length[places] >= 8
-        lose(places[~left], "malformed: length")
+        lost.append((places[~left], "malformed: length"))
         for control, name in j1939.STEERING.items():
             mine = left & (command == control)
-            lose(places[mine], f"control: {name}")
+            lost.append((places[mine], f"control: {name}"))
             left &= ~mine
-        mine = left & (command == j1939.ABORT)
-        role[places[mine]] = _TIES
-        left &= ~mine
-        to_all = (keys[places] >> np.uint32(8) & np.uint32(0xFF)) == j1939.EVERYBODY
+        aborts = places[left & (command == j1939.ABORT)]
+        left &= command != j1939.ABORT
+        to_all = (key >> 8 & 0xFF) == j1939.EVERYBODY
         opens = (command == j1939.RTS) & ~to_all | (command == j1939.BAM) & to_all
-        lose(places[left & ~opens], f"malformed: no frame of {transport.title}")
+        lost.append((places[left & ~opens], f"malformed: no frame of {transport.title}"))
         left &= opens
-        places = places[left]
-        head = data[places].astype(np.int64)
         total, count = head[:, 1] | head[:, 2] << 8, head[:, 3]
         fits = (total >= j1939.LEAST) & (total <= j1939.MOST) & (count == -(-total // j1939.PIECE))
-        lose(places[~fits], "malformed: length")
-        lose(places[fits & (total > transport.max_size)], "malformed: too long")
-        role[places[fits & (total <= transport.max_size)]] = FIRST
+        lost.append((places[left & ~fits], "malformed: length"))
+        lost.append((places[left & fits & (total > transport.max_size)], "malformed: too long"))
+        role[opening] = FIRST
         number = head[:, 5] | head[:, 6] << 8 | head[:, 7] << 16
-        key = keys[places].astype(np.int64)
         is_addressed = (number >> 8 & 0xFF) < j1939.BROADCAST
         number = np.where(is_addressed, number & ~0xFF | key >> 8 & 0xFF, number) & 0x3FFFF
-        packet[places] = (key & 0x9C00_0000 | number << 8 | key & 0xFF).astype(np.uint32)
-        size[places] = total
-        session, sessions, party = self._sessions(table, addresses, _swapped)
-        # Whole groups begin and end nothing: a session that all of them share.
-        session = np.where(is_single, session.dtype.type(sessions), session)
-        kind = np.zeros(n, np.uint8)
-        kind[places] = 1
-        return FrameParts(
+        packet[opening] = (key & 0x9C00_0000 | number << 8 | key & 0xFF).astype(np.uint32)
+        size[opening] = total
+        parts = FrameParts(
+            frames,
+            heads,
             role,
-            session,
-            sessions + 1,
-            first,
-            kind,
+            (role == FIRST).astype(np.uint8),
             size,
             packet,
+            np.ascontiguousarray(data[:, 0]),
             [(0, 0), (8, 0)],
             (1, 0),
             None,
-            None if ((length == 8) | ~is_data).all() else length - np.uint8(1),
-            reasons,
-            _tied(role, party, role == _TIES, is_single),
+            None if (length == 8).all() else length - np.uint8(1),
         )
+        party = _tied(frames, keys & np.uint32(0xFFFF), _swapped, aborts)
+        if party is not None:
+            party[heads[role == SINGLE]] = -1
+        parts.lose(lost, party)
+        return parts
+
+
+def _group(keys: Array) -> Array:
+    """The parameter groups of keys, without the byte that may be an address."""
+    return (keys >> np.uint32(16)).astype(np.uint16) & np.uint16(0x3FF)
 
 
 def _swapped(addresses: Array) -> Array:
@@ -163,20 +157,22 @@ def _swapped(addresses: Array) -> Array:
     return (addresses >> np.uint32(8) | addresses << np.uint32(8)) & np.uint32(0xFFFF)
 
 
-class SdoReader(_ConversationReader):
+class SdoReader:
     """Frames of CANopen's service data: what each is, the first of its eight bytes says, in each way otherwise."""
 
     #: Bytes of a frame; where the size is in a first frame, behind what is the packet's; bits of a node in an identifier.
     _FRAME, _SIZE_AT, _NODE_BITS = 8, 4, 7
 
     def __init__(self, transport: Transport) -> None:
-        super().__init__(transport)
+        self.transport = transport
+        self._ways = _Ways()
         self._kinds = KeyNumbers()
         #: By 256 times the number of a way, plus the first byte: role, number, piece and whether it is the last or has a
-        #: size, as `part` says; −1 as role of what ties a conversation.
+        #: size, as `part` says.
         self._said: list[tuple[int, int, int, bool, bool]] = []
         self._reasons: list[str] = []
-        #: By the same: whether it is of an acknowledged packet.
+        #: By the same: whether it ends a packet before its end; whether it is of an acknowledged packet.
+        self._ends: list[bool] = []
         self._acknowledged: list[bool] = []
 
     def _learn(self, key: int) -> None:
@@ -184,61 +180,57 @@ class SdoReader(_ConversationReader):
         for byte in range(256):
             part = self.transport.part(key, bytes([byte, 0, 0, 0, 1, 0, 0, 0]))
             role = {"single": SINGLE, "first": FIRST, "next": NEXT}.get(part.role, NO_PART)
-            if part.role == "abort":
-                role = _TIES
+            self._ends.append(part.role == "abort")
             self._acknowledged.append(part.is_acknowledged)
             self._said.append((role, part.number, len(part.data), part.is_last, part.size is not None))
             self._reasons.append(part.reason)
 
-    def read(self, table: FrameTable) -> FrameParts | None:
-        """What each frame of a table is; None where there are block transfers."""
-        keys, data, n = bare_keys(table), table.data, len(table)
-        way = keys >> np.uint32(self._NODE_BITS)
-        kinds = self._kinds.of(way)
+    def sessions(self, table: FrameTable) -> Array:
+        """A number for the session of each frame."""
+        return self._ways.sessions(table, bare_keys(table))[0]
+
+    def read(self, frames: GroupedFrames) -> FrameParts | None:
+        """What each frame is; None where there are block transfers."""
+        keys, data = frames.keys, frames.data
+        kinds = self._kinds.of(keys >> np.uint32(self._NODE_BITS))
         for one in range(len(self._said) // 256, len(self._kinds)):
             self._learn(int(keys[np.argmax(kinds == one)]))
-        said = np.array(self._said, np.uint8)
         which = kinds * 256 + data[:, 0]
         if np.array(self._acknowledged).take(which).any():
             return None
+        said = np.array(self._said, np.uint8)
         role, number, piece, last, is_sized = (said[:, k].take(which) for k in range(5))
-        reasons: list[tuple[Array, str]] = []
-        other = np.flatnonzero(role == NO_PART)
+        is_end = np.array(self._ends).take(which)
+        is_short = frames.length != self._FRAME
+        lost = [(np.flatnonzero(is_short), "malformed: length")]
+        other = np.flatnonzero((role == NO_PART) & ~is_end & ~is_short)
         for one in np.unique(which[other]).tolist():
-            reasons.append((other[which[other] == one], self._reasons[one]))
-        short = np.flatnonzero(table.length != self._FRAME)
-        if len(short):
-            reasons = [(places[table.length[places] == self._FRAME], why) for places, why in reasons]
-            role[short] = NO_PART
-            reasons.append((short, "malformed: length"))
-        size = np.full(n, self._FRAME, np.int32)
-        firsts = np.flatnonzero(role == FIRST)
-        given = data[firsts, self._SIZE_AT : self._FRAME].copy().view("<u4").ravel().astype(np.int64)
-        given[is_sized[firsts] == 0] = 0
+            lost.append((other[which[other] == one], self._reasons[one]))
+        heads = np.flatnonzero((role == SINGLE) | (role == FIRST))
+        size = np.full(len(heads), self._FRAME, np.int32)
+        firsts = np.flatnonzero(role[heads] == FIRST)
+        places = heads[firsts]
+        given = data[places, self._SIZE_AT : self._FRAME].copy().view("<u4").ravel().astype(np.int64)
+        given[is_sized[places] == 0] = 0
         total = given + self._SIZE_AT
         size[firsts] = np.where(given > 0, np.minimum(total, self.transport.max_size), UNSIZED)
-        if (is_long := total > self.transport.max_size).any():
-            role[firsts[is_long]] = NO_PART
-            reasons.append((firsts[is_long], "malformed: too long"))
-        session, sessions, party = self._sessions(table, keys, self._back)
-        tied = _tied(role, party, role == _TIES)
-        is_first = (role == FIRST).astype(np.uint8)
-        heads = [(0, 0), (0, self._FRAME - self._SIZE_AT)]
-        return FrameParts(
-            role,
-            session,
-            sessions,
-            number,
-            is_first,
-            size,
-            keys,
+        is_long = (total > self.transport.max_size) & ~is_short[places]
+        lost.append((places[is_long], "malformed: too long"))
+        parts = FrameParts(
+            frames,
             heads,
+            role[heads],
+            (role[heads] == FIRST).astype(np.uint8),
+            size,
+            keys[heads],
+            number,
+            [(0, 0), (0, self._FRAME - self._SIZE_AT)],
             (1, 0),
             last == 1,
             piece,
-            reasons,
-            tied,
         )
+        parts.lose(lost, _tied(frames, keys, self._back, np.flatnonzero(is_end & ~is_short)))
+        return parts
 
     def _back(self, keys: Array) -> Array:
         """The keys of the other ways: of the sessions that an abort may end, too."""

@@ -167,7 +167,7 @@ def _check_apart(made: Message, other: Message) -> None:
 
 
 def unresolved(one: Message, other: Message) -> Conflict | None:
-    """The conflict of two messages when neither the bytes nor the spec's other words settle it."""
+    """The conflict of two messages when neither the bytes nor anything else in the spec settles it."""
     from .protocol import may_coexist
 
     is_apart = None not in (one.direction, other.direction) and one.direction != other.direction

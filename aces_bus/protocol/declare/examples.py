@@ -66,10 +66,10 @@ class ExampleFrame:
 class Example:
     """A packet or frame, (some of) the fields that it means, and the request that it answers.
 
-    `frames` are those that a transport carried it in; `word` is then the packet that they are.
+    `frames` are those that a transport carried it in; `packet` is then the packet that they are.
     """
 
-    word: ExampleFrame
+    packet: ExampleFrame
     fields: Mapping[str, Any]
     request: ExampleFrame | None = None
     frames: tuple[ExampleFrame, ...] = ()
@@ -82,7 +82,7 @@ def frame_text(frame: Any) -> str:
     return f"{frame.identifier:0{digits}X}#{'#0' if frame.fd else ''}{data}"
 
 
-def parse_word(text: str | bytes, *, is_can: bool) -> ExampleFrame:
+def parse_packet(text: str | bytes, *, is_can: bool) -> ExampleFrame:
     """A frame or packet as the module writes them; raises `ValueError` saying what is wrong."""
     if isinstance(text, bytes):
         if is_can:
@@ -141,14 +141,14 @@ def as_examples(
             )
         try:
             written: Any = item[0]
-            request = parse_word(item[2], is_can=is_can) if len(item) == 3 else None
+            request = parse_packet(item[2], is_can=is_can) if len(item) == 3 else None
             if transport is not None:
                 texts: Iterable[Any] = [written] if isinstance(written, (str, bytes)) else written
-                frames = tuple(parse_word(text, is_can=True) for text in texts)
-                word = _packet_of(frames, transport, extra)
-                found.append(Example(word, dict(item[1]), request, frames))
+                frames = tuple(parse_packet(text, is_can=True) for text in texts)
+                packet = _packet_of(frames, transport, extra)
+                found.append(Example(packet, dict(item[1]), request, frames))
             else:
-                found.append(Example(parse_word(written, is_can=is_can), dict(item[1]), request))
+                found.append(Example(parse_packet(written, is_can=is_can), dict(item[1]), request))
         except ValueError as error:
             raise SpecError(f"{place}: example {error}") from None
     return tuple(found)

@@ -29,6 +29,8 @@ _ABORTS = {1: "busy", 2: "no resources", 3: "timed out", 4: "clear to send durin
 BROADCAST = 0xF0
 #: Bytes of a packet; frames of up to 8 are no packets.
 LEAST, MOST, PIECE = 9, 1785, 7
+#: Between two frames of a broadcast (s): 50 to 200 ms (J1939-21, Tb of can-j1939).
+PAUSE_S = 0.05
 #: Priority of data frames (J1939-21).
 _LOWEST = 7
 _OF_CONNECTION, _OF_DATA = (
@@ -45,15 +47,14 @@ class J1939Transport(Transport):
     """Parameter groups of more than 8 bytes, by the transport protocol of J1939-21 (ISO 11783-3); shorter ones are frames.
 
     Messages have the identifier of their parameter group: `id=Priority << 26 | 0xFEEC << 8 | Source`. Let the priority be a
-    field: packets have that of the frame that opens them, mostly 7. One to a single address is sent with a handshake
-    (`aces_bus.device.J1939Sender`); `encode` gives its frames as a bystander sees them.
+    field: packets have that of the frame that opens them, mostly 7. Devices and twins send packets to all, with pauses of
+    50 ms. One to a single address is sent with a handshake (`aces_bus.device.J1939Sender`); `encode` gives its frames as a
+    bystander sees them.
 
     `timeout_s` is that between two frames of a session (T3, 1.25 s).
     """
 
     title: ClassVar[str] = "J1939 transport"
-    unsendable: ClassVar[str] = "it takes pauses, or a handshake, that devices do not keep"
-    has_sender: ClassVar[bool] = True
 
     fd: bool = field(default=False, init=False, repr=False)
     address: int = field(default=0, init=False, repr=False)
@@ -114,6 +115,19 @@ class J1939Transport(Transport):
             number = number & ~0xFF | destination
         packet = key & (EXTENDED | 7 << 26) | (number & 0x3FFFF) << 8 | source
         return FramePart("first", (source, destination), b"", packet, size)
+
+    def refuses(self, key: int) -> str:
+        """Packets to one address, to which a receiver's answers belong."""
+        to_all = key >> 8 & 0xFF == EVERYBODY
+        return "" if to_all else "a packet to one address takes a handshake, which devices do not keep"
+
+    def pause_s(self, key: int) -> float:
+        """That of a broadcast."""
+        return PAUSE_S
+
+    def in_turn(self, key: int) -> int:
+        """A sender's data frames do not say which of its packets to the same address they are of, whatever the priority."""
+        return key & ~(7 << 26)
 
     def split(self, key: int, data: bytes, sequence: int = 0, extra: bytes = b"") -> list[tuple[int, bytes]]:
         """The frames of a packet: one, or those of a session without what the receiver says."""

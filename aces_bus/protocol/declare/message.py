@@ -1,4 +1,4 @@
-"""One message: a template (which words are it) and a payload (what they mean).
+"""One message: a template (which frames or packets are it) and a payload (what they mean).
 
 1. A message is complete and checked when its declaration returns; nothing about it changes afterwards.
 2. `narrowed` gives the same message over fewer identifiers (a dialect, a configuration); it never widens.

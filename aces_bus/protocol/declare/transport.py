@@ -25,7 +25,7 @@ from .place import caller
 
 #: What a frame is: a whole packet; a packet's first frame; one that follows; one that only steers (flow control, an
 #: acknowledgement); one that ends a packet before its end; none of the transport. Of acknowledged packets also: the receiver
-#: is ready for the next frames; has taken so many; the sender's last frame; the receiver's last word.
+#: is ready for the next frames; has taken so many; the sender's last frame; the receiver's last frame.
 Role = Literal["single", "first", "next", "control", "abort", "bad", "ready", "taken", "end", "over"]
 
 
@@ -177,10 +177,8 @@ class Transport:
 
     #: For people, in messages and docs.
     title: ClassVar[str] = "transport"
-    #: Why devices and twins send no packets of several frames ("" where they do).
+    #: Why devices and twins send no packets of several frames ("" where they do, or where `refuses` says of which not).
     unsendable: ClassVar[str] = ""
-    #: Whether tools have a sender of their own for it, such as `J1939Sender`.
-    has_sender: ClassVar[bool] = False
 
     fd: bool = False
     address: int = 0
@@ -352,6 +350,18 @@ class Transport:
         return data
 
     # ------------------------------------------------------------------ handshakes
+
+    def refuses(self, key: int) -> str:
+        """Why devices and twins do not send a packet of several frames whose first one has this key; "" where they do."""
+        return self.unsendable
+
+    def pause_s(self, key: int) -> float:
+        """How long to wait between two frames of a packet (s), whose first one has this key; flow control says otherwise."""
+        return 0.0
+
+    def in_turn(self, key: int) -> int:
+        """What packets that must not be under way at once have in common, of the keys of their first frames."""
+        return key
 
     def go_ahead(self, key: int, data: bytes) -> tuple[int, bytes] | None:
         """The frame (key and data) with which a receiver of this frame lets its sender go on; None where none is needed."""

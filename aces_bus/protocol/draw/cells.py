@@ -40,7 +40,7 @@ class _Block:
     offset: int
     size: int | None
     label: str
-    is_told: bool = False
+    is_named: bool = False
 
 
 @dataclass
@@ -98,8 +98,10 @@ def panels(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[LayoutPanel]
             LayoutPanel(f"{when.selector.name} = {listed(when.values)}:", _all_rows(layers[0], None, []))
         )
         found += [LayoutPanel(SHARING, _all_rows(cells, None, [])) for cells in layers[1:]]
-    for leaf, node in plan.lists:
-        found += _list_panels(leaf.path, node)
+    for leaf in plan.leaves:
+        node = leaf.node.items if isinstance(leaf.node, p.DescribedItems) else leaf.node
+        if isinstance(node, p.ListNode):
+            found += _list_panels(leaf.path, node)
     return found
 
 
@@ -113,7 +115,7 @@ def _list_panels(path: str, node: p.ListNode) -> list[LayoutPanel]:
     for name, number in (("tag", node.tag), (f"size{counts}", node.size)):
         if number is not None:
             _claim_scalar(cells, name, number, is_brief=True)
-    cells.blocks[node.head] = _Block(node.head, None, "data (as many bytes as it says)", is_told=True)
+    cells.blocks[node.head] = _Block(node.head, None, "data (as many bytes as it says)", is_named=True)
     found = [LayoutPanel(f"each of {path}:", _all_rows(cells, None, []))]
     for kind in node.kinds:
         inside = panels(kind.plan)
@@ -207,11 +209,11 @@ def _claim(cells: _Cells, label: str, node: p.Node, *, is_brief: bool) -> None:
                 text = f"{node.constant:#04x} + {label}" + (f" << {node.shift}" if node.shift else "")
             cells.claim(text, node.place)
         case p.TaggedItems():
-            cells.blocks[node.offset] = _Block(node.offset, None, f"{label}: items", is_told=False)
+            cells.blocks[node.offset] = _Block(node.offset, None, f"{label}: items", is_named=False)
         case p.Repeated():
             how = "" if node.count is None else ", as many as counted"
             text = f"{label}: groups of {node.width} bytes{how}"
-            cells.blocks[node.offset] = _Block(node.offset, None, text, is_told=bool(how))
+            cells.blocks[node.offset] = _Block(node.offset, None, text, is_named=bool(how))
         case p.DelimitedField():
             cells.lines.append((f"#{node.index}", label + (" (optional)" if node.optional else "")))
         case p.MoreCells():
@@ -233,7 +235,7 @@ def _claim_scalar(cells: _Cells, label: str, node: p.Scalar, *, is_brief: bool) 
     if is_brief and node.size > 1 and not node.flags and is_whole:
         order = "low" if bits[0] < bits[-1] else "high"
         cells.blocks[node.offset] = _Block(
-            node.offset, node.size, f"{label} {len(bits) - 1}…0, {order} byte first", is_told=True
+            node.offset, node.size, f"{label} {len(bits) - 1}…0, {order} byte first", is_named=True
         )
         return
     for name, number in node.flags.items():
@@ -246,7 +248,7 @@ def _mark(cells: _Cells, plan: p.MessagePlan, marks: Sequence[Mark]) -> None:
         if mark.size == 1:
             cells.claim(mark.label, range(8 * mark.offset, 8 * mark.offset + 8))
         else:
-            cells.blocks[mark.offset] = _Block(mark.offset, mark.size, mark.label, is_told=True)
+            cells.blocks[mark.offset] = _Block(mark.offset, mark.size, mark.label, is_named=True)
     for constant in plan.constants:
         if constant.mask == 0xFF:
             cells.claim(f"{constant.value:#04x}", range(8 * constant.offset, 8 * constant.offset + 8))
@@ -322,7 +324,7 @@ def _merged(rows: Sequence[Row]) -> list[Row]:
 
 
 def _block_label(block: _Block) -> str:
-    if block.is_told:
+    if block.is_named:
         return block.label
     return f"{block.label} (to the end)" if block.size is None else f"{block.label} ({block.size} bytes)"
 

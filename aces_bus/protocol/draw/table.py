@@ -47,8 +47,10 @@ def _inner_row(leaf: p.NodePath) -> FieldRow:
     node = leaf.node.item if isinstance(leaf.node, p.Each) else leaf.node
     row = _field_row(leaf.path, node, leaf.doc, {})
     kind = leaf.kind if isinstance(leaf, p.ItemPath) else None
-    where = "of each" if kind is None else f"of tag {kind.number}"
-    return replace(row, place=f"{row.place} {where}")
+    where = ["of each"] if isinstance(leaf.node, p.Each) else []
+    if kind is not None:
+        where.append(f"{'in' if where else 'of'} tag {kind.number}")
+    return replace(row, place=" ".join([row.place, *where]))
 
 
 def row_of(name: str, node: p.Node, doc: str = "") -> FieldRow:
@@ -89,6 +91,9 @@ def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -
             return FieldRow(name, "request", "as there", doc=doc)
         case p.Rest():
             return FieldRow(name, "other bits", f"of {node.size} bytes", doc=doc)
+        case p.DescribedItems():
+            items = _field_row(name, node.items, doc or node.reason, captured)
+            return replace(items, place="", type="items, by construct")
         case p.TaggedItems():
             tags = ", ".join(f"{kind.number}={kind.name}" for kind in node.kinds)
             return FieldRow(name, f"byte {node.offset}…", "items", names=tags, doc=doc)

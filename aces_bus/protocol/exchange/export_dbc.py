@@ -252,7 +252,7 @@ class _Group:
         if choice.offset is None:
             first, *others = names
             for other in others:
-                how = self._told_by(self.messages[first], self.messages[other])
+                how = self._recognised_by(self.messages[first], self.messages[other])
                 self._lose(other, "", f"differs from {first} in {how} alone: left out")
             self.kept.append(first)
             self._message(first, when)
@@ -278,7 +278,7 @@ class _Group:
         )
 
     @staticmethod
-    def _told_by(one: Message, other: Message) -> str:
+    def _recognised_by(one: Message, other: Message) -> str:
         if not set(one.lengths or ()) & set(other.lengths or ()):
             return "its length"
         has_request = other.reply_to or other.after or one.reply_to or one.after

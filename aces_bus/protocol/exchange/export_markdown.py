@@ -88,7 +88,7 @@ class _Page:
                     (
                         " ".join([_code(self._identifier(message), is_cell=True), *kinds]),
                         name,
-                        _code(_told_by(message), is_cell=True),
+                        _code(_recognised_by(message), is_cell=True),
                         _WAYS[message.direction],
                         _lengths(message),
                         _escaped(_first_line(message.doc)),
@@ -99,7 +99,7 @@ class _Page:
             rows.append(
                 (
                     self._link(message),
-                    _code(_told_by(message), is_cell=True),
+                    _code(_recognised_by(message), is_cell=True),
                     _WAYS[message.direction],
                     _lengths(message),
                     _escaped(_first_line(message.doc)),
@@ -164,8 +164,8 @@ class _Page:
             facts.append(", ".join([f"identifier `{self._identifier(message)}`", *ranges, *kinds]))
         if message.transport is not None:
             facts.append(f"carried by {message.transport.describe}")
-        if told := _told_by(message):
-            facts.append(f"recognised by {_code(told)}")
+        if how := _recognised_by(message):
+            facts.append(f"recognised by {_code(how)}")
         facts.append(f"{_lengths(message)} bytes")
         if message.direction is not None:
             facts.append(message.direction)
@@ -209,7 +209,7 @@ class _Page:
 # ---------------------------------------------------------------------- facts
 
 
-def _told_by(message: Message) -> str:
+def _recognised_by(message: Message) -> str:
     """What distinguishes a message from others beside its identifier: matched head fields, constants of its payload."""
     parts: list[str] = []
     covered: set[int] = set()

@@ -463,7 +463,7 @@ class _Printer:
         else:
             more["field"] = self._field(abbr, leaf.path, kind, base, table if is_table else None, leaf.doc)
             if table is not None and not is_table:
-                more |= {"names": table, "is_told": True}
+                more |= {"names": table, "is_named": True}
         if scale is not None and scale.unknown:
             # (least, greatest) of each run of values
             more["unknown"] = [list(run) for run in scale.unknown_runs if run[0] == run[0]]

@@ -125,7 +125,7 @@ class _Builder:
                 self._leave_out(message, line, str(left))
         if any(one.transport is not None for one in found):
             found = self._without_carriers(found)
-        self._tell_apart(found)
+        self._distinguish(found)
         for one in found:
             message, line = one.message, one.line
             try:
@@ -173,7 +173,7 @@ class _Builder:
             message, line, name, IdPattern(message.frame_id), is_j1939=is_j1939, fd=fd, transport=transport
         )
 
-    def _tell_apart(self, found: Sequence[_Taken]) -> None:
+    def _distinguish(self, found: Sequence[_Taken]) -> None:
         """Decide identifiers, formats and order of trial, each message seen beside the others."""
         alike: dict[tuple[int, bool], list[_Taken]] = {}
         groups: dict[int, list[_Taken]] = {}

@@ -1,4 +1,4 @@
-"""Why bytes are decoded as they are: the scanner's decisions, template by template, word by word (the paper's Fig. 5).
+"""Why bytes are decoded as they are: the scanner's decisions, template by template, part by part (the paper's Fig. 5).
 
 >>> from aces_bus.protocol.explain import Tracer
 >>> from aces_protocols.robotis.spec import robotis

@@ -1,7 +1,7 @@
-"""What was tried at one place of the input: word by word, which templates were still possible, and why others were not.
+"""What was tried at one place of the input: part by part, which templates were still possible, and why others were not.
 
 1. Data only. `found` is the reference's own answer; the steps say how it comes about.
-2. A word is a byte of a stream; of a frame its identifier, its kind, its length, and then each byte.
+2. A part is a byte of a stream; of a frame its identifier, its kind, its length, and then each byte.
 """
 
 from __future__ import annotations
@@ -36,24 +36,24 @@ class FieldRead:
 
 @dataclass(frozen=True)
 class Step:
-    """One word: its place ("7", "id"), its text ("FF", "063"), what it is to the template that lived longest."""
+    """One part: its place ("7", "id"), its text ("FF", "063"), what it is to the template that lived longest."""
 
     place: str
-    word: str
+    part: str
     what: str
     died: tuple[Death, ...]
     read: tuple[FieldRead, ...]
-    #: Templates that are possible behind this word.
+    #: Templates that are possible behind this part.
     alive: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class TemplateTrace:
-    """A template over the words of an attempt: what it expects at each, up to where it dies."""
+    """A template over the parts of an attempt: what it expects at each, up to where it dies."""
 
     template: str
     cells: tuple[str, ...]
-    #: The number of the word that kills it; None: none does.
+    #: The number of the part that kills it; None: none does.
     dies_at: int | None
     is_chosen: bool = False
     #: The class of the reason for which it dies.
@@ -75,7 +75,7 @@ class Attempt:
     request: tuple[str, Mapping[str, Any]] | None = None
     is_can: bool = False
     frame: Any = None
-    #: Words that are not shown, because there are too many.
+    #: Parts that are not shown, because there are too many.
     left_out: int = 0
     #: A run of attempts that failed alike: so many.
     run: int = 1
@@ -100,11 +100,11 @@ def candump_text(frame: Frame) -> str:
     """A frame as candump writes it, its bytes apart."""
     from ..declare.examples import ExampleFrame
 
-    word = ExampleFrame(
+    shown = ExampleFrame(
         bytes(frame.data),
         int(frame.arbitration_id),
         bool(frame.is_extended_id),
         bool(frame.is_remote_frame),
         bool(frame.is_fd),
     )
-    return frame_text(word)
+    return frame_text(shown)

@@ -1,4 +1,4 @@
-"""One message as a template that is compared word by word: what it expects where, and the first word that rules it out.
+"""One message as a template that is compared part by part: what it expects where, and the first part that rules it out.
 
 1. `death` of a prefix says what no continuation can mend; it never contradicts the construct, which judges the whole.
 2. Positions come from the plan. Where stuffing moves bytes, only the framing is judged before the end.
@@ -90,7 +90,7 @@ class Template:
             return self._bad(data, judged.reason)
         return None
 
-    def last_word(self, image: bytes, request: Mapping[str, Any] | None) -> tuple[str, str] | None:
+    def last_part(self, image: bytes, request: Mapping[str, Any] | None) -> tuple[str, str] | None:
         """Why a whole packet or frame is not this message after all."""
         try:
             self.message.struct.parse(image, raw=True, request=request)

@@ -21,8 +21,8 @@ from ..reference import PastRequest, Reference, ReferenceItem
 from .attempt import Attempt, Death, FieldRead, Step, TemplateTrace
 from .template import Template
 
-#: Words of one attempt that are explained; of longer packets the first ones and the last.
-WORDS = 160
+#: Parts of one attempt that are explained; of longer packets the first ones and the last.
+PARTS = 160
 
 
 class Tracer(Reference):
@@ -100,14 +100,14 @@ class Tracer(Reference):
                 one: one.judge(prefix, 0, silent=silent, extras=self._extras[one]) for one in framings
             }
             sizes |= {one: known for one in framings if (known := _size_of(one, prefix)) is not None}
-            contest.word(
+            contest.part(
                 (t, _death(t, prefix, verdicts[t.framing], sizes.get(t.framing), found, silent, is_last))
                 for t in contest.alive
             )
             offsets.append(at - start - 1)
             if is_last:
                 break
-            if len(offsets) == WORDS and contest.alive:
+            if len(offsets) == PARTS and contest.alive:
                 # Of what is longer only the end is of interest: there length, end and check decide.
                 reach = size or max(
                     sizes.get(t.framing) or t.framing.max_size for t in contest.alive if t.framing is not None
@@ -117,7 +117,7 @@ class Tracer(Reference):
                 at += left_out
         lead = contest.lead(found)
         steps: list[Step] = []
-        for offset, (died, living) in zip(offsets, contest.words, strict=True):
+        for offset, (died, living) in zip(offsets, contest.parts, strict=True):
             prefix = data[start : start + offset + 1]
             what = lead.label(offset, size if size is not None else sizes.get(lead.framing), prefix)
             read = _readings(lead, living, prefix)
@@ -169,19 +169,19 @@ class Tracer(Reference):
         if frame.is_error_frame or (found.transport is not None and not found.packet):
             return Attempt(number, (), (), (), found, number + 1, is_can=True, frame=frame, raw=data)
         contest = _Contest(self.templates)
-        words, every = _shown(words_of(frame, data))
-        for word in words:
-            contest.word(
+        parts, every = _shown(frame_parts(frame, data))
+        for part in parts:
+            contest.part(
                 (
                     t,
-                    frame_death(t, frame, data, word, found.transport)
-                    or (_whole_death(t, image, found) if word is words[-1] else None),
+                    frame_death(t, frame, data, part, found.transport)
+                    or (_whole_death(t, image, found) if part is parts[-1] else None),
                 )
                 for t in contest.alive
             )
         lead = contest.lead(found)
         steps: list[Step] = []
-        for (place, text, offset), (died, living) in zip(words, contest.words, strict=True):
+        for (place, text, offset), (died, living) in zip(parts, contest.parts, strict=True):
             read: tuple[FieldRead, ...] = ()
             what = {"id": "identifier", "kind": "kind of frame", "length": "length"}.get(place, "")
             if place == "id" and lead.message.identifier.match(frame.arbitration_id) is not None:
@@ -195,49 +195,49 @@ class Tracer(Reference):
             number,
             tuple(t.name for t in self.templates),
             tuple(_completed(steps, found, lead)),
-            contest.rows(found, lambda t, index: frame_cell(t, words[index])),
+            contest.rows(found, lambda t, index: frame_cell(t, parts[index])),
             found,
             number + 1,
             _asked(found.request),
             is_can=True,
             frame=frame,
-            left_out=every - len(words),
+            left_out=every - len(parts),
             raw=data,
         )
 
 
-def _shown(words: list[Word]) -> tuple[list[Word], int]:
-    """The words of a frame or packet that are explained, and how many there are: of a long one the first, and the last."""
-    return ([*words[: WORDS - 1], words[-1]] if len(words) > WORDS else words), len(words)
+def _shown(parts: list[Part]) -> tuple[list[Part], int]:
+    """The parts of a frame or packet that are explained, and how many there are: of a long one the first, and the last."""
+    return ([*parts[: PARTS - 1], parts[-1]] if len(parts) > PARTS else parts), len(parts)
 
 
 class _Contest:
-    """Which templates are still possible, word after word."""
+    """Which templates are still possible, part after part."""
 
     def __init__(self, templates: Sequence[Template]) -> None:
         self.templates, self.alive = templates, list(templates)
-        #: By template, the number of the word that ruled it out, and the class of the reason.
+        #: By template, the number of the part that ruled it out, and the class of the reason.
         self.dead: dict[str, tuple[int, str]] = {}
-        #: Of each word, what it ruled out, and what was possible behind it.
-        self.words: list[tuple[list[Death], list[Template]]] = []
+        #: Of each part, what it ruled out, and what was possible behind it.
+        self.parts: list[tuple[list[Death], list[Template]]] = []
 
-    def word(self, reasons: Iterable[tuple[Template, tuple[str, str] | None]]) -> None:
-        """One word more; each template with the reason that rules it out."""
+    def part(self, reasons: Iterable[tuple[Template, tuple[str, str] | None]]) -> None:
+        """One part more; each template with the reason that rules it out."""
         died: list[Death] = []
         for template, why in list(reasons):
             if why is not None:
                 died.append(Death(template.name, *why))
-                self.dead[template.name] = len(self.words), why[0]
+                self.dead[template.name] = len(self.parts), why[0]
                 self.alive.remove(template)
-        self.words.append((died, list(self.alive)))
+        self.parts.append((died, list(self.alive)))
 
     def lead(self, found: ReferenceItem) -> Template:
-        """The template whose words are named: the one that was accepted, else one that lived longest."""
+        """The template whose parts are named: the one that was accepted, else one that lived longest."""
         for template in self.templates:
             message = template.message
             if message.name == found.message and found.protocol in (None, message.protocol.name):
                 return template
-        for died, living in reversed(self.words):
+        for died, living in reversed(self.parts):
             if living:
                 return living[0]
             if died:
@@ -245,12 +245,12 @@ class _Contest:
         return self.templates[0]
 
     def rows(self, found: ReferenceItem, cell: Callable[[Template, int], str]) -> tuple[TemplateTrace, ...]:
-        """What each template expects, up to the word that rules it out; `cell` gives one entry."""
+        """What each template expects, up to the part that rules it out; `cell` gives one entry."""
         lead, rows = self.lead(found), []
         for template in self.templates:
             dies_at, why = self.dead.get(template.name, (None, ""))
             cells = tuple(
-                cell(template, index) for index in range(len(self.words) if dies_at is None else dies_at + 1)
+                cell(template, index) for index in range(len(self.parts) if dies_at is None else dies_at + 1)
             )
             is_chosen = template is lead and found.message is not None
             rows.append(TemplateTrace(template.name, cells, dies_at, is_chosen, why))
@@ -284,7 +284,7 @@ def _whole_death(template: Template, image: bytes, found: ReferenceItem) -> tupl
     if template.message.name == found.message:
         return None
     past = found.request
-    why = template.last_word(image, past.values if past is not None else None)
+    why = template.last_part(image, past.values if past is not None else None)
     return why or unchosen(template, found, past)
 
 
@@ -321,26 +321,26 @@ def _completed(steps: list[Step], found: ReferenceItem, lead: Template) -> list[
 
 
 #: Place, text, and of a byte its offset.
-Word = tuple[str, str, int | None]
+Part = tuple[str, str, int | None]
 
 
-def words_of(frame: Any, data: bytes) -> list[Word]:
+def frame_parts(frame: Any, data: bytes) -> list[Part]:
     digits = 8 if frame.is_extended_id else 3
     kinds = [
         k for k, given in (("29 bits", frame.is_extended_id), ("remote", frame.is_remote_frame)) if given
     ]
     kinds += ["CAN FD"] if frame.is_fd else []
-    words: list[Word] = [("id", f"{frame.arbitration_id:0{digits}X}", None)]
-    words += [("kind", ", ".join(kinds), None)] if kinds else []
-    words.append(("length", str(len(data)), None))
-    return words + [(f"d{at}", f"{byte:02X}", at) for at, byte in enumerate(data)]
+    parts: list[Part] = [("id", f"{frame.arbitration_id:0{digits}X}", None)]
+    parts += [("kind", ", ".join(kinds), None)] if kinds else []
+    parts.append(("length", str(len(data)), None))
+    return parts + [(f"d{at}", f"{byte:02X}", at) for at, byte in enumerate(data)]
 
 
 def frame_death(
-    template: Template, frame: Any, data: bytes, word: Word, transport: Transport | None = None
+    template: Template, frame: Any, data: bytes, part: Part, transport: Transport | None = None
 ) -> tuple[str, str] | None:
     message = template.message
-    place, _, offset = word
+    place, _, offset = part
     match place:
         case "id":
             if message.transport != transport:
@@ -393,8 +393,8 @@ def captures(lead: Template, living: Sequence[Template], frame: Any) -> tuple[Fi
     )
 
 
-def frame_cell(template: Template, word: Word) -> str:
-    place, _, offset = word
+def frame_cell(template: Template, part: Part) -> str:
+    place, _, offset = part
     message = template.message
     match place:
         case "id":

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 
 from ..declare.bits import runs_of
 from ..declare.head import Head
@@ -378,10 +378,11 @@ def _head_writer(head: Head) -> Callable[[dict[str, object]], bytes]:
 
         return captured
 
-    def written(fields: dict[str, object]) -> bytes:
-        data = bytes(head.field.build(fields[name]))
+    @lru_cache(maxsize=64, typed=True)  # an opcode or a mode: few values, again and again
+    def written(value: object) -> bytes:
+        data = bytes(head.field.build(value))
         if head.pattern is not None and head.pattern.match(head.number(bytes(head.offset) + data)) is None:
             raise ValueError(name)
         return data
 
-    return written
+    return lambda fields: written(fields[name])

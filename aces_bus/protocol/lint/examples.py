@@ -37,9 +37,9 @@ def check_examples(protocol: Protocol) -> Iterator[Finding]:
                     "error",
                     "example",
                     message.place,
-                    f"{message.name}: example {example.word}: {text}",
+                    f"{message.name}: example {example.packet}: {text}",
                     message.name,
-                    _witness(example.word),
+                    _witness(example.packet),
                 )
     without = [m.name for m in protocol.declared if not m.examples]
     if without:
@@ -52,8 +52,8 @@ def check_examples(protocol: Protocol) -> Iterator[Finding]:
         )
 
 
-def _witness(word: ExampleFrame) -> str:
-    return str(word) if word.identifier is not None else f"hex:{word.data.hex().upper()}"
+def _witness(packet: ExampleFrame) -> str:
+    return str(packet) if packet.identifier is not None else f"hex:{packet.data.hex().upper()}"
 
 
 def failure(message: Message, example: Example) -> str | None:
@@ -64,7 +64,7 @@ def failure(message: Message, example: Example) -> str | None:
         if isinstance(asked, str):
             return asked
         request = asked
-    image = example.word.image
+    image = example.packet.image
     try:
         values = message.struct.parse(image, request=request)
     except NotThisError as error:
@@ -88,7 +88,7 @@ def failure(message: Message, example: Example) -> str | None:
     except (ConstructError, AcesError, KeyError, TypeError, AttributeError, ValueError) as error:
         return f"its fields cannot be written: {error_text(error)}"
     if built != image and not (isinstance(message.payload, Delimited) and _reads_as(message, built, found)):
-        return f"its fields are written as {_shown(built, example.word)}"
+        return f"its fields are written as {_shown(built, example.packet)}"
     return _unrecognised(message, example)
 
 
@@ -118,19 +118,19 @@ def _shown(image: bytes, like: ExampleFrame) -> str:
     return str(ExampleFrame(image[5:], number, like.extended, like.remote, like.fd))
 
 
-def _request_of(message: Message, word: ExampleFrame) -> Mapping[str, Any] | str:
+def _request_of(message: Message, packet: ExampleFrame) -> Mapping[str, Any] | str:
     """The raw fields of the request in an example, or why it is none."""
     wanted = [*message.reply_to, *message.after]
     if not wanted:
         return f"it has a request, and {message.name} answers none (reply_to=, after=)"
     for request in wanted:
         try:
-            values = request.message.struct.parse(word.image, raw=True)
+            values = request.message.struct.parse(packet.image, raw=True)
         except (ConstructError, AcesError):
             continue
         if request.accepts(values):
             return dict(values)
-    return f"its request {word} is none of {', '.join(map(str, wanted))}"
+    return f"its request {packet} is none of {', '.join(map(str, wanted))}"
 
 
 def _unrecognised(message: Message, example: Example) -> str | None:
@@ -155,25 +155,25 @@ def read_example(variant: Variant, message: Message, example: Example) -> Refere
     """What the reference makes of an example, its request being seen first."""
     if message.framing is None:
         reference = Reference([variant])
-        words = [*(example.frames or (example.word,))]
+        frames = [*(example.frames or (example.packet,))]
         if example.request is not None:
-            words.insert(0, example.request)
-        return reference.frames([example_frame(word) for word in words])[-1]
+            frames.insert(0, example.request)
+        return reference.frames([example_frame(frame) for frame in frames])[-1]
     reference = Reference([variant], direction=message.direction)
     if example.request is not None:
         reference.sent(example.request.data)
-    (first, *_) = reference.stream(example.word.data)
+    (first, *_) = reference.stream(example.packet.data)
     return first
 
 
-def example_frame(word: ExampleFrame) -> Frame:
+def example_frame(packet: ExampleFrame) -> Frame:
     """A frame with these bytes."""
     return Frame(
-        word.identifier or 0,
-        word.data,
-        is_extended_id=word.extended,
-        is_remote_frame=word.remote,
-        is_fd=word.fd,
+        packet.identifier or 0,
+        packet.data,
+        is_extended_id=packet.extended,
+        is_remote_frame=packet.remote,
+        is_fd=packet.fd,
     )
 
 

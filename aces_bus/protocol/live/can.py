@@ -4,179 +4,30 @@
 2. The usual frame costs one table look-up and one generated call. Everything unusual (the first frame of an identifier,
    frames with flags, requests and replies, losses) is beside that path.
 3. Each frame ends in exactly one bin of `counts`.
-4. Where protocols are bound to channels, a frame is decided by those of its channel alone: bound to it or to none, in the
-   order given. Each channel has a scanner of its own, made when its first frame comes; what is asked on one bus is
-   answered there.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import lru_cache, partial
-from itertools import groupby, repeat
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from functools import partial
+from itertools import repeat
+from typing import Any, Literal
 
-from construct import ConstructError
-
-from ...errors import AcesError
 from ...frame_table import NO_TIME, RX, UNUSUAL, FrameTable
-from ..counts import ScanCounts, sum_counts
+from ..counts import ScanCounts
 from ..declare.message import Direction, Message
-from ..declare.packet import ContentError, LengthError, WrongCheckError, can_image
 from ..declare.protocol import Variant
 from ..declare.transport import Transport
-from ..keys import EXTENDED, FD, REMOTE, key_of
+from ..keys import FD, key_of
 from ..record import CarriedBytes, Meta, Record, Unknown
-from .decide import REMEMBERED, Decider, Decode
+from .can_keys import CanDecider
+from .decide import REMEMBERED, Decode
 from .reassemble import Packet, Reassembler
 
 #: By the two highest flags of a frame table, RX and TX: whether a frame was received.
 _WAY = RX.bit_length() - 1
 _WAYS = (None, True, False, True)
-
-#: Identifier patterns up to this many numbers are spelt out in the table; larger ones are matched and then remembered.
-SPELT_OUT = 4096
-#: The same where all of them together have more numbers than are remembered (a database of J1939 messages).
-SPELT_OUT_OF_MANY = 16
-
-
-_KINDS = EXTENDED | REMOTE | FD
-
-
-def _kinds_of(message: Message) -> list[int]:
-    """The flags of the keys of a message's frames."""
-    return [key_of(0, extended=message.extended, remote=message.remote, fd=fd) for fd in message.formats]
-
-
-class _Index:
-    """Messages by those bits of their keys that never vary: what a key may be is found without trying them all."""
-
-    def __init__(self, messages: Sequence[Message]) -> None:
-        self._by_mask: dict[int, dict[int, list[tuple[int, Message]]]] = {}
-        for number, message in enumerate(messages):
-            flags = _kinds_of(message)[0]
-            mask = message.identifier.fixed | _KINDS
-            mask = mask & ~FD if message.any_format else mask
-            key = (message.identifier.constant | flags) & mask
-            self._by_mask.setdefault(mask, {}).setdefault(key, []).append((number, message))
-
-    def of(self, key: int) -> list[Message]:
-        """The messages whose identifier and flags fit, in order."""
-        identifier = key & 0x1FFF_FFFF
-        found = [
-            (number, message)
-            for mask, table in self._by_mask.items()
-            for number, message in table.get(key & mask, ())
-            if message.identifier.match(identifier) is not None and key & _KINDS in _kinds_of(message)
-        ]
-        if len(found) > 1:
-            found.sort(key=lambda one: one[0])
-        return [message for _, message in found]
-
-
-class _Keys:
-    """What the keys of CAN frames may be, by the messages alone: the same for every scanner of a variant and direction."""
-
-    def __init__(self, messages: Sequence[Message]) -> None:
-        patterns: list[Message] = []
-        by_key: dict[int, list[Message]] = {}
-        total = sum(len(m.identifier) for m in messages if len(m.identifier) <= SPELT_OUT)
-        most = SPELT_OUT if total <= REMEMBERED else SPELT_OUT_OF_MANY
-        for message in messages:
-            if len(message.identifier) <= most:
-                for flags in _kinds_of(message):
-                    for identifier in message.identifier:
-                        by_key.setdefault(identifier | flags, []).append(message)
-            else:
-                patterns.append(message)
-        self.has_patterns = bool(patterns)
-        self.patterns, self.all = _Index(patterns), _Index(messages)
-        same: dict[tuple[Message, ...], tuple[Message, ...]] = {}
-        #: The candidates of each key that is spelt out.
-        self.spelt_out: dict[int, tuple[Message, ...]] = {}
-        for key, known in by_key.items():
-            found = (*known, *self.patterns.of(key)) if patterns else tuple(known)
-            self.spelt_out[key] = same.setdefault(found, found)
-
-
-@lru_cache(maxsize=32)
-def _keys(messages: tuple[Message, ...]) -> _Keys:
-    return _Keys(messages)
-
-
-class _Wire(Decider):
-    """One variant's part of a CAN scanner: from key to the function that decodes it."""
-
-    def __init__(self, variant: Variant, direction: Direction | Literal["both"] | None, *, raw: bool) -> None:
-        super().__init__(variant, direction, raw=raw)
-        #: The keys of frames (None), and of the packets of each transport.
-        self._spaces = {
-            transport: _keys(tuple(m for m in self.messages if m.transport == transport))
-            for transport in (
-                None,
-                *dict.fromkeys(m.transport for m in self.messages if m.transport is not None),
-            )
-        }
-        #: The candidates of each key that is spelt out.
-        self.spelt_out = self._spaces[None].spelt_out
-
-    @property
-    def transports(self) -> list[Transport]:
-        """What carries its messages that are longer than a frame."""
-        return [transport for transport in self._spaces if transport is not None]
-
-    def carried_by(self, key: int) -> Transport | None:
-        """The transport whose frames have a key, which is without the flag of CAN FD."""
-        for transport, keys in self._spaces.items():
-            if transport is not None and (keys.all.of(key) or transport.is_own(key)):
-                return transport
-        return None
-
-    def candidates(self, key: int, transport: Transport | None = None) -> list[Message]:
-        """The messages whose identifier and flags fit, in order; of a `transport`, those of its packets."""
-        keys = self._spaces.get(transport)
-        return keys.all.of(key) if keys is not None else []
-
-    @staticmethod
-    def matching(key: int, messages: Iterable[Message]) -> list[Message]:
-        """Those of `messages` whose identifier and flags fit."""
-        identifier = key & 0x1FFF_FFFF
-        return [
-            m for m in messages if key & _KINDS in _kinds_of(m) and m.identifier.match(identifier) is not None
-        ]
-
-    def lookup(self, key: int, transport: Transport | None = None) -> Decode | None:
-        """The function that decodes a key; None for one that no message has."""
-        keys = self._spaces.get(transport)
-        found: Sequence[Message] = keys.spelt_out.get(key, ()) if keys is not None else ()
-        if not found and keys is not None and keys.has_patterns:
-            found = keys.patterns.of(key)
-        return self.decide(found, alone=True) if found else None
-
-    def reason(self, key: int, data: bytes, transport: Transport | None = None) -> str:
-        """Why a frame, or a packet of a `transport`, is none of the messages."""
-        need = self.need_of(key)
-        if need:
-            self.forget_need()
-            return need
-        identifier = key & 0x1FFF_FFFF
-        image = can_image(
-            identifier, data, extended=bool(key & EXTENDED), remote=bool(key & REMOTE), fd=bool(key & FD)
-        )
-        for message in self.candidates(key, transport):
-            try:
-                message.struct.parse(image, raw=True)
-            except LengthError:
-                return f"malformed: length {len(data)}, {message.name} has {message.describe_lengths}"
-            except WrongCheckError:
-                return "malformed: checksum"
-            except ContentError as error:
-                if error.what and not message.request_fields:
-                    return f"malformed: {error.what}"
-            except (ConstructError, AcesError):
-                continue
-        return "unknown"
 
 
 class CanScanner:
@@ -199,13 +50,15 @@ class CanScanner:
         self.variants = tuple(variants)
         self.direction = direction
         self.include_unknown = include_unknown
-        self.wires = [_Wire(variant, direction, raw=raw) for variant in variants]
+        self.wires = [CanDecider(variant, direction, raw=raw) for variant in variants]
         #: By key, what decodes it; made when the first frame with that key comes.
         self._table: dict[int, Decode] = {}
         #: By key, the requests that a frame of our own may be.
-        self._asked: dict[Any, list[tuple[_Wire, Message]]] = {}
+        self._asked: dict[Any, list[tuple[CanDecider, Message]]] = {}
+        #: Keys that no request has; they are among `_asked`, and bounded as these.
+        self._unasked: set[int] = set()
         #: By key and data, requests of our own with their fields: polls are the same frames again and again.
-        self._requests: dict[tuple[int, bytes], tuple[_Wire, str, Mapping[str, Any]]] = {}
+        self._requests: dict[tuple[int, bytes], tuple[CanDecider, str, Mapping[str, Any]]] = {}
         self._counts = ScanCounts()
         #: Keys that two protocols claim, with their names, first the one that wins.
         self.contested: dict[int, tuple[str, str]] = {}
@@ -228,8 +81,9 @@ class CanScanner:
         #: The number of the frame that is looked at, and where what was given out last came from; see `feed_numbered`.
         self._number = 0
         self._origins: list[int] | None = None
-        # The method's place is taken by the closure: no look-up of `self` in the hot loop.
+        # The methods' places are taken by closures: no look-up of `self` in the hot loop.
         self.__dict__["feed"] = self._make_feed()
+        self.__dict__["take"] = self._make_take()
 
     def _lookup(self, key: int) -> Decode | None:
         """The function that decodes a key, which is remembered: the protocols that claim it, in order."""
@@ -273,6 +127,28 @@ class CanScanner:
     def feed(self, frames: Iterable[Any], /) -> list[Record]:
         """Records of `frames`, in order; see the class."""
         return self._make_feed()(frames)
+
+    def take(self, frame: Any, /) -> Any:
+        """The record of one usual frame, without a list around it; None: nothing was done with it, `feed` is to have it."""
+        return self._make_take()(frame)
+
+    def _make_take(self) -> Callable[[Any], Any]:
+        table, given, error = self._table, self._given, struct.error
+
+        def take(frame: Any) -> Any:
+            if frame.is_extended_id or frame.is_remote_frame or frame.is_fd or frame.is_error_frame:
+                return None
+            try:
+                record = table[key := frame.arbitration_id](
+                    data := b"" + frame.data, key, frame.timestamp, frame.channel, data, frame.is_rx
+                )
+            except (KeyError, error):
+                return None
+            if record is not None:
+                given[0] += 1
+            return record
+
+        return take
 
     def _make_feed(self) -> Callable[[Iterable[Any]], list[Any]]:
         """The hot loop, as a closure: what it touches for each frame are local names."""
@@ -505,9 +381,14 @@ class CanScanner:
     def sent(self, frame: Any) -> None:
         """Our own transmission: a request that replies may hang on. It is not counted and gives no record."""
         key = self._key_of(frame)
+        if key in self._unasked:  # no reply hangs on it: most set-points
+            return
         carrier = self._carrier_at(key)
         if carrier is None:
-            self._note(self._request_of(key, bytes(frame.data), None), frame)
+            known = self._request_of(key, bytes(frame.data), None)
+            if known is None and not self._asked.get(key, True):
+                self._unasked.add(key)
+            self._note(known, frame)
             return
         for packet in carrier.sent.take(
             frame, 0, key & ~FD, bytes(frame.data), frame.channel, frame.timestamp
@@ -622,98 +503,3 @@ class _Carrier:
         """Forget packets under way."""
         self.reassembler.reset()
         self.sent.reset()
-
-
-#: Channels with scanners of their own; the frames of more channels share the one of unbound protocols.
-MOST = 256
-
-
-class _Counting(Protocol):
-    """What channels have a scanner each of."""
-
-    @property
-    def counts(self) -> ScanCounts: ...
-    @property
-    def contested(self) -> Mapping[int, tuple[str, str]]: ...
-
-
-Kind = TypeVar("Kind", bound=_Counting)
-
-
-class ChannelScanners(Generic[Kind]):
-    """A scanner for each channel, made on demand."""
-
-    link = "can"
-
-    def __init__(self, variants: Sequence[Variant], make: Callable[[Sequence[Variant]], Kind]) -> None:
-        self.variants = tuple(variants)
-        self._make: Callable[[Sequence[Variant]], Kind] = make
-        self._bound = {variant.channel for variant in variants}
-        self._scanners: dict[str | None, Kind] = {}
-
-    def of(self, channel: str | None) -> Kind:
-        """The scanner of a channel; channels that no protocol is bound to keep apart too."""
-        if channel not in self._scanners:
-            if len(self._scanners) >= MOST and channel not in self._bound:
-                channel = None
-            mine = [v for v in self.variants if v.channel is None or v.channel == channel]
-            self._scanners[channel] = self._make(mine)
-        return self._scanners[channel]
-
-    @property
-    def counts(self) -> ScanCounts:
-        """Where every frame went so far, all channels together."""
-        return sum_counts(scanner.counts for scanner in self._scanners.values())
-
-    @property
-    def contested(self) -> Mapping[int, tuple[str, str]]:
-        """Keys that two protocols of one channel claim, with their names, first the one that wins."""
-        found: dict[int, tuple[str, str]] = {}
-        for scanner in self._scanners.values():
-            found.update(scanner.contested)
-        return found
-
-
-class ChannelScanner(ChannelScanners[CanScanner]):
-    """The live scanner of several channels; made by `make_scanner` when a protocol is bound to one."""
-
-    def __init__(
-        self,
-        variants: Sequence[Variant],
-        *,
-        direction: Direction | Literal["both"] | None = None,
-        include_unknown: bool = False,
-        raw: bool = False,
-    ) -> None:
-        super().__init__(
-            variants,
-            lambda mine: CanScanner(mine, direction=direction, include_unknown=include_unknown, raw=raw),
-        )
-
-    def feed(self, frames: Iterable[Any], /) -> list[Record]:
-        """Records of `frames`, in order."""
-        out: list[Any] = []
-        for channel, some in groupby(frames, key=lambda frame: frame.channel):
-            out += self.of(channel).feed(list(some))
-        return out
-
-    @property
-    def has_transports(self) -> bool:
-        """Whether some messages are carried in several frames."""
-        return any(m.transport is not None for variant in self.variants for m in variant.messages.values())
-
-    def reset(self) -> None:
-        """Forget everything seen, counts included: as if just made."""
-        self._scanners.clear()
-
-    def sent(self, frame: Any) -> None:
-        """Our own transmission: a request that replies on its channel may hang on."""
-        self.of(frame.channel).sent(frame)
-
-    def idle(self, time: float | None = None) -> list[Record]:
-        """Silence on all channels; see `CanScanner.idle`."""
-        return [record for scanner in self._scanners.values() for record in scanner.idle(time)]
-
-    def close(self) -> list[Record]:
-        """The end of a capture; see `CanScanner.close`."""
-        return [record for scanner in self._scanners.values() for record in scanner.close()]

@@ -60,6 +60,8 @@ class Context:
         self._links: dict[str, list[RequestLink]] = {}
         #: By request, the sets of fields that replies share with it, each with what makes a device of them.
         self._kinds: dict[str, dict[tuple[str, ...], Who]] = {}
+        #: By message, all fields that it shares with its requests: what `of` looks at.
+        self.shared: dict[str, tuple[str, ...]] = {}
         self._seen: dict[tuple[Any, ...], list[Entry]] = {}
         self._count = 0
         self._broadcast = broadcast
@@ -84,6 +86,7 @@ class Context:
             is_common = any(name in self._broadcast for name in shared)
             links.append(RequestLink(request, shared, is_sticky, who, to_all if is_common else ()))
             self._kinds.setdefault(request.message.name, {})[shared] = who
+        self.shared[message.name] = tuple(dict.fromkeys(name for link in links for name in link.shared))
 
     def reset(self) -> None:
         """Forget what has been asked."""
@@ -125,7 +128,7 @@ class Context:
     def of(
         self, candidates: Sequence[tuple[Message, Mapping[str, Any]]], channel: Any, time: float | None
     ) -> tuple[Message, Mapping[str, Any]] | None:
-        """Which candidate (a message and its raw fields) the context allows, with the request's values.
+        """Which candidate (a message and its raw `shared` fields) the context allows, with the request's values.
 
         Uses up the request, unless it is a mode; one that was addressed to everyone, for the device that answers.
         """

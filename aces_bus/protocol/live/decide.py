@@ -143,7 +143,7 @@ class Decider:
             record = decode(data, key, time, channel, packet, rx)
             if record is not None and is_answer:
                 seen = self.raw_decoders[message.name](data, key, time, channel, packet, None)
-                self.context.of([(message, _values(seen))], channel, time)
+                self.context.of([(message, self._shared(message, seen))], channel, time)
             if record is not None and is_request:
                 self.note(message, data, key, time, channel, packet)
             return record
@@ -164,6 +164,10 @@ class Decider:
         seen = self.raw_decoders[message.name](data, key, None, None, packet, None)
         return None if seen is None else _values(seen)
 
+    def _shared(self, message: Message, record: Any) -> dict[str, Any]:
+        """What a raw record has in the fields that its message shares with its requests."""
+        return {name: getattr(record, name, None) for name in self.context.shared[message.name]}
+
     def _with_context(self, bound: Sequence[Message], otherwise: Decode | None) -> Decode:
         """Replies that only their request tells apart; after them the messages that need none."""
         context, raw, decoders = self.context, self.raw_decoders, self.decoders
@@ -178,7 +182,7 @@ class Decider:
             packet: bytes,
             rx: Any,
         ) -> list[tuple[Message, dict[str, Any]]]:
-            """Those that the bytes may be, with their raw fields."""
+            """Those that the bytes may be, with what they share with their requests."""
             fitting = []
             for message in messages:
                 seen = raw[message.name](data, key, time, channel, packet, rx)
@@ -195,12 +199,17 @@ class Decider:
                         else None
                     )
                 if seen is not None:
-                    fitting.append((message, _values(seen)))
+                    fitting.append((message, self._shared(message, seen)))
             return fitting
 
+        likely: list[Message] = []
+        noted = set[str]()
+
         def decode(data: bytes, key: int, time: Any, channel: Any, packet: bytes, rx: Any) -> Any:
-            # What was never asked cannot be answered.
-            likely = [message for message in bound if not context.noted.isdisjoint(asked[message])]
+            nonlocal likely, noted
+            if context.noted != noted:  # what was never asked cannot be answered
+                noted = set(context.noted)
+                likely = [message for message in bound if not noted.isdisjoint(asked[message])]
             fitting = fit(likely, data, key, time, channel, packet, rx) if likely else []
             if fitting:
                 found = context.of(fitting, channel, time)

@@ -27,7 +27,7 @@ class Scanner(typing.Protocol):
     """What every scanner does; `CanScanner` and `StreamScanner` say how.
 
     A scanner is for one thread: it holds no lock, and two calls at once mix up its buffer and its counts. Give each thread a
-    scanner of its own, or hand its words over through a queue; `check_thread` finds where that is not so.
+    scanner of its own, or hand what it receives over through a queue; `check_thread` finds where that is not so.
     """
 
     @property
@@ -40,7 +40,7 @@ class Scanner(typing.Protocol):
         """What it looks for, in order of precedence."""
         ...
 
-    def feed(self, words: Any, /) -> list[Record]:
+    def feed(self, traffic: Any, /) -> list[Record]:
         """Records of frames (CAN) or of bytes (streams), in order."""
         ...
 
@@ -61,7 +61,7 @@ class Scanner(typing.Protocol):
         """Forget everything seen, counts included: as if just made."""
         ...
 
-    def sent(self, word: Any, /) -> None:
+    def sent(self, packet: Any, /) -> None:
         """Our own transmission: a request that replies may hang on."""
         ...
 
@@ -109,7 +109,7 @@ def make_scanner(
 def _made(variants: Sequence[Variant], links: set[str], **more: Any) -> Scanner:
     if links == {"can"}:
         if any(variant.channel is not None for variant in variants):
-            from .can import ChannelScanner
+            from .channels import ChannelScanner
 
             return ChannelScanner(variants, **more)
         return CanScanner(variants, **more)
@@ -127,7 +127,7 @@ def _guard(scanner: Any) -> None:
             if not lock.acquire(blocking=False):
                 raise CallerError(
                     f"{name} was called while {under_way} was under way: a scanner is for one thread;"
-                    " give each thread one of its own, or hand its words over through a queue"
+                    " give each thread one of its own, or hand what it receives over through a queue"
                 )
             try:
                 under_way = f"{name} in {current_thread().name}"

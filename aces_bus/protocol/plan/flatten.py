@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from functools import lru_cache, reduce
 from typing import Any, Literal
@@ -74,7 +75,7 @@ def flatten(message: Message) -> p.MessagePlan:
         read = builder.constants  # what was read before it stopped is true all the same
         builder = _Builder(message, tail)
         builder.constants = read
-        builder.fields = [p.PlanField(name, _opaque(message.payload, name, opaque)) for name in names]
+        builder.fields = [p.PlanField(name, _opaque(message, name, opaque)) for name in names]
     check = message.check.field if message.check is not None else None
     fields += [f for f in builder.fields if f.name != check]
     least = message.payload_start + (sizes(message.payload)[0] if opaque else builder.least) + tail
@@ -107,11 +108,13 @@ def flatten(message: Message) -> p.MessagePlan:
     )
 
 
-def _opaque(payload: c.Construct, name: str, reason: str) -> p.Opaque:
+def _opaque(message: Message, name: str, reason: str) -> p.Opaque:
     """A field that construct decodes, with what is known of its inside."""
-    items: Any = next((one for one in getattr(payload, "subcons", ()) if one.name == name), None)
+    items: Any = next((one for one in getattr(message.payload, "subcons", ()) if one.name == name), None)
     while isinstance(items, c.Renamed):
         items = items.subcon
+    if isinstance(items, Items):
+        return _Builder(message, 0).described(items, f"{message.name}_{name}", reason)
     if not isinstance(items, ItemList):
         return p.Opaque(reason)
     values: list[tuple[str, int, p.NamedValue]] = []
@@ -466,11 +469,16 @@ class _Builder:
     def _items(self, items: Items, path: str) -> p.TaggedItems:
         """Tagged items up to the end."""
         self._only_here(path)
+        kinds = [self._item_kind(items, kind, path) for kind in items.data]
+        self.is_open = True
+        return self._tagged(items, path, kinds)
+
+    def _item_kind(self, items: Items, kind: str, path: str, *, may_hold_lists: bool = False) -> p.ItemKind:
+        plan = self._alone(items.data[kind], f"{path}_{kind}", may_hold_lists=may_hold_lists)
+        return p.ItemKind(kind, items.numbers[kind], plan, items.fixed_size(kind))
+
+    def _tagged(self, items: Items, path: str, kinds: Sequence[p.ItemKind]) -> p.TaggedItems:
         name = self._group(path, [p.PlanField(one, p.Opaque("")) for one in ITEM]).type_name
-        kinds: list[p.ItemKind] = []
-        for kind, data in items.data.items():
-            plan = self._alone(data, f"{path}_{kind}")
-            kinds.append(p.ItemKind(kind, items.numbers[kind], plan, items.fixed_size(kind)))
         tag, size = (
             None
             if number is None
@@ -478,8 +486,15 @@ class _Builder:
             for number, at in ((items.tag, items.tag_at), (items.size, items.size_at))
         )
         assert tag is not None
-        self.is_open = True
         return p.TaggedItems(self.offset, tag, size, items.head, items.counted, tuple(kinds), name)
+
+    def described(self, items: Items, path: str, reason: str) -> p.DescribedItems:
+        """Tagged items that construct decodes: what is known of the kinds whose data have a flat form, or lists of one."""
+        kinds: list[p.ItemKind] = []
+        for kind in items.data:
+            with contextlib.suppress(NotFlat):
+                kinds.append(self._item_kind(items, kind, path, may_hold_lists=True))
+        return p.DescribedItems(reason, self._tagged(items, path, kinds))
 
     def _repeated(
         self, con: c.Array | c.GreedyRange, fields: Sequence[p.PlanField], path: str
@@ -529,7 +544,7 @@ class _Builder:
         if self.is_open or self.outer is not None:
             raise NotFlat("a list of items that does not end the payload")
 
-    def _alone(self, con: c.Construct, path: str) -> p.MessagePlan:
+    def _alone(self, con: c.Construct, path: str, *, may_hold_lists: bool = False) -> p.MessagePlan:
         """The plan of a construct by itself, from byte 0 on, as the one field `data`."""
         inner = _Builder(self.message, 0)
         inner.offset, inner._shapes = 0, self._shapes
@@ -537,7 +552,8 @@ class _Builder:
             node: p.Node = inner._group(path, inner._struct(con, path, top=True))
         else:
             node = inner._node(con, path)
-        if any(isinstance(one.node, p.ListNode) for one in p.walk([p.PlanField("data", node)])):
+        found = p.walk([p.PlanField("data", node)])
+        if not may_hold_lists and any(isinstance(one.node, p.ListNode) for one in found):
             raise NotFlat("lists of items inside one another")
         is_fixed = not inner.is_open and inner.lengths_by is None
         return p.MessagePlan(

@@ -495,6 +495,24 @@ class OpaqueItems(Opaque, frozen=True):
             )
 
 
+class DescribedItems(Opaque, frozen=True):
+    """Tagged items that construct decodes, because the data of some kind hold lists themselves. `items` is what is known of
+    them: the kinds whose data have a flat form, lists among these."""
+
+    items: TaggedItems
+
+    def inside(self, leaf: NodePath) -> Iterator[NodePath]:
+        """What is in the first good item of each kind; of lists in its data every value."""
+        for kind in self.items.kinds:
+            for one in kind.plan.columns:
+                path = f"{leaf.path}.{kind.name}{one.path.removeprefix('data')}"
+                way = (*leaf.way, FirstOf(kind.name, kind.number), *one.way)
+                doc = one.doc or leaf.doc
+                yield ItemPath(
+                    path, way, one.node, leaf.field, doc, leaf.whens, leaf.conditions, kind, one.path
+                )
+
+
 class PlanField(msgspec.Struct, frozen=True):
     """A field of a record, or of the nested record that it is in. `when`: there only then."""
 

@@ -33,8 +33,8 @@ def packet_of(message: str, **fields: Any) -> bytes:
     >>> packet_of("GetSelected", mask=0x81C0).hex(" ")
     '32 00 00 81 c0'
     """
-    word: bytes = vesc_uart.encode(message, **fields)
-    return word[2:-3] if word.startswith(short.sync) else word[3:-3]
+    packet: bytes = vesc_uart.encode(message, **fields)
+    return packet[2:-3] if packet.startswith(short.sync) else packet[3:-3]
 
 
 class PacketReader:
