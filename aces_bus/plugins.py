@@ -26,6 +26,8 @@ class Plugins(Generic[T]):
         #: What was loaded is kept: searching all that is installed takes milliseconds.
         self._loaded: dict[str, T] = {}
         self._added: list[EntryPoint] = []
+        #: What was last found: whoever lists names and loads them searches once.
+        self._listed: dict[str, EntryPoint] = {}
 
     def points(self) -> dict[str, EntryPoint]:
         """The entry points in order of names, not imported. Raises `SpecError` when two packages claim a name."""
@@ -38,6 +40,7 @@ class Plugins(Generic[T]):
                 raise SpecError(
                     f"two packages claim the {self.what} name {point.name!r}: {other.value} and {point.value}"
                 )
+        self._listed = found
         return found
 
     def add(self, name: str, item: T, place: str) -> None:
@@ -62,7 +65,7 @@ class Plugins(Generic[T]):
         """The object named `name`. Raises `UnknownNameError` with the names that exist, `SpecError` for a wrong entry."""
         if name in self._loaded:
             return self._loaded[name]
-        known = self.points()
+        known = self._listed if name in self._listed else self.points()
         if name not in known:
             raise UnknownNameError(self.what, name, known)
         place = known[name].value

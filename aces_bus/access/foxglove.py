@@ -573,25 +573,27 @@ class LiveBus:
         ]
         self._records = LiveRecords(view, variants, scanner=self._scanners[0])
 
-    def passed(self, word: Any, instant: int, is_sent: bool) -> None:
+    def passed(self, packet: Any, instant: int, is_sent: bool) -> None:
         """A frame or piece of bytes. Never waits."""
-        self._view.put(self, (word, instant + self._view.epoch_ns, is_sent is self._is_host))
+        self._view.put(self, (packet, instant + self._view.epoch_ns, is_sent is self._is_host))
 
     def publish(self, items: Sequence[Any]) -> None:
         """Decode, and send what somebody wants."""
         found: list[Any] = []
-        for word, instant, is_to_device in items:
-            found += self._decoded(word, instant, is_to_device)
+        for packet, instant, is_to_device in items:
+            found += self._decoded(packet, instant, is_to_device)
         self._records.publish(found)
 
-    def _decoded(self, word: Any, instant: int, is_to_device: bool) -> list[Any]:
+    def _decoded(self, packet: Any, instant: int, is_to_device: bool) -> list[Any]:
         found: list[Any]
         if self._link == "can":
-            frame = msgspec.structs.replace(word, timestamp=instant / 1e9, channel=self._name or word.channel)
+            frame = msgspec.structs.replace(
+                packet, timestamp=instant / 1e9, channel=self._name or packet.channel
+            )
             found = self._scanners[0].feed((frame,))
             return found
         scanner = self._scanners[-1 if is_to_device else 0]
         if scanner is not self._scanners[0]:
-            self._scanners[0].sent(word)  # its reply hangs on it
-        found = (scanner.datagram if self._link == "datagram" else scanner.feed)(word, instant / 1e9)
+            self._scanners[0].sent(packet)  # its reply hangs on it
+        found = (scanner.datagram if self._link == "datagram" else scanner.feed)(packet, instant / 1e9)
         return found

@@ -40,7 +40,7 @@ class AccessEvents:
         self.last: deque[AccessEvent] = deque(maxlen=64)
         self.listeners: list[Listener] = []
 
-    def tell(self, event: AccessEvent) -> None:
+    def emit(self, event: AccessEvent) -> None:
         """Keep it and tell all."""
         self.last.append(event)
         for listener in list(self.listeners):
@@ -157,4 +157,4 @@ class Inlet:
         if name not in self._complained and len(self._complained) < 256:
             self._complained.add(name)
             detail = f"{name!r}: {why}"[:300]
-            self.events.tell(AccessEvent("refused", self.clock.now(), self.name, detail))
+            self.events.emit(AccessEvent("refused", self.clock.now(), self.name, detail))

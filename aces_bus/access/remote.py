@@ -45,9 +45,9 @@ class RemoteClock:
         self._behind: int | None = None
         self._least = self._least_before = 0
         self._turned = 0
-        self._heard_at: int | None = None
+        self._received_at: int | None = None
 
-    def heard(self, now: int) -> None:
+    def received(self, now: int) -> None:
         """It was `now` there when this was sent."""
         here = self.local.now()
         behind = here - now
@@ -58,17 +58,17 @@ class RemoteClock:
             self._least_before, self._least, self._turned = self._least, behind, here
         self._least = min(self._least, behind)
         self._behind = min(self._least, self._least_before)
-        self._heard_at = here
+        self._received_at = here
 
     def forget(self) -> None:
         """Another clock is there."""
-        self._behind = self._heard_at = None
+        self._behind = self._received_at = None
 
     @property
     def silence_ns(self) -> int:
-        """How long nothing was heard; for ever before the first."""
-        heard = self._heard_at
-        return 1 << 62 if heard is None else self.local.now() - heard
+        """How long nothing was received; for ever before the first."""
+        received = self._received_at
+        return 1 << 62 if received is None else self.local.now() - received
 
     def now(self) -> int:
         """What it is there now (ns), as far as is known."""
@@ -190,7 +190,7 @@ class RemoteStates(Mapping[str, State]):
         self._closing.clear()
         self._session = open_session([], [self.endpoint], self._options)
         atexit.register(self.close)
-        self._threads = [subscribe(self._session.declare_subscriber, f"{self._key}/values", self._heard)]
+        self._threads = [subscribe(self._session.declare_subscriber, f"{self._key}/values", self._received)]
         self._wants.set()
         self._patience_s = ANSWER_S
         self._watcher = threading.Thread(target=self._watch, name=self.name, daemon=True)
@@ -312,10 +312,10 @@ class RemoteStates(Mapping[str, State]):
         self._about, self.takes = about, about.takes
         self._patience_s = ANSWER_S / 2  # `_ask` doubles it
         if before is not None:
-            self.events.tell(AccessEvent("restarted", self.local.now(), self.name, "another run answers"))
+            self.events.emit(AccessEvent("restarted", self.local.now(), self.name, "another run answers"))
         self._known.set()
 
-    def _heard(self, sample: Any) -> None:
+    def _received(self, sample: Any) -> None:
         cycle = decoded(self._decode, sample)
         if cycle is None or not 0 <= cycle.now < 1 << 62 or len(cycle.states) > MOST_STATES:
             self.bad += 1
@@ -325,7 +325,7 @@ class RemoteStates(Mapping[str, State]):
             return
         with self._lock:
             self.cycles += 1
-            self.clock.heard(cycle.now)
+            self.clock.received(cycle.now)
             for name, (value, instant) in cycle.states.items():
                 state = self._states.get(name)
                 if state is None:
@@ -346,4 +346,4 @@ class RemoteStates(Mapping[str, State]):
                 self._was_lost = is_lost
                 detail = f"nothing for {self.lost_s:g} s; all its states are unknown" if is_lost else ""
                 kind = "lost" if is_lost else "back"
-                self.events.tell(AccessEvent(kind, self.local.now(), self.name, detail))
+                self.events.emit(AccessEvent(kind, self.local.now(), self.name, detail))

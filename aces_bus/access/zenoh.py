@@ -246,7 +246,7 @@ class Publisher:
             )
             self._threads.append(subscribe(self._session.declare_subscriber, f"{key}/set", self._set))
         # Last: whoever is answered knows of the others by then, as zenoh tells them in order.
-        self._threads.append(subscribe(self._session.declare_queryable, f"{key}/about", self._tell_about))
+        self._threads.append(subscribe(self._session.declare_queryable, f"{key}/about", self._answer_about))
         self.step(now)
 
     def step(self, now: int) -> None:
@@ -291,11 +291,11 @@ class Publisher:
         elif not self._is_lost:
             self._is_lost = True
             detail = f"no set-points for {self.dead_man_s:g} s"
-            self.events.tell(AccessEvent("lost", now, self.name, detail))
+            self.events.emit(AccessEvent("lost", now, self.name, detail))
             if self.on_lost is not None:
                 self._clock.call_soon(self.on_lost)
 
-    def _tell_about(self, query: Any) -> None:
+    def _answer_about(self, query: Any) -> None:
         with suppress(Exception):  # whoever asked is gone
             query.reply(query.key_expr, self._about)
 

@@ -42,7 +42,7 @@ _HELP = (
 )
 
 
-class FilterWord(Protocol):
+class FilteredFrame(Protocol):
     """What a filter looks at: a `Frame` or a python-can `Message`."""
 
     @property
@@ -72,7 +72,7 @@ class _Set:
     error_mask: int | None
     join: bool
 
-    def matches(self, frame: FilterWord) -> bool:
+    def matches(self, frame: FilteredFrame) -> bool:
         if self.interface is not None and str(frame.channel) != self.interface:
             return False
         if frame.is_error_frame:
@@ -102,7 +102,7 @@ class CanFilter:
     texts: tuple[str, ...]
     sets: tuple[_Set, ...]
 
-    def matches(self, frame: FilterWord) -> bool:
+    def matches(self, frame: FilteredFrame) -> bool:
         """Whether the frame passes."""
         return any(one.matches(frame) for one in self.sets)
 

@@ -167,7 +167,7 @@ def open_recording(
     forced = None if format is None else _named(format, link)
     opened = ByteSource(source, name)
     try:
-        return _tell(opened, link) if forced is None else forced.open(opened)
+        return _recognised(opened, link) if forced is None else forced.open(opened)
     except BaseException:
         opened.close()
         raise
@@ -182,7 +182,7 @@ def _named(name: str, link: Link | None) -> RecordingFormat:
     raise UnknownNameError("capture format", name, formats())
 
 
-def _tell(source: ByteSource, link: Link | None) -> CanRecording | SerialRecording:
+def _recognised(source: ByteSource, link: Link | None) -> CanRecording | SerialRecording:
     more = source.live
     while True:
         head = source.head().removeprefix(b"\xef\xbb\xbf")

@@ -55,6 +55,21 @@ def pieces_of(tables: Iterable[FrameTable], *, is_live: bool) -> Iterator[FrameT
         raise failure
 
 
+def frame_runs(tables: Iterable[FrameTable], size: int) -> Iterator[FrameTable]:
+    """Tables of `size` frames each, but for the last: the same ones for everybody who reads the recording, however its
+    bytes come. Where reading stops with an error, what was read before comes first."""
+    rest: FrameTable | None = None
+    reading = CaptureReading(tables)
+    for table in reading:
+        rest = table if rest is None else FrameTable.concat([rest, table])
+        while len(rest) >= size:
+            yield rest.take(slice(size))
+            rest = rest.take(slice(size, None))
+    if rest is not None and len(rest):
+        yield rest
+    reading.check()
+
+
 def make_can_scanner(
     variants: Sequence[Variant], *, direction: Direction | None, include_unknown: bool, defer: bool
 ) -> CanColumns | ChannelColumns:

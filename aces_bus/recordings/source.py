@@ -52,7 +52,7 @@ class ByteSource:
         self._ended = False
         self._failure: CaptureError | None = None
         self._unpacker: Unpacker | None = None
-        self._told = False  # whether it is packed
+        self._looked = False  # whether it is packed
         self._pushed = b""  # what was read to tell
         self._dry = False  # nothing more is stored; some of it may wait to be unpacked
         self._left: int | None = None  # of a span
@@ -88,7 +88,7 @@ class ByteSource:
             self._file.seek(start)
         self._left = end - start
         self._inside = start > 0
-        self._told = self._inside
+        self._looked = self._inside
 
     @property
     def packing(self) -> str:
@@ -170,8 +170,8 @@ class ByteSource:
         if self._ended:
             return b""
         try:
-            if not self._told:
-                self._tell()
+            if not self._looked:
+                self._look()
             if self._pushed:
                 data, self._pushed = self._pushed[:size], self._pushed[size:]
                 return data
@@ -182,9 +182,9 @@ class ByteSource:
         self._ended = not data
         return data
 
-    def _tell(self) -> None:
+    def _look(self) -> None:
         """Whether the source is packed, by its first bytes."""
-        self._told = True
+        self._looked = True
         head = self._stored(BLOCK)
         while may_be_packed(head) and (more := self._stored(MAGIC)):
             head += more

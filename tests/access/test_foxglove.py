@@ -110,10 +110,15 @@ def test_states_and_transforms_of_a_robot(view: LiveView) -> None:
     host = next(iter(run.rig.hosts.values()))
     host.watch(LiveBus(view, list(host.variants.values()), name="can", link="serial").passed)
     with Viewer(view.address) as viewer, run:
-        viewer.until(
-            lambda: viewer.has("/tf") and viewer.has("/states") and viewer.has("/robotis/Status"),
-            lambda: run.run(0.04),
-        )
+
+        def is_known() -> bool:
+            if not (viewer.has("/tf") and viewer.has("/states") and viewer.has("/robotis/Status")):
+                return False
+            children = {link["child_frame_id"] for link in viewer.messages["/tf"][-1][1]["transforms"]}
+            rows = viewer.messages["/states"]
+            return {"LKP", "LF"} <= children and any(row["LKP"] is not None for _, row in rows)
+
+        viewer.until(is_known, lambda: run.run(0.04))
     properties = viewer.schema("/states")["properties"]
     assert properties["LKP"]["unit"] == "rad"
     assert "LKP.setpoint" in properties

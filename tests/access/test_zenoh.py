@@ -236,11 +236,11 @@ def test_junk_is_counted_on_both_sides(loop: Loop, endpoint: str) -> None:
             {"session": states._about.session if states._about else 0, "now": -1, "states": {}},
         ]
         for one in [*map(json.dumps, wrong), "\0"]:
-            states._heard(Message(one.encode()))
+            states._received(Message(one.encode()))
         assert states.bad == len(wrong) + 1
         session = states._about.session if states._about else 0
         odd = {"session": session, "now": loop.now(), "states": {"new": [1, 1], "hip": [1.5, 1 << 62]}}
-        states._heard(Message(json.dumps(odd).encode()))
+        states._received(Message(json.dumps(odd).encode()))
         assert states.unannounced == 1
         assert states["hip"][0] is UNKNOWN
         assert soon(lambda: states.cycles > cycles + 1)
@@ -361,13 +361,13 @@ def test_the_clock_elsewhere_is_guessed_by_the_quickest_message() -> None:
     assert (clock.now(), clock.silence_ns > 10**18) == (0, True)
     for sent, delay in ((0, 5), (10, 2), (20, 9)):
         local.sleep_until((1_000_000 + sent + delay) * MS)
-        clock.heard(sent * MS)
+        clock.received(sent * MS)
     assert clock.now() == (20 + 9 - 2) * MS
     local.advance(3 * MS)
     assert (clock.now(), clock.silence_ns) == (30 * MS, 3 * MS)
     for second in range(1, 20):  # 10 ms slower each second
         local.advance(1000 * MS)
-        clock.heard(30 * MS + second * 990 * MS)
+        clock.received(30 * MS + second * 990 * MS)
     assert abs(clock.now() - (30 + 19 * 990) * MS) <= 101 * MS
     clock.sleep_until(clock.now() + 5 * MS)
     clock.forget()

@@ -450,6 +450,7 @@ def test_channel_0_comes_back() -> None:
     assert [message.channel for message in theirs] == [-1, 0, 1, -1]
 
 
+@pytest.mark.slow
 def test_a_cut_log_gives_what_it_holds() -> None:
     """Cut anywhere: the frames before it, and the loss counted; a log without even its header is refused."""
     one = numbered(200)

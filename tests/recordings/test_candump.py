@@ -288,6 +288,7 @@ def test_faulty_log_lines_alone_are_still_a_log() -> None:
     add_up(capture, content)
 
 
+@pytest.mark.slow
 def test_names_and_identifiers_do_not_fill_the_memory() -> None:
     """A log with ever new names and identifiers is read like any other."""
     content = b"".join(b"(%d.0) if%d %08X#\n" % (i, i, i * 3) for i in range(9000))
@@ -300,6 +301,7 @@ def test_names_and_identifiers_do_not_fill_the_memory() -> None:
 # ---- files, pipes, batches -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 7, 1024, 100_000])
 def test_batches_are_full_and_in_order(tmp_path: Path, n: int) -> None:
     """From a file come lists of n frames, the last one shorter; together they are the frames."""

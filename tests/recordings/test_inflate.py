@@ -44,6 +44,7 @@ def both(path: Path, packed: bytes, monkeypatch: pytest.MonkeyPatch) -> list[tup
     return found
 
 
+@pytest.mark.slow
 def test_gzip_is_read_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whole, cut anywhere, or with bytes that are wrong: the same bytes, and the same place of the damage."""
     path = tmp_path / "walk.log.gz"

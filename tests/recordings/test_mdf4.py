@@ -401,6 +401,7 @@ def borders() -> list[bytes]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("contents", [borders, damaged_files], ids=["cut", "flipped"])
 def test_damage_costs_frames_and_no_more(contents: Any) -> None:
     """Cut at every border of a block, or with a byte changed: frames and counted losses, or a clear refusal."""

@@ -236,6 +236,7 @@ def test_reading_that_fails_is_a_capture_error() -> None:
     assert capture.frames == 6000
 
 
+@pytest.mark.slow
 def test_standard_input_is_a_source() -> None:
     """`candump can0 | aces decode … -`."""
     program = (
