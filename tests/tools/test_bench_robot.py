@@ -2,9 +2,20 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
-from aces_tools.benchmarks import robot
+from aces_tools.benchmarks import played, robot
+
+
+def test_a_host_alone_is_measured_in_lock_step(capsys: pytest.CaptureFixture[str]) -> None:
+    """Recorded answers come to every poll in its tick, on real sockets; nothing is missed, however busy the machine is."""
+    played.measure("200", "0.1", "loop")
+    found = json.loads(capsys.readouterr().out)
+    assert found["missed"] == 0
+    assert found["frames_s"] > 10_000
+    assert found["frame_us"] > 0
 
 
 @pytest.mark.long
@@ -12,6 +23,7 @@ def test_a_complete_robot_is_measured() -> None:
     """Frames go both ways, cycles are counted, and every figure is there for both ways of serving the buses."""
     rows = {row.contender: row for row in robot.run(quick=True)}
     assert "cycles" in rows["missed"].unit
+    assert rows["CPU a played frame, threads"].value > rows["CPU a played frame, one loop"].value > 0
     assert rows["CPU a frame, threads"].value > rows["CPU a frame, one loop"].value > 0
     assert rows["lateness, median"].value > 0
     assert rows["simulated seconds a second of CPU"].value > 0

@@ -60,7 +60,7 @@ def test_a_deadline_that_is_missed_is_status_1(aces: Aces) -> None:
         (["omnibot", "--queue", "hos=fifo"], "hos"),
         (["omnibot", "--errors", "many"], "how many at once"),
         (["omnibot", "-o", "budget.txt"], "suffix"),
-        ([], "which robot"),
+        ([], "which robot? aces bus budget NAME"),
     ],
 )
 def test_a_wrong_call_is_one_line(

@@ -47,11 +47,36 @@ def test_names_are_those_that_are_installed(aces: Aces, monkeypatch: pytest.Monk
     assert {"hubo_motor", "odrive"} <= set(names("drivers"))
     assert {"hubo2plus", "so101"} <= set(names("robots"))
     monkeypatch.delenv("ACES_ROBOT", raising=False)
-    assert names("devices", "aces device ") == []
-    assert names("devices", "aces device -r nonesuch ") == []
-    assert {"JMC3", "RKN"} <= set(names("devices", "aces device -r hubo2plus 'J"))
+    assert names("devices", "aces device ") == ["fuzz"]
+    assert names("devices", "aces device -r nonesuch ") == ["fuzz"]
+    assert {"JMC3", "RKN", "fuzz"} <= set(names("devices", "aces device -r hubo2plus 'J"))
+    fuzzed = set(names("devices", "aces device fuzz -r hubo2plus "))
+    assert "RKN" in fuzzed
+    assert "fuzz" not in fuzzed
+    assert "odrive" in names("devices", "aces device fuzz --twin od")
+    assert "hubo2plus" in names("channels", "aces bus budget ")
+    assert "hubo2plus" not in names("channels", "aces bus load ")
     monkeypatch.setenv("ACES_ROBOT", "hubo2plus")
     assert {"JMC3", "RKN"} <= set(names("devices"))
+
+
+@pytest.mark.slow
+def test_what_a_device_can_do_is_completed(aces: Aces, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Behind its name its actions, behind these what they take: of a joint, a device, and neither."""
+    monkeypatch.setenv("ACES_ROBOT", "hubo2plus")
+
+    def names(kind: str, words: str) -> list[str]:
+        return list(aces("completion", "--list", kind, "--words", words).out.split())
+
+    assert names("actions", "aces device --bus upper=can0 RKN ho")[:3] == ["get", "watch", "set"]
+    assert {"enable", "home", "set_gains"} <= set(names("actions", "aces device RKN "))
+    assert names("actions", "aces device nonesuch ") == names("actions", "aces device ") == []
+    assert {"position", "velocity"} <= set(names("values", "aces device RKN get "))
+    assert names("values", "aces device RKN set pos") == ["position="]
+    assert {"kp=", "ki=", "kd="} <= set(names("values", "aces device RKN set_gains "))
+    assert "joint=" not in names("values", "aces device RKN home ")
+    assert "joint=" in names("values", "aces device JMC3 home ")
+    assert names("values", "aces device RKN no_such ") == []
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="no bash")
@@ -70,6 +95,8 @@ def test_bash_completes(tmp_path: Path) -> None:
         "aces spec ch",
         "aces decode --unknown o",
         "aces decode hug",
+        "aces device fuzz --tw",
+        "aces bus budget hug",
     ]
     typed = "\n".join(f"complete_line {line!r}" for line in lines)
     script = f"""
@@ -87,6 +114,7 @@ complete_line() {{
     )
     assert done.stdout.splitlines() == [
         "decode devices device demo", "--where", "hubo hubovia huge.dbc", "check", "only", "huge.dbc",
+        "--twin", "huge.dbc",
     ]  # fmt: skip
     assert done.stderr == ""
 

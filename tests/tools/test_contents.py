@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from aces_tools.contents import ROWS
+from aces_bus.traffic import MOST_IDENTIFIERS
 from tests.tools.conftest import Aces
 
 CAPTURES = Path(__file__).resolve().parents[2] / "examples" / "captures"
@@ -106,7 +106,7 @@ def test_filtered(aces: Aces) -> None:
 def test_many_identifiers(aces: Aces, tmp_path: Path) -> None:
     """Only so many have a row; the frames of the others are counted."""
     log = tmp_path / "many.log"
-    log.write_text("".join(f"(1.0) can0 {number:08X}#00\n" for number in range(ROWS + 7)))
+    log.write_text("".join(f"(1.0) can0 {number:08X}#00\n" for number in range(MOST_IDENTIFIERS + 7)))
     result = aces("decode", log, "--format", "text")
     assert "and 7 frames of more than 4096 identifiers" in result.out
 

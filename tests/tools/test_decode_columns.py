@@ -348,6 +348,18 @@ def test_what_was_read_before_an_error_is_written(
 
 
 @pytest.mark.slow
+def test_numbers_are_written_without_pandas(tmp_path: Path) -> None:
+    """It is installed for others, and takes longer to load than a small recording to decode."""
+    program = (
+        "import sys; from aces_tools.main import main; "
+        f"status = main(['decode', {str(EXAMPLES / 'hubo2plus.log')!r}, '-p', 'hubo', '-o', 'walk.parquet', '-q']); "
+        "sys.exit('pandas is loaded' if 'pandas' in sys.modules else status)"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, cwd=tmp_path)
+    assert pq.read_table(tmp_path / "walk.parquet" / "Encoder.parquet").num_rows
+
+
+@pytest.mark.slow
 def test_standard_input(arm: str, tmp_path: Path) -> None:
     """A pipe is decoded into tables as well; Ctrl-C is its usual end, and what came is written."""
     if os.name != "posix":

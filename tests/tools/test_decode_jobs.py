@@ -37,6 +37,7 @@ def log(tmp_path: Path) -> Path:
 def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pieces small enough that the log has many."""
     monkeypatch.setattr(decode_jobs, "PIECE", 30_000)
+    monkeypatch.setattr(decode_jobs, "WORTH", 0)
     monkeypatch.setattr(parts, "LEAST", 10_000)
 
 
@@ -90,6 +91,29 @@ def test_parts_are_in_order(log: Path, tmp_path: Path, capfd: Any) -> None:
         found = sorted((out / name).iterdir())
         assert len(found) > 3
         assert [row for part in found for row in parquet.read_table(part).to_pylist()] == one[name]
+
+
+def test_a_small_recording_among_large_ones_is_decoded_here(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
+    """No process is started for it, and its parts have their place in the order of the files."""
+    few = tmp_path / "few.log"
+    few.write_bytes(HUBO.read_bytes()[:4000])
+    monkeypatch.setattr(decode_jobs, "WORTH", 10_000)
+    found: list[list[Any]] = []
+    for jobs in ("1", "2"):
+        out = tmp_path / f"{jobs}.parquet"
+        more = (str(log), str(few), str(few), "--message", "Encoder", "--jobs", jobs)
+        assert decoded(few, out, *more, capfd=capfd)[0] == 0
+        found.append([row for part in _parts(out) for row in parquet.read_table(part).to_pylist()])
+    assert found[0] == found[1]
+
+    monkeypatch.setattr(decode_jobs, "ProcessPoolExecutor", None)
+    assert decoded(few, tmp_path / "few.parquet", "--jobs", "2", capfd=capfd)[0] == 0
+
+
+def _parts(out: Path) -> list[Path]:
+    return sorted(out.iterdir()) if out.is_dir() else [out]
 
 
 @pytest.mark.slow

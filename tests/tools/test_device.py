@@ -326,7 +326,7 @@ def test_an_action_that_is_interrupted(virtual: Any, monkeypatch: pytest.MonkeyP
     stop, wait = device_do.Doing.stop, device_do.Doing.wait
 
     def waits(doing: Any, until: Any, duration: int) -> bool:
-        if not doing.patience.is_over and doing.device.last_heard is not None:
+        if not doing.patience.is_over and doing.device.last_received is not None:
             interrupt()
         return wait(doing, until, duration)
 

@@ -144,6 +144,7 @@ def test_one_program_drives(aces: Aces) -> None:
         (["can_pump", "--twin", "-r", "can_pump.toml"], "--virtual"),
         (["can_pump", "--twin", "--then", "fly"], "fly"),
         (["can_pump", "--twin", "--virtual"], "not allowed with"),
+        (["can_pump"], "--twin"),
     ],
 )
 def test_wrong_calls(aces: Aces, words: list[str], message: str) -> None:

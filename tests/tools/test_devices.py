@@ -12,6 +12,7 @@ from aces_bus.errors import SpecError
 from tests.tools.conftest import Aces
 
 
+@pytest.mark.slow
 def test_the_drivers(aces: Aces) -> None:
     """Each installed driver has a line with its protocol and purpose; as JSON also where it is."""
     shown = aces("devices")

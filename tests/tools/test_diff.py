@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 
+from aces_bus import traffic
+
 from .conftest import Aces
 
 PRESSES = [(12.0, 13.5), (20.0, 21.0), (31.0, 33.0)]
@@ -150,6 +152,149 @@ def test_a_protocol_names_signals(aces: Aces, arm: str, tmp_path: Path) -> None:
     ]
 
 
+@pytest.fixture
+def states(arm: str, tmp_path: Path) -> tuple[Path, Path, str]:
+    """Two boards for 2 s; in the second recording board 1 is hot and in torque, turns further, and something else speaks."""
+    paths = tmp_path / "a.log", tmp_path / "b.log"
+    for path in paths:
+        lines: list[str] = []
+        for n in range(200):
+            is_on = path is paths[1] and 50 <= n < 150
+            for board in (1, 2):
+                mine = is_on and board == 1
+                angle = (2000 if mine else n % 20).to_bytes(2, "big").hex()
+                lines.append(
+                    f"({1000 + n / 100:.6f}) can0 {0x300 + board:03X}#{2 * mine:02X}{mine:02X}{angle}00000000"
+                )
+            if is_on:
+                lines.append(f"({1000 + n / 100 + 0.001:.6f}) can0 7AA#00")
+        path.write_text("\n".join(lines) + "\n")
+    return *paths, arm
+
+
+def test_a_selection_keeps_to_messages_and_records(aces: Aces, states: tuple[Path, Path, str]) -> None:
+    """`-m` and `--where` as of decode: messages in any case and with *, conditions on their fields; frames that are not
+    decoded are left out."""
+    a, b, arm = states
+    hot = [("changes", "State[board=1]", "mode"), ("changes", "State[board=1]", "error.hot")]
+    call = a, b, "-p", arm
+    assert ("appears", "7AA", "") in changes(aces, *call)
+    assert changes(aces, *call, "-m", "st*")[:2] == hot
+    assert changes(aces, *call, "--where", "board=1")[:2] == hot
+    assert changes(aces, *call, "-m", "State", "--where", "board=2") == []
+    assert changes(aces, *call, "--where", "mode=torque") == [("appears", "State[board=1]", "")]
+    result = aces("diff", *call, "--where", "board=1")
+    assert result.out.splitlines()[0] == "A  a.log: 200 messages in 1.99 s"
+    (first, *_) = json.loads(aces("diff", *call, "--json", "-m", "State").out)["changes"]
+    assert (first["message"], first["device"]) == ("State", {"board": "1"})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["-m", "State"], "--message needs to know what is spoken; name a protocol: -p NAME"),
+        (["--where", "board=1"], "--where needs to know what is spoken"),
+        (["-p", "ARM", "-m", "Stat"], "no message named 'Stat'"),
+        (["-p", "ARM", "--where", "bord=1"], "no field named 'bord'"),
+        (
+            ["-p", "ARM", "--where", "board=3"],
+            "nothing is compared: no message is what -m and --where ask for",
+        ),
+        (["--filter", "123:7FF"], "nothing is compared: no frame passes --filter"),
+    ],
+)
+def test_a_selection_of_nothing_is_refused(
+    arguments: list[str], said: str, aces: Aces, states: tuple[Path, Path, str]
+) -> None:
+    """And is not `no difference`."""
+    a, b, arm = states
+    result = aces("diff", a, b, *(arm if one == "ARM" else one for one in arguments))
+    assert result.status == 2
+    assert said in result.err
+    assert len(result.err.splitlines()) == 1
+
+
+def test_a_filter_may_keep_to_what_one_side_has(aces: Aces, states: tuple[Path, Path, str]) -> None:
+    """A was looked at all the time: that it has none of these frames tells as much as without the filter."""
+    a, b, _ = states
+    (found,) = json.loads(aces("diff", a, b, "--json", "--filter", "7AA:7FF").out)["changes"]
+    assert (found["kind"], found["score"]) == ("appears", 1.0)
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg"])
+def test_signals_that_change_have_lanes(
+    aces: Aces, states: tuple[Path, Path, str], tmp_path: Path, suffix: str
+) -> None:
+    """Numbers with their range and unit, names as levels, flags, and how often messages came; of two files, and of one."""
+    pytest.importorskip("matplotlib")
+    a, b, arm = states
+    path = tmp_path / f"diff.{suffix}"
+    result = aces("diff", a, b, "-p", arm, "-o", path)
+    assert (result.status, result.messages) == (1, [])
+    first = path.read_bytes()
+    if suffix == "svg":
+        for label in (
+            "State[board=1]  mode",
+            "torque",
+            "State[board=1]  error.hot",
+            "State[board=1]  angle (°)",
+            "20",
+        ):
+            assert f"<!-- {label} -->".encode() in first
+    assert aces("diff", a, b, "-p", arm, "-o", path).status == 1
+    assert path.read_bytes() == first
+    only = aces("diff", b, "--b", "0.5..1.5", "-p", arm, "-m", "State", "--where", "mode=torque", "-o", path)
+    assert (only.status, only.messages) == (1, [])
+    if suffix == "svg":
+        assert "<!-- State[board=1]  appears -->" in path.read_text()
+
+
+@pytest.mark.slow
+def test_lanes_of_a_line_count_bytes_or_seconds(aces: Aces, tmp_path: Path) -> None:
+    """A recording without times has its bytes for an axis."""
+    pytest.importorskip("matplotlib")
+    data = (ROOT / "examples/captures/adc.bin").read_bytes()
+    short, path = tmp_path / "short.bin", tmp_path / "diff.svg"
+    short.write_bytes(data[:80])
+    assert aces(
+        "diff", short, ROOT / "examples/captures/adc.bin", "-p", "minihubo_adc", "--least", "0", "-o", path
+    ).status
+    text = path.read_text()
+    assert "<!-- Sample  channels.0" in text
+    assert "<!-- byte -->" in text
+
+
+def test_an_empty_side_is_said(aces: Aces, car: Path, tmp_path: Path) -> None:
+    """Of a recording of nothing all of the other is new; that is likely to be a wrong file."""
+    empty = tmp_path / "empty.log"
+    empty.write_text("# candump of nothing\n")
+    result = aces("diff", empty, car)
+    assert result.status == 1
+    assert result.messages == ["empty.log holds nothing to compare, so that all of the other is new or gone"]
+
+
+def test_what_there_is_no_room_for_is_said(
+    aces: Aces, car: Path, marks: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Identifiers are counted one by one up to a limit: it is not hidden that there are more."""
+    monkeypatch.setattr(traffic, "MOST_IDENTIFIERS", 1)
+    result = aces("diff", car, "--marks", marks)
+    said = (
+        "car.log, pressed: 90 frames or messages are not compared: there are too many identifiers or devices"
+    )
+    assert result.messages == [said]
+
+
+@pytest.mark.slow
+def test_a_line_whose_bytes_do_not_tell_needs_its_direction(aces: Aces) -> None:
+    """As of decode: which way they went; replies find their requests."""
+    session = ROOT / "examples/captures/robotis_session.bin"
+    refused = aces("diff", session, session, "-p", "robotis")
+    assert (refused.status, "say which way they went: --direction" in refused.err) == (2, True)
+    same = aces("diff", session, session, "-p", "robotis", "--direction", "both")
+    assert (same.status, same.out.splitlines()[-1]) == (0, "no difference")
+
+
 @pytest.mark.slow
 def test_streams_need_a_protocol(aces: Aces) -> None:
     """By name, with what to do; with one, messages are compared."""
@@ -179,6 +324,7 @@ def test_streams_need_a_protocol(aces: Aces) -> None:
         (["car.log", "--b", "1..2", "--for", "1s"], "--for is for marks"),
         (["car.log", "--b", "1..2", "--least", "2"], "'2' is not a number from 0 to 1"),
         (["car.log", "none.log"], "none.log"),
+        (["empty.log", "empty.log"], "nothing is compared: empty.log holds nothing"),
         (["car.log", "car.log", "-o", "car.txt"], "the suffix says the format"),
     ],
 )
@@ -187,6 +333,7 @@ def test_a_wrong_call_is_refused(
 ) -> None:
     """In one line, with what would work, and status 2."""
     monkeypatch.chdir(car.parent)
+    Path("empty.log").write_text("# candump of nothing\n")
     result = aces("diff", *arguments)
     assert result.status == 2
     assert said in result.err

@@ -54,7 +54,11 @@ def test_a_dataset_is_made_and_told_of(tmp_path: Path, capfd: Any) -> None:
 @pytest.mark.parametrize(
     ("more", "wanted"),
     [
-        (("-o", "lake", "--cluster", "here", "--where", "speed>1"), "--where: not with --cluster"),
+        (("-o", "lake", "--cluster", "here", "--count", "1"), "--count is for lines"),
+        (
+            ("-o", "lake", "--cluster", "here", "--from", "14:05"),
+            "a time of day is one of this machine's zone",
+        ),
         (("-o", "lake", "--cluster", "here", "--jobs", "2"), "--jobs or --cluster"),
         (("--cluster", "here"), "--cluster writes folders of Parquet"),
         (("-o", "lake", "--cluster", "everywhere"), "is no cluster; write here, local:4"),

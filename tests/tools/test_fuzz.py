@@ -139,11 +139,14 @@ def test_json_says_everything(aces: Aces, here: Path) -> None:
 
 @pytest.mark.slow
 def test_several_processes_do_the_same_examples(aces: Aces, here: Path) -> None:
-    """With --jobs, as many examples and words, and the same coverage."""
+    """With --jobs, as many examples, bytes and frames, and the same coverage."""
     one = aces("fuzz", "good.py", "--examples", "128", "--seed", "9")
     two = aces("fuzz", "good.py", "--examples", "128", "--seed", "9", "--jobs", "2")
     assert (one.status, two.status) == (0, 0)
-    assert (one.summary["words"], one.summary["checks"]) == (two.summary["words"], two.summary["checks"])
+    assert (one.summary["bytes_and_frames"], one.summary["checks"]) == (
+        two.summary["bytes_and_frames"],
+        two.summary["checks"],
+    )
     assert one.out == two.out
 
 

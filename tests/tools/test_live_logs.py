@@ -249,6 +249,7 @@ def test_frames_as_they_came(aces: Aces, node: Node, opened: Opened, tmp_path: P
     assert [one.name for one in tmp_path.iterdir()] == [path.name]
 
 
+@pytest.mark.slow
 def test_decoded_tables(aces: Aces, node: Node, opened: Opened, arm: str, tmp_path: Path) -> None:
     """With a protocol: the values that lines show, in tables; counts are those of the lines."""
     parquet = pytest.importorskip("pyarrow.parquet")

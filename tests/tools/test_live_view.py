@@ -18,7 +18,6 @@ from typing import Any
 
 import pytest
 
-from aces_bus.robot import load_robot
 from tests.access.viewing import WAIT_S, Viewer, free_port
 from tests.tools.conftest import Aces
 from tests.tools.live import Node, Opened
@@ -157,19 +156,57 @@ def test_who_else_can_look_is_said(aces: Aces) -> None:
     assert made.messages[0].startswith("live view: whoever reaches 0.0.0.0 sees it")
 
 
-def test_the_layout_shows_topics_that_there_are() -> None:
-    """Each path names a topic of a live view, and a joint of MiniHubo."""
-    text = (HUBO.parents[1] / "foxglove" / "robot.json").read_text()
-    paths = re.findall(r'"(?:value|topicPath|topicToRender)": "(/.*?)"(?=[,\n])', text)
-    joints = load_robot("minihubo_1").joints
-    assert paths
-    for path in paths:
-        topic, _, field = path.replace('\\"', "").partition(".")
-        assert topic in ("/states", "/events", "/log")
-        if topic == "/states" and field:
-            assert field.removesuffix(".setpoint") in joints
-    placed = json.loads(text)
-    assert set(placed["configById"]) == set(re.findall(r'"(?:first|second)": "(.*?)"', text))
+LAYOUT = HUBO.parents[1] / "foxglove" / "robot.json"
+
+
+def test_the_layout_is_one_of_foxglove() -> None:
+    """Each panel is placed once, and has settings that foxglove-sdk knows of its kind.
+
+    *Source* of the file's shape: layouts that Foxglove and Lichtblick export (configById, globalVariables, userNodes,
+    playbackConfig, layout); the SDK's own layouts have another shape around the same settings."""
+    from foxglove import layouts
+
+    kinds: dict[str, Any] = {
+        "3D": layouts.ThreeDeeConfig(),
+        "Plot": layouts.PlotConfig(),
+        "StateTransitions": layouts.StateTransitionsConfig(),
+        "RosOut": layouts.LogConfig(),
+        "RawMessages": layouts.RawMessagesConfig(),
+    }
+    inner: dict[str, Any] = {
+        "cameraState": layouts.ThreeDeeCameraState(),
+        "publish": layouts.ThreeDeePublishSettings(),
+        "scene": layouts.BaseRendererSceneSettings(),
+    }
+    paths: dict[str, Any] = {"Plot": layouts.PlotSeries, "StateTransitions": layouts.StateTransitionsSeries}
+
+    def check(given: dict[str, Any], known: Any, *others: str) -> None:
+        assert set(given) <= {*known._to_dict(), *others}
+
+    made = json.loads(LAYOUT.read_text())
+    assert set(made) == {"configById", "globalVariables", "userNodes", "playbackConfig", "layout"}
+    for name, config in made["configById"].items():
+        kind = name.partition("!")[0]
+        check(config, kinds[kind], "foxglovePanelTitle")
+        for path in config.get("paths", ()):
+            check(path, paths[kind](value="/states"))
+        for part in inner.keys() & config.keys():
+            check(config[part], inner[part])
+        check(config.get("scene", {}).get("transforms", {}), layouts.BaseRendererTransforms())
+    placed: list[str] = []
+
+    def walk(node: Any) -> None:
+        if isinstance(node, str):
+            placed.append(node)
+            return
+        assert set(node) == {"direction", "splitPercentage", "first", "second"}
+        assert node["direction"] in ("row", "column")
+        assert 0 < node["splitPercentage"] < 100
+        walk(node["first"])
+        walk(node["second"])
+
+    walk(made["layout"])
+    assert sorted(placed) == sorted(made["configById"])
 
 
 # ---------------------------------------------------------------------- a running simulation
@@ -209,6 +246,40 @@ def looked_at(words: Sequence[str], *, is_watched: bool) -> tuple[Viewer, float,
     assert process.returncode == 0, said
     now = resource.getrusage(resource.RUSAGE_CHILDREN)
     return viewer, now.ru_utime + now.ru_stime - before.ru_utime - before.ru_stime, said
+
+
+@pytest.mark.slow
+def test_the_layout_shows_what_the_robot_sends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each topic, field and frame that the layout names is in the channels, schemas and messages of a running MiniHubo."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    port = free_port()
+    with (
+        running(
+            "run", "-r", "minihubo_1", "--virtual", "--real-time", "--for", "1h", "--foxglove", str(port)
+        ),
+        Viewer(f"ws://127.0.0.1:{port}") as viewer,
+    ):
+        viewer.until(lambda: viewer.has("/states") and viewer.has("/tf"))
+    panels = json.loads(LAYOUT.read_text())["configById"]
+    named = [path["value"] for panel in panels.values() for path in panel.get("paths", ())]
+    named += [
+        panel[key] for panel in panels.values() for key in ("topicPath", "topicToRender") if key in panel
+    ]
+    assert len(named) >= 9
+    for path in named:
+        # A topic, and a field of its messages; in quotes where the name has a dot.
+        found = re.fullmatch(r'(/\w+)(?:\.(?:(\w+)|"([\w.]+)"))?', path)
+        assert found is not None, path
+        topic, field = found[1], found[2] or found[3]
+        assert topic in viewer.channels, path
+        if field is not None:
+            assert field in viewer.schema(topic)["properties"], path
+            if topic == "/states":
+                assert field in viewer.messages[topic][0][1], path
+    assert viewer.channels["/log"]["schemaName"] == "foxglove.Log"
+    assert viewer.channels["/tf"]["schemaName"] == "foxglove.FrameTransforms"
+    frames = viewer.messages["/tf"][0][1]["transforms"]
+    assert panels["3D!robot"]["followTf"] in {one["parent_frame_id"] for one in frames}
 
 
 @pytest.mark.slow

@@ -332,6 +332,7 @@ def start(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_nothing_beyond_this_machine(name: str, surroundings: dict[str, str], tmp_path: Path) -> None:
     """Neither listening nor sending, no group joined, no Unix socket that others reach."""

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.compare.traffic import BusIdentifier
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import Channels, FrameTable
 from aces_bus.frames import Frame
+from aces_bus.traffic import BusIdentifier
 from aces_tools.plotting.bit_image import BINS, BitImages
 from aces_tools.plotting.bits import BitPicture, bit_order, flip_rates, terminal_bits
 from aces_tools.plotting.identifiers import choose_identifiers, parse_identifiers
@@ -188,6 +188,7 @@ def test_a_narrow_terminal_is_kept_to(bus: Path) -> None:
     for width in (20, 40, 200):
         text = terminal_bits(picture, width, is_rich=False, is_by_byte=True)
         assert max(map(len, text.splitlines())) <= width
+        assert "100% of frames" in text
         assert text.isascii()
 
 

@@ -6,6 +6,8 @@ import math
 import re
 import signal
 from collections.abc import Iterator
+from errno import ENOSPC
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -182,6 +184,30 @@ def test_lines_say_how_it_is(aces: Aces, robot: Path, knee: Path, monkeypatch: p
     assert " Hz missed 0; line " in line
     assert "clipped 0" in line
     assert aces("run", "-r", robot, knee, "--virtual", "--for", "0.05s", "--quiet").out == ""
+
+
+class FullDisk(StringIO):
+    """What is written there is lost."""
+
+    def write(self, text: str) -> int:
+        raise OSError(ENOSPC, "No space left on device")
+
+
+@pytest.mark.parametrize("is_terminal", [False, True])
+def test_what_cannot_be_shown_stops_nothing(
+    aces: Aces, robot: Path, knee: Path, monkeypatch: pytest.MonkeyPatch, is_terminal: bool
+) -> None:
+    """A full disk, a terminal that was closed: it is said once, the run goes on to its end, and the status is 1."""
+    monkeypatch.setattr("aces_tools.running.session.LINE_EVERY", 1)
+    monkeypatch.setattr("aces_tools.running.session.PANEL_EVERY", 1)
+    monkeypatch.setenv("TERM", "xterm")
+    full = FullDisk()
+    monkeypatch.setattr(full, "isatty", lambda: is_terminal)
+    monkeypatch.setattr("sys.stdout", full)
+    result = aces("run", "-r", robot, knee, "--virtual", "--for", "0.5s")
+    assert result.status == 1
+    assert result.summary["set_points"] == 51
+    assert result.err.count("standard output: No space left on device") == 1
 
 
 def test_only_logging_is_a_run_too(aces: Aces, robot: Path, tmp_path: Path) -> None:
@@ -433,6 +459,14 @@ def test_reactions_may_be_functions_of_the_controllers_file(aces: Aces, robot: P
         result = aces(*run, "--on-trip", wrong)
         assert result.status == 2
         assert f"did you mean '{expected}'?" in result.err
+    result = aces(
+        *run, "--on-trip", "raised=controller"
+    )  # what the file imports of this package is no reaction
+    assert result.status == 2
+    assert (
+        "no reaction (ignore, degrade, hold, zero duty, disable), or function of a controller's file"
+        in result.err
+    )
 
 
 def test_a_robot_may_be_left_held(aces: Aces, robot: Path, knee: Path) -> None:
@@ -440,6 +474,20 @@ def test_a_robot_may_be_left_held(aces: Aces, robot: Path, knee: Path) -> None:
     result = aces("run", "-r", robot, knee, "--virtual", "--for", "0.3s", "--at-end", "hold")
     assert result.status == 0
     assert "left enabled, where they are: JMC2" in result.messages
+
+
+def test_who_is_left_held_and_stops_by_itself_is_said(aces: Aces, tmp_path: Path) -> None:
+    """A servo whose bus watchdog is set does not stay as it was left."""
+    servo, law = tmp_path / "servo.toml", tmp_path / "law.py"
+    servo.write_text(
+        'name = "servo"\nrate_hz = 50\n[buses]\nline = { link = "serial", protocol = "dynamixel" }\n[devices]\n'
+        'D1 = { driver = "dynamixel", bus = "line", model = "XM430-W350", credentials = { id = 1 } }\n'
+        '[joints]\nRKN = { device = "D1", zero = 3.1416 }\n'
+    )
+    law.write_text(KNEE)
+    result = aces("run", "-r", servo, law, "--virtual", "--for", "0.3s", "--at-end", "hold")
+    assert result.status == 0
+    assert "D1: its own watchdog stops it 0.5 s after this program has ended" in result.messages
 
 
 # ---------------------------------------------------------------------- parts

@@ -309,7 +309,7 @@ def test_a_backlog_is_worked_off_in_pieces() -> None:
     """Ten thousand frames at once are all counted, and events that came meanwhile too."""
 
     async def scene(stage: Stage) -> None:
-        stage.app.model.tell(BusEvent("dropped", stage.gate.clock.now(), "can0", "7 frames", 7))
+        stage.app.model.emit(BusEvent("dropped", stage.gate.clock.now(), "can0", "7 frames", 7))
         await stage.hear(*[encoder(n % 4, n) for n in range(10_000)])
         assert stage.app.model.total == 10_000
         assert "dropped: 7 frames" in stage.head
@@ -365,7 +365,7 @@ def test_a_screen_is_made_for_a_gate(kind: str) -> None:
     assert app.model.bitrate == (1_000_000 if kind == "can" else 57_600)
     assert app.view.text == "Encoder"
     assert gate.state == "new"
-    gate.events.tell(BusEvent("lost", 0, "bus"))
+    gate.events.emit(BusEvent("lost", 0, "bus"))
     app.model.take_events()
     assert app.model.event_counts == {"lost": 1}
     item = Received(bytes([0xAA, 1, 2, 3, 4]), 5) if kind == "serial" else Received(encoder(0), 5)

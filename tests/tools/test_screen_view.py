@@ -228,7 +228,7 @@ def test_the_head_says_what_is_wrong() -> None:
     """Losses, errors, unknown frames, the filter, frozen, the recording and the last event."""
     made, now = filled()
     made.feed(heard(Frame(0x01, is_error_frame=True)))
-    made.tell(BusEvent("lost", now, "can0", "unplugged"))
+    made.emit(BusEvent("lost", now, "can0", "unplugged"))
     made.take_events()
     view = View(made)
     view.look_for("enc")

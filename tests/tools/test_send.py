@@ -17,7 +17,7 @@ from aces_bus.frames import Frame
 from aces_tools.live import LivePatience, SendQueue
 from aces_tools.live_text import notation
 from aces_tools.protocols_arg import parse_protocols
-from aces_tools.send import raw_word
+from aces_tools.send import raw_packet
 from aces_tools.values import parse_fields
 from tests.tools.live import WAIT_S, Node, Opened, interrupt
 
@@ -199,9 +199,9 @@ def test_a_message_needs_its_protocol(aces: Aces) -> None:
 )
 def test_raw_frames_are_written_as_they_are_read(text: str) -> None:
     """The notation of a frame, read again, is the frame."""
-    word = raw_word(text)
-    assert isinstance(word, Frame)
-    assert notation(word) == text
+    packet = raw_packet(text)
+    assert isinstance(packet, Frame)
+    assert notation(packet) == text
 
 
 @pytest.mark.parametrize(
@@ -210,7 +210,7 @@ def test_raw_frames_are_written_as_they_are_read(text: str) -> None:
 def test_what_is_no_raw_frame(text: str) -> None:
     """Whatever is typed is a frame, bytes, or one clear complaint."""
     with pytest.raises(CallerError) as raised:
-        raw_word(text)
+        raw_packet(text)
     assert len(str(raised.value).splitlines()) == 1
 
 

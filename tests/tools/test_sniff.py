@@ -459,7 +459,7 @@ def test_a_flood_of_events_is_counted_and_not_printed(capsys: pytest.CaptureFixt
     gate = CanGate(dict, name="can0", listen_only=True)
     told = BusEventLines(gate)
     for _ in range(1000):
-        gate.events.tell(BusEvent("bad input", 0, "can0", "oops"))
+        gate.events.emit(BusEvent("bad input", 0, "can0", "oops"))
     told.report()
     told.report(last=True)
     lines = capsys.readouterr().err.splitlines()
@@ -472,7 +472,7 @@ def test_who_sends_is_told_what_to_look_at(capsys: pytest.CaptureFixture[str]) -
     for listen_only in (True, False):
         gate = CanGate(dict, name="can0", listen_only=listen_only)
         told = BusEventLines(gate)
-        gate.events.tell(BusEvent("error-passive", 0, "can0"))
+        gate.events.emit(BusEvent("error-passive", 0, "can0"))
         told.report(last=True)
     bare, hinted = capsys.readouterr().err.splitlines()
     assert bare == "aces: can0: error-passive"

@@ -18,7 +18,7 @@ STATUS = "FF FF 01 03 00 20 DB"
 
 
 def test_a_packet_from_the_command_line(aces: Aces) -> None:
-    """Word by word: what it is, what was read, who died of it, what is left, and the verdict."""
+    """Part by part: what it is, what was read, who died of it, what is left, and the verdict."""
     result = aces("spec", "explain", "robotis", f"hex:{READ}", "--direction", "to")
     assert result.status == 0
     lines = result.out.splitlines()
@@ -112,20 +112,20 @@ def test_both_directions_of_a_recording(aces: Aces, tmp_path: Path) -> None:
 
 
 def test_json_holds_everything(aces: Aces) -> None:
-    """Each attempt with its words, deaths, readings, the record and where the search goes on."""
+    """Each attempt with its parts, deaths, readings, the record and where the search goes on."""
     out = aces("spec", "explain", "robotis", f"hex:{STATUS}", "--direction", "from", "--json").out
     (attempt,) = json.loads(out)
     assert (attempt["message"], attempt["resumes"], attempt["raw"]) == ("Status", 7, "ffff01030020db")
     assert attempt["fields"] == {"id": 1, "error": [], "parameters": "20"}
-    assert [step["word"] for step in attempt["steps"]] == STATUS.split()
-    assert all(set(step) == {"place", "word", "what", "read", "died", "alive"} for step in attempt["steps"])
+    assert [step["part"] for step in attempt["steps"]] == STATUS.split()
+    assert all(set(step) == {"place", "part", "what", "read", "died", "alive"} for step in attempt["steps"])
     (frame,) = json.loads(aces("spec", "explain", "hubo", "063#78000000FCFFFFFF", "--json").out)
     assert (frame["frame"], frame["id"], frame["fields"]) == (0, 0x63, {"board": 3, "position": [120, -4]})
     assert len(frame["steps"][0]["died"]) == len(load_protocol("hubo").variant().messages) - 1
 
 
 def test_a_picture_is_svg(aces: Aces, tmp_path: Path) -> None:
-    """Well-formed, with every word and the verdict in it; never over a file that is read."""
+    """Well-formed, with every part and the verdict in it; never over a file that is read."""
     file = tmp_path / "why.svg"
     result = aces("spec", "explain", "robotis", f"hex:00{READ}", "--direction", "to", "--svg", file)
     assert result.status == 1
@@ -173,7 +173,7 @@ def test_wrong_calls(aces: Aces, arguments: list[str], says: str) -> None:
 
 
 def test_nothing_is_nothing(aces: Aces) -> None:
-    """No bytes, no words, no fault."""
+    """No bytes, no parts, no fault."""
     result = aces("spec", "explain", "robotis", "hex:", "--direction", "to")
     assert (result.status, result.out) == (0, "")
     assert "nothing to explain" in result.err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from math import sin
 from pathlib import Path
@@ -96,3 +97,18 @@ def test_a_wrong_suffix_is_refused(aces: Aces, drive: Path) -> None:
     """A draft is a Python file."""
     result = aces("spec", "guess", drive, "-o", "draft.dbc")
     assert (result.status, ".py" in result.err) == (2, True)
+
+
+def test_what_a_damaged_recording_holds_is_guessed_nevertheless(aces: Aces, tmp_path: Path) -> None:
+    """A packed log that was cut off: what it holds, and exit 2; an empty one is no recording."""
+    lines = "".join(f"({n / 100:.6f}) can0 123#{n % 256:02X}{n * 7919 % 65536:04X}\n" for n in range(4000))
+    cut = tmp_path / "cut.log.gz"
+    cut.write_bytes(gzip.compress(lines.encode())[:15000])
+    result = aces("spec", "guess", cut, "--no-known")
+    assert result.status == 2
+    assert "ends too early" in result.err
+    assert "counter_0" in result.out
+    (tmp_path / "empty.log").touch()
+    result = aces("spec", "guess", tmp_path / "empty.log")
+    assert (result.status, result.out) == (2, "")
+    assert "nothing to guess" in result.err

@@ -61,6 +61,7 @@ def test_jobs_find_packets_across_their_pieces(
     from pyarrow import parquet
 
     monkeypatch.setattr(decode_jobs, "PIECE", 5_000)
+    monkeypatch.setattr(decode_jobs, "WORTH", 0)
     monkeypatch.setattr(parts, "LEAST", 1_000)
     path = log(tmp_path, 400)
     one = aces("decode", path, "-p", SPEC, "-o", tmp_path / "one.parquet")

@@ -25,12 +25,12 @@ def described(record: Record) -> str:
 
 def test_records_are_matched_by_their_types() -> None:
     """The types of `records` are those of the scanner's records."""
-    words = (
+    packets = (
         robotis.encode("Read", id=1, start=0x24, count=2),
         robotis.encode("Status", id=1, error=["overload"], parameters=b""),
     )
     scanner = robotis.scanner(direction="both")
-    assert [described(record) for record in scanner.feed(b"".join(words))] == [
+    assert [described(record) for record in scanner.feed(b"".join(packets))] == [
         "1 reads 2 from 0x24",
         "1: overload",
     ]

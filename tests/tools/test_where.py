@@ -10,8 +10,8 @@ from construct import Array, Byte, Bytes, Float32l, GreedyRange, Int16sl, Struct
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.frames import Frame
 from aces_bus.protocol import BitLayout, Enumeration, Flags, Multiplexed, Protocol, Quantity, Text, bits
+from aces_bus.recordings.where import Where, parse_condition
 from aces_tools.output.shape import plans_of
-from aces_tools.where import Where, parse_condition
 
 spec = Protocol("where_spec", link="can")
 spec.message(

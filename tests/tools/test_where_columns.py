@@ -14,10 +14,10 @@ from aces_bus.errors import CallerError
 from aces_bus.frame_table import FrameTable
 from aces_bus.protocol import Unknown, make_scanner
 from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.recordings.where import Where, WhereColumns
 from aces_bus.recordings.window import TimeWindow
 from aces_bus.testing import strategies
 from aces_tools.output.shape import plans_of
-from aces_tools.where import Where, WhereColumns
 from tests.specs.catalogue import SPECS
 
 META = ("time", "channel", "direction", "identifier", "extended", "fd", "remote", "is_rx", "offset", "size")
@@ -38,12 +38,12 @@ def test_rows_are_kept_as_records_are(data: st.DataObject) -> None:
     protocol = draw(st.sampled_from(sorted(SPECS.values(), key=lambda one: one.name)))
     variant = draw(st.sampled_from(protocol.variants()))
     direction: Any = "from device" if variant.direction_conflict else None
-    words = draw(strategies.scenes(variant, direction, size=200)).words
+    traffic = draw(strategies.scenes(variant, direction, size=200)).traffic
     is_can = variant.link == "can"
     live: Any = make_scanner([variant], direction=direction, include_unknown=True)
-    records = [one for one in [*live.feed(words), *live.close()] if type(one) is not Unknown]
+    records = [one for one in [*live.feed(traffic), *live.close()] if type(one) is not Unknown]
     scanner = make_column_scanner([variant], direction=direction)
-    tables = [*scanner.feed(FrameTable.from_frames(words) if is_can else words), *scanner.close()]
+    tables = [*scanner.feed(FrameTable.from_frames(traffic) if is_can else traffic), *scanner.close()]
     plans = plans_of([variant])
     values: list[str] = ["none", "", "nan", "0", "1", "0x10", "-1", "0.5", "true", "00", "1e300", "to", "inf"]
     if tables and draw(st.booleans()):

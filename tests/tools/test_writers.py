@@ -31,7 +31,8 @@ from aces_tools.output.columns import beside, column_output
 from aces_tools.output.csv import CsvOutput, cell
 from aces_tools.output.jsonl import JsonLines
 from aces_tools.output.shape import Plans, RecordLeaf, plain_of, plans_of, record_leaves
-from aces_tools.output.text import TextOutput, decimals, make_paint, no_paint, printable
+from aces_tools.output.text import TextOutput, make_paint, no_paint, printable
+from aces_tools.output.value_text import decimals
 from tests.specs.catalogue import SPECS
 
 PROTOCOLS: dict[str, Protocol] = {name: load_protocol(name) for name in list_protocols()} | SPECS
@@ -42,9 +43,9 @@ EXAMPLES = max(4, settings().max_examples // 3)
 
 
 def items_of(variant: Variant, way: Any, scene: Any) -> list[Any]:
-    """Everything that a scanner makes of a scene's words."""
+    """Everything that a scanner makes of a scene's traffic."""
     scanner = make_scanner([variant], direction=way, include_unknown=True)
-    return [*scanner.feed(scene.words), *scanner.close()]
+    return [*scanner.feed(scene.traffic), *scanner.close()]
 
 
 def plain(value: Any) -> Any:

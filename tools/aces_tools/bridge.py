@@ -28,6 +28,7 @@ from aces_bus.errors import CallerError
 from aces_bus.protocol import Unknown, Variant, make_scanner
 from aces_bus.recordings import parse_filter
 from aces_bus.recordings.pieces import check_direction, has_requests
+from aces_bus.recordings.where import Where
 
 from .bus_arg import ChosenBus, chosen_end
 from .console import say
@@ -48,7 +49,6 @@ from .options import (
 )
 from .output.shape import plans_of
 from .protocols_arg import parse_protocols
-from .where import Where
 
 if TYPE_CHECKING:
     from .bus_arg import AnyGate
@@ -258,12 +258,12 @@ class OneWay:
             else:
                 self.filtered += size
 
-    def _send(self, word: Any, size: int) -> None:
+    def _send(self, packet: Any, size: int) -> None:
         self.passed += size
         if self._queue is None:
             return
         try:
-            self._queue.send(word)
+            self._queue.send(packet)
         except CallerError as error:
             self.refused += size
             if self.refused <= FEW * size:

@@ -339,7 +339,7 @@ def _load(arguments: argparse.Namespace) -> int:
         bitrate = getattr(arguments, "bitrate", None)
         if bitrate is None:
             raise CallerError("a load needs the bit rate of the bus: -b 500000")
-        measures = _heard_load(chosen_bus(arguments), bitrate, getattr(arguments, "data_bitrate", None))
+        measures = _received_load(chosen_bus(arguments), bitrate, getattr(arguments, "data_bitrate", None))
     if not arguments.once:
         say_note(f"{ENDLESS}; --once measures one second")
     with Patience() as patience:
@@ -420,7 +420,7 @@ def _served_load(text: str) -> Iterator[dict[str, Any]]:
         before = now
 
 
-def _heard_load(bus: ChosenBus, bitrate: int, data_bitrate: int | None) -> Iterator[dict[str, Any]]:
+def _received_load(bus: ChosenBus, bitrate: int, data_bitrate: int | None) -> Iterator[dict[str, Any]]:
     """A measure a second from what a node hears that only listens; retransmissions and errors are not heard."""
     from aces_bus.hardware.simulated.frame_time import INTERMISSION, frame_bits
 

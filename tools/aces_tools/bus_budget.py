@@ -33,7 +33,11 @@ def show_budget(arguments: argparse.Namespace) -> int:
 
         check_output(arguments.output)
     assumptions = _assumptions(arguments)
-    robot = chosen_robot(arguments.channels[0] if arguments.channels else None, arguments.driver)
+    robot = chosen_robot(
+        arguments.channels[0] if arguments.channels else None,
+        arguments.driver,
+        how="aces bus budget NAME or FILE.toml",
+    )
     from aces_bus.budget import robot_budget, robot_traffic
     from aces_bus.budget.robot import at_bitrate
 

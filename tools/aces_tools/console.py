@@ -52,8 +52,9 @@ ENDLESS = "runs until Ctrl-C"
 def abandon_stdout() -> None:
     """Discard what is still buffered for a reader that has gone, or it raises once again when Python ends."""
     with suppress(OSError, ValueError, AttributeError):  # not a file of the system (a test's)
+        number = sys.stdout.fileno()
         nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
+        os.dup2(nowhere, number)
         os.close(nowhere)
 
 
@@ -295,6 +296,8 @@ class Patience:
         while not self.is_over:
             try:
                 with self.waiting():
+                    if self.is_over:  # a Ctrl-C between the two: nobody would end the waiting
+                        return
                     item = next(iterator)
             except (StopIteration, KeyboardInterrupt):
                 return

@@ -1,26 +1,25 @@
 """`aces decode FILE` without a protocol: what a recording holds, and which installed protocols fit it.
 
 1. Frames by channel and identifier: how many, how often, how long, which bytes change. Bytes: how many, and the first.
-2. Memory is bounded: one row an identifier, of at most `ROWS` identifiers, and the first piece for trying protocols.
+2. Memory is bounded: one row an identifier, of so many as `IdentifierCounts` has, and the first piece for trying protocols.
 """
 
 from __future__ import annotations
 
 import argparse
 import shlex
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from aces_bus.errors import CallerError, CaptureError
-from aces_bus.frame_table import ERROR, NO_TIME, FrameTable, widened
+from aces_bus.frame_table import NO_TIME, FrameTable, widened
 from aces_bus.guess import TRIED_BYTES, TRIED_FRAMES, fitting_protocols
 from aces_bus.plain_text import printable
-from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
 from aces_bus.recordings import CanRecording, parse_filter
 from aces_bus.recordings.filters import passing
 from aces_bus.recordings.pieces import open_any
+from aces_bus.traffic import BusIdentifier, FrameCount, IdentifierCounts
 
 from .console import Patience, abandon_stdout, counted, print_json, report_unreadable, say
 from .output.columns import Page
@@ -38,10 +37,6 @@ _NEED_A_PROTOCOL = (
     "stop",
     "count",
 )
-#: Identifiers that have a row; a recording of a bus that works has fewer.
-ROWS = 4096
-#: Gaps between frames of an identifier that its period is the median of.
-GAPS = 1000
 #: So many protocols are named.
 NAMED = 3
 
@@ -94,37 +89,27 @@ def _shown(name: str) -> str:
     return "standard input" if name == "-" else name
 
 
-@dataclass
-class Row:
-    """What is known of the frames of one identifier on one channel; times in ns."""
+class Row(FrameCount):
+    """What is known of the frames of one identifier on one channel."""
 
-    channel: str | None
-    key: int
-    first: bytes
-    is_error: bool = False
-    frames: int = 0
-    shortest: int = 255
-    longest: int = 0
-    last_ns: int = NO_TIME
-    gaps: list[int] = field(default_factory=list)
-    changed: Any = None
+    def __init__(self, identifier: BusIdentifier) -> None:
+        super().__init__()
+        self.identifier = identifier
+        self._first: Any = None
+        self._changed = np.zeros(64, bool)
 
-    @property
-    def identifier(self) -> str:
-        """As candump writes it, and what is unusual."""
-        number = f"{self.key & 0x1FFF_FFFF:0{8 if self.key & EXTENDED else 3}X}"
-        marks = [("remote", self.key & REMOTE), ("FD", self.key & FD), ("error", self.is_error)]
-        return " ".join([number, *(mark for mark, is_set in marks if is_set)])
-
-    @property
-    def period_ms(self) -> float | None:
-        """The median time from one frame to the next; None where there are no times or too few frames."""
-        return float(np.median(self.gaps)) / 1e6 if len(self.gaps) >= 2 else None
+    def add(self, table: FrameTable, rows: Any) -> None:
+        """More frames of this identifier, in these rows."""
+        self.count(table.time[rows], table.length[rows])
+        data = widened(table.data[rows], 64)
+        if self._first is None:
+            self._first = data[0].copy()
+        self._changed |= (data != self._first).any(axis=0)
 
     @property
     def pattern(self) -> str:
         """One character a byte: `x` where it changes, `.` where it is always the same."""
-        return "".join("x" if one else "." for one in self.changed[: self.longest].tolist())
+        return "".join("x" if one else "." for one in self._changed[: self.lengths_seen[-1]].tolist())
 
 
 class CanContents:
@@ -132,59 +117,21 @@ class CanContents:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.rows: dict[tuple[int, int, bool], Row] = {}
-        self.frames = self.beyond = 0
+        self.rows = IdentifierCounts(Row)
         self.first_ns = self.last_ns = NO_TIME
         self.piece: list[FrameTable] = []
 
     def add(self, table: FrameTable) -> None:
         """More frames."""
-        if not len(table):
-            return
         if sum(map(len, self.piece)) < TRIED_FRAMES:
             self.piece.append(table.take(np.arange(min(len(table), TRIED_FRAMES))))
-        self.frames += len(table)
         times = table.time[table.time != NO_TIME]
         if len(times):
             if self.first_ns == NO_TIME:
                 self.first_ns = int(times[0])
             self.last_ns = int(times[-1])
-        is_error = (table.flags & ERROR != 0).astype(np.uint64)
-        slots = is_error << np.uint64(48) | table.channel.astype(np.uint64) << np.uint64(32) | table.key
-        order = np.argsort(slots, kind="stable")
-        ends = np.flatnonzero(np.diff(slots[order])) + 1
-        for rows in np.split(order, ends):
-            self._add_rows(table, rows)
-
-    def _add_rows(self, table: FrameTable, rows: Any) -> None:
-        """Frames of one identifier."""
-        first = int(rows[0])
-        slot = int(table.channel[first]), int(table.key[first]), bool(table.flags[first] & ERROR)
-        row = self.rows.get(slot)
-        if row is None:
-            if len(self.rows) == ROWS:
-                self.beyond += len(rows)
-                return
-            row = self.rows[slot] = Row(
-                table.channels.names[slot[0]],
-                slot[1],
-                widened(table.data[first : first + 1], 64)[0].tobytes(),
-                slot[2],
-            )
-            row.changed = np.zeros(64, bool)
-        data, lengths, times = widened(table.data[rows], 64), table.length[rows], table.time[rows]
-        row.frames += len(rows)
-        row.shortest, row.longest = (
-            min(row.shortest, int(lengths.min())),
-            max(row.longest, int(lengths.max())),
-        )
-        row.changed |= (data != np.frombuffer(row.first, np.uint8)).any(axis=0)
-        times = times[times != NO_TIME]
-        if len(times) and len(row.gaps) < GAPS:
-            steps = np.diff(times, prepend=times[:1] if row.last_ns == NO_TIME else row.last_ns)
-            row.gaps += steps[row.last_ns == NO_TIME :].tolist()[: GAPS - len(row.gaps)]
-        if len(times):
-            row.last_ns = int(times[-1])
+        for row, rows in self.rows.groups(table):
+            row.add(table, rows)
 
     @property
     def seconds(self) -> float:
@@ -193,25 +140,27 @@ class CanContents:
 
     def show(self, arguments: argparse.Namespace) -> None:
         """Print what was found."""
-        rows = sorted(self.rows.values(), key=lambda row: (str(row.channel), row.key))
+        rows = sorted(self.rows.values(), key=lambda row: (str(row.identifier.channel), row.identifier.key))
         if arguments.format == "jsonl":
             for row in rows:
                 print_json(
                     {
-                        "channel": row.channel,
-                        "identifier": row.key & 0x1FFF_FFFF,
-                        "extended": bool(row.key & EXTENDED),
+                        "channel": row.identifier.channel,
+                        "identifier": row.identifier.number,
+                        "extended": row.identifier.is_extended,
                         "frames": row.frames,
                         "period_ms": row.period_ms,
-                        "length": [row.shortest, row.longest],
+                        "length": [row.lengths_seen[0], row.lengths_seen[-1]],
                         "changes": row.pattern,
                     },
                     indent=None,
                 )
             return
-        names = ", ".join(dict.fromkeys(str(row.channel) for row in rows if row.channel is not None))
+        names = ", ".join(
+            dict.fromkeys(row.identifier.channel for row in rows if row.identifier.channel is not None)
+        )
         page = Page(arguments.color)
-        title = f"{_shown(self.name)}: {counted(self.frames, 'frame')}"
+        title = f"{_shown(self.name)}: {counted(self.rows.frames, 'frame')}"
         title += f" in {self.seconds:.6g} s" if self.seconds else ""
         page.lines([printable(title + (f" on {names}" if names else ""))])
         if rows and not arguments.quiet:
@@ -219,19 +168,21 @@ class CanContents:
             page.table(
                 ("channel", "id", "frames", "period", "bytes", "changes"), [_cells(row) for row in rows]
             )
-        if self.beyond:
-            page.lines([f"and {counted(self.beyond, 'frame')} of more than {ROWS} identifiers"])
+        if self.rows.beyond:
+            page.lines(
+                [f"and {counted(self.rows.beyond, 'frame')} of more than {len(self.rows)} identifiers"]
+            )
         _advise(page, self.name, "can", FrameTable.concat(self.piece) if self.piece else None)
 
 
 def _cells(row: Row) -> tuple[str, ...]:
     period = row.period_ms
     return (
-        row.channel or "",
-        row.identifier,
+        row.identifier.channel or "",
+        str(row.identifier),
         str(row.frames),
         "" if period is None else f"{period:.4g} ms",
-        str(row.longest) if row.shortest == row.longest else f"{row.shortest}-{row.longest}",
+        "-".join(map(str, dict.fromkeys((row.lengths_seen[0], row.lengths_seen[-1])))),
         row.pattern,
     )
 
@@ -278,7 +229,7 @@ def _advise(page: Page, name: str, link: str, piece: Any) -> None:
     command = "… | aces decode" if name == "-" else f"aces decode {shlex.quote(name)}"
     page.lines([""])
     for one in fitting:
-        page.lines([printable(f"{one.share:4.0%} is {one.name}:  {command} -p {one.name}")])
+        page.lines([printable(f"{one.share:4.0%} is {one.name}:  {command} {one.options}")])
     if not fitting:
         page.lines(
             [

@@ -60,7 +60,7 @@ from .output import LIVE, Writer, line_format, table_format
 from .registers import RegisterNotes
 
 if TYPE_CHECKING:
-    from .where import Where
+    from aces_bus.recordings.where import Where
 
 BATCH = 1024
 #: Unknown items that are looked at for one that can be explained.
@@ -240,7 +240,7 @@ class LiveDecoding(Decoding):
     def _where(self, texts: list[str]) -> Where | None:
         if not texts:
             return None
-        from .where import Where
+        from aces_bus.recordings.where import Where
 
         return Where(texts, self.plans)
 

@@ -22,14 +22,14 @@ from aces_bus.protocol.columns.decode import feed
 from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.columns.table import MessageTable, kinds_of
 from aces_bus.recordings import CanRecording, Recording, SerialRecording
-from aces_bus.recordings.filters import passing
 from aces_bus.recordings.pieces import Direction, pieces_of
+from aces_bus.recordings.selection import KeptFrames, RecordingSelection, part_of
 from aces_bus.recordings.totals import Totals
+from aces_bus.recordings.where import Rows, WhereColumns
 
 from .console import Patience, Progress, check_not_read, say, say_note
 from .decoding import Decoding, utf8
 from .output.shape import Plans
-from .where import Rows, WhereColumns
 
 
 class TableDecoding(Decoding):
@@ -41,6 +41,7 @@ class TableDecoding(Decoding):
     def __init__(self, arguments: argparse.Namespace) -> None:
         super().__init__(arguments)
         self.progress = Progress(self.files)
+        self.selection = RecordingSelection(self.filter, self.window)
 
     def _opened(self, capture: CanRecording | SerialRecording) -> None:
         self.progress.opened(capture)
@@ -59,7 +60,7 @@ class TableDecoding(Decoding):
             self.variants["can"], direction=self.direction, include_unknown=self.include_unknown
         )
         first = 0
-        passed = _Passed()
+        passed = KeptFrames()
         try:
             for frames in pieces_of(patience.each(capture.tables()), is_live=capture.live):
                 tables = scanner.feed(frames)
@@ -72,24 +73,14 @@ class TableDecoding(Decoding):
                 kept = self._kept(frames)
                 if kept is not None:
                     passed.add(first, kept)
-                    tables = [self._part(table, passed.of(table.row), totals) for table in tables]
+                    tables = [part_of(table, passed.of(table.row), totals) for table in tables]
                 self._take(tables, totals)
                 first += len(frames)
                 self._after(capture, len(frames))
                 del frames, tables  # or they wait for the next piece to be read and decoded
-            self._take([self._part(table, passed.of(table.row), totals) for table in scanner.close()], totals)
+            self._take([part_of(table, passed.of(table.row), totals) for table in scanner.close()], totals)
         finally:
             totals.count(scanner.counts)
-
-    def _kept(self, frames: FrameTable) -> Rows | None:
-        """Which frames --filter, --from and --to let pass; None: all."""
-        kept: Rows | None = None
-        if self.window is not None:
-            kept = self.window.inside(frames.time)
-        if self.filter is not None:
-            passed = passing(self.filter, frames)
-            kept = passed if kept is None else kept & passed
-        return kept
 
     def _feed(self, scanner: Any, data: bytes, time: float | None) -> Any:
         return feed(scanner, data, time)
@@ -97,23 +88,18 @@ class TableDecoding(Decoding):
     def _found(self, items: Any, totals: Totals) -> None:
         self._take(self._inside(items, totals), totals)
 
+    def _kept(self, frames: FrameTable) -> Rows | None:
+        """Which frames go on to `_take`, by their identifiers and times; None: all."""
+        return self.selection.kept(frames)
+
+    def _inside(self, tables: Sequence[MessageTable], totals: Totals) -> Sequence[MessageTable]:
+        """What of a serial line goes on to `_take`, by its times."""
+        return self.selection.inside(tables, totals)
+
     def _after(self, capture: Recording, frames: int = 0) -> None:
         self.progress.step(frames)
         if capture.live:
             self._problems(capture)
-
-    def _inside(self, tables: Sequence[MessageTable], totals: Totals) -> Sequence[MessageTable]:
-        """The packets that --from and --to let pass."""
-        if self.window is None:
-            return tables
-        return [self._part(table, self.window.inside(table.time), totals) for table in tables]
-
-    def _part(self, table: MessageTable, kept: Rows, totals: Totals) -> MessageTable:
-        """The rows that are kept; the others go into the bin `filtered`."""
-        if kept.all():
-            return table
-        totals.reject(table.take(np.flatnonzero(~kept)))
-        return table.take(np.flatnonzero(kept))
 
     def _warn_of(self, contested: Any, tables: Sequence[MessageTable]) -> None:
         """Warn when a decoded frame is of an identifier that two protocols claim: of the first such frame."""
@@ -134,44 +120,21 @@ class TableDecoding(Decoding):
         return min(found)[1] if found else None
 
 
-class _Passed:
-    """Which frames of a capture pass the filters, piece by piece: a packet may lose frames of pieces before."""
-
-    def __init__(self) -> None:
-        self._starts: list[int] = []
-        self._kept: list[Rows] = []
-
-    def add(self, first: int, kept: Rows) -> None:
-        """One more piece, whose first frame is number `first`."""
-        self._starts.append(first)
-        self._kept.append(kept)
-
-    def of(self, rows: Any) -> Rows:
-        """Whether frames pass, by their numbers."""
-        if not self._starts or not len(rows):
-            return np.ones(len(rows), bool)
-        if int(rows.min()) >= self._starts[-1]:
-            last: Rows = self._kept[-1][rows - self._starts[-1]]
-            return last
-        pieces = np.searchsorted(self._starts, rows, side="right") - 1
-        found = np.empty(len(rows), bool)
-        for number in np.unique(pieces).tolist():
-            mine = pieces == number
-            found[mine] = self._kept[number][rows[mine] - self._starts[number]]
-        return found
-
-
 class ColumnDecoding(TableDecoding):
     """One run into an output of tables. A wrong call raises before anything is read or written."""
 
     def __init__(self, arguments: argparse.Namespace, form: str) -> None:
         super().__init__(arguments)
-        self.where = WhereColumns(arguments.where, self.plans) if arguments.where else None
         self.columns = wanted_columns(arguments.signals, self.plans)
-        show = arguments.unknown or "hide"
-        self.shows_records, self.shows_losses = show != "only", show != "hide"
-        # Filters by frame and by time also refuse what is not decoded: they need to see it.
-        self.include_unknown = self.shows_losses or self.filter is not None or self.window is not None
+        self.selection = RecordingSelection(
+            self.filter,
+            self.window,
+            self.messages,
+            self.columns,
+            WhereColumns(arguments.where, self.plans) if arguments.where else None,
+            arguments.unknown or "hide",
+        )
+        self.include_unknown = self.selection.include_unknown
         self.source: str | None = None
         path: str = arguments.output
         check_not_read(path, self.files)
@@ -192,7 +155,7 @@ class ColumnDecoding(TableDecoding):
 
     def _only(self) -> str | None:
         """The one message that is wanted: it is written as a file and not as a folder."""
-        if len(self.messages) != 1 or self.shows_losses:
+        if len(self.messages) != 1 or self.selection.shows_losses:
             return None
         name = next(iter(self.messages))
         owners = [v for some in self.variants.values() for v in some if name in v.messages]
@@ -230,22 +193,7 @@ class ColumnDecoding(TableDecoding):
 
     def _take(self, tables: Sequence[MessageTable], totals: Totals) -> None:
         """Write what is to be shown; what --message, --signals and --where refuse goes into the bin `filtered`."""
-        shown: list[MessageTable] = []
-        for table in tables:
-            if not table.message:
-                if self.shows_losses:
-                    shown.append(table)
-                continue
-            if (self.messages and table.message not in self.messages) or (
-                self.columns is not None and table.message not in self.columns
-            ):
-                totals.reject(table)
-                continue
-            if self.where is not None:
-                table = self._part(table, self.where.holds(table), totals)
-            if self.shows_records:
-                shown.append(table)
-        self.export.write(shown, source=self.source, columns=self.columns)
+        self.export.write(self.selection.shown(tables, totals), source=self.source, columns=self.columns)
 
 
 def wanted_columns(texts: Sequence[str], plans: Plans) -> dict[str, list[str]] | None:

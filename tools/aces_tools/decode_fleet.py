@@ -19,20 +19,11 @@ from .decoding import named_messages
 from .output.shape import plans_of
 from .protocols_arg import named_protocol
 
-#: Options that a fleet does not have, by the names of their arguments.
-_WITHOUT = {
-    "filter": "--filter",
-    "where": "--where",
-    "start": "--from",
-    "stop": "--to",
-    "count": "--count",
-}
-
 
 def decode_fleet(arguments: argparse.Namespace) -> int:
     """Run `aces decode --cluster`; the exit status."""
-    if given := [option for name, option in _WITHOUT.items() if getattr(arguments, name)]:
-        raise CallerError(f"{', '.join(given)}: not with --cluster; a query of the dataset chooses rows")
+    if arguments.count is not None:
+        raise CallerError("--count is for lines, and --cluster writes tables; --from and --to choose a piece")
     if arguments.output is None or arguments.format not in (None, "parquet"):
         raise CallerError("--cluster writes folders of Parquet: -o DIR/ or -o s3://bucket/folder/")
     if arguments.jobs > 1:
@@ -54,6 +45,10 @@ def decode_fleet(arguments: argparse.Namespace) -> int:
             unknown=arguments.unknown or "hide",
             names=arguments.names,
             float32=arguments.float32,
+            where=arguments.where,
+            filter=arguments.filter,
+            start=arguments.start,
+            stop=arguments.stop,
             progress=lambda progress: line.show(progress_line(progress)),
             note=say,
         )

@@ -6,7 +6,8 @@
    undecoded, and this process decodes them; so a reply finds its request across any border.
 3. No more pieces are under way than processes can chew: memory does not grow with the file.
 
-A plain candump log is entered at several places at once; other formats are read here and decoded there.
+A plain candump log is entered at several places at once; other formats are read here and decoded there. What is as quickly
+decoded as other processes are started is decoded here.
 """
 
 from __future__ import annotations
@@ -36,14 +37,17 @@ from aces_bus.protocol.columns.table import MessageTable
 from aces_bus.recordings import CanRecording, UnreadableEntry, open_recording
 from aces_bus.recordings.open import open_part, split_capture
 from aces_bus.recordings.pieces import make_can_scanner, pieces_of
+from aces_bus.recordings.selection import AdoptedPieces, part_of
 from aces_bus.recordings.totals import Totals
 
 from .console import SHOWN, Patience, say_note
 from .decode_columns import ColumnDecoding
-from .where import Rows
 
-#: Bytes of a log that are one piece, at most; each process gets as many.
-PIECE = 32 << 20
+#: Bytes of a log that are one piece, at most; each process gets as many. To begin and end the files of 60 messages takes as
+#: long as to decode 7 MB, so pieces are large; but what a process leaves to this one comes with its piece, all at once.
+PIECE = 64 << 20
+#: Bytes of a file that are worth other processes: with less they take as much as they save.
+WORTH = 8 << 20
 #: What a recording counts of its lines and frames.
 COUNTED = ("lines", "lines_unreadable", "lines_comment", "lines_blank", "frames_dropped")
 #: Outputs that are folders of tables, which parts can be put into.
@@ -80,10 +84,7 @@ class JobsDecoding(ColumnDecoding):
         super().__init__(arguments, form)
         self._pool: ProcessPoolExecutor | None = None
         self._piece = 0
-        #: Frames of this file that have been put together.
-        self._frames = 0
         self._notes: dict[str, None] = {}
-        self._before: list[tuple[FrameTable, Any]] = []
         self._deferring: CanColumns | ChannelColumns | None = None
 
     def _open_export(self, path: str) -> Export:
@@ -96,14 +97,15 @@ class JobsDecoding(ColumnDecoding):
     # ------------------------------------------------------------------ this process
 
     def _can(self, capture: CanRecording, totals: Totals, patience: Patience) -> None:
-        if capture.live:
+        if capture.live or (os.path.isfile(capture.name) and os.path.getsize(capture.name) < WORTH):
+            self._piece += 1
+            self.export.begin_own()  # type: ignore[attr-defined]
             super()._can(capture, totals, patience)
             return
         scanner = self._column_scanner(defer=False)
         tasks = self._tasks(capture)
         under_way: deque[Future[PieceResult]] = deque()
-        self._frames = 0
-        self._before = []
+        pieces = AdoptedPieces(scanner, self.selection)
         self._start_window(capture)
         try:
             while True:
@@ -114,7 +116,8 @@ class JobsDecoding(ColumnDecoding):
                     under_way.append(self._submit(task))
                 if not under_way:
                     break
-                self._adopt(capture, scanner, under_way.popleft().result(), totals)
+                self._adopt(capture, scanner, pieces, under_way.popleft().result(), totals)
+            self._take(pieces.close(totals), totals)
         except BrokenProcessPool as error:
             raise CallerError(
                 "a decoding process has died; is there enough memory? Try fewer --jobs"
@@ -168,7 +171,14 @@ class JobsDecoding(ColumnDecoding):
             initargs=(self.arguments, self.form),
         )
 
-    def _adopt(self, capture: CanRecording, scanner: Any, done: PieceResult, totals: Totals) -> None:
+    def _adopt(
+        self,
+        capture: CanRecording,
+        scanner: Any,
+        pieces: AdoptedPieces,
+        done: PieceResult,
+        totals: Totals,
+    ) -> None:
         """Go on behind a piece: its files, its counts, its complaints, and the frames that it left."""
         if done.error:
             raise CaptureError(done.error) if done.is_of_capture else CallerError(done.error)
@@ -191,31 +201,9 @@ class JobsDecoding(ColumnDecoding):
             room = max(0, SHOWN - len(capture.problems))
             capture.problems += [p._replace(line=p.line + before) for p in done.problems[:room]]
         self._notes.update(dict.fromkeys(done.notes))
-        handovers = done.handover.values() if isinstance(done.handover, dict) else [done.handover]
-        deferred = [(table, rows + self._frames) for one in handovers for table, rows in one.deferred]
-        frames = max((one.frames for one in handovers), default=0)
-        tables = scanner.adopt(done.handover)
-        self._frames += frames
-        if deferred and (self.window is not None or self.filter is not None):
-            # A packet of a transport may lose frames of the piece before.
-            known = [*self._before, *deferred]
-            tables = [self._part(table, self._kept_rows(known, table), totals) for table in tables]
-        self._before = deferred
-        self._take(tables, totals)
-        self.progress.step(frames)
-
-    def _kept_rows(self, deferred: Sequence[tuple[FrameTable, Any]], table: MessageTable) -> Rows:
-        """Which lines of a table --filter, --from and --to let pass."""
-        kept = np.zeros(len(table), bool)
-        for frames, rows in deferred:
-            places = np.minimum(np.searchsorted(rows, table.row), len(rows) - 1)
-            untimed = self.window.untimed if self.window is not None else 0
-            passed = self._kept(frames)
-            if self.window is not None:
-                self.window.untimed = untimed  # the other process has counted them
-            if passed is not None:
-                kept |= (rows[places] == table.row) & passed[places]
-        return kept
+        before_frames = pieces.frames
+        self._take(pieces.adopt(done.handover, totals), totals)
+        self.progress.step(pieces.frames - before_frames)
 
     def _finish(self, *, is_whole: bool) -> None:
         if is_whole:
@@ -261,9 +249,9 @@ class JobsDecoding(ColumnDecoding):
                     contested = self._first_contested(scanner.contested, found)
                 if self.absent:
                     channels |= {str(frames.channels.names[n]) for n in np.unique(frames.channel).tolist()}
-                kept = self._kept(frames)
+                kept = self.selection.kept(frames)
                 if kept is not None:
-                    found = [self._part(table, kept[table.row - row], totals) for table in found]
+                    found = [part_of(table, kept[table.row - row], totals) for table in found]
                 self._take(found, totals)
                 row += len(frames)
             notes = self.export.notes
@@ -330,10 +318,15 @@ class Parts:
         self._move(self.piece(self._adopted), f"part-{self._adopted:05}")
         self._adopted += 1
 
+    def begin_own(self) -> None:
+        """The next piece is of this process alone."""
+        self._close_own()
+        self._adopted += 1
+
     def write(
         self, tables: Sequence[MessageTable], *, source: str | None = None, columns: Any = None
     ) -> None:
-        """Tables that this process has decoded itself, of the piece adopted last."""
+        """Tables that this process has decoded itself, of the piece that was adopted or begun last."""
         tables = [table for table in tables if len(table)]
         if not tables:
             return

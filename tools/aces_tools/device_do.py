@@ -153,7 +153,7 @@ class Doing:
             for one in signals:
                 print(f"{one.name:<{width}}  {reading(one)}")
         missing = any(one.instant is None for one in signals)
-        if missing and self.device.host.passive and self.device.last_heard is None:
+        if missing and self.device.host.passive and self.device.last_received is None:
             say(f"nothing came from {self.device.name}: no other program asks it; --ask does")
         return 1 if missing else 0
 
@@ -254,7 +254,7 @@ class Doing:
         """Whether the device has answered; one that is never polled may be there."""
         device = self.device
         return not device.polls or self.wait(
-            lambda: device.last_heard is not None or self.patience.is_over, round(ANSWERS_S * 1e9)
+            lambda: device.last_received is not None or self.patience.is_over, round(ANSWERS_S * 1e9)
         )
 
     def _show_set(self, targets: list[tuple[Signal, Any]]) -> int:
@@ -276,7 +276,7 @@ class Doing:
         is_deaf = bool(device.polls) and device.is_silent
         missing = self.live.clock.call(device.waited_for)
         if missing:
-            say(f"{device.name}: was not sent; its word needs {', '.join(missing)} too: set both at once")
+            say(f"{device.name}: was not sent; its message needs {', '.join(missing)} too: set both at once")
             return 1
         if self._is_changed(targets):
             return 1
@@ -331,6 +331,8 @@ class Doing:
             return 1
         except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
             raise CallerError(f"{action}: one of its arguments is not of the right kind: {error}") from None
+        if action == "enable" and device.alone_s and self.live.virtual is None:
+            say(f"{device.name}: its own watchdog stops it {device.alone_s:g} s after this program has ended")
         found = json_value(result)
         if self.arguments.json:
             print_json({"action": action, "result": found}, None)

@@ -159,7 +159,11 @@ class Searching:
         if not arguments.twin:
             from .device import config_of
 
-            robot = chosen_robot(arguments.robot, arguments.driver)
+            robot = chosen_robot(
+                arguments.robot,
+                arguments.driver,
+                how="--robot NAME or FILE.toml (a driver's own example: --twin)",
+            )
             return robot, config_of(robot, arguments.name).name
         if arguments.robot:
             raise CallerError("--twin is a driver's example; of a robot's device: --virtual")
@@ -417,7 +421,7 @@ class Searching:
             "steps": step_lines(found),
             "capture": str(self.saved[found.stem]),
             "commands": self._commands(found, self.saved[found.stem]),
-            "found_after": found.words,
+            "found_after": found.packets,
         }
 
 
@@ -431,7 +435,7 @@ def _where(link: str, channel: str | None, interface: str | None) -> str:
 
 
 def step_lines(found: DeviceFinding) -> list[str]:
-    """The words of a finding, one a line: `2 × Configure key=0 value=65535`; what is no message as it is on the wire."""
+    """The packets of a finding, one a line: `2 × Configure key=0 value=65535`; what is no message as it is on the wire."""
     lines = [f"{len(list(same)):>4} × {text}" for text, same in groupby(map(_shown, found.records()))]
     if len(lines) > LINES:
         lines = [*lines[:LINES], f"       and {len(lines) - LINES} more lines"]

@@ -6,6 +6,7 @@
   aces diff run.log --marks marks.txt        B are the times that the file names
   aces diff run.log --marks marks.txt --a released --b pressed -o diff.png
   aces diff before.log after.log -p car.dbc  messages and signals as well
+  aces diff run.log --b 10..12 -p hubo -m Encoder --where board=3
 
 Without a protocol: identifiers that appear, vanish, come at another period or
 with another length; bits that change in B only, and values seen in B only.
@@ -15,9 +16,11 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
+
+import numpy as np
 
 from aces_bus.compare import RecordingComparison, TimeMark, parse_marks
 from aces_bus.compare.changes import KINDS
@@ -26,8 +29,10 @@ from aces_bus.compare.marks import parse_window, windows_of
 from aces_bus.errors import CallerError, CaptureError
 from aces_bus.plain_text import printable
 from aces_bus.protocol import Variant
+from aces_bus.protocol.columns.table import Array, MessageTable
 from aces_bus.recordings import CanRecording, SerialRecording, open_recording, parse_filter
 from aces_bus.recordings.pieces import open_any
+from aces_bus.recordings.where import WhereColumns
 from aces_bus.recordings.window import TimeWindow
 
 from .console import (
@@ -41,8 +46,23 @@ from .console import (
     say,
     say_note,
 )
-from .options import COLOR, FILTER, JSON, OUTPUT, PROTOCOL, Arguments, argument, duration, several
+from .decoding import named_messages
+from .options import (
+    COLOR,
+    DIRECTION,
+    FILTER,
+    JSON,
+    MESSAGE,
+    OUTPUT,
+    PROTOCOL,
+    WHERE,
+    Arguments,
+    argument,
+    duration,
+    several,
+)
 from .output.columns import Page
+from .output.shape import plans_of
 from .protocols_arg import parse_protocols
 
 _KINDS = "\n".join(f"  {kind:<9} {words}" for kind, words in KINDS.items())
@@ -84,6 +104,9 @@ ARGUMENTS: Arguments = (
         "--for", dest="lasting", type=duration, metavar="DURATION", help="a mark lasts so long: 500ms, 2s"
     ),
     PROTOCOL.but(help="what is spoken: messages and signals are compared; serial lines need it"),
+    DIRECTION,
+    MESSAGE.but(help="compare only this message, in any case, also Motor*; may be given several times"),
+    WHERE.but(help="compare only records such as field=value, as of 'aces decode'"),
     FILTER,
     argument(
         "--least",
@@ -120,7 +143,12 @@ class Comparing:
         b = ComparedSide(windows_b, self.variants)
         rest = b if len(self.files) == 1 and not windows_a else None
         self.comparer = RecordingComparer(
-            ComparedSide(windows_a, self.variants, rest), b, self.variants, wanted
+            ComparedSide(windows_a, self.variants, rest),
+            b,
+            self.variants,
+            wanted,
+            self._selection(),
+            arguments.direction,
         )
         self.picture: Any = None
         if arguments.output is not None:
@@ -152,14 +180,35 @@ class Comparing:
 
         return windows("--a", asked.a), windows("--b", names)
 
+    def _selection(self) -> Callable[[MessageTable], Array] | None:
+        """Which rows -m and --where let pass; None: all."""
+        asked = self.arguments
+        if not (asked.message or asked.where):
+            return None
+        if not self.variants:
+            raise CallerError(
+                f"--{'message' if asked.message else 'where'} needs to know what is spoken; name a protocol: -p NAME"
+                " (aces protocols)"
+            )
+        plans = plans_of(self.variants)
+        names = named_messages(asked.message, plans)
+        where = WhereColumns(asked.where, plans) if asked.where else None
+
+        def selected(table: MessageTable) -> Array:
+            if names and table.message not in names:
+                return np.zeros(len(table), bool)
+            return np.ones(len(table), bool) if where is None else where.holds(table)
+
+        return selected
+
     def _begin_picture(self, path: str) -> None:
         from .plotting import figure
         from .plotting.lanes import LanePicture
 
         figure.check_output(path)
         check_not_read(path, self.files)
-        self.picture = LanePicture()
-        self.comparer.watch = self.picture.add
+        self.picture = LanePicture(self.variants)
+        self.comparer.watcher = self.picture
 
     # ------------------------------------------------------------------ running
 
@@ -182,13 +231,29 @@ class Comparing:
                 say("interrupted: nothing was compared")
                 return 130
         for option, side in (("--a", self.comparer.a), ("--b", self.comparer.b)):
-            if side.is_windowed and side.is_empty:
+            if side.is_windowed and not side.watched.frames:
                 what = (
                     "what --b leaves of the recording"
                     if side.rest_of is not None
                     else f"the times of {option}"
                 )
                 raise CallerError(f"nothing is in {what}")
+        if not any(number for _, side in self._sides() for _, number in _sizes(side)):
+            if self.comparer.selected is not None:
+                raise CallerError("nothing is compared: no message is what -m and --where ask for")
+            if self.comparer.wanted is not None:
+                raise CallerError("nothing is compared: no frame passes --filter")
+            raise CallerError(
+                f"nothing is compared: {' and '.join(dict.fromkeys(self._names()))} holds nothing"
+            )
+        for name, (_, side) in zip(self._names(), self._sides(), strict=True):
+            if not side.watched.frames:
+                say(f"{name} holds nothing to compare, so that all of the other is new or gone")
+            beyond = side.traffic.identifiers.beyond + side.messages.beyond
+            if beyond:
+                say(
+                    f"{name}: {beyond} frames or messages are not compared: there are too many identifiers or devices"
+                )
         found = self.comparer.compare(self.arguments.least)
         try:
             if self.arguments.json:
@@ -210,10 +275,10 @@ class Comparing:
         path = self.arguments.output
         drawn = self.picture.save(path, found, self._names())
         if not drawn:
-            say(f"{path} is not written: no identifier differs")
+            say(f"{path} is not written: nothing that can be drawn differs")
         elif drawn < len(found.changes):
             say_note(
-                f"{path} shows {drawn} of {counted(len(found.changes), 'change')}; 'aces plot' draws signals"
+                f"{path} shows {drawn} of {counted(len(found.changes), 'change')}; --least leaves out more"
             )
 
     def _open(self, name: str) -> CanRecording | SerialRecording:
@@ -267,7 +332,7 @@ class Comparing:
         sides = {
             name: {
                 "what": words,
-                "seconds": side.traffic.seconds or side.messages.seconds,
+                "seconds": side.watched.seconds,
                 **dict(_sizes(side)),
             }
             for (name, side), words in zip(self._sides(), self._names(), strict=True)
@@ -277,7 +342,7 @@ class Comparing:
     def _print(self, found: RecordingComparison) -> None:
         page = Page(self.arguments.color)
         for (name, side), words in zip(self._sides(), self._names(), strict=True):
-            seconds = side.traffic.seconds or side.messages.seconds
+            seconds = side.watched.seconds
             passed = f" in {seconds:.4g} s" if seconds else ""
             sizes = ", ".join(counted(number, unit[:-1]) for unit, number in _sizes(side) if number)
             page.lines([printable(f"{name.upper()}  {words}: {sizes or 'nothing'}{passed}")])

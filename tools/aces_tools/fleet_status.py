@@ -14,7 +14,7 @@ import argparse
 
 from aces_bus.fleet import FleetStatus, status
 
-from .console import print_json, say
+from .console import counted, print_json, say
 from .decode_fleet import duration_text
 from .options import JSON, Arguments, argument, flag
 
@@ -43,11 +43,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _show(found: FleetStatus, *, shows_faults: bool) -> None:
     states = ", ".join(f"{number} {state}" for state, number in sorted(found.states.items())) or "none"
-    print(f"{len(found.inputs)} inputs ({states}), {found.bytes / 1e9:.3g} GB")
+    print(f"{counted(len(found.inputs), 'input')} ({states}), {found.bytes / 1e9:.3g} GB")
     print(f"{duration_text(found.duration_s)} of recordings, {duration_text(found.seconds)} of work")
     for link, total in sorted(found.total.items()):
         print(total.line(link))
-    print(f"{len(found.messages)} datasets: {', '.join(found.messages)}")
+    print(f"{counted(len(found.messages), 'dataset')}: {', '.join(found.messages)}")
     for uri in found.cut_off:
         say(f"{uri}: an attempt was cut off; decode it again")
     if shows_faults:
@@ -55,7 +55,7 @@ def _show(found: FleetStatus, *, shows_faults: bool) -> None:
             for fault in one.faults:
                 print(fault)
     elif found.faulty:
-        print(f"{len(found.faulty)} inputs with faults; --faults shows them")
+        print(f"{counted(len(found.faulty), 'input')} with faults; --faults shows them")
 
 
 def _whole(found: FleetStatus) -> dict[str, object]:

@@ -229,7 +229,7 @@ class Tally:
     def __init__(self, arguments: argparse.Namespace, job: FuzzJob) -> None:
         self.job = job
         self.began = time.monotonic()
-        self.examples = self.checks = self.words = 0
+        self.examples = self.checks = self.bytes_and_frames = 0
         self.found: list[FoundFailure] = []
         self._latest: dict[int, TaskResult] = {}
         self._is_shown = not arguments.quiet and not arguments.json
@@ -241,7 +241,7 @@ class Tally:
         """Count what a task did; gives the failures that are new."""
         self.examples += done.examples
         self.checks += done.checks
-        self.words += done.words
+        self.bytes_and_frames += done.bytes_and_frames
         last = self._latest.get(done.process)
         if last is None or last.turn < done.turn:  # they may come out of order
             self._latest[done.process] = done
@@ -293,7 +293,7 @@ class Tally:
             "laws": list(self.job.laws),
             "examples": self.examples,
             "checks": self.checks,
-            "words": self.words,
+            "bytes_and_frames": self.bytes_and_frames,
             "seconds": round(self.seconds, 3),
             "examples_per_minute": round(self.rate),
             "interrupted": is_over,
@@ -304,7 +304,8 @@ class Tally:
         failed = f"{len(self.found)} failed" if self.found else "no failure"
         kept = sum(done.kept for done in self._latest.values())
         return (
-            f"{'interrupted: ' if is_over else ''}examples={self.examples} checks={self.checks} words={self.words} "
+            f"{'interrupted: ' if is_over else ''}examples={self.examples} checks={self.checks} "
+            f"bytes_and_frames={self.bytes_and_frames} "
             f"seconds={self.seconds:.1f} rate={self.rate:.0f}/min seed={self.job.seed}"
             + (f" kept={kept}" if self.job.corpus is not None else "")
             + f": {failed}"

@@ -75,7 +75,7 @@ class TaskResult:
 
     examples: int = 0
     checks: int = 0
-    words: int = 0
+    bytes_and_frames: int = 0
     process: int = 0
     #: Which of its process's tasks it was: what was reached is sent as a whole each time.
     turn: int = 0
@@ -143,11 +143,11 @@ class FuzzWorker:
         found = [failure_report(self.job, failure) for failure in fuzzer.failures[self._failures :]]
         self._failures = len(fuzzer.failures)
         self._turn += 1
-        self._done = TaskResult(fuzzer.examples, fuzzer.checks, fuzzer.words, kept=self._kept)
+        self._done = TaskResult(fuzzer.examples, fuzzer.checks, fuzzer.bytes_and_frames, kept=self._kept)
         return TaskResult(
             fuzzer.examples - before.examples,
             fuzzer.checks - before.checks,
-            fuzzer.words - before.words,
+            fuzzer.bytes_and_frames - before.bytes_and_frames,
             os.getpid(),
             self._turn,
             dict(fuzzer.coverage.reached),
@@ -191,7 +191,7 @@ def _replayed(fuzzer: Fuzzer, name: str) -> None:
         return
     loaded = load_scene(Path(name))
     mine = [b for b in fuzzer.benches if b.variants[0].name == loaded.protocol] or fuzzer.benches
-    mine = [b for b in mine if b.is_can != isinstance(loaded.words, bytes)]
+    mine = [b for b in mine if b.is_can != isinstance(loaded.traffic, bytes)]
     if not mine:
         raise CallerError(
             f"{name}: a scene of {loaded.protocol}, on another kind of link than what is fuzzed"
@@ -201,7 +201,7 @@ def _replayed(fuzzer: Fuzzer, name: str) -> None:
         fuzzer.judge(bench, loaded.scene(bench), loaded.cuts)
 
 
-#: Of a capture, words in one scene, and scenes.
+#: Of a capture, frames or bytes in one scene, and scenes.
 PIECES = {True: (32, 200), False: (512, 200)}
 
 
@@ -212,13 +212,13 @@ def _captured(fuzzer: Fuzzer, name: str) -> None:
     for is_can in sorted({bench.is_can for bench in fuzzer.benches}):
         size, most = PIECES[is_can]
         with open_recording(name, link="can" if is_can else "serial") as capture:
-            words: list[Any] = []
+            traffic: list[Any] = []
             for item in capture:
-                words += [item] if isinstance(capture, CanRecording) else [bytes([b]) for b in item.data]
-                if len(words) >= size * most:
+                traffic += [item] if isinstance(capture, CanRecording) else [bytes([b]) for b in item.data]
+                if len(traffic) >= size * most:
                     break
-        for start in range(0, len(words), size):
-            piece: Any = words[start : start + size]
+        for start in range(0, len(traffic), size):
+            piece: Any = traffic[start : start + size]
             scene = laws.Scene(tuple(piece) if is_can else b"".join(piece))
             for bench in fuzzer.benches:
                 if bench.is_can == is_can:

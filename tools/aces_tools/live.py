@@ -75,7 +75,7 @@ class LivePatience(Patience):
 
 
 class BusEventLines:
-    """The events of a gate as lines on stderr. Listens from when it is made; `tell` prints what has come since."""
+    """The events of a gate as lines on stderr. Listens from when it is made; `send` prints what has come since."""
 
     def __init__(self, gate: CanGate | SerialGate | DatagramGate) -> None:
         self._queue: deque[BusEvent] = deque(maxlen=4096)
@@ -114,7 +114,7 @@ class BusEventLines:
         return said
 
 
-def heard_frame(item: Received[Frame], name: str, epoch_ns: int) -> Frame:
+def received_frame(item: Received[Frame], name: str, epoch_ns: int) -> Frame:
     """A frame as it was received, with the host's time and the bus's name where the adapter gives none."""
     frame = item.content
     if frame.channel is None or not frame.timestamp:
@@ -148,23 +148,23 @@ class SendQueue:
 
     def __init__(self, gate: CanGate | SerialGate | DatagramGate, age_s: float | None = None) -> None:
         self.gate = gate
-        #: How long a word may wait (None: the gate's own limit).
+        #: How long a packet may wait (None: the gate's own limit).
         self.age_s = age_s
         self.items = 0
         self._queued = 0
         self._send: Any = gate.send
 
-    def send(self, word: Any) -> None:
+    def send(self, packet: Any) -> None:
         """Queue a frame or bytes, behind all that were queued before. Raises `CallerError` where the gate refuses.
 
         While the bus is lost it is dropped, and counted by the gate.
         """
-        if isinstance(word, Frame):
-            self._send(word, priority=0, age_s=self.age_s)
+        if isinstance(packet, Frame):
+            self._send(packet, priority=0, age_s=self.age_s)
             self._queued += 1
         else:
-            self._send(word, age_s=self.age_s)
-            self._queued += len(word) if self.gate.items == "pieces" else 1
+            self._send(packet, age_s=self.age_s)
+            self._queued += len(packet) if self.gate.items == "pieces" else 1
         self.items += 1
 
     @property
@@ -195,7 +195,7 @@ LATE_SHARE = 0.1
 
 
 class DeviceEventLines:
-    """Listens to a rig from when it is made; `tell` prints what has come since.
+    """Listens to a rig from when it is made; `send` prints what has come since.
 
     `robot` is the whole robot: its other devices, which other programs talk to, are known.
     """
@@ -238,7 +238,7 @@ class DeviceEventLines:
                 if "silent" not in without:
                     say(f"{name}: silent: {event.detail}; {self._look_at(name)}")
         if last:
-            self._tell_late()
+            self._report_late()
 
     def drop(self, kind: str) -> None:
         """Say nothing of what was held back of a kind."""
@@ -254,7 +254,7 @@ class DeviceEventLines:
                     self._said_silent.discard(who)
                     say(f"{who}: answers again")
             case "late reply":
-                pass  # counted by the rig; see `_tell_late`
+                pass  # counted by the rig; see `_report_late`
             case "lost":
                 self._lost.add(event.bus)
                 say(f"{event.bus}: lost: {event.detail}; it is opened again as soon as it is there")
@@ -281,7 +281,7 @@ class DeviceEventLines:
         numbers = ", ".join(f"{key} {value:#04x}" for key, value in config.credentials.items())
         return f"is it powered, on bus {config.bus}, and {numbers}? `aces discover` shows who is there"
 
-    def _tell_late(self) -> None:
+    def _report_late(self) -> None:
         answered = sum(host.counts.answered for host in self.rig.hosts.values())
         for (kind, who), number in self.rig.events.counts.items():
             if kind == "late reply" and number > FEW and number > LATE_SHARE * answered:

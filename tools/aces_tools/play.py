@@ -156,7 +156,7 @@ class Playing:
         is_serial = bool(self.variants) and all(variant.link != "can" for variant in self.variants)
         return open_recording(name, link="serial" if is_serial else None)
 
-    def _words(
+    def _items(
         self, capture: CanRecording | SerialRecording, patience: LivePatience
     ) -> Iterator[Frame | Chunk]:
         """What of a recording is to be sent; the rest is counted."""
@@ -212,16 +212,16 @@ class Playing:
         self.seen.clear()
         self.channels.clear()
         size = 0
-        for word in self._words(capture, patience):
-            if isinstance(word, Frame):
-                instant = word.timestamp
+        for item in self._items(capture, patience):
+            if isinstance(item, Frame):
+                instant = item.timestamp
                 size += 1
-                self.channels[str(word.channel)] = None
-                self.seen[f"{word.arbitration_id:0{8 if word.is_extended_id else 3}X}"] += 1
+                self.channels[str(item.channel)] = None
+                self.seen[f"{item.arbitration_id:0{8 if item.is_extended_id else 3}X}"] += 1
             else:
-                instant = word.time
-                size += len(word.data)
-                self.seen[word.direction or "direction not known"] += len(word.data)
+                instant = item.time
+                size += len(item.data)
+                self.seen[item.direction or "direction not known"] += len(item.data)
             if instant is not None:
                 first = instant if first is None else first
                 last = instant if last is None else max(last, instant)
@@ -285,9 +285,9 @@ class Playing:
             found.setdefault(name, self.bus.on(name))
         return found
 
-    def _to(self, word: Frame | Chunk) -> SendQueue:
+    def _to(self, item: Frame | Chunk) -> SendQueue:
         assert self.bus is not None
-        name = self.map.get(str(word.channel)) if isinstance(word, Frame) else None
+        name = self.map.get(str(item.channel)) if isinstance(item, Frame) else None
         return self.outgoing[name if name is not None else self.bus.name]
 
     def _play(self, patience: LivePatience) -> None:
@@ -320,10 +320,10 @@ class Playing:
 
         pace = Pace(RealClock(), self.speed, self.gap)
         line = _Line(pace, self._byte_ns)
-        for word in self._words(capture, patience):
-            outgoing = self._to(word) if self.arguments.tx else None
-            stamp = to_ns(word.timestamp if isinstance(word, Frame) else word.time)
-            for due, piece in line.pieces(word, stamp, is_split=self.unit == "bytes"):
+        for item in self._items(capture, patience):
+            outgoing = self._to(item) if self.arguments.tx else None
+            stamp = to_ns(item.timestamp if isinstance(item, Frame) else item.time)
+            for due, piece in line.pieces(item, stamp, is_split=self.unit == "bytes"):
                 if not patience.wait_until(due):
                     return
                 if outgoing is None:
@@ -343,13 +343,13 @@ class Playing:
                     self.status = 1
                     return
             if self.view is not None:
-                self._show_live(self.view, word, stamp)
+                self._show_live(self.view, item, stamp)
             self._tell()
             self._progress()
 
-    def _show_live(self, view: LiveView, word: Frame | Chunk, stamp: int) -> None:
+    def _show_live(self, view: LiveView, item: Frame | Chunk, stamp: int) -> None:
         """What was played, at the recording's own time."""
-        is_can = isinstance(word, Frame)
+        is_can = isinstance(item, Frame)
         link: Literal["can", "serial", "datagram"] = (
             "can" if is_can else "datagram" if self.unit == "datagrams" else "serial"
         )
@@ -362,10 +362,10 @@ class Playing:
             if not variants and not is_can:
                 raise CallerError("--foxglove: what do these bytes mean? name a protocol: -p NAME")
             shown = self.live[link] = LiveBus(view, variants, name="", link=link, direction="both")
-        if isinstance(word, Frame):
-            shown.passed(word, instant, True)
+        if isinstance(item, Frame):
+            shown.passed(item, instant, True)
         else:
-            shown.passed(word.data, instant, word.direction == "to device")
+            shown.passed(item.data, instant, item.direction == "to device")
 
     @property
     def most(self) -> int:
@@ -405,15 +405,15 @@ class _Line:
         self._pace, self._byte_ns = pace, byte_ns
         self._free = 0.0
 
-    def pieces(self, word: Any, stamp: int, *, is_split: bool) -> Iterable[tuple[int, Frame | bytes]]:
+    def pieces(self, item: Any, stamp: int, *, is_split: bool) -> Iterable[tuple[int, Frame | bytes]]:
         """The pieces of a frame or chunk, each with its instant; where there are no times, as fast as the line."""
         due = self._pace.due_at(stamp)
-        if isinstance(word, Frame):
-            yield due, word
+        if isinstance(item, Frame):
+            yield due, item
             return
-        step = PIECE if is_split else max(1, len(word.data))
-        for start in range(0, len(word.data), step):
-            piece = word.data[start : start + step]
+        step = PIECE if is_split else max(1, len(item.data))
+        for start in range(0, len(item.data), step):
+            piece = item.data[start : start + step]
             if stamp == NO_TIME:
                 due = round(max(due, self._free))
                 self._free = due + len(piece) * self._byte_ns

@@ -9,13 +9,13 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
-from aces_bus.compare.traffic import BusIdentifier, identifier_groups
 from aces_bus.errors import CallerError, CaptureError
 from aces_bus.frame_table import KEY_REMOTE, NO_TIME, FrameTable
 from aces_bus.protocol.columns.table import ColumnKind
 from aces_bus.recordings import CanRecording
 from aces_bus.recordings.pieces import open_any
 from aces_bus.recordings.window import TimeWindow
+from aces_bus.traffic import BusIdentifier, identifier_groups
 
 from .console import Patience, Progress, check_not_read, counted, report_unreadable, say, say_note
 from .plotting.bit_image import BitImage, BitImages

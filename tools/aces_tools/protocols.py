@@ -180,7 +180,7 @@ def _print_protocol(protocol: Protocol, messages: Sequence[Message], page: Page)
     page.lines([""])
     rows = []
     for message in messages:
-        how = _told_by(message)
+        how = _recognised_by(message)
         kinds = "".join(
             f" {k}"
             for k, given in (("remote", message.remote), ("FD", message.fd and not message.any_format))
@@ -206,7 +206,7 @@ def _print_protocol(protocol: Protocol, messages: Sequence[Message], page: Page)
 _ARROWS = {None: "", "to device": "→", "from device": "←"}
 
 
-def _told_by(message: Message) -> str:
+def _recognised_by(message: Message) -> str:
     """What distinguishes a message from others: identifier, matched head fields, constants of the payload."""
     parts = []
     if message.protocol.link == "can":
@@ -319,7 +319,7 @@ def _template(message: Message) -> list[tuple[str, str]]:
     plan, framing = flatten(message), message.framing
     facts = [
         ("identifier", ", ".join(parts)),
-        ("recognised by", _told_by(message)),
+        ("recognised by", _recognised_by(message)),
         ("length", f"{_lengths(message)} bytes"),
         ("carried by", message.transport.describe if message.transport is not None else ""),
         ("direction", message.direction or ""),
@@ -391,7 +391,7 @@ def _of_message(message: Message, *, is_whole: bool) -> dict[str, Any]:
     found: dict[str, Any] = {
         "name": message.name,
         "identifier": message.identifier.describe(8 if message.extended else 3) if is_can else None,
-        "told_by": _told_by(message),
+        "recognised_by": _recognised_by(message),
         "extended": message.extended,
         "remote": message.remote,
         "fd": message.fd,

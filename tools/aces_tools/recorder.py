@@ -21,7 +21,7 @@ from aces_bus.frame_table import FrameTable
 from aces_bus.recordings import Chunk
 from aces_bus.recordings.base import Direction, Link
 
-from .live import heard_frame
+from .live import received_frame
 from .live_log import LiveRecording, LogSeries
 from .rotation import Rotation
 
@@ -72,7 +72,7 @@ class RecordingFile:
         ]
         if self.link == "can":
             self._pieces = lambda items: [
-                FrameTable.from_frames([heard_frame(item, name, epoch_ns) for item in items])
+                FrameTable.from_frames([received_frame(item, name, epoch_ns) for item in items])
             ]
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()

@@ -21,7 +21,8 @@ from aces_bus.protocol import Message, Protocol, Register, RegisterMap, Unknown,
 from aces_bus.protocol.plan.flatten import NotFlat, scalar_of
 from aces_bus.protocol.record import protocol_name_of
 
-from .output.text import PrintedField, anything, value_printer
+from .output.field_text import PrintedField
+from .output.value_text import anything, value_printer
 from .values import parse_value
 
 #: Registers of one packet that are shown with their values; of more the number is.

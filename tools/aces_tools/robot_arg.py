@@ -83,8 +83,10 @@ def use_driver_files(paths: Sequence[str]) -> None:
             use_driver_file(path)
 
 
-def chosen_robot(name: str | None, driver_files: Sequence[str] = ()) -> Robot:
-    """The robot of a name, a file or the variable, whose drivers may be in files.
+def chosen_robot(
+    name: str | None, driver_files: Sequence[str] = (), *, how: str = "--robot NAME or FILE.toml"
+) -> Robot:
+    """The robot of a name, a file or the variable, whose drivers may be in files. `how` says how one is named.
 
     Raises `CallerError` when there is none, `RobotError` for a bad file.
     """
@@ -93,9 +95,7 @@ def chosen_robot(name: str | None, driver_files: Sequence[str] = ()) -> Robot:
 
     wanted = name or os.environ.get(VARIABLE)
     if not wanted:
-        raise CallerError(
-            f"which robot? --robot NAME or FILE.toml, or the variable {VARIABLE} ({', '.join(list_robots())})"
-        )
+        raise CallerError(f"which robot? {how}, or the variable {VARIABLE} ({', '.join(list_robots())})")
     return load_robot(wanted)
 
 

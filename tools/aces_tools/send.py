@@ -36,7 +36,7 @@ from aces_bus.recordings.text.rows import UnreadableRow
 
 from .bus_arg import BUS_ARGUMENTS, CAN_OPTIONS, ChosenBus, chosen_bus
 from .console import ENDLESS, Output, abandon_stdout, say, say_note, terminal_width, wants_colour
-from .live import LINGER_S, BusEventLines, LivePatience, SendQueue, heard_frame
+from .live import LINGER_S, BusEventLines, LivePatience, SendQueue, received_frame
 from .live_text import CandumpLines, LiveText, Times, notation
 from .options import COLOR, COUNT, EVERY, FOR, PROTOCOL, RATE, TX, Arguments, argument, duration, flag
 from .output.shape import plans_of
@@ -116,11 +116,11 @@ class Sending:
         self.message: Message | None = None
         self.fields: dict[str, Any] = {}
         #: Makes what is sent next: counters go on.
-        self.make: Callable[[], list[Word]] = self._raw() if "#" in arguments.what[0] else self._message()
+        self.make: Callable[[], list[Packet]] = self._raw() if "#" in arguments.what[0] else self._message()
         self.first = self.make()
         self.is_can = isinstance(self.first[0], Frame)
         carrier = self.message.transport if self.message is not None and len(self.first) > 1 else None
-        if arguments.tx and carrier is not None and carrier.unsendable and not carrier.has_sender:
+        if arguments.tx and carrier is not None and carrier.unsendable:
             raise CallerError(f"{arguments.what[0]} is not sent by {carrier.title}: {carrier.unsendable}")
         self.every, self.count, self.until = self._often()
         self.reply_ns: int | None = arguments.reply
@@ -142,13 +142,13 @@ class Sending:
 
     # ------------------------------------------------------------------ what is sent
 
-    def _raw(self) -> Callable[[], list[Word]]:
-        words = [raw_word(text) for text in self.arguments.what]
-        if len({isinstance(word, Frame) for word in words}) > 1:
+    def _raw(self) -> Callable[[], list[Packet]]:
+        packets = [raw_packet(text) for text in self.arguments.what]
+        if len({isinstance(packet, Frame) for packet in packets}) > 1:
             raise CallerError("CAN frames and bytes of a line do not go to one bus")
-        return lambda: words
+        return lambda: packets
 
-    def _message(self) -> Callable[[], list[Word]]:
+    def _message(self) -> Callable[[], list[Packet]]:
         name, *texts = self.arguments.what
         if not self.variants:
             raise CallerError(
@@ -162,7 +162,7 @@ class Sending:
         self.variant, self.message = found[0], found[0].messages[name]
         self.fields = parse_fields(self.message, with_registers(self.message, texts))
         encoder = self.variant.encoder
-        return lambda: _words(encoder.next(name, **self.fields))
+        return lambda: _packets(encoder.next(name, **self.fields))
 
     def _often(self) -> tuple[int | None, int | None, int | None]:
         """The period, how many times, and for how long, in ns."""
@@ -190,12 +190,12 @@ class Sending:
         self.output.write(writer.begin(self._where, self.link))
         is_json = self.arguments.format == "jsonl"
         scanner = self._receiver()
-        for word in self.first:
+        for packet in self.first:
             if not is_json:
-                shown = notation(word) if isinstance(word, Frame) else word.hex(" ").upper()
+                shown = notation(packet) if isinstance(packet, Frame) else packet.hex(" ").upper()
                 self.output.write(f"{self._where}  {shown}\n".encode())
             if is_json or self.plans:
-                items = self._decoded(scanner, word)
+                items = self._decoded(scanner, packet)
                 self.registers.see(items)
                 self.output.write(writer.items(items))
         if self.arguments.bits and self.message is not None:
@@ -220,11 +220,13 @@ class Sending:
         direction = self.message.direction if self.message is not None else None
         return make_scanner(self.variants, direction=direction or "both", include_unknown=True)
 
-    def _decoded(self, scanner: Any, word: Word) -> list[Any]:
+    def _decoded(self, scanner: Any, packet: Packet) -> list[Any]:
         """What a receiver would make of it; of a packet in several frames, with its last one."""
-        if not self.variants and isinstance(word, bytes):
-            return [Unknown("unknown", Meta(None, None, None, None, None, word, offset=0, size=len(word)))]
-        return list(scanner.feed([word]) if isinstance(word, Frame) else scanner.datagram(word))
+        if not self.variants and isinstance(packet, bytes):
+            return [
+                Unknown("unknown", Meta(None, None, None, None, None, packet, offset=0, size=len(packet)))
+            ]
+        return list(scanner.feed([packet]) if isinstance(packet, Frame) else scanner.datagram(packet))
 
     def writer(self) -> Any:
         """What prints records."""
@@ -328,25 +330,27 @@ class Sending:
     def _send(
         self, outgoing: SendQueue, patience: LivePatience, events: BusEventLines, replies: Replies | None
     ) -> None:
-        words = self.first
+        packets = self.first
         if self.every is not None and self.count is None and self.until is None:
             say_note(ENDLESS)
         due = time.monotonic_ns()
         until = None if self.until is None else due + self.until
         number = 0
         while not patience.is_over:
-            if outgoing.pending <= 2 * sum(1 if isinstance(word, Frame) else len(word) for word in words):
-                for word in words:
+            if outgoing.pending <= 2 * sum(
+                1 if isinstance(packet, Frame) else len(packet) for packet in packets
+            ):
+                for packet in packets:
                     if replies is not None:
-                        replies.sent(word)
+                        replies.sent(packet)
                     if self._session is None:
-                        outgoing.send(word)
+                        outgoing.send(packet)
                 if self._session is not None:
-                    self._session.send(words)
+                    self._session.send(packets)
                 number += 1
                 if self.every is None or number == self.count:
                     return
-                words = self.make()
+                packets = self.make()
             else:
                 self.late += 1  # what was sent before has not left: what is old must not pile up
             events.report()
@@ -363,7 +367,7 @@ class Sending:
                 return
 
 
-def raw_word(text: str) -> Word:
+def raw_packet(text: str) -> Packet:
     """A raw frame from `123#DEADBEEF`, or bytes from `#DEADBEEF`; raises `CallerError`."""
     if text.startswith("#"):
         try:
@@ -388,7 +392,7 @@ def raw_word(text: str) -> Word:
     return message_to_frame(frame)
 
 
-def _words(made: Any) -> list[Word]:
+def _packets(made: Any) -> list[Packet]:
     """What an encoder made: python-can messages as frames, bytes as they are."""
     if isinstance(made, bytes):
         return [made]
@@ -406,7 +410,7 @@ class _Untitled(LiveText):
 # ---------------------------------------------------------------------- replies
 
 #: A frame (CAN), or the bytes of a packet.
-Word = Frame | bytes
+Packet = Frame | bytes
 #: Seconds between two looks at whether the wait is over.
 LOOK_S = 0.05
 
@@ -448,17 +452,17 @@ class Replies:
         every = variant.protocol.broadcast.items() if variant is not None else ()
         self._is_broadcast = any(fields.get(name) == number for name, number in every)
 
-    def sent(self, word: Word) -> None:
+    def sent(self, packet: Packet) -> None:
         """Remember what the reply will be to."""
         self.take(0)
         if self._scanner is None:
             return
         now = (time.monotonic_ns() + self._epoch_ns) / 1e9
-        if isinstance(word, Frame):
-            self._scanner.sent(msgspec.structs.replace(word, timestamp=now, channel=self._name))
+        if isinstance(packet, Frame):
+            self._scanner.sent(msgspec.structs.replace(packet, timestamp=now, channel=self._name))
         else:
-            self._scanner.sent(word, now)
-            self._registers.see(self._requests.datagram(word))
+            self._scanner.sent(packet, now)
+            self._registers.see(self._requests.datagram(packet))
 
     def wait(self, patience: LivePatience) -> None:
         """Until the first reply, or until the time is up; of a broadcast all that come in time."""
@@ -500,7 +504,7 @@ class Replies:
 
     def _unnamed(self, item: Any) -> None:
         data = (
-            self._lines.frames([heard_frame(item, self._name, self._epoch_ns)])
+            self._lines.frames([received_frame(item, self._name, self._epoch_ns)])
             if self._link == "can"
             else self._lines.chunks([Chunk(item.content, (item.host_ns + self._epoch_ns) / 1e9)], self._name)
         )

@@ -264,7 +264,7 @@ class SimulatedRobot:
         for name in names:
             protocol = spoken_on(self.robot)[name]
             wire: Any = wire_of(self.robot.buses[name], protocol, VirtualClock(time.monotonic_ns()))
-            pty = stack.enter_context(PtyPort(wire))
+            pty = stack.enter_context(PtyPort(wire, whole=True))
             found[name] = SerialPort(wire, name=name)
             self.reached[name] = {
                 "kind": "serial",

@@ -35,7 +35,7 @@ from .bus_arg import BUS, BUS_ARGUMENTS, ChosenBus, chosen_bus
 from .console import ENDLESS, Output, abandon_stdout, say, say_note, terminal_width, wants_colour
 from .decode import LiveDecoding
 from .decoding import utf8
-from .live import STEP_S, BusEventLines, LivePatience, heard_frame, losses, silence_s
+from .live import STEP_S, BusEventLines, LivePatience, losses, received_frame, silence_s
 from .live_text import CandumpLines, LiveText, Times
 from .live_view import live_view, show_bus_event
 from .options import (
@@ -178,7 +178,7 @@ class Sniffing(LiveDecoding):
         self.total = self.totals.setdefault(self.link, Totals())
         self.gap_ns = round(silence_s(self.scanner) * 1e9)
         #: When bytes came last, and whether the scanner knows of the silence since then.
-        self.heard_at, self.is_settled = 0, True
+        self.received_at, self.is_settled = 0, True
         self.epoch_ns = time.time_ns() - time.monotonic_ns()
         self.lost = ""
 
@@ -346,7 +346,7 @@ class Sniffing(LiveDecoding):
                 if not self.is_done:
                     self._bytes(item)
             return
-        frames = [heard_frame(item, self.name, self.epoch_ns) for item in items]
+        frames = [received_frame(item, self.name, self.epoch_ns) for item in items]
         pieces = [frames] if self.count is None else [[frame] for frame in frames]
         for piece in pieces:
             if self.is_done:
@@ -399,15 +399,15 @@ class Sniffing(LiveDecoding):
         if self.bus.kind == "datagram":
             self._emit(self.scanner.datagram(item.content, seconds), self.total, is_can=False)
             return
-        if not self.is_settled and item.host_ns - self.heard_at > self.gap_ns:
+        if not self.is_settled and item.host_ns - self.received_at > self.gap_ns:
             self._emit(self.scanner.idle(seconds), self.total, is_can=False)
         self._emit(self.scanner.feed(item.content, seconds), self.total, is_can=False)
-        self.heard_at, self.is_settled = item.host_ns, False
+        self.received_at, self.is_settled = item.host_ns, False
 
     def _silence(self) -> None:
         """Nothing came: after the protocol's gap, what is incomplete never will be whole."""
         now = time.monotonic_ns()
-        if self.is_settled or now - self.heard_at <= self.gap_ns:
+        if self.is_settled or now - self.received_at <= self.gap_ns:
             return
         self.is_settled = True
         self._emit(self.scanner.idle((now + self.epoch_ns) / 1e9), self.total, is_can=False)

@@ -17,11 +17,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from typing import Any
 
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol.numbers import parse_number
 from aces_bus.protocol.plan import nodes as p
 
 _ASSIGNMENT = re.compile(r"\s*([A-Za-z_]\w*(?:\.\w+)*)\s*=(.*)", re.DOTALL)
@@ -139,16 +139,6 @@ def _open(text: str, name: str, depth: int) -> Any:
         return _bytes(text[4:], name)
     number = parse_number(text)
     return _unquoted(text) if number is None else number
-
-
-def parse_number(text: str) -> int | float | None:
-    """A number as people write it: 12, 0x1F, -2.5, 1e3; None for anything else."""
-    with suppress(ValueError):
-        return int(text, 0)
-    try:
-        return int(text) if text.lstrip("+-").isdecimal() else float(text)
-    except ValueError:
-        return None
 
 
 def _bytes(text: str, name: str) -> bytes:

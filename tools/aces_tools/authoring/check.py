@@ -473,7 +473,7 @@ def prove(protocol: Protocol, name: str, seconds: float) -> ProofResult:
                 fuzzer.run(1, number)
                 proved.scenes = fuzzer.examples
             for failure in fuzzer.failures:
-                _tell(proved, fuzzer, failure, protocol, name)
+                _report(proved, fuzzer, failure, protocol, name)
         except UndrawableError as error:
             proved.findings.append(finding_of_error(error, protocol, "the laws could not be asked"))
     except Exception as error:  # whatever a spec makes generated code or the core raise
@@ -494,7 +494,7 @@ def example_numbers(benches: int) -> Iterator[int]:
         first += benches
 
 
-def _tell(proved: ProofResult, fuzzer: Fuzzer, failure: Failure, protocol: Protocol, name: str) -> None:
+def _report(proved: ProofResult, fuzzer: Fuzzer, failure: Failure, protocol: Protocol, name: str) -> None:
     from aces_bus.testing.drawing import scene_drawing
 
     message = next(

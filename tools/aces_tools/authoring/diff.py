@@ -200,7 +200,7 @@ def _described(row: FieldRow) -> str:
 
 
 def _facts(message: Message) -> dict[str, str]:
-    """What says which words are this message, and how long they are."""
+    """What says which frames or packets are this message, and how long they are."""
     plan = flatten(message)
     kinds = (("29 bits", message.extended), ("remote", message.remote), ("CAN FD", message.fd))
     framing = message.framing

@@ -126,7 +126,7 @@ def _as_dict(attempt: Attempt, label: str) -> dict[str, Any]:
         "steps": [
             {
                 "place": step.place,
-                "word": step.word,
+                "part": step.part,
                 "what": step.what or None,
                 "read": [
                     {

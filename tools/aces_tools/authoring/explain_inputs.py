@@ -15,7 +15,7 @@ from typing import Any, Literal
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Unknown, Variant, make_scanner
-from aces_bus.protocol.declare.examples import parse_word
+from aces_bus.protocol.declare.examples import parse_packet
 from aces_bus.protocol.explain import Attempt, Tracer
 from aces_bus.protocol.lint.examples import example_frame
 from aces_bus.recordings import CanRecording, SerialRecording, open_recording
@@ -166,10 +166,10 @@ def inputs_of(
                 f"{capture}: a CAN frame, but no protocol that was named is for CAN; bytes: hex:FFFF01"
             )
         try:
-            words = [parse_word(text, is_can=True) for text in re.split(r"[;,]", capture) if text.strip()]
+            frames = [parse_packet(text, is_can=True) for text in re.split(r"[;,]", capture) if text.strip()]
         except ValueError as error:
             raise CallerError(str(error)) from None
-        yield FrameInput(can, [example_frame(word) for word in words])
+        yield FrameInput(can, [example_frame(frame) for frame in frames])
         return
     opened: CanRecording | SerialRecording
     if not streams:

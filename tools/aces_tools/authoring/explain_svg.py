@@ -1,6 +1,6 @@
-"""An explanation as a picture: words across, templates down, green where they agree, red where one dies.
+"""An explanation as a picture: parts across, templates down, green where they agree, red where one dies.
 
-1. At most `TEMPLATES` rows and `COLUMNS` words an attempt; the templates that lived longest are shown, the others counted.
+1. At most `TEMPLATES` rows and `COLUMNS` parts an attempt; the templates that lived longest are shown, the others counted.
 2. A cell says what the template expects there; the brackets above say what was read.
 """
 
@@ -27,7 +27,7 @@ from aces_bus.protocol.record import plain_value
 
 TEMPLATES = 12
 COLUMNS = 20
-#: Of those that the first word rules out, so many are enough.
+#: Of those that the first part rules out, so many are enough.
 FIRST = 4
 HIGH = 22.0
 NAME = 170.0
@@ -58,8 +58,8 @@ def _attempt(canvas: Canvas, attempt: Attempt, top: float) -> float:
     for step, left, width in zip(steps, lefts, widths, strict=True):
         canvas.text(left + width / 2, top + 9, step.place, FAINT, size=SMALL, anchor="middle")
         canvas.box(left, top + 13, width, HIGH, PAPER, line=INK, weight=1.4)
-        canvas.text(left + width / 2, top + 28, step.word, INK, anchor="middle", is_bold=True)
-    canvas.text(0, top + 28, "words", FAINT)
+        canvas.text(left + width / 2, top + 28, step.part, INK, anchor="middle", is_bold=True)
+    canvas.text(0, top + 28, "parts", FAINT)
     top += 13 + HIGH + 6
     rows = _chosen(attempt.rows)
     for row in rows:
@@ -71,21 +71,21 @@ def _attempt(canvas: Canvas, attempt: Attempt, top: float) -> float:
         top += 18
     left_out = len(attempt.steps) - len(steps) + attempt.left_out
     if left_out:
-        canvas.text(NAME, top + 13, f"{left_out} more words are not drawn", FAINT, size=SMALL)
+        canvas.text(NAME, top + 13, f"{left_out} more bytes are not drawn", FAINT, size=SMALL)
         top += 18
     canvas.text(0, top + 15, "→ " + verdict, colour, is_bold=True)
     return top + 18
 
 
 def _width(index: int, step: Step, rows: Sequence[TemplateTrace]) -> float:
-    texts = [step.word, *(_text(row, index) for row in _chosen(rows) if index < len(row.cells))]
+    texts = [step.part, *(_text(row, index) for row in _chosen(rows) if index < len(row.cells))]
     return min(130.0, max(38.0, max(text_width(text, SMALL) for text in texts) + 10))
 
 
 def _read(
     canvas: Canvas, steps: Sequence[Step], lefts: Sequence[float], widths: Sequence[float], top: float
 ) -> float:
-    """What was read, each over the word that completes it; on as many lines as keep them apart."""
+    """What was read, each over the part that completes it; on as many lines as keep them apart."""
     ends: list[float] = []
     marks: list[tuple[int, float]] = []
     for index, step in enumerate(steps):
@@ -134,14 +134,14 @@ def _row(
 
 
 def _text(row: TemplateTrace, index: int) -> str:
-    """What a template expects of a word; of the one that kills it, what for."""
+    """What a template expects of a part; of the one that kills it, what for."""
     text = row.cells[index] if index < len(row.cells) else ""
     if row.dies_at != index:
         return text
     return f"✗ {row.why if row.why in _BESIDE else text or row.why}"
 
 
-#: Reasons that are not in the word itself.
+#: Reasons that are not in the part itself.
 _BESIDE = ("request", "order", "content", "template")
 
 

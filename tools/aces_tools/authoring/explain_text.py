@@ -1,4 +1,4 @@
-"""An explanation as lines for a terminal: a line a word, below it who died and why, in front what was read.
+"""An explanation as lines for a terminal: a line a part, below it who died and why, in front what was read.
 
 1. Nothing is cut off; what has no room goes on in the next line, indented.
 2. Many deaths for one reason are one line; few are named each.
@@ -16,7 +16,7 @@ from aces_bus.protocol.record import plain_value
 
 from ..output.text import Paint
 
-#: A run of so many words of one field is one line.
+#: A run of so many parts of one field is one line.
 LONG = 5
 #: So many deaths at a byte are listed one by one.
 NAMED = 3
@@ -40,24 +40,24 @@ def attempt_lines(attempt: Attempt, width: int | None, paint: Paint) -> list[str
         )
         return lines
     place = max((len(step.place) for step in attempt.steps), default=0)
-    word = max((len(step.word) for step in attempt.steps), default=0)
+    part = max((len(step.part) for step in attempt.steps), default=0)
     what = min(18, max((len(step.what) for step in attempt.steps), default=0))
     for number, steps in enumerate(_grouped(attempt.steps)):
         if attempt.left_out and steps[-1] is attempt.steps[-1]:
-            lines.append(f"  {'…':>{place}}  {attempt.left_out} more words")
+            lines.append(f"  {'…':>{place}}  {attempt.left_out} more bytes")
         if len(steps) > 1:
             front = f"  {steps[0].place:>{place}}  "
-            words = " ".join(step.word for step in steps)
+            texts = " ".join(step.part for step in steps)
             lines += _wrapped(
-                f"{steps[0].what}, {len(steps)} words: {words}", front, width, hang=" " * len(front)
+                f"{steps[0].what}, {len(steps)} bytes: {texts}", front, width, hang=" " * len(front)
             )
             continue
-        lines += _step(steps[0], (place, word, what), len(attempt.templates), width, paint, number == 0)
+        lines += _step(steps[0], (place, part, what), len(attempt.templates), width, paint, number == 0)
     return lines + _verdict(attempt, width, paint)
 
 
 def _grouped(steps: Sequence[Step]) -> Iterator[list[Step]]:
-    """Words by themselves; long runs of one field in which nothing happens together."""
+    """Parts by themselves; long runs of one field in which nothing happens together."""
     run: list[Step] = []
     for step in steps:
         is_quiet = bool(step.what) and not step.died and not step.read
@@ -74,12 +74,12 @@ def _grouped(steps: Sequence[Step]) -> Iterator[list[Step]]:
 def _step(
     step: Step, sizes: tuple[int, int, int], every: int, width: int | None, paint: Paint, is_first: bool
 ) -> list[str]:
-    place, word, what = sizes
+    place, part, what = sizes
     front = f"  {step.place:>{place}}  "
-    plain_front = f"{front}{step.word:<{word}}  "
+    plain_front = f"{front}{step.part:<{part}}  "
     is_narrow = width is not None and width - len(plain_front) - what < NARROW
     label = step.what if is_narrow else f"{step.what:<{what}}"
-    text = paint("name", front) + paint("message", f"{step.word:<{word}}") + "  " + label
+    text = paint("name", front) + paint("message", f"{step.part:<{part}}") + "  " + label
     read = ", ".join(_reading(one) for one in step.read)
     notes: list[tuple[str, str]] = [("from device", read)] if read else []
     notes += [("skipped", f"✗ {one}") for one in _deaths(step.died)]
@@ -90,7 +90,7 @@ def _step(
     indent = " " * (4 if is_narrow else len(plain_front) + what + 2)
     lines: list[str] = []
     for style, note in notes:
-        lines += [indent + paint(style, part.strip()) for part in _wrapped(note, indent, width)]
+        lines += [indent + paint(style, line.strip()) for line in _wrapped(note, indent, width)]
     if lines and not is_narrow:  # the first note goes beside its byte
         return [f"{text}  {lines[0][len(indent) :]}", *lines[1:]]
     return [text.rstrip(), *lines]

@@ -123,11 +123,11 @@ def run(arguments: argparse.Namespace) -> int:
     elif output is None:
         sys.stdout.write(text)
     if not arguments.json:
-        _tell(variant, losses, arguments.format)
+        _report_losses(variant, losses, arguments.format)
     return 1 if arguments.strict and losses else 0
 
 
-def _tell(variant: Variant, losses: Sequence[Loss], form: str) -> None:
+def _report_losses(variant: Variant, losses: Sequence[Loss], form: str) -> None:
     for loss in losses:
         say(f"{variant.name}: {loss}" if not loss.message else f"{variant.name}.{loss}", who="")
     if losses:

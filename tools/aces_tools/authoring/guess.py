@@ -16,7 +16,8 @@ kind and place: number_2_4 begins in byte 2, its lowest bit is bit 4 of a byte.
 What never changed is a constant of this recording, and no more than that; the
 longer a recording is and the more happens in it, the better the guesses.
 
-exit status: 0 guessed, or known already; 2 a wrong call, or no recording
+exit status: 0 guessed, or known already; 2 a wrong call, or a recording that is
+empty or cannot be read (what a damaged one holds is guessed nevertheless)
 """
 
 from __future__ import annotations
@@ -27,9 +28,10 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from aces_bus.errors import CallerError
+from aces_bus.errors import CallerError, CaptureError
 from aces_bus.guess import (
     FieldGuess,
+    FittingProtocol,
     MessageGuess,
     StreamGuess,
     StreamTraffic,
@@ -38,6 +40,7 @@ from aces_bus.guess import (
     draft_source,
     stream_source,
 )
+from aces_bus.guess.traffic import runs_text
 from aces_bus.plain_text import printable
 from aces_bus.recordings import CanRecording
 from aces_bus.recordings.pieces import open_any
@@ -78,73 +81,88 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.output is not None and os.path.exists(arguments.output) and not arguments.force:
         raise CallerError(f"{arguments.output}: is there already; choose another name, or say --force")
     traffic, stream = Traffic(), StreamTraffic()
+    status = 0
     with Patience() as patience:
         for name in arguments.files:
-            with patience.waiting():
-                recording = open_any(name)
-            with recording:
-                if isinstance(recording, CanRecording):
-                    for table in patience.each(recording.tables()):
-                        traffic.add(table)
-                else:
-                    stream.next_recording()
-                    for chunk in patience.each(recording):
-                        stream.add(*chunk)
-                report_unreadable(recording, is_over=True)
+            try:
+                with patience.waiting():
+                    recording = open_any(name)
+                with recording:
+                    if isinstance(recording, CanRecording):
+                        for table in patience.each(recording.tables()):
+                            traffic.add(table)
+                    else:
+                        stream.next_recording()
+                        for chunk in patience.each(recording):
+                            stream.add(*chunk)
+                    report_unreadable(recording, is_over=True)
+            except CaptureError as error:  # what a damaged file holds is guessed nevertheless
+                if not (traffic.frames or stream.bytes):
+                    raise
+                say(str(error))
+                status = 2
             if patience.is_over:
                 break
     if stream.bytes and traffic.frames:
         raise CallerError("recordings of a CAN bus and of a serial line: guess one after the other")
     if stream.bytes:
-        return _of_stream(stream.guess(known=not arguments.no_known), arguments)
+        _of_stream(stream.guess(known=not arguments.no_known), arguments)
+        return status
+    if not traffic.frames:
+        raise CaptureError(
+            f"{', '.join(map(_title, arguments.files))}: nothing to guess: no frames and no bytes"
+        )
     guess = traffic.guess(known=not arguments.no_known)
     if arguments.output is not None and guess.messages:
         stem = Path(arguments.output).stem
-        write_text(arguments.output, draft_source(guess, stem, [Path(one).name for one in arguments.files]))
+        write_text(
+            arguments.output,
+            draft_source(guess, stem, [Path(one).name for one in arguments.files]),
+            is_quiet=True,
+        )
     if arguments.json:
         print_json({**guess.as_dict(), "output": arguments.output if guess.messages else None})
     else:
         _show(guess, arguments)
     if arguments.output is not None and not guess.messages:
-        said = (
-            "has no frames"
-            if not guess.frames
-            else f"is {guess.known[0].name}"
-            if guess.known
-            else "has nothing to guess"
-        )
+        said = f"is {_best(guess.known)}" if guess.known else "has nothing to guess"
         say(f"no draft was written: the recording {said}")
-    return 0
+    return status
+
+
+def _best(known: Sequence[FittingProtocol]) -> str:
+    """The protocols that fit best, where bytes alone do not say which one it is."""
+    return " or ".join(one.name for one in known if one.share == known[0].share)
 
 
 # ---------------------------------------------------------------------- streams
 
 
-def _of_stream(guess: StreamGuess, arguments: argparse.Namespace) -> int:
+def _of_stream(guess: StreamGuess, arguments: argparse.Namespace) -> None:
     if arguments.output is not None and guess.framings:
         source = stream_source(
             guess, Path(arguments.output).stem, [Path(one).name for one in arguments.files]
         )
-        write_text(arguments.output, source)
+        write_text(arguments.output, source, is_quiet=True)
     if arguments.json:
         print_json({**guess.as_dict(), "output": arguments.output if guess.framings else None})
     else:
         _show_stream(guess, arguments)
     if arguments.output is not None and not guess.framings:
-        said = f"is {guess.known[0].name}" if guess.known else "has no framing that it shows plainly"
+        said = f"is {_best(guess.known)}" if guess.known else "has no framing that it shows plainly"
         say(f"no draft was written: the recording {said}")
-    return 0
 
 
 def _show_stream(guess: StreamGuess, arguments: argparse.Namespace) -> None:
     page = Page(arguments.color)
-    title = ", ".join("standard input" if one == "-" else one for one in arguments.files)
+    title = ", ".join(map(_title, arguments.files))
     files = " ".join("-" if one == "-" else shlex.quote(one) for one in arguments.files)
-    page.lines([printable(f"{title}: {counted(guess.bytes, 'byte')}, {guess.decoded:,} in packets")])
+    packets = "" if guess.known else f", {guess.decoded:,} in packets"
+    page.lines([printable(f"{title}: {counted(guess.bytes, 'byte')}{packets}")])
     if guess.kept < guess.bytes:
         page.lines([f"only the first {guess.kept:,} bytes were looked at"])
     for known in guess.known[:LISTED]:
-        page.lines([printable(f"{known.share:4.0%} is {known.name}:  aces decode {files} -p {known.name}")])
+        page.lines([printable(f"{known.share:4.0%} is {known.name}:  aces decode {files} {known.options}")])
     if guess.known:
         page.lines(["nothing was guessed (--no-known: everything)"])
     elif not guess.framings:
@@ -159,8 +177,7 @@ def _show_stream(guess: StreamGuess, arguments: argparse.Namespace) -> None:
                 continue
             code = "" if packet.opcode is None else f" {_code(packet.opcode, framing.kind == 'lines')}"
             sizes = packet.sizes
-            size = f"{sizes[0]} bytes" if len(sizes) == 1 else f"{sizes[0]} to {sizes[-1]} bytes"
-            page.lines(["", page.paint("message", f"packet{code}  {packet.count:,} of {size}")])
+            page.lines(["", page.paint("message", f"packet{code}  {packet.count:,} of {_bytes(sizes)}")])
             if packet.fields:
                 page.table(
                     ("field", "bits", "kind", "sure", "evidence"), [_cells(one) for one in packet.fields]
@@ -172,6 +189,10 @@ def _show_stream(guess: StreamGuess, arguments: argparse.Namespace) -> None:
         say_note(f"{arguments.output}: written; next: aces decode {files} -p {quoted}")
 
 
+def _title(file: str) -> str:
+    return "standard input" if file == "-" else file
+
+
 def _code(opcode: bytes, is_text: bool) -> str:
     return printable(opcode.decode("latin-1")) if is_text else opcode.hex(" ").upper()
 
@@ -181,7 +202,7 @@ def _code(opcode: bytes, is_text: bool) -> str:
 
 def _show(guess: TrafficGuess, arguments: argparse.Namespace) -> None:
     page = Page(arguments.color)
-    title = ", ".join("standard input" if one == "-" else one for one in arguments.files)
+    title = ", ".join(map(_title, arguments.files))
     page.lines(
         [
             printable(
@@ -195,7 +216,7 @@ def _show(guess: TrafficGuess, arguments: argparse.Namespace) -> None:
         page.lines([f"{counted(guess.beyond, 'frame')} of still more identifiers were not looked at"])
     files = " ".join("-" if one == "-" else shlex.quote(one) for one in arguments.files)
     for known in guess.known[:LISTED]:
-        page.lines([printable(f"{known.share:4.0%} is {known.name}:  aces decode {files} -p {known.name}")])
+        page.lines([printable(f"{known.share:4.0%} is {known.name}:  aces decode {files} {known.options}")])
     if guess.known:
         left = sum(message.frames for message in guess.messages)
         page.lines(
@@ -228,6 +249,10 @@ def _show(guess: TrafficGuess, arguments: argparse.Namespace) -> None:
         )
 
 
+def _bytes(lengths: Sequence[int]) -> str:
+    return counted(lengths[0], "byte") if len(lengths) == 1 else f"{lengths[0]} to {lengths[-1]} bytes"
+
+
 def _identifier(key: int) -> str:
     return f"{key & 0x1FFF_FFFF:0{8 if key >> 31 else 3}X}"
 
@@ -240,12 +265,12 @@ def _headline(message: MessageGuess) -> str:
             f"every {period:.4g} ms ± {jitter / 2:.2g}" if message.timing.is_regular else "at no fixed rate"
         )
     lengths: Sequence[int] = message.lengths
-    parts.append(f"{lengths[0]} bytes" if len(lengths) == 1 else f"{lengths[0]} to {lengths[-1]} bytes")
+    parts.append(_bytes(lengths))
     if message.transport:
         parts.append(f"packets of {message.transport.removesuffix('()')}")
     if message.node is not None:
-        numbers = message.node.numbers
-        parts.append(f"{message.node.name} {numbers[0]}…{numbers[-1]} ({message.node.confidence:.2f})")
+        node = message.node
+        parts.append(f"{node.name} {runs_text(node.numbers)} ({node.confidence:.2f})")
     return ", ".join(parts)
 
 

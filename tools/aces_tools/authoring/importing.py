@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise CallerError(f"{arguments.output}: is there already; choose another name, or say --force")
         write_text(arguments.output, text)
     if arguments.json:
-        told = [
+        listed = [
             {
                 "line": one.line or None,
                 "column": one.column or None,
@@ -68,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
             "messages": len(imported.protocol.declared),
             "output": arguments.output,
             "source": text if arguments.output is None else None,
-            "problems": told,
+            "problems": listed,
         }
         print_json(about)
     elif arguments.output is None:

@@ -220,15 +220,15 @@ def simulate_bus(seconds: float, seed: int, *, load: float = 0.7) -> Simulated:
     rng = random.Random(seed)
     clock = VirtualClock()
     wire = SimulatedBus(clock, bitrate=1_000_000, faults=Faults(seed=seed, corrupt=0.0002))
-    heard: list[bytes] = []
+    received: list[bytes] = []
     digest = hashlib.blake2b(digest_size=16)
     pack = struct.Struct("<qI").pack
 
     def listen(frame: Frame, now: int) -> None:
-        heard.append(pack(now, frame.arbitration_id) + frame.data)
-        if len(heard) >= 4096:
-            digest.update(b"".join(heard))
-            heard.clear()
+        received.append(pack(now, frame.arbitration_id) + frame.data)
+        if len(received) >= 4096:
+            digest.update(b"".join(received))
+            received.clear()
 
     wire.attach("listener", listen)
     senders = 10
@@ -250,7 +250,7 @@ def simulate_bus(seconds: float, seed: int, *, load: float = 0.7) -> Simulated:
     start = perf_counter()
     clock.advance_to(round(seconds * 1e9))
     wall = perf_counter() - start
-    digest.update(b"".join(heard))
+    digest.update(b"".join(received))
     return Simulated(wall, wire.load.frames, wire.load.ratio(clock.now()), digest.hexdigest())
 
 

@@ -4,8 +4,10 @@
    bus, in real time. What is measured is the host's process alone.
 2. Contenders are processes that run one after another on the same twins: the one loop of a robot, and the same robot with
    its buses behind a python-can bus that has no file to wait for, which takes threads.
-3. The last rows are virtual time, host and twins in one process (`virtual.py`): the robot, and a quadruped at 500 Hz.
-4. Times of a shared machine vary: ratios carry over, absolute figures are this machine's at this hour.
+3. The first rows are the host without twins, in lock-step with recorded answers (`played.py`): no load of the machine
+   makes it miss anything.
+4. The last rows are virtual time, host and twins in one process (`virtual.py`): the robot, and a quadruped at 500 Hz.
+5. Times of a shared machine vary: ratios carry over, absolute figures are this machine's at this hour.
 """
 
 from __future__ import annotations
@@ -18,7 +20,11 @@ import time
 from collections.abc import Generator, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from statistics import median
 from typing import Any
+
+from aces_bus.controller import Player, Trajectory
+from aces_bus.device import Robot
 
 from . import BenchRow, virtual
 
@@ -26,22 +32,64 @@ from . import BenchRow, virtual
 RATES = (200.0, 500.0)
 #: What is to be reached at 200 Hz: µs of CPU a frame, share of a core, lateness (ms, median and 99 %), cycles missed.
 FRAME_US, SHARE, MEDIAN_MS, LATE_MS = 32.0, 0.38, 0.1, 0.5
+#: And how many times less than with threads.
+TIMES_LESS = 2.2
 #: The same at 500 Hz: share of a core.
 SHARE_AT_500 = 0.55
-#: Seconds that the other process may take to begin.
-_PATIENCE_S = 60
+#: Seconds that the other process may take to begin, and a played round in all: no deadline there, so that any machine can.
+_PATIENCE_S, _PLAYED_S = 60, 600
 
-_CALL = "import sys; from aces_tools.benchmarks import robot; robot.{}(*sys.argv[1:])"
+#: Rounds of the played measurement, usually and with `quick`; how long each is in virtual time (s).
+ROUNDS, ROUND_S = (3, 1), 1.0
+
+_CALL = "import sys; from aces_tools.benchmarks.{} import {} as call; call(*sys.argv[1:])"
 
 
 def run(*, quick: bool = False) -> Iterable[BenchRow]:
     """All rows: some twenty seconds with `quick`, else a minute and a half."""
     seconds = 5.0 if quick else 20.0
+    yield from _played_rows(ROUNDS[quick])
     with tempfile.TemporaryDirectory(prefix="aces") as folder, _twins(folder):
         for rate in RATES[:1] if quick else RATES:
-            found = {way: _hosted(folder, rate, seconds, way) for way in ("threads", "loop")}
+            found = {
+                way: _counted(
+                    "robot",
+                    "drive",
+                    folder,
+                    str(rate),
+                    str(seconds),
+                    way,
+                    patience_s=_PATIENCE_S + 2 * seconds,
+                )
+                for way in ("threads", "loop")
+            }
             yield from _rows(rate, seconds, found["loop"], found["threads"])
     yield from virtual.run(quick=quick)
+
+
+def _played_rows(rounds: int) -> Iterator[BenchRow]:
+    """The host alone, in lock-step with recorded answers: both ways in turn, the median of each."""
+    rate = RATES[0]
+    found = [
+        {
+            way: _counted("played", "measure", str(rate), str(ROUND_S), way, patience_s=_PLAYED_S)
+            for way in ("threads", "loop")
+        }
+        for _ in range(rounds)
+    ]
+    threads, loop = (median(one[way]["frame_us"] for one in found) for way in ("threads", "loop"))
+    frames = found[0]["loop"]["frames_s"]
+    subject = f"its host alone, answers played, {rate:g} Hz, {frames:,.0f} frames/s"
+    yield BenchRow(subject, "CPU a played frame, threads", threads, "µs")
+    yield BenchRow(
+        subject,
+        "CPU a played frame, one loop",
+        loop,
+        "µs",
+        threads / loop,
+        f"≥ {TIMES_LESS:g} × less",
+        threads >= TIMES_LESS * loop,
+    )
 
 
 def _rows(
@@ -85,7 +133,7 @@ def _rows(
 def _twins(folder: str) -> Generator[None]:
     """The robot's twins on served buses in `folder`, in a process of their own."""
     child = subprocess.Popen(
-        [sys.executable, "-c", _CALL.format("serve_twins"), folder],
+        [sys.executable, "-c", _CALL.format("robot", "serve_twins"), folder],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
     )
@@ -128,12 +176,12 @@ def serve_twins(folder: str) -> None:
     server.serve()
 
 
-def _hosted(folder: str, rate: float, seconds: float, way: str) -> dict[str, float]:
-    """What a host's process measured of itself."""
+def _counted(subject: str, call: str, *arguments: str, patience_s: float) -> dict[str, float]:
+    """What a process of its own measured of itself."""
     made = subprocess.run(
-        [sys.executable, "-c", _CALL.format("drive"), folder, str(rate), str(seconds), way],
+        [sys.executable, "-c", _CALL.format(subject, call), *arguments],
         stdout=subprocess.PIPE,
-        timeout=_PATIENCE_S + 2 * seconds,
+        timeout=patience_s,
         check=True,
     )
     found: dict[str, float] = json.loads(made.stdout)
@@ -143,21 +191,15 @@ def _hosted(folder: str, rate: float, seconds: float, way: str) -> dict[str, flo
 def drive(folder: str, rate: str, seconds: str, way: str) -> None:
     """Drive the robot for so long, and print what it cost as JSON."""
     from aces_bus import load_robot
-    from aces_bus.controller import IGNORE, Player, Trajectory
+    from aces_bus.controller import IGNORE
     from aces_bus.robot import run_real
 
     from ..running.session import SWITCH_S
 
     if way == "threads":
-        _hide_files()
+        hide_files()
     robot = load_robot("hubo2plus")
-    joints = [j for j in robot.joints.values() if j.active and j.command == "position"]
-    rows = [
-        [min(max(0.05 * (n % 2), j.lower or 0.0), j.upper or 0.0) for j in joints]
-        for n in range(round(float(seconds)) + 3)
-    ]
-    trajectory = Trajectory([j.name for j in joints], rows, rate_hz=1.0, interpolation="cubic")
-    player = Player("walk", trajectory, rate_hz=float(rate))
+    player = walking_player(robot, float(rate), float(seconds))
     buses = {
         name: {"interface": "aces", "channel": f"unix:{Path(folder) / name}.sock"} for name in robot.buses
     }
@@ -197,7 +239,18 @@ def drive(folder: str, rate: str, seconds: str, way: str) -> None:
         print(json.dumps(found), flush=True)
 
 
-def _hide_files() -> None:
+def walking_player(robot: Robot, rate: float, seconds: float) -> Player:
+    """All joints follow a motion within their limits, for some seconds more."""
+    joints = [j for j in robot.joints.values() if j.active and j.command == "position"]
+    rows = [
+        [min(max(0.05 * (n % 2), j.lower or 0.0), j.upper or 0.0) for j in joints]
+        for n in range(round(seconds) + 3)
+    ]
+    trajectory = Trajectory([j.name for j in joints], rows, rate_hz=1.0, interpolation="cubic")
+    return Player("walk", trajectory, rate_hz=rate)
+
+
+def hide_files() -> None:
     """Have served buses look like a backend without a file to wait for."""
     from aces_bus.hardware.served import ServedBus
 

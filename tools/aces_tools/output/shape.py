@@ -6,67 +6,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import repeat
 from math import lcm
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import msgspec
 
-from aces_bus.protocol import FlagSet, Record, Variant
-from aces_bus.protocol.generate.load import records_of
+from aces_bus.protocol import FlagSet
 from aces_bus.protocol.plan import nodes as p
-from aces_bus.protocol.record import WayStep, message_of
+from aces_bus.protocol.record import WayStep
 from aces_bus.protocol.record import getter as getter
+from aces_bus.protocol.record_plans import OfKind as OfKind
+from aces_bus.protocol.record_plans import Plans as Plans
+from aces_bus.protocol.record_plans import plans_of as plans_of
 
 Convert = Callable[[Any], Any]
-T = TypeVar("T")
-
-
-class Plans(Mapping[type[Record], p.MessagePlan]):
-    """The plan of each record type that scanners of these variants give. To ask for one costs one: a database has
-    thousands, of which a recording has a few. To go through them all makes them all."""
-
-    def __init__(self, variants: Sequence[Variant]) -> None:
-        self._records = [records_of(variant) for variant in variants]
-
-    def __getitem__(self, kind: type[Record]) -> p.MessagePlan:
-        return message_of(kind).plan
-
-    def __iter__(self) -> Iterator[type[Record]]:
-        for records in self._records:
-            yield from records.values()
-
-    def __len__(self) -> int:
-        return sum(map(len, self._records))
-
-    @property
-    def names(self) -> frozenset[str]:
-        """The names of the messages."""
-        return frozenset(name for records in self._records for name in records)
-
-    def named(self, name: str) -> list[type[Record]]:
-        """The record types of a message's name, one of each protocol that has it."""
-        return [records[name] for records in self._records if name in records]
-
-
-def plans_of(variants: Sequence[Variant]) -> Plans:
-    """The plan of each record type that scanners of these variants give."""
-    return Plans(variants)
-
-
-class OfKind(dict[type[Any], T]):
-    """What belongs to a record type, made by `make` when the first of its records comes."""
-
-    def __init__(self, make: Callable[[Any], T]) -> None:
-        super().__init__()
-        self._make = make
-
-    def __missing__(self, kind: type[Any]) -> T:
-        made = self[kind] = self._make(kind)
-        return made
 
 
 # ---------------------------------------------------------------------- plain values
@@ -185,12 +142,16 @@ def plain_of(node: p.Node) -> Convert:
             return lambda value: (
                 None if value is None else {name: one(getattr(value, name)) for name, one in fields}
             )
+        case p.DescribedItems():
+            return plain_of(node.items)
         case p.TaggedItems():
             kinds = {kind.name: plain_of(kind.plan.fields[0].node) for kind in node.kinds}
             return lambda items: [
                 {
                     "kind": item.kind,
-                    "data": (json_value if item.reason is not None else kinds[item.kind])(item.data),
+                    "data": (json_value if item.reason is not None else kinds.get(item.kind, json_value))(
+                        item.data
+                    ),
                     "reason": item.reason,
                 }
                 for item in items

@@ -6,44 +6,28 @@
 1. Columns are as wide as the widest entry so far: they settle after a few lines, and nothing is held back for them.
 2. A line is cut into several only on a terminal, between fields. Elsewhere one record is one line, without colour.
 3. Nothing that came over a wire reaches the terminal as a control character.
-4. Where lines are neither coloured nor cut, a function that is generated from a message's plan prints its fields; it gives
-   what the way by tokens gives.
-
-Left out, because they would only distract: reserved bits that are zero, bytes up to the end where there are none, and
-fields that a selector says are not there.
 """
 
 from __future__ import annotations
 
 import datetime
-import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 from aces_bus.plain_text import LOOKALIKES
 from aces_bus.plain_text import printable as printable
-from aces_bus.protocol import FlagSet, Record, Unknown
+from aces_bus.protocol import Record, Unknown
 from aces_bus.protocol.generate.load import OnDemand
 from aces_bus.protocol.keys import EXTENDED
-from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.record import message_of
 
-from .printing import HEADS, KEPT, LinePrinter, Read, has_few_values
-from .shape import OfKind, Plans, RecordLeaf, flag_names, getter, json_value, nameless_number, record_leaves
+from .field_text import GAP, PrintedField, RecordTokens, TokenPrinter
+from .printing import HEADS
+from .shape import OfKind, Plans
+from .value_text import spaced_hexadecimal
 
-Show = Callable[[Any], str]
 Paint = Callable[[str, str], str]
-
-
-class PrintedField(NamedTuple):
-    """A field as it is printed; `pad` are the blanks that keep the next one in its column."""
-
-    label: str
-    value: str
-    unit: str
-    style: str
-    pad: int = 0
 
 
 class Notes(Protocol):
@@ -76,12 +60,8 @@ PLAIN_ARROWS = {"to device": ">", "from device": "<"}
 BUS: Mapping[bool | None, str] = {True: "rx", False: "tx", None: ""}
 #: Of bytes that were not decoded, so many are shown.
 SHOWN = 16
-GAP = "  "
 LEAST_TIME = 12
 WIDEST_MESSAGE = 24
-WIDEST_FIELD = 40
-#: A field with the gap before it.
-WIDEST_TOKEN = len(GAP) + WIDEST_FIELD
 #: Continued lines begin below the first field, or at `INDENT` where that would leave less than this.
 LEAST_FOR_FIELDS = 36
 INDENT = 8
@@ -128,7 +108,7 @@ class TextOutput:
         notes: Notes | None = None,
     ) -> None:
         self._notes = notes
-        self._fields = OfKind(lambda kind: _Fields(plans[kind]))
+        self._fields = OfKind(lambda kind: RecordTokens(plans[kind]))
         self._printed = OfKind(lambda kind: TokenPrinter(plans[kind]).load())
         self._is_plain = width is None and paint is no_paint
         #: What stands between the time (of a stream: the offset) and the fields, without fields and with some; as
@@ -309,300 +289,6 @@ def _instant(time: float) -> str:
     return f"{instant:%Y-%m-%d %H:%M:%S.%f} UTC ({time:.6f})"
 
 
-# ---------------------------------------------------------------------- fields
-
-
-class _Fields:
-    """The fields of one message as tokens."""
-
-    def __init__(self, plan: p.MessagePlan) -> None:
-        self._entries = [
-            (leaf, f"{leaf.path}=", value_printer(leaf.node), _unit(leaf.node), _Width())
-            for leaf in record_leaves(plan, is_split=False)
-        ]
-
-    def tokens(self, record: Any) -> list[PrintedField]:
-        out: list[PrintedField] = []
-        for leaf, label, shown, unit, width in self._entries:
-            value = leaf.get(record)
-            if value is None:
-                if leaf.conditional or isinstance(leaf.node, p.FromRequest):
-                    continue
-                text, mark = "unknown", ""
-            elif not value and leaf.node.is_quiet:
-                continue
-            else:
-                text, mark = shown(value), unit
-            style = "flags" if isinstance(value, FlagSet) and value else "value"
-            out.append(PrintedField(label, text, mark, style, width.pad(len(label) + len(text) + len(mark))))
-        return out
-
-
-class TokenPrinter(LinePrinter):
-    """Prints the function that gives the fields of a message's records as text, each behind a gap: what `_Fields` gives, in
-    columns. The widest token of each field so far is a variable of the function's module."""
-
-    def __init__(self, plan: p.MessagePlan) -> None:
-        super().__init__(plan)
-        leaves = record_leaves(plan, is_split=False)
-        #: The local name of each token.
-        self._tokens = [self.names.new(leaf.identifier) for leaf in leaves]
-        self._most = [self.names.new(f"most_{leaf.identifier}") for leaf in leaves]
-        sure = [number for number, leaf in enumerate(leaves) if not self._absent(leaf)]
-        last = sure[-1] if sure else -1
-        more = len(leaves) - last - 1
-        if widths := self._most[: len(leaves) if more else max(last, 0)]:
-            self.setup.append(f"{' = '.join(widths)} = 0")
-            self.body.line(f"global {', '.join(widths)}")
-        for number, leaf in enumerate(leaves[: last + 1]):
-            self._before_sure(number, leaf, is_last=number == last)
-        line = f"f'{''.join(f'{{{name}}}' for name in self._tokens[: last + 1])}'"
-        if not more:
-            self.body.line(f"return {line}")
-            return
-        self.body.lines(f"line = {line}", "pad = 0")
-        if last >= 0:
-            self._widen(last)
-            self.body.line(f"pad = {self._most[last]} - n")
-        for number, leaf in enumerate(leaves[last + 1 :], last + 1):
-            self._behind(number, leaf)
-        self.body.line("return line")
-
-    def _absent(self, leaf: RecordLeaf) -> str:
-        """The test for a value that is left out, which is `v` then; empty where it never is."""
-        if leaf.node.is_quiet:
-            return f"not (v := {self.read(leaf)})"
-        is_optional = leaf.conditional or isinstance(leaf.node, p.FromRequest)
-        return f"(v := {self.read(leaf)}) is None" if is_optional else ""
-
-    def _before_sure(self, number: int, leaf: RecordLeaf, *, is_last: bool) -> None:
-        """A token that others follow, or the last sure one."""
-        body, name, most = self.body, self._tokens[number], self._most[number]
-        absent = self._absent(leaf)
-        value = "v" if absent else self.read(leaf)
-        if absent:
-            body.lines(f"if {absent}:", f"    {name} = ''", "else:")
-            body.depth += 1
-        if not is_last and has_few_values(leaf.node):
-            texts = self._bound(f"padded_{leaf.identifier}", Padded(token_of(leaf)), shown=leaf.path)
-            body.line(f"{name} = {texts}[{value}]")
-        else:
-            body.line(f"{name} = {self._token(leaf, value)}")
-            if not is_last:
-                body.line(f"if (n := len({name})) < {most}: {name} = {name}.ljust({most})")
-                body.line(f"elif n > {most}: {most} = min(n, {WIDEST_TOKEN})")
-        if absent:
-            body.depth -= 1
-
-    def _behind(self, number: int, leaf: RecordLeaf) -> None:
-        """A token behind the last sure one: what keeps it in its column is added only where it is there."""
-        body, name = self.body, self._tokens[number]
-        body.line(f"if not ({self._absent(leaf)}):")
-        body.depth += 1
-        body.line(f"{name} = {self._token(leaf, 'v')}")
-        self._widen(number)
-        body.lines(f"line += ' ' * pad + {name}", f"pad = {self._most[number]} - n")
-        body.depth -= 1
-
-    def _widen(self, number: int) -> None:
-        most = self._most[number]
-        self.body.line(f"if (n := len({self._tokens[number]})) > {most}: {most} = min(n, {WIDEST_TOKEN})")
-
-    def _token(self, leaf: RecordLeaf, value: str) -> str:
-        """The expression of a token."""
-        node = leaf.node
-        label, unit = _label(leaf), _unit(node)
-        parts = None if has_few_values(node) else self._numbers(node, value)
-        if parts is not None:
-            return self.literal([label, *parts, unit])
-        number = nameless_number(node)
-        if number is None or has_few_values(node):
-            return self.shown(leaf.identifier, node, token_of(leaf), value)
-        text = self.literal([label, Read(f"v:{_format(node)}"), unit])
-        return f"{text} if (v := {value}) is not None else {self.constant(token_of(leaf)(None))}"
-
-    def _numbers(self, node: p.Node, value: str) -> list[str | Read] | None:
-        """The text of a number, or of a list of numbers; None where it may be something else."""
-        if isinstance(node, p.Many):
-            found: list[str | Read] = []
-            for number, item in enumerate(node.items):
-                parts = self._numbers(item, f"{value}[{number}]")
-                if parts is None:
-                    return None
-                found += [", " if number else "[", *parts, "" if node.unit else _unit(item)]
-            return [*found, "]"] if found else None
-        form = number_format(node)
-        return None if form is None else [Read(f"{value}:{form}")]
-
-
-class Padded(dict[Any, str]):
-    """The tokens of a field with few values, as wide as the widest so far."""
-
-    def __init__(self, token: Show) -> None:
-        super().__init__()
-        self._token, self._most = token, 0
-
-    def __missing__(self, value: Any) -> str:
-        text = self._token(value)
-        if len(text) > self._most:
-            self.clear()
-            self._most = min(len(text), WIDEST_TOKEN)
-        if len(self) >= KEPT:
-            return text.ljust(self._most)
-        text = self[value] = text.ljust(self._most)
-        return text
-
-
-def token_of(leaf: RecordLeaf) -> Show:
-    """A function that gives any value's token, behind a gap."""
-    label, shown, unit = _label(leaf), value_printer(leaf.node), _unit(leaf.node)
-    return lambda value: label + ("unknown" if value is None else shown(value) + unit)
-
-
-def _label(leaf: RecordLeaf) -> str:
-    return f"{GAP}{leaf.path}="
-
-
-class _Width:
-    """The widest token of a field so far."""
-
-    def __init__(self) -> None:
-        self.most = 0
-
-    def pad(self, length: int) -> int:
-        if length > self.most:
-            self.most = min(length, WIDEST_FIELD)
-        return max(0, self.most - length)
-
-
-def _unit(node: p.Node) -> str:
-    return f" {node.unit}" if node.unit else ""
-
-
-def value_printer(node: p.Node) -> Show:
-    """How the values of a node are printed."""
-    match node:
-        case p.Many():
-            return _show_many(node)
-        case p.NestedRecord():
-            inner = [(f.name, getter((f.name,)), value_printer(f.node), _unit(f.node)) for f in node.fields]
-            return lambda value: (
-                "{" + ", ".join(f"{n}={_or_unknown(s, g(value))}{u}" for n, g, s, u in inner) + "}"
-            )
-        case p.TaggedItems():
-            nodes = {kind.name: kind.plan.fields[0].node for kind in node.kinds}
-            return _show_items({name: (value_printer(inner), _unit(inner)) for name, inner in nodes.items()})
-        case p.OpaqueItems():
-            units = {name: _unit(inner) for name, _, inner in node.values}
-            return _show_items({}, lambda data: _named_values(data, units))
-        case p.Repeated():
-            (group,) = node.plan.fields
-            return _show_each(group.node)
-        case p.Each():
-            return _show_each(node.item)
-        case p.Scalar() if node.kind == "bytes":
-            return spaced_hexadecimal
-        case p.Scalar() if node.kind == "text":
-            return shell_quoted
-        case p.Rest():
-            return hex
-        case p.Scalar() | p.FromIdentifier():
-            return _show_number(node)
-        case _:
-            return anything
-
-
-def _or_unknown(shown: Show, value: Any) -> str:
-    return "unknown" if value is None else shown(value)
-
-
-def _show_many(node: p.Many) -> Show:
-    shows = [value_printer(item) for item in node.items]
-    units = ["" if node.unit else _unit(item) for item in node.items]
-
-    def many(values: Any) -> str:
-        return f"[{', '.join(_or_unknown(s, v) + u for s, v, u in zip(shows, values, units, strict=True))}]"
-
-    return many
-
-
-def _show_each(node: p.Node) -> Show:
-    one, unit = value_printer(node), _unit(node)
-    return lambda values: f"[{', '.join(_or_unknown(one, value) + unit for value in values)}]"
-
-
-def _show_items(shows: Mapping[str, tuple[Show, str]], otherwise: Show | None = None) -> Show:
-    """Each item as its kind and data, one that is unknown or malformed as bytes with the reason."""
-
-    def one(item: Any) -> str:
-        kind = "" if item.kind is None else f"{item.kind}="
-        known = shows.get(str(item.kind))
-        if item.reason is not None or known is None:
-            more = f" ({item.reason})" if item.reason is not None else ""
-            return kind + (otherwise or anything)(item.data) + more
-        shown, unit = known
-        return kind + _or_unknown(shown, item.data) + unit
-
-    return lambda items: f"[{', '.join(map(one, items))}]"
-
-
-def _named_values(data: Any, units: Mapping[str, str]) -> str:
-    """Values by name, with their units where they are numbers."""
-    names = getattr(data, "__struct_fields__", None)
-    if names is None:
-        return anything(data)
-    values = ((name, getattr(data, name)) for name in names if name[0] != "_")
-    number = (int, float)
-    shown = (
-        f"{name}={anything(value)}{units.get(name, '') if isinstance(value, number) else ''}"
-        for name, value in values
-    )
-    return f"{{{', '.join(shown)}}}"
-
-
-def _show_number(node: p.Scalar | p.FromIdentifier) -> Show:
-    if node.flags:
-        return lambda value: "{" + ", ".join(flag_names(value)) + "}"
-    form = _format(node)
-    if not node.value_names:
-        return lambda value: format(value, form)
-    return lambda value: printable(value) if isinstance(value, str) else format(value, form)
-
-
-def number_format(node: p.Node) -> str | None:
-    """How the numbers of a node are formatted; None where a value may be something else, or None."""
-    number = nameless_number(node)
-    return None if number is None or number.has_unknown else _format(node)
-
-
-def _format(node: p.Node) -> str:
-    """How the numbers of a node are formatted, as many decimals as one raw step has."""
-    if isinstance(node, p.Scalar) and node.kind == "float":
-        return f".{ {2: 4, 4: 7}.get(node.size or 0, 15) }g"
-    scales = [step for step in node.steps if isinstance(step, p.Scale)]
-    if scales and not all(float(s.scale).is_integer() and float(s.offset).is_integer() for s in scales):
-        return f".{max(decimals(s.scale, s.offset) for s in scales)}f"
-    if scales and any(isinstance(s.scale, float) or isinstance(s.offset, float) for s in scales):
-        return ".0f"
-    return ""
-
-
-def decimals(scale: float, offset: float) -> int:
-    """So many that one raw step shows, and no more than the scale has."""
-    wanted = 0
-    for number in (scale, offset):
-        text = f"{number:.9f}".rstrip("0")
-        exact = len(text.partition(".")[2])
-        if exact > 6 or (number and abs(number) < 1e-6):
-            exact = max(0, math.ceil(-math.log10(abs(scale)))) + 1
-        wanted = max(wanted, exact)
-    return min(wanted, 15)
-
-
-def spaced_hexadecimal(data: bytes) -> str:
-    return data.hex(" ").upper()
-
-
 def can_write(text: str, encoding: str) -> bool:
     """Whether an output of this encoding has these characters."""
     try:
@@ -610,37 +296,3 @@ def can_write(text: str, encoding: str) -> bool:
     except (UnicodeEncodeError, LookupError):
         return False
     return True
-
-
-def shell_quoted(text: str) -> str:
-    return f'"{printable(text)}"'
-
-
-def anything(value: Any) -> str:
-    """A value of no fixed shape."""
-    match value:
-        case None:
-            return "unknown"
-        case FlagSet():
-            return "{" + ", ".join(flag_names(value)) + "}"
-        case bool():
-            return str(value).lower()
-        case float():
-            return f"{value:.10g}"
-        case bytes():
-            return spaced_hexadecimal(value)
-        case str():
-            return shell_quoted(value)
-        case tuple() | list():
-            return f"[{', '.join(map(anything, value))}]"
-        case _:
-            names = getattr(value, "__struct_fields__", None)
-            if names is not None:
-                return (
-                    "{"
-                    + ", ".join(
-                        f"{name}={anything(getattr(value, name))}" for name in names if name[0] != "_"
-                    )
-                    + "}"
-                )
-            return str(json_value(value))

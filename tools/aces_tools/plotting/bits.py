@@ -230,11 +230,22 @@ def terminal_bits(picture: BitPicture, width: int, *, is_rich: bool, is_by_byte:
         lines.append("")
     unit = " s" if images.has_times else ""
     left, right = f"{low:.6g}{unit}", f"{high:.6g}{unit}"
-    lines.append(f" {'':<{gutter - 1}} {left}{right.rjust(max(1, room - len(left)))}"[:width])
-    key = (f"no frame '{shades[0]}'", f"no flip {shades[1]}", *(f"up to {top:.0%} {shade}" for top, shade in
-           zip((0.05, 0.2, 0.5, 1.0), shades[2:].tolist(), strict=True)))  # fmt: skip
-    lines.append(f" {'':<{gutter - 1}} {'  '.join(key)}"[:width].rstrip())
+    lines.append(f" {'':<{gutter - 1}} {left} {right.rjust(room - len(left) - 1)}"[:width])
+    key = [f"{shade} {top:.0%}" for top, shade in zip((*STEPS[1:], 1.0), shades[2:].tolist(), strict=True)]
+    lines += _wrapped(
+        ["blank: no frame", "flips in at most", f"{shades[1]} 0%", *key[:-1], f"{key[-1]} of frames"], width
+    )
     return "\n".join(lines) + "\n"
+
+
+def _wrapped(parts: Sequence[str], width: int) -> list[str]:
+    """Parts beside each other, in as many lines as a narrow terminal takes; what is wider alone is cut."""
+    lines = [""]
+    for part in parts:
+        if lines[-1] and len(lines[-1]) + 2 + len(part) > width:
+            lines.append("")
+        lines[-1] += f"{'  ' if lines[-1] else ' '}{part}"
+    return [line[:width] for line in lines]
 
 
 def _most(rates: Array) -> Array:

@@ -215,14 +215,14 @@ def _lines(picture: Picture, panel: PlotPanel, ax: Any) -> None:
                 caption = named
             own.yaxis.label.set_color(handles[-1].get_color())
         if caption:
-            own.set_ylabel(_short(caption), parse_math=False)
+            own.set_ylabel(short_name(caption), parse_math=False)
         if panel.sort == "numbers":
             own.set_ylim(*values_range(lines, panel.limits[place]))
     if panel.sort == "names":
         last = len(panel.categories) - 1
         apart = max(1, -(-(last + 1) // 24))
         ticks = list(range(0, last + 1, apart))
-        ax.set_yticks(ticks, [_short(panel.categories[tick]) for tick in ticks], parse_math=False)
+        ax.set_yticks(ticks, [short_name(panel.categories[tick]) for tick in ticks], parse_math=False)
         ax.set_ylim(-0.5, last + 0.5)
     if len(labels) > 1:
         beyond = 1.01 + (0.07 if len(panel.axes) > 1 else 0.0) + 0.08 * max(0, len(panel.axes) - 2)
@@ -289,7 +289,7 @@ def _flags(picture: Picture, panel: PlotPanel, ax: Any) -> None:
             ax.plot(x, lane + 0.75 * y, color=colour, linewidth=0.8)
     ax.set_yticks(
         [len(lines) - 1 - n + 0.35 for n in range(len(lines))],
-        [_short(line.label, is_end=True) for line in lines],
+        [short_name(line.label, is_end=True) for line in lines],
         parse_math=False,
     )
     ax.tick_params(axis="y", length=0)
@@ -304,7 +304,7 @@ def _parts(line: PlotLine) -> Sequence[slice]:
     return [slice(start, stop) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def _short(name: str, *, is_end: bool = False) -> str:
+def short_name(name: str, *, is_end: bool = False) -> str:
     """As much of a name as there is room for: its beginning, or its end."""
     if len(name) <= LONGEST_NAME:
         return name

@@ -152,7 +152,7 @@ def panels_of(
                 if one.signal.bit is not None:
                     panel = found.setdefault("flags", PlotPanel("flags", [[]]))
                     panel.axes[0].append(line)
-                elif kind.names is not None and _is_enumeration(y, kind.names):
+                elif kind.names is not None and is_enumeration(y, kind.names):
                     panel = found.setdefault((one.signal, one.key), PlotPanel("names", [[line]]))
                 else:
                     panel = found.setdefault((line.unit if by_unit else "numbers",), PlotPanel("numbers", []))
@@ -245,7 +245,7 @@ def _label(panel: PlotPanel, names: LineNames) -> None:
                 line.label += f" ({line.unit})" if line.unit else ""
 
 
-def _is_enumeration(y: Array, names: Mapping[Any, str]) -> bool:
+def is_enumeration(y: Array, names: Mapping[Any, str]) -> bool:
     """Whether values are mostly names; else they are numbers of which some have a name, such as "error" for 255."""
     numbers = np.unique(y[~np.isnan(y)]).tolist()
     named = sum(number in names for number in numbers)

@@ -1,7 +1,8 @@
 """Values over time, out of tables, in memory that does not grow with the capture.
 
 1. Every point kept is a sample of the capture: nothing is averaged or invented.
-2. However long a capture, the highest and lowest sample of each of `BUCKETS` stretches of time is kept, and the first
+2. However long a capture, the highest and lowest sample of each of `BUCKETS` stretches of time (of a series with less room,
+   fewer) is kept, and the first
    and last: a spike of one frame in an hour is drawn. (Jugel et al., "M4: A Visualization-Oriented Time Series Data
    Aggregation", VLDB 2014: with a bucket a pixel, the picture is the same.)
 3. A value that is absent, NaN or infinite is a gap; a value that other messages of its kind carry instead is none.
@@ -28,8 +29,8 @@ Key = tuple[tuple[str, str], ...]
 
 #: Stretches of time that a long series is divided in: some for each pixel of a wide screen.
 BUCKETS = 8192
-#: Points a series may hold before it is thinned.
-MOST_POINTS = 1 << 17
+#: Points a series may hold before it is thinned, to five for each stretch at most.
+MOST_POINTS = 16 * BUCKETS
 #: Lines in one picture: more cannot be distinguished, nor listed beside it.
 MOST_LINES = 64
 #: A message that comes so often is periodic where most of its periods are alike, and gone after so many of them.
@@ -84,6 +85,8 @@ class Series:
     high: float | int | None = None
     #: Types of values that are no numbers: "bytes", "str".
     others: str = ""
+    #: Points that it may hold before it is thinned.
+    room: int = MOST_POINTS
     _x: list[Array] = field(default_factory=list)
     _y: list[Array] = field(default_factory=list)
     _held: int = 0
@@ -103,7 +106,7 @@ class Series:
         self._x.append(x)
         self._y.append(y)
         self._held += len(x)
-        if self._held > MOST_POINTS:
+        if self._held > self.room:
             self.points()
 
     def points(self) -> tuple[Array, Array]:
@@ -111,7 +114,7 @@ class Series:
         if not self._x:
             return np.empty(0), np.empty(0)
         x, y = np.concatenate(self._x), np.concatenate(self._y)
-        x, y = thin(x, y, BUCKETS if self._held > MOST_POINTS else self._held)
+        x, y = thin(x, y, self.room // 16 if self._held > self.room else self._held)
         self._x, self._y, self._held = [x], [y], len(x)
         return x, y
 
@@ -165,8 +168,8 @@ class TimeAxis:
 class Collector:
     """Collects the wanted signals out of tables. With `keeps_points` False it only counts.
 
-    Raises `CallerError` as soon as there are more lines than a picture can show, and not at the end of a long recording;
-    with `leaves_out` the others are left out.
+    Raises `CallerError` as soon as there are more than `most` lines, and not at the end of a long recording; with
+    `leaves_out` the others are left out. Each has room for so many points.
     """
 
     def __init__(
@@ -177,11 +180,14 @@ class Collector:
         *,
         keeps_points: bool = True,
         leaves_out: bool = False,
+        most: int = MOST_LINES,
+        room: int = MOST_POINTS,
     ) -> None:
         self.wanted = wanted
         self.clock = clock
         self.window = window
         self.keeps_points, self.leaves_out = keeps_points, leaves_out
+        self.most, self.room = most, room
         self.series: dict[tuple[PlotSignal, Key], Series] = {}
         #: Lines that there was no room for.
         self.left_out = 0
@@ -196,7 +202,9 @@ class Collector:
         if self.window is not None:
             kept &= self.window.inside(table.time)
         rows = None if kept.all() else np.flatnonzero(kept)
-        groups = list(_by_key(table, wanted.keys, rows))
+        groups = _by_key(table, wanted.keys, rows)
+        for key, at in groups:
+            self._came(table, key, x[at])
         for signal, patterns in wanted.signals:
             takers = [
                 (key, at)
@@ -217,18 +225,21 @@ class Collector:
                 else:
                     self._take(signal, key, x[at], values[at], floats[at], column, at)
 
+    def _came(self, table: MessageTable, key: Key, x: Array) -> None:
+        """Messages of a device came at these places of the axis."""
+
     def _of(self, signal: PlotSignal, key: Key, *, there: bool) -> Series | None:
         if signal.column in dict(key):  # a device's number, drawn itself: one line
             key = tuple(part for part in key if part[0] != signal.column)
         found = self.series.get((signal, key))
         if found is None and there:
-            is_full = self.keeps_points and len(self.series) >= MOST_LINES
+            is_full = self.keeps_points and len(self.series) >= self.most
             if is_full and not self.leaves_out:
                 raise too_many(next(iter(self.series.values())))
             if is_full or len(self.series) >= MOST_SERIES:
                 self.left_out += 1
                 return None
-            found = self.series[signal, key] = Series(signal, key)
+            found = self.series[signal, key] = Series(signal, key, room=self.room)
         return found
 
     def _take(

@@ -42,7 +42,7 @@ class Component:
 
 @dataclass(frozen=True)
 class BusLine:
-    """A bus: its load (`is_most`: no more than that), words a second, unanswered requests, ticks that were left out, the
+    """A bus: its load (`is_most`: no more than that), packets a second, unanswered requests, ticks that were left out, the
     longest latency in ns.
     """
 

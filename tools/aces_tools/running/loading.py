@@ -92,13 +92,13 @@ def _of_program(path: str, name: str) -> list[ControllerLike]:
 
 
 def own_functions(words: Sequence[str]) -> dict[str, Any]:
-    """The functions of the Python files that a call names: reactions may be any of them."""
+    """The functions of the Python files that a call names, but those of this package: reactions may be any of them."""
     paths = dict.fromkeys(path for path, _ in map(_split, words) if path.endswith(".py"))
     return {
         name: item
         for path in paths
         for name, item in vars(load_file(path)).items()
-        if isfunction(item) and not name.startswith("_")
+        if isfunction(item) and not name.startswith("_") and not item.__module__.startswith("aces_bus.")
     }
 
 

@@ -69,6 +69,8 @@ class Session:
         self._live: Any = None
         self._next = 0
         self._end: Ended | None = None
+        #: Whether some of what was to be shown is lost.
+        self._is_cut = False
 
     # ------------------------------------------------------------------ making
 
@@ -257,14 +259,15 @@ class Session:
         if self.arguments.quiet:
             return
         if not self._on_terminal:
-            runner.handlers.append(self._told)
+            runner.handlers.append(self._happened)
             return
         from rich.console import Console
         from rich.live import Live
 
         console = Console(no_color=not wants_colour(None, True), highlight=False)
         self._live = Live(console=console, auto_refresh=False, transient=False)
-        self._live.start()
+        with self._while_shown():
+            self._live.start()
 
     @property
     def _on_terminal(self) -> bool:
@@ -274,24 +277,38 @@ class Session:
         )
 
     def _show(self, figures: Figures) -> None:
-        if self._live is not None:
+        with self._while_shown():
+            if self._live is None:
+                print(plain_line(figures), flush=True)
+                return
             size = self._live.console.size
             lines = panel(figures, self.title, min(size.width, terminal_width()), size.height - 1)
             self._live.update(to_rich(lines), refresh=True)
-            return
+
+    @contextmanager
+    def _while_shown(self) -> Generator[None]:
+        """What is shown may get nowhere. A reader that has gone ends the run, as Ctrl-C does; a full disk does not."""
         try:
-            print(plain_line(figures), flush=True)
-        except BrokenPipeError:  # the reader has gone: the robot is stopped as if by Ctrl-C
+            yield
+        except BrokenPipeError:
             abandon_stdout()
             self.patience.is_over = True
+        except OSError as error:
+            abandon_stdout()
+            if not self._is_cut:
+                say(
+                    f"standard output: {error.strerror or error}: nothing more is shown there, which stops nothing"
+                )
+            self._is_cut = True
 
     def _stop_showing(self, watch: Watch, ended: Ended) -> None:
         if self._live is not None:
             self._show(watch.total(time.monotonic_ns(), ended.seconds))
-            self._live.stop()
+            with self._while_shown():
+                self._live.stop()
             self._live = None
 
-    def _told(self, event: Any) -> None:
+    def _happened(self, event: Any) -> None:
         """Without a panel, what happens is said when it does; of what happens again and again the first."""
         if event.kind in USUAL:
             return
@@ -318,6 +335,9 @@ class Session:
             say(f"not in the recording: {', '.join(runner.missing)}")
         if ended.held:
             say(f"left enabled, where they are: {', '.join(ended.held)}")
+            for name in ended.held:
+                if alone_s := runner.rig.devices[name].alone_s:
+                    say(f"{name}: its own watchdog stops it {alone_s:g} s after this program has ended")
         if ended.not_stopped:
             say(f"NOT switched off: {', '.join(ended.not_stopped)}")
         for text in ended.failed:
@@ -348,7 +368,7 @@ class Session:
         sent = "" if runner.drives else " (set-points were not sent)"
         text = " ".join(f"{name}={number}" for name, number in counts.items())
         say(f"seconds={ended.seconds:.3f} {text}{sent}", who="")
-        is_cut = any(logger.failure for logger in self.loggers)
+        is_cut = self._is_cut or any(logger.failure for logger in self.loggers)
         return status or int(bool(ended.tripped or ended.failed or missing or idle or is_cut))
 
 

@@ -79,7 +79,7 @@ def make_screen(
         stream = ModelFeed(model, are_datagrams=isinstance(gate, DatagramGate))
         feed, idle = stream.feed, stream.idle
         inbox = gate.subscribe()
-    gate.on_event(model.tell)
+    gate.on_event(model.emit)
     made = LiveScreen(
         model,
         gate,
@@ -113,7 +113,7 @@ class ModelFeed:
         self._scanner: Any = model.scanner
         self._are_datagrams = are_datagrams
         self._gap_ns = round(silence_s(self._scanner) * 1e9)
-        self._heard_ns = 0
+        self._received_ns = 0
         self._is_settled = True
 
     def feed(self, items: Sequence[Any]) -> None:
@@ -124,11 +124,11 @@ class ModelFeed:
             self._model.feed_records(
                 feed(item.content, item.host_ns / 1e9), item.host_ns, BYTE * len(item.content)
             )
-            self._heard_ns, self._is_settled = item.host_ns, self._are_datagrams
+            self._received_ns, self._is_settled = item.host_ns, self._are_datagrams
 
     def idle(self, now_ns: int) -> None:
         """Nothing came until now."""
-        if not self._is_settled and now_ns - self._heard_ns > self._gap_ns:
+        if not self._is_settled and now_ns - self._received_ns > self._gap_ns:
             self._is_settled = True
             self._model.feed_records(self._scanner.idle(now_ns / 1e9), now_ns)
 

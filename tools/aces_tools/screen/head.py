@@ -225,7 +225,7 @@ def _values(values: Sequence[Value], width: int) -> list[Line]:
     text = min(max(12, width - name - CURVE - 4), max(map(cell_len, shown), default=0))
     has_curve = any(value.curve for value in values)
     lines: list[Line] = []
-    for value, told in zip(values, shown, strict=True):
+    for value, shown_one in zip(values, shown, strict=True):
         number, unit = printable(value.text), f" {value.unit}" if value.unit else ""
         line: Line = [
             StyledText(f"{value.path:<{name}}  ", "name"),
@@ -233,10 +233,10 @@ def _values(values: Sequence[Value], width: int) -> list[Line]:
             StyledText(unit, "unit"),
         ]
         if has_curve:
-            line.append(StyledText(" " * max(0, text - cell_len(told)) + "  ", "plain"))
+            line.append(StyledText(" " * max(0, text - cell_len(shown_one)) + "  ", "plain"))
             line.append(StyledText(f"{value.curve:<{CURVE}}", "curve"))
         else:
-            line.append(StyledText(" " * max(0, text - cell_len(told)), "plain"))
+            line.append(StyledText(" " * max(0, text - cell_len(shown_one)), "plain"))
         about = "  ".join(part for part in (value.place, printable(value.doc)) if part)
         if about:
             line.append(StyledText(f"  {about}", "dim"))

@@ -116,7 +116,7 @@ class RepeatedFrame:
 
     # ------------------------------------------------------------------ hot
 
-    def heard(self, data: bytes, stamp: float) -> None:
+    def received(self, data: bytes, stamp: float) -> None:
         """One more: `stamp` in seconds of whichever clock stamps this bus."""
         if data != self.data and self.count:
             self.fresh_mask |= changed_bits(self.data, data)
@@ -279,12 +279,12 @@ class Model:
 
     # ------------------------------------------------------------------ events
 
-    def tell(self, event: BusEvent) -> None:
+    def emit(self, event: BusEvent) -> None:
         """Something happened to the bus; called on any thread."""
         self._incoming.append(event)
 
     def take_events(self) -> None:
-        """Count the events that came through `tell`."""
+        """Count the events that came through `send`."""
         while self._incoming:
             event = self._incoming.popleft()
             self.events.append(event)
@@ -327,7 +327,7 @@ class Model:
                 touched.append(row)
             row.fresh += 1
             row.frame, row.record, row.host_ns = frame, record, item.host_ns
-            row.heard(frame.data, frame.timestamp or item.host_ns / 1e9)
+            row.received(frame.data, frame.timestamp or item.host_ns / 1e9)
         self._settle(touched, items[0].host_ns, items[-1].host_ns)
 
     @staticmethod
@@ -385,7 +385,7 @@ class Model:
                 touched.append(row)
             row.fresh += 1
             row.record, row.host_ns = record, host_ns
-            row.heard(data, stamp or host_ns / 1e9)
+            row.received(data, stamp or host_ns / 1e9)
         channel = self._channel(self.name, host_ns)
         channel.bits += bits
         channel.bit_meter.add(host_ns, bits)

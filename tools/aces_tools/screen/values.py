@@ -14,7 +14,7 @@ from aces_bus.protocol.generate.load import records_of
 from aces_bus.protocol.plan import nodes as p
 
 from ..output.shape import RecordLeaf, getter, record_leaves
-from ..output.text import value_printer
+from ..output.value_text import value_printer
 
 #: Levels of a curve.
 BLOCKS = "▁▂▃▄▅▆▇█"

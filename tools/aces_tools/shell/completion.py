@@ -17,12 +17,18 @@ import shlex
 from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import entry_points
 from importlib.resources import files
+from inspect import signature
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
-from aces_bus.errors import CallerError
+from aces_bus.errors import AcesError, CallerError
 
+from ..main import ACTIONS, parser_of
 from ..options import Arguments, argument
 from . import SCRIPTS
+
+if TYPE_CHECKING:
+    from aces_bus.device import Device, Robot
 
 EPILOG = """\
 exit status: 0; 2 a wrong call
@@ -54,24 +60,98 @@ def _robots(words: str) -> Iterable[str]:
     return list_robots()
 
 
-def _devices(words: str) -> Iterable[str]:
-    """Devices, joints and sensors of the robot that the line names, or that $ACES_ROBOT does."""
-    from aces_bus.errors import AcesError
+def _typed(words: str) -> list[str]:
+    """The words of a line."""
+    try:
+        return shlex.split(words)
+    except ValueError:  # a quote that is still open
+        return words.split()
+
+
+def _placed(words: str, verb: str) -> list[str]:
+    """What stands in a verb's places so far, without options, their values, and the word that is being typed."""
+    typed = iter(_typed(words if words[-1:].isspace() else words.rpartition(" ")[0])[1 + len(verb.split()) :])
+    valued = {name for one in parser_of(verb).arguments if one.nargs != 0 for name in one.option_strings}
+    found: list[str] = []
+    for word in typed:
+        if word in valued:
+            next(typed, None)
+        elif not word.startswith("-"):
+            found.append(word)
+    return found
+
+
+def _robot(words: str) -> Robot | None:
+    """The robot that the line names, or that $ACES_ROBOT does."""
     from aces_bus.robot import load_robot
 
     from ..robot_arg import VARIABLE
 
+    named = [value for option, value in pairwise(_typed(words)) if option in ("-r", "--robot")]
     try:
-        typed = shlex.split(words)
-    except ValueError:  # a quote that is still open
-        typed = words.split()
-    named = [value for option, value in pairwise(typed) if option in ("-r", "--robot")]
-    name = named[-1] if named else os.environ.get(VARIABLE)
-    try:
-        robot = load_robot(name or "")
+        return load_robot(named[-1] if named else os.environ.get(VARIABLE, ""))
     except AcesError:  # not yet typed to its end, or wrong
+        return None
+
+
+def _devices(words: str) -> Iterable[str]:
+    """Devices, joints and sensors of the robot; for `fuzz --twin` drivers; beside devices what `aces device` does else."""
+    typed, robot = _typed(words), _robot(words)
+    is_action = typed[2:3] == ["fuzz"]
+    if is_action and "--twin" in typed:
+        return NAMES["drivers"](words)
+    names = {*robot.devices, *robot.joints, *robot.sensors} if robot is not None else set[str]()
+    return sorted(names) + ([] if is_action else list(ACTIONS["device"]))
+
+
+def _device(words: str) -> tuple[Device, str | None] | None:
+    """The device of the line, on no bus, and the joint or sensor that is meant."""
+    from ..device import config_of, described_device
+
+    placed, robot = _placed(words, "device"), _robot(words)
+    if not placed or robot is None:
+        return None
+    try:
+        config = config_of(robot, placed[0])
+        return described_device(robot, config.name), None if placed[0] == config.name else placed[0]
+    except AcesError:
+        return None
+
+
+def _actions(words: str) -> Iterable[str]:
+    """What the device of the line can do."""
+    from ..device import VERBS
+
+    found = _device(words)
+    return [] if found is None else [*VERBS, *found[0].actions]
+
+
+def _values(words: str) -> Iterable[str]:
+    """Signals to read, signals to set, or arguments of the action of the line."""
+    from ..device_do import signals_of
+
+    found, placed = _device(words), _placed(words, "device")
+    if found is None or len(placed) < 2:
         return []
-    return sorted({*robot.devices, *robot.joints, *robot.sensors})
+    (device, part), action = found, placed[1]
+    signals = {one.name.partition(".")[2]: one for one in signals_of(device, part)}
+    if action in ("get", "watch"):
+        return [name for name, one in signals.items() if one.name in device.readable]
+    if action == "set":
+        return [f"{name}=" for name, one in signals.items() if one.is_writable]
+    if action not in device.actions:
+        return []
+    parameters = signature(getattr(device, action)).parameters.values()
+    return [
+        f"{one.name}="
+        for one in parameters
+        if one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY) and not (one.name == "joint" and part)
+    ]
+
+
+def _channels(words: str) -> Iterable[str]:
+    """Buses; for `aces bus budget` robots."""
+    return NAMES["robots" if _typed(words)[2:3] == ["budget"] else "buses"](words)
 
 
 def _buses(words: str) -> Iterable[str]:
@@ -86,6 +166,9 @@ NAMES: Mapping[str, Callable[[str], Iterable[str]]] = {
     "drivers": _points("aces_bus.devices"),
     "robots": _robots,
     "devices": _devices,
+    "actions": _actions,
+    "values": _values,
+    "channels": _channels,
     "buses": _buses,
 }
 
@@ -94,7 +177,5 @@ ARGUMENTS: Arguments = (
     argument(
         "--list", choices=list(NAMES), metavar="KIND", help=f"names, as the scripts ask: {', '.join(NAMES)}"
     ),
-    argument(
-        "--words", default="", metavar="LINE", help="devices: the line so far, which may name the robot"
-    ),
+    argument("--words", default="", metavar="LINE", help="the line so far, which may name robot and device"),
 )

@@ -21,17 +21,20 @@ KINDS = {
     "robot": "robots",
     "robots": "robots",
     "bus": "buses",
-    "channels": "buses",
 }
 #: The same where an argument's name alone says too little.
 KINDS_OF_VERBS = {
     ("devices", "driver"): "drivers",
     ("device", "name"): "devices",
+    ("device", "action"): "actions",
+    ("device", "values"): "values",
+    ("device fuzz", "name"): "devices",
+    ("bus", "channels"): "channels",
     ("fuzz", "names"): "protocols",
     ("spec check", "names"): "protocols",
 }
 #: Kinds beside which files are offered: a name may be that of a file, a bus that of a port.
-OR_FILES = ("protocols", "robots", "buses")
+OR_FILES = ("protocols", "robots", "buses", "channels")
 #: Arguments that are files.
 FILES = ("files", "capture", "captures", "items", "paths", "path", "file")
 
@@ -42,6 +45,8 @@ def generated() -> dict[str, str]:
 
     whole = whole_parser()
     found = {file: complete(whole, shell) for shell, file in SCRIPTS.items()}
+    # fish offers actions behind what else the verb takes, where they are (`whole_parser`); they come first.
+    found["aces.fish"] = re.sub(r"(npos) -ge \d+(' -a)\b", r"\1 -eq 0\2", found["aces.fish"])
     found["man/aces.1"] = _contents_page()
     for verb in verbs():
         parser = parser_of(verb)
@@ -76,10 +81,15 @@ def whole_parser() -> Parser:
     subparsers = whole.add_subparsers(dest="verb")
     for verb, (_, purpose) in VERBS.items():
         if VERBS[verb][0]:
-            made = parser_of(verb, subparsers.add_parser(verb, help=purpose, description=purpose))
-            _complete(verb, made)
+            _complete(
+                verb, parser_of(verb, made := subparsers.add_parser(verb, help=purpose, description=purpose))
+            )
+        else:
+            made = subparsers.add_parser(verb, help=purpose, description=purpose)
+        if verb not in ACTIONS:
             continue
-        actions = subparsers.add_parser(verb, help=purpose, description=purpose).add_subparsers(dest="action")
+        # Behind the places of the verb's own arguments: in the first one their names complete it (`completion`).
+        actions = made.add_subparsers(dest="whole_action")
         for action, (_, what) in ACTIONS[verb].items():
             name = f"{verb} {action}"
             _complete(name, parser_of(name, actions.add_parser(action, help=what, description=what)))

@@ -5,13 +5,14 @@
 #    source ~/.local/share/bash_completion/aces
 # See also: https://github.com/scop/bash-completion/blob/main/doc/configuration.md
 
+_shtab_aces_device_subparsers=(fuzz)
 _shtab_aces_spec_subparsers=(new check guess show explain stubs export import)
 _shtab_aces_fleet_subparsers=(status)
 _shtab_aces_subparsers=(decode plot diff convert sniff send play bridge bus robot devices device discover sim run protocols spec fuzz demo bench fleet completion)
 
 _shtab_aces_decode_option_strings=(-h --help -p --protocol --direction --format -o --output --filter -m --message --where --signals --from --to --unknown -q --quiet --strict --names --float32 --jobs --cluster -t --time -n --count --color --no-color)
 _shtab_aces_plot_option_strings=(-h --help -p --protocol --direction --list --bits --raw -o --output --terminal --show --from --to -t --time --break-time --step --title --xlabel --ylabel --ylim --ymin --ymax --style --color --no-color -q --quiet)
-_shtab_aces_diff_option_strings=(-h --help --a --b --marks --for -p --protocol --filter --least --json -o --output --color --no-color -q --quiet)
+_shtab_aces_diff_option_strings=(-h --help --a --b --marks --for -p --protocol --direction -m --message --where --filter --least --json -o --output --color --no-color -q --quiet)
 _shtab_aces_convert_option_strings=(-h --help --format --input-format --merge --from --to --filter --map --strict -q --quiet)
 _shtab_aces_sniff_option_strings=(-h --help -p --protocol --direction --filter -m --message --where --unknown -t --time -n --count --for --format -o --output --rotate -q --quiet --record --foxglove --foxglove-origin --screen --color --no-color -c --channel -i --interface -b --bitrate --fd --data-bitrate --timing --bus-kwargs --serial --baud --half-duplex --udp)
 _shtab_aces_send_option_strings=(-h --help -p --protocol --tx --every -n --count --for --rate --reply --bits --format --color --no-color -c --channel -i --interface -b --bitrate --fd --data-bitrate --timing --bus-kwargs --serial --baud --half-duplex --udp -q --quiet)
@@ -20,6 +21,7 @@ _shtab_aces_bridge_option_strings=(-h --help --tx --one-way --filter -p --protoc
 _shtab_aces_bus_option_strings=(-h --help -c --channel -i --interface -b --bitrate --fd --data-bitrate --timing --bus-kwargs --unix --tcp --socketcand --bind-anywhere --faults --seed --no-ack --no-physics --once --json --for --rate --queue --errors --jitter --answer --latency --together --all -o --output --driver -q --quiet)
 _shtab_aces_robot_option_strings=(-h --help --json --strict -o --output --base --name --color --no-color -q --quiet)
 _shtab_aces_devices_option_strings=(-h --help --json -q --quiet)
+_shtab_aces_device_fuzz_option_strings=(-h --help --twin --virtual --tx --only --not --allow-motion --frames --for --rate --seed --rests-after --then --most --replay -o --output --failures --json -q --quiet -r --robot --bus -i --interface --driver --baud)
 _shtab_aces_device_option_strings=(-h --help --tx --ask --enable --for --every --json -r --robot --bus -i --interface --driver --baud --virtual --seed --pose -q --quiet)
 _shtab_aces_discover_option_strings=(-h --help -p --protocol -o --output --json -r --robot --bus -i --interface --driver --baud --virtual --seed --pose -q --quiet)
 _shtab_aces_sim_option_strings=(-h --help --fault --list-faults --for --seed --pose --foxglove --foxglove-origin --json -r --robot --bus -i --interface --driver --baud -q --quiet)
@@ -72,7 +74,7 @@ _shtab_aces_play__p_COMPGEN=_aces_protocols
 _shtab_aces_play___protocol_COMPGEN=_aces_protocols
 _shtab_aces_bridge__p_COMPGEN=_aces_protocols
 _shtab_aces_bridge___protocol_COMPGEN=_aces_protocols
-_shtab_aces_bus_pos_1_COMPGEN=_aces_buses
+_shtab_aces_bus_pos_1_COMPGEN=_aces_channels
 _shtab_aces_bus__o_COMPGEN=_shtab_compgen_files
 _shtab_aces_bus___output_COMPGEN=_shtab_compgen_files
 _shtab_aces_bus___driver_COMPGEN=_shtab_compgen_files
@@ -81,6 +83,16 @@ _shtab_aces_robot__o_COMPGEN=_shtab_compgen_files
 _shtab_aces_robot___output_COMPGEN=_shtab_compgen_files
 _shtab_aces_devices_pos_0_COMPGEN=_aces_drivers
 _shtab_aces_device_pos_0_COMPGEN=_aces_devices
+_shtab_aces_device_pos_1_COMPGEN=_aces_actions
+_shtab_aces_device_pos_2_COMPGEN=_aces_values
+_shtab_aces_device_fuzz_pos_0_COMPGEN=_aces_devices
+_shtab_aces_device_fuzz___replay_COMPGEN=_shtab_compgen_files
+_shtab_aces_device_fuzz__o_COMPGEN=_shtab_compgen_files
+_shtab_aces_device_fuzz___output_COMPGEN=_shtab_compgen_files
+_shtab_aces_device_fuzz__r_COMPGEN=_aces_robots
+_shtab_aces_device_fuzz___robot_COMPGEN=_aces_robots
+_shtab_aces_device_fuzz___bus_COMPGEN=_aces_buses
+_shtab_aces_device_fuzz___driver_COMPGEN=_shtab_compgen_files
 _shtab_aces_device__r_COMPGEN=_aces_robots
 _shtab_aces_device___robot_COMPGEN=_aces_robots
 _shtab_aces_device___bus_COMPGEN=_aces_buses
@@ -151,6 +163,7 @@ _shtab_aces_bus_pos_0_choices=(serve load list budget)
 _shtab_aces_bus__i_choices=(aces aces-replay canalystii cantact etas gs_usb iscan ixxat kvaser neousys neovi nican nixnet pcan robotell seeedstudio serial slcan socketcan socketcand systec udp_multicast usb2can vector virtual)
 _shtab_aces_bus___interface_choices=(aces aces-replay canalystii cantact etas gs_usb iscan ixxat kvaser neousys neovi nican nixnet pcan robotell seeedstudio serial slcan socketcan socketcand systec udp_multicast usb2can vector virtual)
 _shtab_aces_robot_pos_0_choices=(check list show import)
+_shtab_aces_device_pos_3_choices=(fuzz)
 _shtab_aces_run___at_end_choices=(disable hold)
 _shtab_aces_spec_new___link_choices=(can serial datagram)
 _shtab_aces_spec_export___format_choices=(c dbc markdown wireshark)
@@ -158,7 +171,7 @@ _shtab_aces_spec_pos_0_choices=(new check guess show explain stubs export import
 _shtab_aces_bench_pos_0_choices=(live columns text bus control robot)
 _shtab_aces_fleet_pos_0_choices=(status)
 _shtab_aces_completion_pos_0_choices=(bash zsh fish)
-_shtab_aces_completion___list_choices=(protocols drivers robots devices buses)
+_shtab_aces_completion___list_choices=(protocols drivers robots devices actions values channels buses)
 _shtab_aces_pos_0_choices=(decode plot diff convert sniff send play bridge bus robot devices device discover sim run protocols spec fuzz demo bench fleet completion)
 
 _shtab_aces_decode_pos_0_nargs='*'
@@ -272,6 +285,16 @@ _shtab_aces_devices___json_nargs=0
 _shtab_aces_devices__q_nargs=0
 _shtab_aces_devices___quiet_nargs=0
 _shtab_aces_device_pos_2_nargs='*'
+_shtab_aces_device_fuzz__h_nargs=0
+_shtab_aces_device_fuzz___help_nargs=0
+_shtab_aces_device_fuzz___twin_nargs=0
+_shtab_aces_device_fuzz___virtual_nargs=0
+_shtab_aces_device_fuzz___tx_nargs=0
+_shtab_aces_device_fuzz___allow_motion_nargs=0
+_shtab_aces_device_fuzz___json_nargs=0
+_shtab_aces_device_fuzz__q_nargs=0
+_shtab_aces_device_fuzz___quiet_nargs=0
+_shtab_aces_device_pos_3_nargs=A...
 _shtab_aces_device__h_nargs=0
 _shtab_aces_device___help_nargs=0
 _shtab_aces_device___tx_nargs=0
@@ -432,6 +455,12 @@ _aces_buses() {
 }
 
 
+_aces_channels() {
+  compgen -W "$(aces completion --list channels --words "$COMP_LINE" 2>/dev/null)" -- "$1"
+  _shtab_compgen_files "$1"
+}
+
+
 _aces_robots() {
   compgen -W "$(aces completion --list robots --words "$COMP_LINE" 2>/dev/null)" -- "$1"
   _shtab_compgen_files "$1"
@@ -446,6 +475,18 @@ _aces_drivers() {
 
 _aces_devices() {
   compgen -W "$(aces completion --list devices --words "$COMP_LINE" 2>/dev/null)" -- "$1"
+
+}
+
+
+_aces_actions() {
+  compgen -W "$(aces completion --list actions --words "$COMP_LINE" 2>/dev/null)" -- "$1"
+
+}
+
+
+_aces_values() {
+  compgen -W "$(aces completion --list values --words "$COMP_LINE" 2>/dev/null)" -- "$1"
 
 }
 

@@ -50,8 +50,8 @@ function _shtab_aces_using
   test "$_shtab_aces_cmdpath" = "$argv"
 end
 
-set -g _shtab_aces_commands decode plot diff convert sniff send play bridge bus robot devices device discover sim run protocols spec 'spec new' 'spec check' 'spec guess' 'spec show' 'spec explain' 'spec stubs' 'spec export' 'spec import' fuzz demo bench fleet 'fleet status' completion
-set -g _shtab_aces_opts_with_value --a --against --answer --at --at-end --b --base --baud --bitrate --bits --break-time --bus --bus-kwargs --channel --cluster --compare --corpus --count --data-bitrate --diff --direction --driver --errors --every --examples --expand --failures --fault --faults --filter --for --format --foxglove --foxglove-origin --frames --from --gap --hold-for --input-format --interface --jitter --jobs --latency --law --least --link --list --log --loop --map --marks --message --most --name --on-trip --output --port --pose --protocol --queue --rate --raw --record --rename --replay --reply --robot --rotate --rows-hz --save --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --time --timing --title --to --udp --unix --unknown --where --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
+set -g _shtab_aces_commands decode plot diff convert sniff send play bridge bus robot devices device 'device fuzz' discover sim run protocols spec 'spec new' 'spec check' 'spec guess' 'spec show' 'spec explain' 'spec stubs' 'spec export' 'spec import' fuzz demo bench fleet 'fleet status' completion
+set -g _shtab_aces_opts_with_value --a --against --answer --at --at-end --b --base --baud --bitrate --bits --break-time --bus --bus-kwargs --channel --cluster --compare --corpus --count --data-bitrate --diff --direction --driver --errors --every --examples --expand --failures --fault --faults --filter --for --format --foxglove --foxglove-origin --frames --from --gap --hold-for --input-format --interface --jitter --jobs --latency --law --least --link --list --log --loop --map --marks --message --most --name --not --on-trip --only --output --port --pose --protocol --queue --rate --raw --record --rename --replay --reply --rests-after --robot --rotate --rows-hz --save --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --then --time --timing --title --to --udp --unix --unknown --where --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
 
 complete -c aces -e
 complete -c aces -f
@@ -113,6 +113,9 @@ complete -c aces -n '_shtab_aces_using diff' -l b -x -d 'when B is; of one recor
 complete -c aces -n '_shtab_aces_using diff' -l marks -xka "(__fish_complete_path (commandline -ct))" -d 'times with names, a line each: '"'"'12.3 pressed'"'"''
 complete -c aces -n '_shtab_aces_using diff' -l for -x -d 'a mark lasts so long: 500ms, 2s'
 complete -c aces -n '_shtab_aces_using diff' -s p -l protocol -xka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'what is spoken: messages and signals are compared; serial lines need it'
+complete -c aces -n '_shtab_aces_using diff' -l direction -x -d 'which way the bytes went: to or from the device; both pairs requests and replies'
+complete -c aces -n '_shtab_aces_using diff' -s m -l message -x -d 'compare only this message, in any case, also Motor*; may be given several times'
+complete -c aces -n '_shtab_aces_using diff' -l where -x -d 'compare only records such as field=value, as of '"'"'aces decode'"'"''
 complete -c aces -n '_shtab_aces_using diff' -l filter -x -d 'CAN: only what candump'"'"'s filters pass, such as 060:7F0 or can0,150~7FF'
 complete -c aces -n '_shtab_aces_using diff' -l least -x -d 'leave out what is less telling, 0 to 1 (default: 0.2; 0: nothing)'
 complete -c aces -n '_shtab_aces_using diff' -l json -d 'JSON on standard output, for programs'
@@ -258,7 +261,7 @@ complete -c aces -n '_shtab_aces_using bus' -s o -l output -xka "(__fish_complet
 complete -c aces -n '_shtab_aces_using bus' -l driver -xka "(__fish_complete_path (commandline -ct))" -d 'use the drivers of a Python file, too; it is run with your rights'
 complete -c aces -n '_shtab_aces_using bus' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using bus; and test $_shtab_aces_npos -eq 0' -ka "serve load list budget" -d 'what to do'
-complete -c aces -n '_shtab_aces_using bus; and test $_shtab_aces_npos -ge 1' -ka "(aces completion --list buses --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'names (default: can0); load: one, or an address; budget: a robot, or its file'
+complete -c aces -n '_shtab_aces_using bus; and test $_shtab_aces_npos -ge 1' -ka "(aces completion --list channels --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'names (default: can0); load: one, or an address; budget: a robot, or its file'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a robot -d 'robots as files: check, show, list; import from other programs'
 complete -c aces -n '_shtab_aces_using robot' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using robot' -l json -d 'JSON on standard output, for programs'
@@ -293,6 +296,34 @@ complete -c aces -n '_shtab_aces_using device' -l seed -x -d 'of the twins (defa
 complete -c aces -n '_shtab_aces_using device' -l pose -x -d 'where a twin'"'"'s joint is at first: 0.3 (rad, m) or 20deg'
 complete -c aces -n '_shtab_aces_using device' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using device; and test $_shtab_aces_npos -eq 0' -ka "(aces completion --list devices --words (commandline -p | string collect) 2>/dev/null)" -d 'a device, joint or sensor of the robot'
+complete -c aces -n '_shtab_aces_using device; and test $_shtab_aces_npos -eq 1' -ka "(aces completion --list actions --words (commandline -p | string collect) 2>/dev/null)" -d 'get, set, watch, or an action of the device'
+complete -c aces -n '_shtab_aces_using device; and test $_shtab_aces_npos -ge 2' -ka "(aces completion --list values --words (commandline -p | string collect) 2>/dev/null)" -d 'signals to read; values to set; arguments'
+complete -c aces -n '_shtab_aces_using device; and test $_shtab_aces_npos -eq 0' -a fuzz -d 'search for what breaks a device: a twin, or a real one (--tx)'
+complete -c aces -n '_shtab_aces_using device fuzz' -s h -l help -d 'show this help message and exit'
+complete -c aces -n '_shtab_aces_using device fuzz' -l twin -d 'the twin of the driver NAME: the first device of its example'
+complete -c aces -n '_shtab_aces_using device fuzz' -l virtual -d 'the twin of the robot'"'"'s device NAME'
+complete -c aces -n '_shtab_aces_using device fuzz' -l tx -d 'the real device NAME, slowly'
+complete -c aces -n '_shtab_aces_using device fuzz' -l only -x -d 'send only this message; may be given several times'
+complete -c aces -n '_shtab_aces_using device fuzz' -l not -x -d 'do not send this; may be given several times'
+complete -c aces -n '_shtab_aces_using device fuzz' -l allow-motion -d 'real device: send what moves or enables it, too'
+complete -c aces -n '_shtab_aces_using device fuzz' -l frames -x -d 'so many (default: 10,000; a real device: 500)'
+complete -c aces -n '_shtab_aces_using device fuzz' -l for -x -d 'so long instead: 10min'
+complete -c aces -n '_shtab_aces_using device fuzz' -l rate -x -d 'real device: N a second (default: 50)'
+complete -c aces -n '_shtab_aces_using device fuzz' -l seed -x -d 'begin with this seed (default: another each time)'
+complete -c aces -n '_shtab_aces_using device fuzz' -l rests-after -x -d 'twin: without a frame for so long it must be at rest, as when it was fresh: a watchdog'
+complete -c aces -n '_shtab_aces_using device fuzz' -l then -x -d 'twin: this action of its driver must succeed after any sequence'
+complete -c aces -n '_shtab_aces_using device fuzz' -l most -x -d 'end after N findings (default: 3)'
+complete -c aces -n '_shtab_aces_using device fuzz' -l replay -xka "(__fish_complete_path (commandline -ct))" -d 'twin: try this capture on a fresh one, nothing else'
+complete -c aces -n '_shtab_aces_using device fuzz' -s o -l output -xka "(__fish_complete_path (commandline -ct))" -d 'save the first finding there (.log of CAN, .slog of a serial line)'
+complete -c aces -n '_shtab_aces_using device fuzz' -l failures -x -d 'where to save findings otherwise (default: .aces/failures)'
+complete -c aces -n '_shtab_aces_using device fuzz' -l json -d 'JSON on standard output, for programs'
+complete -c aces -n '_shtab_aces_using device fuzz' -s q -l quiet -d 'no progress; findings and the summary'
+complete -c aces -n '_shtab_aces_using device fuzz' -s r -l robot -xka "(aces completion --list robots --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'a robot that ships, or a file (default: $ACES_ROBOT)'
+complete -c aces -n '_shtab_aces_using device fuzz' -l bus -xka "(aces completion --list buses --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'where a bus is: can0, unix:can0, /dev/ttyUSB0, HOST:PORT (default: what the file says)'
+complete -c aces -n '_shtab_aces_using device fuzz' -s i -l interface -x -d 'python-can'"'"'s, of its CAN buses'
+complete -c aces -n '_shtab_aces_using device fuzz' -l driver -xka "(__fish_complete_path (commandline -ct))" -d 'use the drivers (and twins) of a Python file, too; it is run with your rights'
+complete -c aces -n '_shtab_aces_using device fuzz' -l baud -x -d 'speed of its serial lines (default: the file'"'"'s)'
+complete -c aces -n '_shtab_aces_using device fuzz; and test $_shtab_aces_npos -eq 0' -ka "(aces completion --list devices --words (commandline -p | string collect) 2>/dev/null)" -d 'a device, joint or sensor of the robot; with --twin a driver'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a discover -d 'find the devices on a bus, and write a robot'"'"'s file of them'
 complete -c aces -n '_shtab_aces_using discover' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using discover' -s p -l protocol -xka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'without a robot: what is spoken on the bus; of a Python file with its --driver'
@@ -475,7 +506,7 @@ complete -c aces -n '_shtab_aces_using fleet status' -l json -d 'JSON on standar
 complete -c aces -n '_shtab_aces_using fleet status' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a completion -d 'print what completes aces in bash, zsh and fish'
 complete -c aces -n '_shtab_aces_using completion' -s h -l help -d 'show this help message and exit'
-complete -c aces -n '_shtab_aces_using completion' -l list -xka "protocols drivers robots devices buses" -d 'names, as the scripts ask: protocols, drivers, robots, devices, buses'
-complete -c aces -n '_shtab_aces_using completion' -l words -x -d 'devices: the line so far, which may name the robot'
+complete -c aces -n '_shtab_aces_using completion' -l list -xka "protocols drivers robots devices actions values channels buses" -d 'names, as the scripts ask: protocols, drivers, robots, devices, actions, values, channels, buses'
+complete -c aces -n '_shtab_aces_using completion' -l words -x -d 'the line so far, which may name robot and device'
 complete -c aces -n '_shtab_aces_using completion' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using completion; and test $_shtab_aces_npos -eq 0' -ka "bash zsh fish" -d 'the shell'
