@@ -136,8 +136,9 @@ stops: $(VENV)/.dev ## ends of `aces device` against `aces sim`, in real time; A
 teleoperation: $(VENV)/.dev ## SO-101, leader to follower over two pseudo-terminals in real time: latency and CPU; ARGS="--seconds 60"
 	$(BIN)/python -m tests.bench.teleoperation $(ARGS)
 
-budget: $(VENV)/.dev ## response times against the virtual bus: SETS (1000) drawn message sets, 10 s over 20 phases each, and an hour
-	HYPOTHESIS_PROFILE=long ACES_SETS=$(or $(SETS),1000) $(BIN)/python -m pytest -q -n 0 -m long tests/budget $(ARGS)
+budget: $(VENV)/.dev ## response times against the virtual bus: SETS (1000) drawn message sets, 10 s over 20 phases each, and an hour (ten minutes of processor time)
+	HYPOTHESIS_PROFILE=long ACES_SETS=$(or $(SETS),1000) $(PYTEST) -vv -m long tests/budget $(ARGS)
+
 # Inputs of the test in which workers die; `make test-slow` takes fewer.
 fleet: export ACES_FLEET_INPUTS ?= 200
 fleet: $(VENV)/.oracles ## fleets: workers that die among 200 recordings, stores, and the figures of docs/fleets.md (minutes)

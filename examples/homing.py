@@ -30,7 +30,7 @@ SENSORS = {"FT_LF": 3, "FT_RF": 3, "FT_RH": 1}
 
 
 class Homing:
-    """The sequence. `state` is the phase, "failed: …", or "ready"; `tell` hears of each change, `mend` of each failure."""
+    """The sequence. `state` is the phase, "failed: …", or "ready"; `send` hears of each change, `mend` of each failure."""
 
     def __init__(self, robot: VirtualRobot, tell: Callable[[str], None], mend: Callable[[str], bool]) -> None:
         self.robot, self.tell, self.mend = robot, tell, mend

@@ -66,11 +66,11 @@ class ODrive(Device):
         return {**fields, "torque_feed_forward": 0.0}
 
     def enable(self) -> Ticket:
-        return self.tell("SetState", state="closed_loop")
+        return self.send("SetState", state="closed_loop")
 
     def disable(self) -> Ticket:
         self.drop("SetVelocity")
-        return self.tell_now("SetState", state="idle")
+        return self.send_now("SetState", state="idle")
 
     stop_motion = disable
 

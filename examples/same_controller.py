@@ -68,10 +68,10 @@ def on_hubo(seconds: float) -> tuple[Notes, list[Frame], int]:
         began = run.clock.now()
         run.run(seconds)
     said("Hubo 2+, CAN", notes, run)
-    heard = [(at, name, frame) for name, recorder in recorders.items() for at, frame in recorder.heard]
+    received = [(at, name, frame) for name, recorder in recorders.items() for at, frame in recorder.received]
     frames = [
         Frame(f.arbitration_id, f.data, at / 1e9, name)
-        for at, name, f in sorted(heard, key=lambda one: one[0])
+        for at, name, f in sorted(received, key=lambda one: one[0])
     ]
     return notes, frames, began
 

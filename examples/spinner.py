@@ -27,23 +27,23 @@ from aces_bus.robot import VirtualRobot, parse_robot, run_virtual
 # ---------------------------------------------------------------------- a device that sends back what it is told
 
 loop = Protocol(
-    "loop", link="datagram", doc="Words that come back", source="acesHubo testsuite.cpp: SET is 2"
+    "loop", link="datagram", doc="Datagrams that come back", source="acesHubo testsuite.cpp: SET is 2"
 )
-word = loop.framing(
+datagram = loop.framing(
     sync=b"\xac\xe5",
     header=Struct("node" / Byte, "length" / Byte),
     size=this.length + 5,
     max_size=32,
     check=InvertedSum(),
 )
-word(
+datagram(
     "Set",
     direction="to device",
     prefix=Struct("mode" / Byte),
     match={"mode": 2},
     payload=Struct("value" / Float64l),
 )
-word(
+datagram(
     "Value",
     direction="from device",
     prefix=Struct("mode" / Byte),

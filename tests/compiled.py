@@ -34,6 +34,9 @@ MODULES = (
     "aces_bus/device/station.py",
     "aces_bus/device/ticket.py",
     "aces_bus/device/host.py",
+    "aces_bus/device/gathering.py",
+    "aces_bus/device/polling.py",
+    "aces_bus/device/unanswered.py",
     "devices/aces_devices/joint_model.py",
     "devices/aces_devices/hubo_motor/channel.py",
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import tempfile
 from collections.abc import Generator
 from contextlib import contextmanager
 
@@ -19,6 +20,7 @@ def small_disk(size: int) -> Generator[None]:
     No bytecode is written meanwhile: Python keeps what was cut off, and no later import could read it.
     """
     resource = pytest.importorskip("resource")
+    tempfile.gettempdir()  # looked for by writing: without room, it would be the folder that the tests run in
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "dont_write_bytecode", True)

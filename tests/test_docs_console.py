@@ -93,7 +93,7 @@ class Terminal:
             # The package's plug-in, and no others: they take as long to load as the tests take.
             command += ["-p", "_hypothesis_pytestplugin", "-p", "aces_bus.testing.plugin"]
             # In the short profile some of the laws, and once there is a driver, some of the checks of drivers.
-            few = "heard" if list(Path().glob("*_driver.py")) else "sheets or round_trip"
+            few = "received" if list(Path().glob("*_driver.py")) else "sheets or round_trip"
             command += [] if settings().max_examples > 100 else ["-k", few, "--aces-examples", "2"]
         path = os.pathsep.join(one for one in sys.path if one)
         done = subprocess.run(

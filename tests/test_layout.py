@@ -32,6 +32,7 @@ FLOORS: dict[str, set[str]] = {
     "errors": set(),
     "frames": set(),
     "frame_table": set(),  # the same frames as columns
+    "traffic": set(),  # frames counted by identifier
     "plain_text": set(),  # text of others, made harmless for terminals and sheets
     "loopback": set(),  # which addresses are of this machine
     "compiling": set(),  # what modules that may be compiled say of their classes
@@ -66,7 +67,17 @@ FLOORS: dict[str, set[str]] = {
     "budget": {"runtime", "protocol", "hardware", "device", "robot"},
     "testing": {"runtime", "protocol", "recordings", "hardware", "device", "state", "controller", "robot"},
 }
-EVERYONE = {"errors", "loopback", "frames", "frame_table", "plain_text", "compiling", "_lazy", "plugins"}
+EVERYONE = {
+    "errors",
+    "loopback",
+    "frames",
+    "frame_table",
+    "traffic",
+    "plain_text",
+    "compiling",
+    "_lazy",
+    "plugins",
+}
 
 
 def module_name(path: Path) -> tuple[str, bool]:

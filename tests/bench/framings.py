@@ -23,14 +23,14 @@ CHUNK = 4096
 
 def worked(protocol: Protocol, *names: str) -> bytes:
     """The first worked example of each of these messages."""
-    return b"".join(protocol[name].examples[0].word.data for name in names)
+    return b"".join(protocol[name].examples[0].packet.data for name in names)
 
 
 SPECS = {protocol.name: protocol for protocol in (mavlink1, nmea0183, ubx)}
 #: spec, target as a ratio, stream
 STREAMS: dict[str, tuple[str, float, bytes]] = {
     "UBX: NAV-PVT, NAV-STATUS, ACK": ("ubx", 20, worked(ubx, *["NavPvt"] * 4, "NavStatus", "Ack") * 200),
-    "MAVLink 1: ATTITUDE": ("mavlink1", 6, MAVLINK1[1].data * 2500),
+    "MAVLink 1: ATTITUDE": ("mavlink1", 6, MAVLINK1[1].data * 20_000),
     "NMEA 0183: seven sentences": (
         "nmea0183",
         8,

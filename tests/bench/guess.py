@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import random
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -28,11 +29,13 @@ from construct import Byte, Struct, this
 
 from aces_bus.device.drivers import load_driver
 from aces_bus.errors import AcesError
+from aces_bus.frames import Frame
 from aces_bus.guess import FramingGuess, StreamTraffic, checks_of, fields_of
 from aces_bus.guess.framings import framing_check
 from aces_bus.hardware.simulated.bus import ListeningNode, SimulatedBus
 from aces_bus.protocol import Fletcher, Protocol, load_protocol
 from aces_bus.protocol.declare.framing import Framing, Verdict
+from aces_bus.recordings import open_recording
 from aces_bus.robot.buses import VirtualRobot
 from aces_bus.robot.file import parse_robot
 from aces_bus.testing.conformance import enable
@@ -400,7 +403,9 @@ def truth_of(message: Any, size: int) -> list[Truth] | None:
     return found
 
 
-def can_rows(frames: Sequence[Any], protocol: Any) -> Iterator[tuple[str, Array, list[Truth], bytes, str]]:
+def can_rows(
+    frames: Sequence[Any], protocol: Any, least: int = LEAST_ROWS
+) -> Iterator[tuple[str, Array, list[Truth], bytes, str]]:
     """Rows of each identifier that a protocol decodes all as one message with fixed fields."""
     scanner = protocol.scanner(direction="both")
     by: dict[tuple[int, bool], list[bytes]] = {}
@@ -414,7 +419,7 @@ def can_rows(frames: Sequence[Any], protocol: Any) -> Iterator[tuple[str, Array,
         said = names.get(key, Counter())
         sizes = Counter(map(len, datas))
         size, count = sizes.most_common(1)[0]
-        if len(said) != 1 or "" in said or not size or count < LEAST_ROWS or len(sizes) > 1:
+        if len(said) != 1 or "" in said or not size or count < least or len(sizes) > 1:
             continue
         message = protocol.messages.get(next(iter(said))) if hasattr(protocol, "messages") else None
         truth = truth_of(message, size) if message is not None else None
@@ -622,6 +627,19 @@ def streams_of_others(
 # ---------------------------------------------------------------------- the tables
 
 
+def messages_of_others(shared: Path) -> Iterator[Scores]:
+    """The boat's log of canboat, whose fields canboat's own table knows: five messages of an identifier are enough, as there
+    are no more of most."""
+    folder = shared / "nmea2000"
+    if folder.is_dir():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # what the table leaves out
+            protocol = load_protocol(str(folder / "canboat.json"))
+        with open_recording(folder / "candumpSample2.txt") as entries:
+            frames = [one for one in entries if isinstance(one, Frame)]
+        yield grouped("nmea2000/candumpSample2.txt", can_rows(frames, protocol, least=5))
+
+
 def table(title: str, lines: Sequence[Scores]) -> None:
     """Precision, recall, F1 and how many there are, a line each and all together."""
     if not lines:
@@ -667,6 +685,7 @@ def main() -> None:
 
     if arguments.only in (None, "streams"):
         show("recordings by others", [score_stream(*one) for one in streams_of_others(arguments.shared)])
+        show("fields of recordings by others on CAN", list(messages_of_others(arguments.shared)))
         show("streams of twins and of specs", [score_stream(*one) for one in streams_of_specs()])
     if arguments.only in (None, "twins"):
         lines = []

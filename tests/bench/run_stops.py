@@ -44,7 +44,7 @@ class Pose(Controller):
 
 def alarm(run: Runner) -> None:
     """A board says that something is wrong with it."""
-    run.rig.hosts["lower"].tell("alarm", "JMC1", "measured")
+    run.rig.hosts["lower"].emit("alarm", "JMC1", "measured")
 
 
 def virtual(is_fault: bool) -> tuple[float, float]:

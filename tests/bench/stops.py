@@ -122,7 +122,7 @@ class Stand:
         (self.variant,) = bus_variants(self.robot, self.config.bus)
         self.scanner = make_scanner([self.variant], include_unknown=True)
 
-    def heard(self, wait_s: float) -> list[Any]:
+    def received(self, wait_s: float) -> list[Any]:
         """The joint's board's records of the next so many seconds."""
         records: list[Any] = []
         until = time.monotonic() + wait_s
@@ -136,7 +136,7 @@ class Stand:
         """When a record of this name came; None: the command has ended without."""
         until = time.monotonic() + WAIT_S
         while time.monotonic() < until:
-            if any(type(record).__name__ == name for record in self.heard(0.02)):
+            if any(type(record).__name__ == name for record in self.received(0.02)):
                 return time.monotonic()
             if command is not None and command.poll():
                 return None
@@ -144,14 +144,14 @@ class Stand:
 
     def is_off(self) -> bool:
         """Ask the board, once all that it said before was heard: a status may leave after a ControlOff that it precedes."""
-        self.heard(0.1)
-        word = self.variant.encoder.word(self.variant["SendStatus"], {"board": self.board})
-        self.scanner.sent(word)
-        assert isinstance(word, Frame)
-        self.bus.send(can.Message(arbitration_id=word.arbitration_id, data=word.data, is_extended_id=False))
+        self.received(0.1)
+        frame = self.variant.encoder.packet(self.variant["SendStatus"], {"board": self.board})
+        self.scanner.sent(frame)
+        assert isinstance(frame, Frame)
+        self.bus.send(can.Message(arbitration_id=frame.arbitration_id, data=frame.data, is_extended_id=False))
         until = time.monotonic() + WAIT_S
         while time.monotonic() < until:
-            for record in self.heard(0.01):
+            for record in self.received(0.01):
                 if type(record).__name__.startswith("Status"):
                     return all("control_on" not in motor.drive for motor in record.motor)
         raise TimeoutError("the board does not answer")
@@ -179,7 +179,7 @@ def one(stand: Stand, end: int | None, chance: random.Random, result: Result) ->
         began = time.monotonic()
         os.kill(command.pid, end)
     off_at = stand.await_record("ControlOff", command) or (
-        time.monotonic() if any(type(r).__name__ == "ControlOff" for r in stand.heard(0.2)) else None
+        time.monotonic() if any(type(r).__name__ == "ControlOff" for r in stand.received(0.2)) else None
     )
     status = command.wait()
     result.statuses[status] += 1

@@ -118,7 +118,7 @@ def test_a_text_is_explained_field_by_field(tmp_path: Path, aces: Aces) -> None:
     capture = tmp_path / "session.bin"
     capture.write_bytes(GGA)
     lines = aces("spec", "explain", "nmea0183", capture).out.splitlines()
-    assert "  14  lat, 8 words: 34 38 30 37 2E 30 33 38" in lines
+    assert "  14  lat, 8 bytes: 34 38 30 37 2E 30 33 38" in lines
     assert "  22  2C  separator        lat = 48.1173 °" in lines
     assert "  61  2C  separator        age = None" in lines
     assert any(line.endswith("check") for line in lines)

@@ -26,10 +26,10 @@ def column_of(path: str) -> str:
     return f"{path}_" if path in RESERVED else path
 
 
-def live(variants: Sequence[Variant], words: Any, direction: Any = None) -> dict[str, Columns]:
+def live(variants: Sequence[Variant], traffic: Any, direction: Any = None) -> dict[str, Columns]:
     """What the live scanner gives, as columns of plain values: bytes, texts, numbers, None; JSON of what has no shape."""
     scanner: Any = make_scanner(variants, direction=direction, include_unknown=True)
-    items = [*scanner.feed(words), *scanner.close()]
+    items = [*scanner.feed(traffic), *scanner.close()]
     found: dict[str, Columns] = {}
     plans = {
         kind: flatten(variant.messages[name])

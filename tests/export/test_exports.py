@@ -322,9 +322,9 @@ def test_a_pool_reopens_what_it_closed(tmp_path: Path) -> None:
     """A file goes on where it was, however many others were written in between."""
     pool = FilePool("out")
     sinks = [ExportFile(pool, str(tmp_path / str(number))) for number in range(100)]
-    for word in (b"a", b"b", b"c"):
+    for piece in (b"a", b"b", b"c"):
         for sink in sinks:
-            sink.write(word)
+            sink.write(piece)
     pool.close()
     assert {path.read_bytes() for path in tmp_path.iterdir()} == {b"abc"}
     assert sinks[0].tell() == 3

@@ -97,7 +97,7 @@ FRAMES = [
 def written(
     path: Path | str,
     variants: Sequence[Variant],
-    words: Any,
+    traffic: Any,
     *,
     direction: Any = None,
     cuts: Sequence[int] = (),
@@ -105,11 +105,11 @@ def written(
 ) -> Path:
     """An export of frames or bytes, fed in pieces."""
     scanner = make_column_scanner(variants, direction=direction, include_unknown=True)
-    table = FrameTable.from_frames(words) if variants[0].link == "can" else None
+    table = FrameTable.from_frames(traffic) if variants[0].link == "can" else None
     with open_export(str(path), variants=variants, **options) as export:
-        for start, end in zip([0, *cuts], [*cuts, len(words)], strict=True):
+        for start, end in zip([0, *cuts], [*cuts, len(traffic)], strict=True):
             if start < end:
-                piece: Any = table.take(slice(start, end)) if table is not None else words[start:end]
+                piece: Any = table.take(slice(start, end)) if table is not None else traffic[start:end]
                 export.write(scanner.feed(piece))
         export.write(scanner.close())
     return Path(str(path).rstrip("/"))
@@ -188,28 +188,28 @@ SETS: dict[str, tuple[list[Variant], Any, Any]] = {
 }
 
 
-def words_of(name: str) -> tuple[list[Variant], Any, Any]:
-    variants, words, direction = SETS[name]
-    if isinstance(words, str):
-        path = CAPTURES / words
-        if words.endswith(".log"):
+def traffic_of(name: str) -> tuple[list[Variant], Any, Any]:
+    variants, traffic, direction = SETS[name]
+    if isinstance(traffic, str):
+        path = CAPTURES / traffic
+        if traffic.endswith(".log"):
             from aces_bus.recordings import open_recording
 
             with open_recording(path, link="can") as capture:
                 return variants, list(capture), direction
         return variants, path.read_bytes(), direction
-    return variants, words, direction
+    return variants, traffic, direction
 
 
 @pytest.mark.parametrize("suffix", READERS)
 @pytest.mark.parametrize("name", SETS)
 def test_what_is_written_is_what_the_live_scanner_gives(name: str, suffix: str, tmp_path: Path) -> None:
     """Every value of every message, read back by another library, is the record's."""
-    variants, words, direction = words_of(name)
-    cuts = range(7, len(words), 1 + len(words) // 5)
-    path = written(tmp_path / f"out{suffix}", variants, words, direction=direction, cuts=list(cuts))
+    variants, traffic, direction = traffic_of(name)
+    cuts = range(7, len(traffic), 1 + len(traffic) // 5)
+    path = written(tmp_path / f"out{suffix}", variants, traffic, direction=direction, cuts=list(cuts))
     read, equal = READERS[suffix]
-    found, wanted = read(path), reading.live(variants, words, direction)
+    found, wanted = read(path), reading.live(variants, traffic, direction)
     assert wanted
     assert differing(found, wanted, equal) == []
 
@@ -217,9 +217,9 @@ def test_what_is_written_is_what_the_live_scanner_gives(name: str, suffix: str, 
 @pytest.mark.parametrize("name", SETS)
 def test_csv_folders_say_the_same(name: str, tmp_path: Path) -> None:
     """Cells are names, hexadecimal digits, and seconds with nine places."""
-    variants, words, direction = words_of(name)
-    found = reading.read_csv(written(f"{tmp_path}/out.csv/", variants, words, direction=direction))
-    wanted = reading.live(variants, words, direction)
+    variants, traffic, direction = traffic_of(name)
+    found = reading.read_csv(written(f"{tmp_path}/out.csv/", variants, traffic, direction=direction))
+    wanted = reading.live(variants, traffic, direction)
     for columns in wanted.values():
         columns["time"] = [
             None if ns is None else f"{ns // 10**9}.{ns % 10**9:09d}" for ns in columns["time"]
@@ -232,12 +232,12 @@ def test_mcap_holds_the_records(name: str, tmp_path: Path) -> None:
     """A topic a message, records as JSON in the order of the capture; names where asked for."""
 
     pytest.importorskip("mcap")
-    variants, words, direction = words_of(name)
-    path = written(tmp_path / "out.mcap", variants, words, direction=direction, names=True)
+    variants, traffic, direction = traffic_of(name)
+    path = written(tmp_path / "out.mcap", variants, traffic, direction=direction, names=True)
     found = reading.read_mcap(path)
     scanner: Any = make_scanner(variants, direction=direction)
     wanted: dict[str, list[Any]] = {}
-    for record in [*scanner.feed(words), *scanner.close()]:
+    for record in [*scanner.feed(traffic), *scanner.close()]:
         topic = f"/{record.meta.protocol}/{record.meta.message}"
         wanted.setdefault(topic, []).append(
             in_json(as_dict(record), names_of(type(record).__name__, variants))
@@ -280,12 +280,14 @@ def test_drawn_frames_and_streams(data: st.DataObject, tmp_path_factory: pytest.
     variant = data.draw(st.sampled_from(protocol.variants()))
     direction: Any = "from device" if variant.direction_conflict else None
     scene = data.draw(strategies.scenes(variant, direction, size=300))
-    cuts = [cut for cut in data.draw(strategies.cuts(scene)) if cut < len(scene.words)]
-    words = scene.words
-    wanted = reading.live([variant], words, direction)
+    cuts = [cut for cut in data.draw(strategies.cuts(scene)) if cut < len(scene.traffic)]
+    traffic = scene.traffic
+    wanted = reading.live([variant], traffic, direction)
     folder = tmp_path_factory.mktemp("drawn")
     for suffix in (".parquet", ".npz"):
-        path = written(folder / f"out{suffix}", [variant], words, direction=direction, cuts=sorted(set(cuts)))
+        path = written(
+            folder / f"out{suffix}", [variant], traffic, direction=direction, cuts=sorted(set(cuts))
+        )
         read, equal = READERS[suffix]
         assert differing(read(path), too_wide_is_none(wanted, variant), equal) == []
 

@@ -25,12 +25,12 @@ class OpenLine:
     lock: Any
     twins: dict[str, Twin]
     protocol: Any
-    heard: bytearray = field(default_factory=bytearray)
+    received: bytearray = field(default_factory=bytearray)
 
     def records(self, direction: Literal["to device", "from device", "both"] = "both") -> list[Any]:
         """All that was on the line so far, as records; what is no message stands among them as `Unknown`."""
         with self.lock:
-            data = bytes(self.heard)
+            data = bytes(self.received)
         scanner = self.protocol.scanner(direction=direction, include_unknown=True)
         assert isinstance(scanner, StreamScanner)
         found = scanner.feed(data) + scanner.close()
@@ -52,7 +52,7 @@ def served_line(robot_file: str, driver: Driver) -> Generator[OpenLine]:
             port = SerialPort(wire, name=name)
             simulation = simulate(robot, {name: port}, load={driver.name: driver}.__getitem__)
             line = OpenLine(pty.path, pty.lock, dict(simulation.twins), protocol)
-            wire.attach("ear", lambda data, _: line.heard.extend(data))
+            wire.attach("ear", lambda data, _: line.received.extend(data))
             simulation.open()
         try:
             yield line

@@ -163,11 +163,11 @@ def test_what_we_send_is_read(bus: can.BusABC, node: Any) -> None:
     node.add_handler(dronecan.uavcan.protocol.NodeStatus, lambda event: alive.append(event))
     fields: dict[str, Any] = {"voltage": 12.5, "current": -2.0, "temperature": 290.0, "rest": bytes(5)}
     state = {"health": "critical", "mode": "offline", "sub_mode": 1}
-    words = [
+    frames = [
         *dronecan_like.encode("EscStatus", priority=3, node=OURS, errors=5, **fields),
         *dronecan_like.encode("NodeStatus", priority=3, node=OURS, uptime=99, state=state, vendor_code=7),
     ]
-    for message in words:
+    for message in frames:
         bus.send(message)
     node.spin(0)
     assert [(m.error_count, m.voltage, m.current, m.temperature) for m in esc] == [(5, 12.5, -2.0, 290.0)]

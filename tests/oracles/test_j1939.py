@@ -16,9 +16,12 @@ import pytest
 from aces_bus.device import J1939Sender
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 from aces_bus.frames import Frame, message_to_frame
-from aces_bus.hardware import CanGate, Received
+from aces_bus.hardware import CanGate, Received, port_of
 from aces_bus.hardware.queues import Inbox
+from aces_bus.robot import simulate
+from aces_bus.runtime import Loop
 from aces_tools.main import main
+from tests.device.truck import FAULTS, LOAD, robot_of_unit
 from tests.oracles.foreign import oracle
 from tests.oracles.served import wait_until
 from tests.specs.j1939_long import j1939_long
@@ -142,9 +145,9 @@ def test_packets_of_several_senders_at_once(units: tuple[Unit, Unit], bus: can.B
 def test_a_packet_of_ours_is_received(units: tuple[Unit, Unit], size: int) -> None:
     """Through our gate, with the handshake: `send` comes back when the receiver has acknowledged."""
     data = text(size)
-    words = j1939_long.encode("Proprietary", priority=6, source=OURS, destination=OTHER, data=data)
+    frames = j1939_long.encode("Proprietary", priority=6, source=OURS, destination=OTHER, data=data)
     with CanGate(CHANNEL) as gate, J1939Sender(gate) as sender:
-        sender.send(words)
+        sender.send(frames)
         assert gate.counters.sent + gate.waiting >= 1 + -(-size // 7)
     assert units[1].received.get(timeout=PATIENCE_S) == (0xEF00, OURS, data)
 
@@ -159,6 +162,16 @@ def test_a_broadcast_and_a_frame_of_ours_are_received(units: tuple[Unit, Unit]) 
     for unit in units:
         got = [unit.received.get(timeout=PATIENCE_S) for _ in range(2)]
         assert got == [(0xFEEC, OURS, text(8)), (0xFEEC, OURS, text(17))]
+
+
+def test_a_broadcast_of_a_twin_is_received(units: tuple[Unit, Unit]) -> None:
+    """It keeps the pauses by itself, on the clock of its loop."""
+    with Loop("twins") as loop:
+        port = port_of(CanGate(CHANNEL), loop)
+        with simulate(robot_of_unit(), {"line": port}, load=LOAD):
+            got = [unit.received.get(timeout=PATIENCE_S) for unit in units]
+    frames = [message_to_frame(frame) for frame in j1939_long.encode("ActiveFaults", source=0x10, **FAULTS)]
+    assert got == [(0xFECA, 0x10, b"".join(frame.data[1:] for frame in frames[1:])[:18])] * 2
 
 
 @pytest.mark.parametrize("destination", [OTHER, 0xFF])
@@ -178,11 +191,11 @@ def test_aces_send_keeps_the_handshake(units: tuple[Unit, Unit], destination: in
 
 def test_what_fails_is_said() -> None:
     """Nobody answers; frames that are no packet."""
-    words = j1939_long.encode("Proprietary", priority=6, source=OURS, destination=NOBODY, data=text(20))
+    frames = j1939_long.encode("Proprietary", priority=6, source=OURS, destination=NOBODY, data=text(20))
     with CanGate(CHANNEL) as gate, J1939Sender(gate) as sender:
         with pytest.raises(NoReplyError, match="48 gave no clear-to-send"):
-            sender.send(words)
-        parts: list[list[Any]] = [words[1:], words[2:3], []]
+            sender.send(frames)
+        parts: list[list[Any]] = [frames[1:], frames[2:3], []]
         for part in parts:
             with pytest.raises(CallerError, match="give all frames that encode gave"):
                 sender.send(part)
@@ -213,9 +226,9 @@ class RefusingGate:
 def test_a_receiver_that_refuses_is_named() -> None:
     """An abort is an error with its reason."""
     gate: Any = RefusingGate()
-    words = j1939_long.encode("Proprietary", priority=6, source=OURS, destination=OTHER, data=text(20))
+    frames = j1939_long.encode("Proprietary", priority=6, source=OURS, destination=OTHER, data=text(20))
     with (
         J1939Sender(gate) as sender,
         pytest.raises(DeviceError, match="refusing: 32 aborted the packet: it has no resources"),
     ):
-        sender.send(words)
+        sender.send(frames)

@@ -79,7 +79,7 @@ def their_sentences(data: bytes) -> list[tuple[bytes, Any]]:
 @pytest.mark.parametrize("name", NUMBERS)
 def test_it_reads_our_worked_examples_alike(name: str) -> None:
     """Each worked example of the spec has the same values to it."""
-    data = nmea0183[name].examples[0].word.data
+    data = nmea0183[name].examples[0].packet.data
     assert_same(nmea0183.scanner().feed(data)[0], pynmeagps.NMEAReader.parse(data))
 
 
@@ -91,7 +91,7 @@ def test_it_reads_what_the_twin_sends() -> None:
         twin: Any = world.twins["GNSS"]
         twin.feed = in_circle(20.0, 60.0)
         sent: list[bytes] = []
-        twin.twins.send = lambda word: sent.append(bytes(word))
+        twin.twins.send = lambda packet: sent.append(bytes(packet))
         world.advance(3.0)
         twin.fault("no_fix")
         world.advance(1.0)

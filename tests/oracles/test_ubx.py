@@ -86,9 +86,9 @@ def test_it_reads_what_the_twin_sends_and_the_twin_what_it_asks() -> None:
         sent: list[bytes] = []
         send = twin.twins.send
 
-        def noted(word: bytes) -> None:
-            sent.append(word)
-            send(word)
+        def noted(packet: bytes) -> None:
+            sent.append(packet)
+            send(packet)
 
         twin.twins.send = noted
         world.advance(0.1)
@@ -172,9 +172,9 @@ def test_its_reader_and_a_serial_port() -> None:
 def test_it_reads_our_worked_examples_alike(name: str) -> None:
     """Each worked example of the spec has the same values to it."""
     for example in ubx[name].examples:
-        (record,) = ubx.scanner(direction="from device").feed(example.word.data)
+        (record,) = ubx.scanner(direction="from device").feed(example.packet.data)
         mode = pyubx2.SET if name.startswith("Cfg") else pyubx2.GET
-        assert_same(record, pyubx2.UBXReader.parse(example.word.data, msgmode=mode))
+        assert_same(record, pyubx2.UBXReader.parse(example.packet.data, msgmode=mode))
 
 
 def test_we_read_what_it_writes() -> None:
