@@ -260,7 +260,7 @@ def test_a_servo_that_reboots() -> None:
 
 
 def test_two_servos_of_one_number() -> None:
-    """Two servos of one id answer into each other: that servo is silent, motion stops, and all others are off for certain."""
+    """Two servos of one id answer into each other: it is silent, motion stops, and all others are stopped for sure."""
 
     def second(run: Runner) -> None:
         robot: VirtualRobot = run.world
