@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from .ports import CanPort, DatagramPort, SerialPort, port_of
     from .serial import SerialGate
     from .simulated.backend import AcesBus, virtual_clock
-    from .simulated.bus import Babbler, BusNode, Faults, ListeningNode, SimulatedBus, SimulatedBusEvent
+    from .simulated.bus import Babbler, BusNode, Faults, ListeningNode, SimulatedBus
+    from .simulated.bus_event import SimulatedBusEvent
     from .simulated.datagrams import SimulatedDatagrams
     from .simulated.frame_time import FrameBits, frame_bits
     from .simulated.serial_line import SimulatedSerialLine
@@ -61,7 +62,8 @@ __getattr__, __dir__ = lazy_names(
         ".ports": "CanPort DatagramPort SerialPort port_of",
         ".serial": "SerialGate",
         ".simulated.backend": "AcesBus virtual_clock",
-        ".simulated.bus": "Babbler BusNode Faults ListeningNode SimulatedBus SimulatedBusEvent",
+        ".simulated.bus": "Babbler BusNode Faults ListeningNode SimulatedBus",
+        ".simulated.bus_event": "SimulatedBusEvent",
         ".simulated.datagrams": "SimulatedDatagrams",
         ".simulated.frame_time": "FrameBits frame_bits",
         ".simulated.serial_line": "SimulatedSerialLine",

@@ -22,7 +22,8 @@ from .gate import ContentFilter, Gate, Received
 from .gate_events import BusEvent
 from .queues import AGE_S
 from .serial import SerialGate
-from .simulated.bus import SimulatedBus, SimulatedBusEvent
+from .simulated.bus import SimulatedBus
+from .simulated.bus_event import SimulatedBusEvent
 from .simulated.datagrams import SimulatedDatagrams
 from .simulated.frame_time import INTERMISSION, longest_bits
 from .simulated.serial_line import BITS, SimulatedSerialLine

@@ -13,7 +13,7 @@ from typing import Any
 from can import BusABC, BusState, CanOperationError, CanProtocol, Message
 
 from ..frames import Frame
-from .simulated.bus import SimulatedBusEvent
+from .simulated.bus_event import SimulatedBusEvent
 
 #: Frames a receiver may leave unread; after that the oldest is dropped and counted.
 QUEUE = 65_536

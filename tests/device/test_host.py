@@ -13,6 +13,7 @@ from aces_bus.frames import Frame
 from aces_bus.hardware import ListeningNode
 from aces_bus.robot import VirtualRobot, connect
 from tests.device.fan import ROBOT, RPM, SERIAL_ROBOT, FanTwin, drivers, robot_of
+from tests.interpreted import replaces_methods
 
 
 def made(text: str = ROBOT, **options: Any) -> VirtualRobot:
@@ -97,6 +98,7 @@ def test_the_budget_carries_polls_over_in_turn() -> None:
         assert counts.polls - sum(asked) in (0, 1)  # the last may be on its way
 
 
+@replaces_methods
 def test_ticks_are_left_out_after_the_first_one_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """The first tick waits until all buses are open, which is no overrun; a later one that is late by whole ticks is."""
     robot = made()
@@ -263,6 +265,7 @@ def test_one_speaks_at_a_time_on_a_half_duplex_line() -> None:
         assert robot.twins["B"].requests > 90
 
 
+@replaces_methods
 def test_a_stop_is_before_what_is_asked_again() -> None:
     """A request of the stopped device is not repeated behind its stop, and the others' are repeated after it; who hears that
     a request has failed may ask for another."""

@@ -15,6 +15,7 @@ from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.testing.conformance import driver_tests
 from aces_devices.cia401 import driver
 from aces_devices.cia401.channels import OWN
+from tests.interpreted import replaces_methods
 
 test_driver = driver_tests(driver)
 
@@ -109,6 +110,7 @@ def test_a_stop_sets_what_was_set_to_its_error_value() -> None:
         assert not robot.events.of("alarm")
 
 
+@replaces_methods
 def test_a_stop_goes_before_all_that_waits() -> None:
     """Its PDOs leave before what else the bus has to send."""
     with running() as (robot, device, _):

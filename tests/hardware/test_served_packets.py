@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from aces_bus.frames import FD_LENGTHS, Frame
 from aces_bus.hardware.served import packets
-from aces_bus.hardware.simulated.bus import SimulatedBusEvent
+from aces_bus.hardware.simulated.bus_event import SimulatedBusEvent
 
 FRAMES = st.builds(
     lambda identifier, extended, data, remote: Frame(

@@ -21,8 +21,8 @@ from aces_bus.hardware.simulated.bus import (
     Faults,
     ListeningNode,
     SimulatedBus,
-    SimulatedBusEvent,
 )
+from aces_bus.hardware.simulated.bus_event import SimulatedBusEvent
 from aces_bus.hardware.simulated.frame_time import ERROR_FRAME, INTERMISSION, SUSPEND, frame_bits
 from aces_bus.runtime import VirtualClock
 

@@ -23,7 +23,8 @@ from typing import TYPE_CHECKING, Any
 from ...errors import CallerError
 from ...frames import Frame
 from ...runtime import VirtualClock
-from ..simulated.bus import NO_FAULTS, BusNode, Faults, SimulatedBus, SimulatedBusEvent
+from ..simulated.bus import NO_FAULTS, BusNode, Faults, SimulatedBus
+from ..simulated.bus_event import SimulatedBusEvent
 from . import packets
 from .packets import (
     BITRATE_SWITCH,

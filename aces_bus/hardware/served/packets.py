@@ -21,7 +21,7 @@ import msgspec
 
 from ...errors import AcesError, CallerError
 from ...frames import FD_LENGTHS, Frame, message_to_frame
-from ..simulated.bus import SimulatedBusEvent
+from ..simulated.bus_event import SimulatedBusEvent
 
 if TYPE_CHECKING:
     from can import Message

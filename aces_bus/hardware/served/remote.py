@@ -23,7 +23,7 @@ from can import CanInitializationError, CanOperationError, CanTimeoutError, Mess
 from ...errors import AcesError, CallerError
 from ...frames import Frame
 from ..python_can import QUEUE, VirtualBus, frame_to_message
-from ..simulated.bus import SimulatedBusEvent
+from ..simulated.bus_event import SimulatedBusEvent
 from . import packets
 from .address import parse_address
 from .packets import FRAMES, OWN, PacketError

@@ -20,7 +20,7 @@ import socket
 from typing import TYPE_CHECKING
 
 from ...frames import FD_LENGTHS
-from ..simulated.bus import SimulatedBusEvent
+from ..simulated.bus_event import SimulatedBusEvent
 from .channel import MAILBOXES, ServerLink
 from .packets import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, REMOTE, PacketError, unpacked
 

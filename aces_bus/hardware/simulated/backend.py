@@ -33,7 +33,8 @@ from ...frames import Frame, message_to_frame
 from ...runtime import VirtualClock
 from ..python_can import QUEUE, VirtualBus, copy_message, frame_to_message
 from ..served.address import is_served
-from .bus import NO_FAULTS, BusNode, Faults, SimulatedBus, SimulatedBusEvent
+from .bus import NO_FAULTS, BusNode, Faults, SimulatedBus
+from .bus_event import SimulatedBusEvent
 
 
 class Medium:

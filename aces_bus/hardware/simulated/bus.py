@@ -28,6 +28,7 @@ from typing import Literal
 from ...errors import CallerError
 from ...frames import Frame
 from ...runtime import VirtualClock
+from .bus_event import SimulatedBusEvent
 from .frame_time import ERROR_FRAME, INTERMISSION, SUSPEND, FrameBits, classic_bits, frame_bits
 
 
@@ -94,18 +95,6 @@ _NOBODY = 1 << 40
 _NEVER = 1 << 62
 #: A node comes back after 128 times 11 recessive bits.
 RECOVERY = 128 * 11
-
-
-@dataclass(frozen=True)
-class SimulatedBusEvent:
-    """Something that happened to a node: what, when (ns), and the frame it was about.
-
-    `kind` is "no acknowledge", "bit error", "error-passive", "error-active", "bus-off", "recovered" or "sent".
-    """
-
-    kind: str
-    instant: int
-    frame: Frame | None = None
 
 
 @dataclass
