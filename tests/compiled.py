@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 BUILD = ROOT / "build" / "compiled"
 #: What is copied: all that the tests look at.
 COPIED = (
-    *("aces_bus", "protocols", "devices", "tools", "tests", "examples", "docs"),
+    *("aces_bus", "protocols", "devices", "tools", "tests", "examples", "docs", "changelog.d"),
     *("pyproject.toml", "README.md", "CONTRIBUTING.md", "Makefile", "constraints.txt"),
 )
 SOURCE_ROOTS = (".", "protocols", "devices", "tools")
@@ -30,7 +30,6 @@ MODULES = (
     "aces_bus/hardware/simulated/bus.py",
     "aces_bus/protocol/live/context.py",
     "aces_bus/protocol/live/decide.py",
-    "aces_bus/protocol/encoder.py",
     "aces_bus/device/station.py",
     "aces_bus/device/ticket.py",
     "aces_bus/device/host.py",

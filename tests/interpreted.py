@@ -1,4 +1,6 @@
-"""Tests that replace methods: in what `make compiled` compiles, calls were bound when it was built, and they are skipped."""
+"""What is skipped in the compiled build (`make test-compiled`): tests that replace methods, where calls were bound when it was
+built; tests that look at types of parameters, which it does not keep.
+"""
 
 from __future__ import annotations
 
@@ -9,3 +11,6 @@ from aces_bus.device import host
 IS_COMPILED = not host.__file__.endswith(".py")
 WHY = "calls within the compiled build cannot be replaced"
 replaces_methods = pytest.mark.skipif(IS_COMPILED, reason=WHY)
+looks_at_parameters = pytest.mark.skipif(
+    IS_COMPILED, reason="the compiled build keeps no types of parameters"
+)

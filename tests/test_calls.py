@@ -24,6 +24,7 @@ from aces_bus import Frame, load_protocol
 from aces_bus.errors import AcesError
 from aces_bus.protocol import Protocol, Variant
 from aces_bus.runtime import Clock, EventClock, VirtualClock
+from tests.interpreted import looks_at_parameters
 from tests.test_surface import packages
 
 #: What is not called, with the reason.
@@ -156,6 +157,7 @@ def callables() -> Iterator[Any]:
 CALLABLES = list(callables())
 
 
+@looks_at_parameters
 @pytest.mark.parametrize(("thing", "arguments"), CALLABLES)
 def test_calls_raise_errors_of_ours(
     thing: Callable[..., Any], arguments: Arguments, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -206,6 +208,7 @@ def methods() -> Iterator[Any]:
                 continue
 
 
+@looks_at_parameters
 @pytest.mark.parametrize(("kind", "made_of", "name", "arguments"), list(methods()))
 def test_methods_raise_errors_of_ours(kind: Any, made_of: Arguments, name: str, arguments: Arguments) -> None:
     """A method takes values of the annotated types, or refuses them with an `AcesError`."""

@@ -21,6 +21,7 @@ from typing import Any
 import pytest
 
 import aces_bus
+from tests.interpreted import looks_at_parameters
 from tests.test_layout import PACKAGES, imports_of, module_name
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -97,6 +98,7 @@ def lines_of(name: str, thing: Any, exported: Container[object]) -> Iterator[str
         yield f"{name}{parameters(thing) if callable(thing) else ''}"
 
 
+@looks_at_parameters
 def test_the_public_surface(golden: Callable[[str, str], None]) -> None:
     """Nothing becomes public, changes its parameters or goes without the golden file saying so."""
     text: list[str] = []
