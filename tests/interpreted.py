@@ -1,5 +1,5 @@
-"""What is skipped in the compiled build (`make test-compiled`): tests that replace methods, as its calls were bound when it was
-built, and tests that look at types of parameters, which it does not keep.
+"""What is skipped in the compiled build (`make test-compiled`): tests that replace methods, as its calls were bound when it
+was built, and tests that look at types of parameters, which it does not keep.
 """
 
 from __future__ import annotations
