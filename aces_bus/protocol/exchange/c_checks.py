@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 from ..declare.checks import Check, Crc, Extra, IdBytes, Sum
 from ..declare.message import Message
-from .c_language import Refused, c_hex, refuse_if
+from .c_language import NotInC, c_hex, refuse_if
 
 
 class CheckPrinter:
     """The check of a message's packets. `helpers` get the functions that it needs, whose names begin with `prefix`.
 
-    Raises `Refused` where C does not say it.
+    Raises `NotInC` where C does not say it.
     """
 
     def __init__(self, message: Message, check: Check, prefix: str, helpers: dict[str, list[str]]) -> None:
@@ -41,14 +41,14 @@ class CheckPrinter:
         """Declares `check`, the number over what it covers."""
         check = self.check
         if check.text is not None or check.bytes > 4:
-            raise Refused(f"a check ({check.describe}) that is text, or wider than 32 bits")
+            raise NotInC(f"a check ({check.describe}) that is text, or wider than 32 bits")
         begin, update, finish = self._engine(check)
         lines = [f"uint32_t check = {begin};"]
         back = check.size + len(self.framing.end)
         for part in check.over or (slice(len(self.framing.sync), -back),):
             covered = self.extra if isinstance(part, Extra) else part
             if isinstance(covered, IdBytes):
-                raise Refused("a check over an identifier")
+                raise NotInC("a check over an identifier")
             if isinstance(covered, slice):
                 low, high = _bound(covered.start or 0, size), _bound(covered.stop, size)
                 lines.append(f"check = {update}(check, data + {low}, {high} - {low});")
@@ -62,7 +62,7 @@ class CheckPrinter:
         if isinstance(check, Crc):
             width, poly, start, refin, refout, xorout = check.parameters
             if width < 8 or width > 32 or refin != refout:
-                raise Refused(f"a check ({check.describe}) of an unusual kind")
+                raise NotInC(f"a check ({check.describe}) of an unusual kind")
             name = f"{self.prefix}_crc{width}_{poly:x}{'r' if refin else ''}"
             top = c_hex((1 << width) - 1)
             if refin:
@@ -94,7 +94,7 @@ class CheckPrinter:
                 ],
             )
             return "0u", name, "check & 0xffffu"
-        raise Refused(f"a check ({check.describe}) of its own kind")
+        raise NotInC(f"a check ({check.describe}) of its own kind")
 
     def _helper(self, name: str, inner: Sequence[str], *, has_bits: bool = False) -> None:
         self.helpers[name] = [
@@ -119,5 +119,5 @@ class CheckPrinter:
 def _bound(index: int | None, size: str) -> str:
     """An index into a packet as C counts it."""
     if index is None:
-        raise Refused("a check over what is behind it")
+        raise NotInC("a check over what is behind it")
     return f"({size} - {-index}u)" if index < 0 else f"{index}u"

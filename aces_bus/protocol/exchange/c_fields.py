@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ..declare.pattern import IdField
 from ..plan import nodes as p
-from .c_language import Refused, among, c_hex, refuse_if, terms_of, unsigned_bits, word_of, written
+from .c_language import NotInC, among, c_hex, refuse_if, terms_of, unsigned_bits, word_of, written
 
 
 @dataclass(frozen=True)
@@ -62,15 +62,15 @@ def under_conditions(leaf: p.NodePath, lines: Sequence[str]) -> list[str]:
 def _conditions(when: p.When) -> list[str]:
     outer = [] if when.selector.when is None else _conditions(when.selector.when)
     if any(value < 0 for value in when.values):
-        raise Refused("a selector that is negative")
+        raise NotInC("a selector that is negative")
     return [*outer, among(f"({terms_of(when.selector.number.place)})", when.values)]
 
 
 def c_type(node: p.Node) -> str:
-    """The type of a member, see `CField.type`. Raises `Refused` for bytes of no size."""
+    """The type of a member, see `CField.type`. Raises `NotInC` for bytes of no size."""
     if isinstance(node, p.Scalar) and node.is_bytes:
         if node.size == 0:
-            raise Refused("bytes of no size")
+            raise NotInC("bytes of no size")
         return "rest" if node.size is None else "bytes"
     if isinstance(node, p.Rest):
         return f"uint{unsigned_bits(8 * node.size)}_t"

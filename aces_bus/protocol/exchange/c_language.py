@@ -21,7 +21,7 @@ protected public template this throw try using virtual xor
 KEYWORDS = frozenset(_WORDS.split())
 
 
-class Refused(Exception):
+class NotInC(Exception):
     """C does not say this message; the argument is why."""
 
 
@@ -53,7 +53,7 @@ def among(name: str, values: Collection[int], most: int | None = None) -> str:
         else:
             runs.append([value, value])
     if len(runs) > LISTED:
-        raise Refused(f"a number among {len(values)} values")
+        raise NotInC(f"a number among {len(values)} values")
     tests: list[str] = []
     for low, high in runs:
         parts = [f"{name} >= {low}u"] if low else []

@@ -40,7 +40,7 @@ from .c_fields import (
 )
 from .c_language import (
     LISTED,
-    Refused,
+    NotInC,
     among,
     c_float,
     c_hex,
@@ -99,7 +99,7 @@ class _Printer:
         for message in self.wanted:
             try:
                 made.append(_MessagePrinter(self, message).print())
-            except Refused as why:
+            except NotInC as why:
                 self.losses.append(Loss(message.name, "", f"{why}: left out"))
         guard = re.sub(r"\W", "_", f"{name}_h".upper(), flags=re.ASCII)
         title = comment(f"{self.variant.label} in C, printed by aces-bus from the spec: change that instead.")
@@ -169,12 +169,12 @@ def _refusal(message: Message) -> str:
 
 
 class _MessagePrinter:
-    """One message. Raises `Refused`, and leaves nothing of it, where C cannot say it."""
+    """One message. Raises `NotInC`, and leaves nothing of it, where C cannot say it."""
 
     def __init__(self, printer: _Printer, message: Message) -> None:
         self.printer, self.message, self.plan = printer, message, message.plan
         if refusal := _refusal(message):
-            raise Refused(refusal)
+            raise NotInC(refusal)
         check = message.framing.check if message.framing is not None else None
         self.check = (
             CheckPrinter(message, check, printer.prefix, printer.helpers) if check is not None else None
@@ -227,11 +227,11 @@ class _MessagePrinter:
         if isinstance(node, p.FromIdentifier):
             return True
         if not isinstance(node, p.Scalar):
-            raise Refused(f"a {type(node).__name__}")
+            raise NotInC(f"a {type(node).__name__}")
         if len(node.bits) > 64:
-            raise Refused(f"a number of {len(node.bits)} bits")
+            raise NotInC(f"a number of {len(node.bits)} bits")
         if node.kind == "float" and len(node.place) not in (32, 64):
-            raise Refused("a float of 16 bits")
+            raise NotInC("a float of 16 bits")
         return True
 
     def _field(self, leaf: p.NodePath) -> None:
@@ -273,7 +273,7 @@ class _MessagePrinter:
         if any(math.isnan(low) for low, _ in scale.unknown_runs):
             unknown.append("raw != raw")
         if len(unknown) > LISTED:
-            raise Refused("a quantity with many unknown values")
+            raise NotInC("a quantity with many unknown values")
         name = f"{self.name}_{made.name}"
         value = "raw" if factor == 1 else f"raw * {factor!r}"
         value = f"{value} + {offset!r}" if offset else value
@@ -411,7 +411,7 @@ class _MessagePrinter:
     def _capture(self, one: CField) -> IdField:
         found = next((c for c in self.message.identifier.captures if c.name == one.leaf.path), None)
         if found is None:
-            raise Refused(f"{one.leaf.path}: a part of the identifier with another name")
+            raise NotInC(f"{one.leaf.path}: a part of the identifier with another name")
         return found
 
     # ------------------------------------------------------------------ pack
