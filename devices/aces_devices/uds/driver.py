@@ -14,12 +14,12 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, ClassVar
 
-from aces_bus.device import Device, Driver, Host, Job, Poll, Signal, Steps
-from aces_bus.device.config import DeviceConfig
+from aces_bus.device import Device, Driver, Job, Poll, Signal, Steps
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import AcesError, CallerError, DeviceError, UnknownNameError
 from aces_protocols.uds.spec import SESSIONS
 
+from ..scanning import scan_numbers
 from .answers import is_answer, shown
 from .settings import TIMEOUT_S, UdsSettings
 from .table import UdsValue, identifiers_of
@@ -535,21 +535,6 @@ class Uds(Device):
         return self.job("look which session it is in", steps)
 
 
-def _scan(host: Host, job: Job) -> Steps:
-    """Ask each of the eight ECUs whether it is there, which changes nothing."""
-    found: list[DeviceConfig] = []
-    for ecu in range(8):
-        job.progress, job.text = ecu / 8, f"ECU {ecu}, {len(found)} found"
-        who = {"ecu": ecu}
-        answers = ("TesterSeen", "Refused")
-        there = yield from host.answers(
-            "uds", who, "TesterPresent", reply=answers, timeout_s=TIMEOUT_S, retries=0, none=0, suppress=0
-        )
-        if there is not None:
-            found.append(DeviceConfig(name=f"ECU{ecu}", driver="uds", bus=host.name, credentials=who))
-    return found
-
-
 EXAMPLE = """
 name = "uds"
 rate_hz = 20
@@ -591,6 +576,18 @@ driver = Driver(
     example=EXAMPLE,
     doc="An ECU by UDS: values by identifier from a table, trouble codes, sessions, seed and key, routines, downloads.",
     source="ISO 14229-1; ISO 14229-2; ISO 15765-4",
-    scan=_scan,
+    # Whether it is there, which changes nothing.
+    scan=scan_numbers(
+        "uds",
+        "ECU",
+        "ecu",
+        range(8),
+        "TesterPresent",
+        reply=("TesterSeen", "Refused"),
+        timeout_s=TIMEOUT_S,
+        retries=0,
+        none=0,
+        suppress=0,
+    ),
     settings=described(UdsSettings),
 )
