@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ..declare.pattern import IdField
 from ..plan import nodes as p
-from .c_language import NotInC, among, c_hex, refuse_if, terms_of, unsigned_bits, word_of, written
+from .c_language import NotInC, c_hex, is_among, refuse_if, terms_of, unsigned_bits, word_of, written
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def _conditions(when: p.When) -> list[str]:
     outer = [] if when.selector.when is None else _conditions(when.selector.when)
     if any(value < 0 for value in when.values):
         raise NotInC("a selector that is negative")
-    return [*outer, among(f"({terms_of(when.selector.number.place)})", when.values)]
+    return [*outer, is_among(f"({terms_of(when.selector.number.place)})", when.values)]
 
 
 def c_type(node: p.Node) -> str:

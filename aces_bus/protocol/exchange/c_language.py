@@ -44,7 +44,7 @@ def c_hex(number: int) -> str:
     return f"{number:#x}{'ull' if number > 0xFFFF_FFFF else 'u'}"
 
 
-def among(name: str, values: Collection[int], most: int | None = None) -> str:
+def is_among(name: str, values: Collection[int], most: int | None = None) -> str:
     """The test that an unsigned number is one of these; empty where they are all up to `most`."""
     runs: list[list[int]] = []
     for value in sorted(values):

@@ -41,11 +41,11 @@ from .c_fields import (
 from .c_language import (
     LISTED,
     NotInC,
-    among,
     c_float,
     c_hex,
     c_name,
     comment,
+    is_among,
     outside,
     refuse_if,
     terms_of,
@@ -344,7 +344,7 @@ class _MessagePrinter:
     def _one_of(self) -> list[str]:
         """Tests of numbers that must be among some values."""
         numbers = [(one.number.place, one.values) for one in self.plan.one_of]
-        tests = [among(f"({terms_of(bits)})", values, (1 << len(bits)) - 1) for bits, values in numbers]
+        tests = [is_among(f"({terms_of(bits)})", values, (1 << len(bits)) - 1) for bits, values in numbers]
         return [f"!({test})" for test in tests if test]
 
     def _size_tests(self) -> list[str]:
@@ -353,7 +353,7 @@ class _MessagePrinter:
             return [f"size < {max(plan.least, plan.framed)}u"] if max(plan.least, plan.framed) else []
         if len(plan.lengths) == 1:
             return [f"size != {plan.lengths[0]}u"]
-        return [f"!({among('size', plan.lengths)})"]
+        return [f"!({is_among('size', plan.lengths)})"]
 
     def _identifier_tests(self) -> list[str]:
         pattern = self.message.identifier
@@ -368,11 +368,11 @@ class _MessagePrinter:
             if one.shift:
                 tests.append(f"({rest} & {c_hex((1 << one.shift) - 1)}) != 0")
                 rest = f"({rest} >> {one.shift})"
-            return [*tests, f"!({among(rest, one.values)})"]
+            return [*tests, f"!({is_among(rest, one.values)})"]
         mask = 0
         for one in pattern.captures:
             mask |= ((1 << one.width) - 1) << one.shift
-            tests.append(f"!({among(captured(one), one.values)})")
+            tests.append(f"!({is_among(captured(one), one.values)})")
         return [f"(id & {c_hex(~mask & 0xFFFF_FFFF)}) != {self.macro}_ID", *tests]
 
     def _length_test(self) -> list[str]:
@@ -431,7 +431,7 @@ class _MessagePrinter:
         if rest is not None:
             allowed = plan.lengths
             if allowed is not None:
-                body += refuse_if(f"!({among('length', allowed)})")
+                body += refuse_if(f"!({is_among('length', allowed)})")
             elif message.framing is not None:
                 body += refuse_if(f"length > {message.framing.max_size}u")
         body += [*refuse_if("size < length"), "    memset(data, 0, length);"]
@@ -443,7 +443,7 @@ class _MessagePrinter:
             for one, node in parts:
                 capture = None if number is not None else self._capture(one)
                 values = range(1 << node.width) if capture is None else capture.values
-                if test := among(f"(uint32_t)from->{one.name}", values, (1 << held_bits(one)) - 1):
+                if test := is_among(f"(uint32_t)from->{one.name}", values, (1 << held_bits(one)) - 1):
                     body += refuse_if(f"!({test})")
             if number is not None:
                 whole = [c_hex(parts[0][1].constant), *(shifted(one, node) for one, node in parts)]

@@ -38,7 +38,7 @@ def is_answer(record: Any, ticket: Ticket) -> bool:
     return bool(said[1 : 1 + size] == asked[1 : 1 + size])
 
 
-def shown(record: Any) -> str:
+def late_text(record: Any) -> str:
     """An answer that is too late, in few words."""
     name = type(record).__name__
     return (

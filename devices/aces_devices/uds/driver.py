@@ -20,7 +20,7 @@ from aces_bus.errors import AcesError, CallerError, DeviceError, UnknownNameErro
 from aces_protocols.uds.spec import SESSIONS
 
 from ..scanning import scan_numbers
-from .answers import is_answer, shown
+from .answers import is_answer, late_text
 from .settings import TIMEOUT_S, UdsSettings
 from .table import UdsValue, identifiers_of
 from .twin import UdsTwin
@@ -168,7 +168,7 @@ class Uds(Device):
             is_awaited = any(name in one.reply for one in self.awaiting)
             if is_awaited or (name == "Session" and not self.host.passive):
                 self.last_received = instant
-                self.emit_event("late reply", f"{shown(record)}, which nothing asks for now")
+                self.emit_event("late reply", f"{late_text(record)}, which nothing asks for now")
                 # What was begun is not known to be over, and is nothing to go on with.
                 self.is_engaged |= name == "Session" and str(record.session) != "default"
                 return
