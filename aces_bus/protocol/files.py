@@ -19,6 +19,7 @@ from .declare.protocol import Protocol
 
 #: What was imported, by the path of its file.
 loaded: dict[Path, ModuleType] = {}
+_OURS = re.compile(r"[/\\]aces_(bus|protocols|devices|tools)[/\\]")
 
 
 def protocol_of_file(path: str, names: list[str]) -> Protocol:
@@ -104,9 +105,24 @@ def _where(error: Exception, path: str) -> str:
     return f"{path}:{lines[-1]}" if lines else path
 
 
+def line_in_loaded(error: Exception) -> str | None:
+    """`file:line` in a file that was loaded, where an exception comes of that file and not of this package's own code."""
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        if Path(frame.filename) in loaded:
+            return f"{_short(Path(frame.filename))}:{frame.lineno}"
+        if _OURS.search(frame.filename):
+            break
+    return None
+
+
+def _short(file: Path) -> Path:
+    """A file's path from the current folder, if it is below it."""
+    return file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
+
+
 def exception_text(error: Exception) -> str:
     """What an exception says, in one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
 
-__all__ = ["exception_text", "load_file", "protocol_of_file", "python_file"]
+__all__ = ["exception_text", "line_in_loaded", "load_file", "protocol_of_file", "python_file"]

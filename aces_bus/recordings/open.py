@@ -186,6 +186,10 @@ def _recognised(source: ByteSource, link: Link | None) -> CanRecording | SerialR
     more = source.live
     while True:
         head = source.head().removeprefix(b"\xef\xbb\xbf")
+        for start, kind, advice in REFUSED:
+            # First: an archive may show the lines inside. Bytes of a serial line may begin as the short ones.
+            if head.startswith(start) and (link != "serial" or len(start) > 3):
+                raise CaptureError(f"{source.name}: this is {kind}; {advice}")
         half = more and _is_half_a_line(head, link)
         for form in () if half else (_AT_ONCE, *FORMATS):
             if form.matches(head):
@@ -197,9 +201,6 @@ def _recognised(source: ByteSource, link: Link | None) -> CanRecording | SerialR
         more = source.look_further()  # a pipe may give too little to recognize the format
     if link == "serial":
         return RawCapture(source)
-    for start, kind, advice in REFUSED:
-        if head.startswith(start):
-            raise CaptureError(f"{source.name}: this is {kind}; {advice}")
     if _only_remarks(head, b"#") or (link == "can" and source.live):
         return CandumpCapture(source)  # it can still show what it is
     raise _refusal(source, head, link)

@@ -370,7 +370,7 @@ def _why(path: str, error: Exception) -> str:
             near = get_close_matches(base, os.listdir(folder or "."), n=1)
         except OSError:
             return f"no such file; there is no folder {folder!r} either"
-        hint = f"; did you mean {os.path.join(folder, near[0])!r}?" if near else "; check the path"
+        hint = f"; did you mean {os.path.join(folder, near[0])!r}?" if near else ""
         return f"no such file{hint}"
     if isinstance(error, IsADirectoryError):
         return "this is a folder; name the capture files in it"

@@ -42,13 +42,13 @@ can.message("M", id=1, payload=Struct(
     "speed" / Int16ul,
     "mode" / Byte,
     "speed" / Byte))""",
-        r"{line 3}: field 'speed' is there twice",
+        r"{line 3}: field 'speed' is declared twice",
     ),
     "a field of the payload named like a captured part": (
         """
 can.message("M", id=0x10 + IdField("board", range(4)), payload=Struct(
     "board" / Byte))""",
-        r"{line 3}: field 'board' of M is there twice: in its payload and in its identifier",
+        r"{line 3}: field 'board' of M is declared twice: in its payload and in its identifier",
     ),
     "a name that records use": (
         """
@@ -117,7 +117,7 @@ frame("Second", payload=Struct(Const(7, Byte), "rest" / GreedyBytes))""",
         """
 can.message("M", id=1, dialect="old")
 can.message("M", id=2)""",
-        r"{line 3}: message 'M' is there twice; the other is at {line 2}",
+        r"{line 3}: message 'M' is declared twice; the other is at {line 2}",
     ),
     "a dialect that does not exist": (
         """
@@ -154,7 +154,7 @@ wire.framing(sync=b"\\xaa", max_size=10)""",
     "a framing without a bound": (
         """
 wire.framing(sync=b"\\xaa", header=Struct("length" / Byte), size=this.length + 2)""",
-        r"{line 2}: max_size says how long a packet may be",
+        r"{line 2}: max_size= is missing",
     ),
     "a size that cannot be inverted": (
         """
@@ -175,6 +175,21 @@ can.message("Torn", id=1, payload=Struct("angle" / Split((0, 8), (16, 8)), "mode
         """
 Crc("CRC16-MODBUSS")""",
         r"{line 2}: no CRC named 'CRC16-MODBUSS' in the catalogue; near: CRC16-MODBUS",
+    ),
+    "a CRC by the name that sheets give it": (
+        """
+Crc("CRC-16/CCITT-FALSE")""",
+        r"{line 2}: no CRC named 'CRC-16/CCITT-FALSE' in the catalogue; there it is CRC16-IBM-3740",
+    ),
+    "a CRC in another spelling": (
+        """
+Crc("crc-8/autosar")""",
+        r"{line 2}: no CRC named 'crc-8/autosar' in the catalogue; there it is CRC8-AUTOSAR",
+    ),
+    "a CRC by a name that means three": (
+        """
+Crc("CRC-CCITT")""",
+        r"{line 2}: no CRC named 'CRC-CCITT' in the catalogue; there it is CRC16-IBM-3740 .*CRC16-XMODEM .*CRC16-KERMIT",
     ),
     "a check without its field": (
         """

@@ -22,7 +22,7 @@ from aces_bus.protocol import (
     make_scanner,
 )
 from aces_bus.protocol.against import check_recordings, suggest_examples
-from aces_bus.protocol.exchange.export_dbc import identified
+from aces_bus.protocol.exchange.dbc_signals import identified
 from aces_bus.protocol.exchange.export_source import print_source
 from aces_bus.protocol.lint.examples import failure
 

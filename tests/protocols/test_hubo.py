@@ -845,7 +845,7 @@ def test_a_name_is_given_once_even_to_boards_of_two_kinds() -> None:
     made = Protocol("made", link="can", configurations={"one": {"kinds": {0: "a", 1: "b"}}})
     kinds = made.configured("kinds", by="board")
     made.message("Data", id=0x10 + IdField("board", range(2)), when=kinds("a"), payload=Struct("x" / Byte))
-    with pytest.raises(SpecError, match="'Data' is there twice"):
+    with pytest.raises(SpecError, match="'Data' is declared twice"):
         made.message(
             "Data", id=0x10 + IdField("board", range(2)), when=kinds("b"), payload=Struct("y" / Byte)
         )

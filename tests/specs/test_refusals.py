@@ -42,12 +42,12 @@ def declare(spec: str, word: str, instead: str, where: Path) -> None:
             "",
             r"'ReadFloatReply' is ambiguous with 'Feedback' .*both accept 000#",
         ),
-        ("odrive_like", "remote=remote,", "", r"message 'EncoderEstimatesPoll' is there twice|ambiguous"),
+        ("odrive_like", "remote=remote,", "", r"message 'EncoderEstimatesPoll' is declared twice|ambiguous"),
         (
             "odrive_like",
             'dialect="0.6",\n    payload=BitLayout',
             "payload=BitLayout",
-            r"message 'Heartbeat' is there twice",
+            r"message 'Heartbeat' is declared twice",
         ),
         (
             "j1939_like",

@@ -54,7 +54,7 @@ says 'frames=1243 decoded=1239' 'cat walk.log | aces decode -p hubo' # instead
 says 'bytes=' 'aces decode servo.bin -p robotis --direction from'
 says 'frames=1243' 'aces decode walk.log -p hubo:D08@hubo2 --format jsonl --message Encoder --where board=3'
 says 'frames=1243' 'aces decode drive.blf -p car.dbc -o drive.parquet'
-says 'frames=1243' "aces plot walk.log -p hubo 'Encoder[board=3].position.*' - 'Current.*' -o walk.png"
+says 'frames=1243' "aces plot walk.log -p hubo 'Encoder[board=3].position.*' - 'Current[board=3].*' -o walk.png"
 says 'frames=1243' 'aces convert drive.mf4 drive.asc.gz'
 left_out "aces decode 's3://logs/**/*.mf4' -p truck.dbc -o s3://lake/truck/ --cluster local:4" 'needs an object store'
 says 'messages guessed' 'aces spec guess walk.log --no-known -o draft.py'

@@ -181,7 +181,7 @@ def test_load_of_another_bus_is_heard(aces: Aces) -> None:
         (["load", "unix:nobody", "--once"], "no server answers"),
         (["load", "-i", "aces", "-c", "nobody"], "no served channel named 'nobody'"),
         (["load", "a", "b"], "name one channel"),
-        (["fly"], "invalid choice"),
+        (["fly"], "no argument of 'aces bus' named 'fly'"),
     ],
 )
 def test_complaints(aces: Aces, arguments: list[str], complaint: str) -> None:

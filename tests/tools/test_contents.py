@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import sys
 from pathlib import Path
@@ -103,6 +104,15 @@ def test_filtered(aces: Aces) -> None:
 
 
 @pytest.mark.slow
+def test_what_came_before_damage_is_shown(aces: Aces, tmp_path: Path) -> None:
+    """Of a packed file that ends too early there is what could be read, beside the complaint."""
+    log = tmp_path / "a.log.gz"
+    log.write_bytes(gzip.compress(LOG.encode())[:-1])
+    result = aces("decode", log, "--filter", "can1,123:7FF")
+    assert (result.status, result.out.splitlines()[0]) == (2, f"{log}: 1 frame on can1")
+    assert "the gzip data ends too early" in result.err
+
+
 def test_many_identifiers(aces: Aces, tmp_path: Path) -> None:
     """Only so many have a row; the frames of the others are counted."""
     log = tmp_path / "many.log"

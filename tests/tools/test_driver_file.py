@@ -74,6 +74,28 @@ def test_its_twins_are_served(robot: Path, tmp_path: Path, monkeypatch: pytest.M
     assert json.loads(served.stdout.splitlines()[0])["buses"]["wheels"]["address"] == "unix:wheels"
 
 
+@pytest.mark.slow
+def test_a_robot_of_a_files_driver_is_checked(robot: Path) -> None:
+    """`aces robot check` knows its driver and its protocol then; without they are not installed."""
+    assert aces("robot", "check", robot, "--strict").returncode == 1
+    checked = aces("robot", "check", robot, "--strict", "--driver", DRIVER)
+    assert (checked.returncode, checked.stdout) == (0, f"{robot}: ok: 1 device, 1 bus\n")
+
+
+@pytest.mark.slow
+def test_what_a_twin_of_a_file_raises_has_its_line(robot: Path) -> None:
+    """A fault in the user's file is one line with its place, and no traceback."""
+    broken = robot.parent / "own_driver.py"
+    lines = DRIVER.read_text().splitlines()
+    at = next(number for number, line in enumerate(lines, 1) if "def setup(self)" in line and number > 60)
+    lines.insert(at, "        self.nothing_of_the_kind()")
+    broken.write_text("\n".join(lines))
+    got = aces("device", "LEFT", "get", "-r", robot, "--virtual", "--driver", broken)
+    assert got.returncode == 2
+    assert got.stderr.startswith(f"aces: {broken}:{at + 1}: AttributeError: ")
+    assert got.stderr.count("\n") == 1
+
+
 SCAN = """
 def scan(host, job):
     found = []

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import errno
+import io
 import os
 import subprocess
 import sys
@@ -122,6 +124,35 @@ def test_an_unknown_verb_names_those_that_exist(aces: Aces) -> None:
         assert result.err.count("\n") == 1
         assert "did you mean 'decode'?" in result.err
         assert "there are: decode, " in result.err
+
+
+def test_an_action_without_its_verb_is_found(aces: Aces) -> None:
+    """`aces serve` and `aces guess` say which verb has that action."""
+    assert "did you mean 'bus serve'?" in aces("serve").err
+    assert "did you mean 'spec guess'?" in aces("guess").err
+
+
+def test_a_wrong_choice_names_those_that_exist(aces: Aces) -> None:
+    """A slip in an action or in a format is reported as one in a name is."""
+    assert "no argument of 'aces bus' named 'serv'; did you mean 'serve'?" in aces("bus", "serv").err
+    result = aces("decode", "-", "--format", "jsnl")
+    assert result.status == 2
+    assert "no --format named 'jsnl'; did you mean 'jsonl'?" in result.err
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["protocols"], ["protocols", "--json"]])
+def test_a_full_disk_is_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, arguments: list[str]
+) -> None:
+    """What a verb prints and cannot be written ends it with status 2, and with no traceback."""
+
+    class Full(io.StringIO):
+        def write(self, text: str) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(sys, "stdout", Full())
+    assert main(arguments) == 2
+    assert capsys.readouterr().err == "aces: standard output: writing stopped: No space left on device\n"
 
 
 def test_an_unknown_option_names_those_that_exist(aces: Aces) -> None:

@@ -22,9 +22,10 @@ from aces_bus.errors import CallerError
 from aces_bus.frame_table import NO_TIME, Channels
 from aces_bus.protocol.columns.table import Column, ColumnKind, MessageTable
 from aces_bus.recordings.window import TimeWindow
+from aces_tools import plot
 from aces_tools.main import main
 from aces_tools.plotting import terminal
-from aces_tools.plotting.picture import Picture, PlotLine, PlotPanel, value_changes
+from aces_tools.plotting.picture import Picture, PlotLine, PlotPanel, panels_of, value_changes
 from aces_tools.plotting.select import (
     Declared,
     ImageFormat,
@@ -120,6 +121,7 @@ def test_a_pattern_means(text: str, names: list[str], messages: dict[tuple[str, 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
+        ("Encodr", r"no signal matches 'Encodr'.*near: Encoder\.\*"),
         ("Encoder.positon", r"no signal matches 'Encoder.positon'.*near: Encoder\.position\.[01]"),
         ("speed*", r"no signal matches 'speed\*'; --list"),
         ("Name.name", "holds text or bytes"),
@@ -608,6 +610,34 @@ def test_the_capture_is_not_overwritten(aces: Aces, walk: Path, arm: str) -> Non
     result = aces("plot", path, "State.load", "-p", arm, "-o", path)
     assert result.status == 2
     assert "one of the files to read" in result.err
+
+
+@pytest.mark.parametrize(
+    ("signals", "units"),
+    [
+        (["Encoder.position.0", "State.angle"], [["count"], ["°"]]),
+        (["Pages.low", "Encoder.position.0", "State.angle"], [["V", "count", "°"]]),
+        (["Pages.low", ",", "Encoder.position.0", "State.angle"], [["V"], ["count", "°"]]),
+    ],
+)
+def test_two_units_have_an_axis_each(
+    aces: Aces,
+    walk: Path,
+    arm: str,
+    monkeypatch: pytest.MonkeyPatch,
+    signals: list[str],
+    units: list[list[str]],
+) -> None:
+    """In one subplot, unless axes were asked for; of more units one is for all."""
+    panels: list[PlotPanel] = []
+
+    def keep(*given: Any, **others: Any) -> list[PlotPanel]:
+        panels.extend(panels_of(*given, **others))
+        return panels
+
+    monkeypatch.setattr(plot, "panels_of", keep)
+    assert aces("plot", walk, *signals, "-p", arm).status == 0
+    assert [[sorted({line.unit for line in axis}) for axis in panel.axes] for panel in panels] == [units]
 
 
 @pytest.mark.slow

@@ -86,7 +86,7 @@ def test_check_for_programs(aces: Aces, robot: Path) -> None:
         (["list", "hubo2"], "takes no names"),
         (["show", "hubo2", "--strict"], "--strict belongs to 'aces robot check'"),
         (["check", "hubo2", "-o", "x"], "--output belongs to 'aces robot import'"),
-        (["frobnicate"], "invalid choice"),
+        (["chek"], "no argument of 'aces robot' named 'chek'; did you mean 'check'?"),
         (["import", "none.dd"], "none.dd: No such file"),
     ],
 )

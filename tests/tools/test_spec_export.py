@@ -87,7 +87,7 @@ def test_markdown_is_a_page(arm: str, aces: Aces) -> None:
         (("obd2", "--format", "c", "-o", "x.c"), "none of its messages can be said in C; first: "),
         (("{arm}", "--format", "wireshark", "--port", "5000"), "for streams"),
         (("{line}", "--format", "wireshark", "--port", "70000"), "ports are 1…65535"),
-        (("{arm}", "--format", "xml"), "invalid choice"),
+        (("{arm}", "--format", "xml"), "no --format named 'xml' (there are: c, dbc, markdown, wireshark)"),
         (("{arm}", "--format", "dbc", "-o", "/nonexistent/x.dbc"), "cannot be written"),
         (("nothing", "--format", "dbc"), "no protocol named 'nothing'"),
         (("{arm}",), "--format"),

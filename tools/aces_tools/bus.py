@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 
 from .bus_arg import ChosenBus, can_options, chosen_bus
-from .console import ENDLESS, Patience, print_json, say, say_note
+from .console import ENDLESS, Patience, counted, print_json, say, say_note
 from .options import (
     FOR,
     JSON,
@@ -44,6 +44,7 @@ from .options import (
     positive,
     several,
 )
+from .robot_arg import DRIVER_FILES
 
 if TYPE_CHECKING:
     from aces_bus.hardware.simulated.bus import Faults
@@ -151,11 +152,7 @@ ARGUMENTS: Arguments = (
             flag("--together", help="polls that are not sent in each tick may all be due in one"),
             flag("--all", help="each message of each device in the table"),
             argument("-o", "--output", metavar="FILE", help="draw it, too: .png, .svg or .pdf"),
-            several(
-                "--driver",
-                metavar="FILE.py",
-                help="use the drivers of a Python file, too; it is run with your rights",
-            ),
+            DRIVER_FILES,
         ),
     ),
 )
@@ -314,9 +311,7 @@ def _described(channel: dict[str, Any]) -> str:
     if channel["physics"] and channel["data_bitrate"]:
         rates += f", data {channel['data_bitrate']:,}"
     nodes = len(channel["members"])
-    lines = [
-        f"{channel['channel']}  served: {rates}, {nodes} node{'' if nodes == 1 else 's'}, {channel['frames']:,} frames"
-    ]
+    lines = [f"{channel['channel']}  served: {rates}, {counted(nodes, 'node')}, {channel['frames']:,} frames"]
     lines += [f"  -i aces -c {address}" for address in channel["addresses"]]
     if channel["socketcand"]:
         lines.append(f"  socketcand {channel['socketcand']}")
@@ -475,7 +470,7 @@ def _line(measure: dict[str, Any]) -> str:
     text = f"{stamp}  {measure['channel']}  {load}  {measure['frames_per_s']:8,.0f} frames/s"
     text += f"  {measure['errors_per_s']:6,.0f} errors/s"
     if measure["nodes"]:
-        text += f"  {len(measure['nodes'])} nodes"
+        text += f"  {counted(len(measure['nodes']), 'node')}"
         bad = [
             f"{node['name']} {node['state']}" for node in measure["nodes"] if node["state"] != "error-active"
         ]

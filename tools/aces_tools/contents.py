@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from aces_bus.errors import CallerError, CaptureError
 from aces_bus.frame_table import NO_TIME, FrameTable, widened
 from aces_bus.guess import TRIED_BYTES, TRIED_FRAMES, fitting_protocols
 from aces_bus.plain_text import printable
-from aces_bus.recordings import CanRecording, parse_filter
+from aces_bus.recordings import CanFilter, CanRecording, Chunk, parse_filter
 from aces_bus.recordings.filters import passing
 from aces_bus.recordings.pieces import open_any
 from aces_bus.traffic import BusIdentifier, FrameCount, IdentifierCounts
@@ -56,20 +57,20 @@ def show_contents(arguments: argparse.Namespace) -> int:
             try:
                 with patience.waiting():
                     recording = open_any(name)
+                found: CanContents | SerialContents
+                pieces: Iterable[Any]
+                piece: Any
+                if isinstance(recording, CanRecording):
+                    found, pieces = CanContents(name, wanted), recording.tables()
+                else:
+                    found, pieces = SerialContents(name), recording
                 with recording:
-                    found: CanContents | SerialContents
-                    if isinstance(recording, CanRecording):
-                        found = CanContents(name)
-                        for table in patience.each(recording.tables()):
-                            found.add(
-                                table
-                                if wanted is None
-                                else table.take(np.flatnonzero(passing(wanted, table)))
-                            )
-                    else:
-                        found = SerialContents(name)
-                        for chunk in patience.each(recording):
-                            found.add(chunk.data, chunk.time)
+                    try:
+                        for piece in patience.each(pieces):
+                            found.add(piece)
+                    except CaptureError as error:  # what there is before the damage is shown all the same
+                        status = 2
+                        say(str(error))
                     report_unreadable(recording, is_over=True)
                 found.show(arguments)
             except CaptureError as error:
@@ -115,14 +116,16 @@ class Row(FrameCount):
 class CanContents:
     """What the frames of a recording are like."""
 
-    def __init__(self, name: str) -> None:
-        self.name = name
+    def __init__(self, name: str, wanted: CanFilter | None = None) -> None:
+        self.name, self.wanted = name, wanted
         self.rows = IdentifierCounts(Row)
         self.first_ns = self.last_ns = NO_TIME
         self.piece: list[FrameTable] = []
 
     def add(self, table: FrameTable) -> None:
-        """More frames."""
+        """More frames, of which those count that the filter takes."""
+        if self.wanted is not None:
+            table = table.take(np.flatnonzero(passing(self.wanted, table)))
         if sum(map(len, self.piece)) < TRIED_FRAMES:
             self.piece.append(table.take(np.arange(min(len(table), TRIED_FRAMES))))
         times = table.time[table.time != NO_TIME]
@@ -197,8 +200,9 @@ class SerialContents:
         self.first_s: float | None = None
         self.last_s: float | None = None
 
-    def add(self, data: bytes, time: float | None) -> None:
-        """More bytes, which came at a time (s)."""
+    def add(self, chunk: Chunk) -> None:
+        """More bytes."""
+        data, time = chunk.data, chunk.time
         self.bytes += len(data)
         self.piece += data[: max(0, TRIED_BYTES - len(self.piece))]
         self.first_s, self.last_s = time if self.first_s is None else self.first_s, time or self.last_s

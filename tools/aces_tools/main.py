@@ -1,16 +1,18 @@
 """`aces VERB …`: finds the verb, runs it, turns what goes wrong into one line.
 
 1. A verb's module is imported when that verb runs and not before: `aces --help` imports argparse and nothing else.
-2. Whatever goes wrong on purpose (`AcesError`) is one line on stderr and status 2; a traceback is a bug.
+2. Whatever goes wrong on purpose (`AcesError`) is one line on stderr and status 2, and so is what a Python file of the
+   user's raises; a traceback is a bug of ours.
 3. `main` returns a status and never exits, so that tests and programs can call it.
 """
 
 from __future__ import annotations
 
 import argparse
+import errno
 import gc
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from io import TextIOWrapper
 from typing import Any, NoReturn
@@ -48,6 +50,9 @@ VERBS: dict[str, tuple[str, str]] = {
     "completion": ("shell.completion", "print what completes aces in bash, zsh and fish"),
 }
 
+#: What the system says of a write where there is no room: a full disk, a file that has its largest size, a quota.
+NO_ROOM = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
+
 #: Other names of verbs.
 ALIASES = {"scan": "discover"}
 
@@ -83,6 +88,12 @@ class Parser(argparse.ArgumentParser):
         if message.startswith("the following arguments are required: -p/--protocol"):
             message = "what is spoken? -p NAME; 'aces decode FILE' says what fits a recording"
         self.exit(2, f"aces: {message.removeprefix('argument ')} (see '{self.prog} --help')\n")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        """Raise `UnknownNameError` for a value that is none of an argument's choices."""
+        if action.choices is not None and value not in action.choices:
+            kind = "/".join(action.option_strings) or f"argument of '{self.prog}'"
+            raise UnknownNameError(kind, str(value), map(str, action.choices))
 
     @property
     def arguments(self) -> list[argparse.Action]:
@@ -125,8 +136,27 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         abandon_stdout()
         return 0
+    except OSError as error:
+        if error.filename is not None or error.errno not in NO_ROOM:
+            raise
+        abandon_stdout()
+        say(f"standard output: writing stopped: {error.strerror}")
+        return 2
     except KeyboardInterrupt:
         return 130
+    except Exception as error:
+        text = _raised_by_user(error)
+        if text is None:
+            raise
+        say(text)
+        return 2
+
+
+def _raised_by_user(error: Exception) -> str | None:
+    """What a file that the user has named raised, with its line; None for an exception of our own."""
+    files = sys.modules.get("aces_bus.protocol.files")
+    place = files.line_in_loaded(error) if files is not None else None
+    return f"{place}: {files.exception_text(error)}" if files is not None and place is not None else None
 
 
 def _run(arguments: list[str]) -> int:
@@ -145,7 +175,7 @@ def _run(arguments: list[str]) -> int:
     if verb.startswith("-"):
         raise UnknownNameError("option", verb, ["--help", "--version"])
     if verb not in VERBS:
-        raise UnknownNameError("verb", verb, VERBS)
+        raise UnknownNameError("verb", verb, [*VERBS, *_with_action(verb)])
     actions = ACTIONS.get(verb)
     if actions and not (VERBS[verb][0] and (len(arguments) < 2 or arguments[1] not in actions)):
         if len(arguments) < 2:
@@ -162,6 +192,14 @@ def _run(arguments: list[str]) -> int:
     given = parser_of(verb).parse_intermixed_args(_plain(arguments[1:]))
     show_notes(not given.quiet)
     return int(_module(verb).run(given))
+
+
+def _with_action(action: str) -> Iterator[str]:
+    """The verbs that have an action of this name, with it: `bus serve` for `serve`."""
+    for verb in VERBS:
+        arguments = () if verb in ACTIONS else parser_of(verb).arguments
+        if action in ACTIONS.get(verb, {}) or any(action in (one.choices or ()) for one in arguments):
+            yield f"{verb} {action}"
 
 
 def parser_of(verb: str, parser: Parser | None = None) -> Parser:

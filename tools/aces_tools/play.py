@@ -203,7 +203,8 @@ class Playing:
                     patience.is_over = True
                 if patience.is_over:
                     return 130
-        say("nothing was sent: add --tx" + ("" if self.bus is not None else " and a bus"))
+        if not self.status:
+            say("nothing was sent: add --tx" + ("" if self.bus is not None else " and a bus"))
         self._summarise(0, 0)
         return self.status
 

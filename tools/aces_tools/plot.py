@@ -1,7 +1,7 @@
 """Draw signals of recordings over time: in the terminal, into a file, in a window.
 
   aces plot walk.log -p hubo 'Encoder.position.*'
-  aces plot walk.log -p hubo 'Encoder[board=3].*' - 'Current.*' -o walk.png
+  aces plot walk.log -p hubo 'Encoder.position.*' - 'Current.current.*' -o a.png
   aces plot walk.log -p hubo --list
   candump can0 | aces plot - -p car.py 'Motor.speed:r-' , 'Motor.torque' --show
   aces plot walk.log --bits -o bits.png              no protocol: flips of bits

@@ -28,6 +28,7 @@ from aces_bus.plain_text import printable
 
 from .console import check_suffix, counted, print_json, say, say_note, write_text
 from .options import COLOR, JSON, OUTPUT, STRICT, Arguments, argument
+from .robot_arg import DRIVER_FILES, use_driver_files
 
 ARGUMENTS: Arguments = (
     argument("what", choices=["check", "list", "show", "import"], help="what to do"),
@@ -37,6 +38,7 @@ ARGUMENTS: Arguments = (
     OUTPUT.but(metavar="FILE.toml", help="import: write there (default: standard output)"),
     argument("--base", metavar="NAME", help="import: the robot that a .home table changes"),
     argument("--name", metavar="NAME", help="import: the name of the robot"),
+    DRIVER_FILES,
     COLOR,
 )
 
@@ -51,6 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     }.items():
         if getattr(arguments, option) and what not in verbs:
             raise CallerError(f"--{option} belongs to 'aces robot {verbs[0]}'")
+    use_driver_files(arguments.driver)
     if what == "list":
         if names:
             raise CallerError("'aces robot list' takes no names; 'aces robot show NAME' shows one")

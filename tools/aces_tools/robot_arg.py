@@ -36,6 +36,11 @@ if TYPE_CHECKING:
 VARIABLE = "ACES_ROBOT"
 
 
+DRIVER_FILES = several(
+    "--driver",
+    metavar="FILE.py",
+    help="use the drivers (and twins) of a Python file, too; it is run with your rights",
+)
 _TITLE = "the robot and its buses"
 #: What `sim` takes, and the others.
 ROBOT_AND_BUSES = Group(
@@ -50,11 +55,7 @@ ROBOT_AND_BUSES = Group(
             help="where a bus is: can0, unix:can0, /dev/ttyUSB0, HOST:PORT (default: what the file says)",
         ),
         argument("-i", "--interface", metavar="INTERFACE", help="python-can's, of its CAN buses"),
-        several(
-            "--driver",
-            metavar="FILE.py",
-            help="use the drivers (and twins) of a Python file, too; it is run with your rights",
-        ),
+        DRIVER_FILES,
         argument(
             "--baud", type=at_least(1), metavar="N", help="speed of its serial lines (default: the file's)"
         ),

@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError, UnknownNameError
 
-from .console import ENDLESS, print_json, say, say_note
+from .console import ENDLESS, counted, print_json, say, say_note
 from .live import LivePatience
 from .live_view import live_view, show_bus, show_bus_event
 from .options import FOR, FOXGLOVE, FOXGLOVE_ORIGIN, JSON, SEED, Arguments, flag, several
@@ -88,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
             for name in names:
                 stand.simulation[name].fault(fault, amount)
         stack.callback(_summary, stand, arguments.json)  # however it ends
-        _announce(robot, arguments.robot, stand, arguments.json)
+        _announce(robot, arguments, stand)
         end = None if duration is None else time.monotonic_ns() + duration
         while not patience.is_over and (end is None or time.monotonic_ns() < end):
             following = time.monotonic_ns() + 500_000_000
@@ -148,17 +148,20 @@ def _list_faults(robot: Robot, as_json: bool) -> int:
 # ---------------------------------------------------------------------- what is said
 
 
-def _announce(robot: Robot, given: str | None, stand: SimulatedRobot, as_json: bool) -> None:
+def _announce(robot: Robot, arguments: argparse.Namespace, stand: SimulatedRobot) -> None:
     """How to join each bus, on stdout: programs and people read it."""
-    if as_json:
+    given = arguments.robot or robot.name
+    if arguments.json:
         print_json({"robot": robot.name, "buses": stand.reached}, None)
     else:
         for name in stand.simulation.buses:
-            print(f"{name}: {stand.listen_with(name, given or robot.name)}")
-        print(f"aces device -r {given or robot.name} {stand.device_options}")
+            print(f"{name}: {stand.listen_with(name, given)}")
+        drivers = [f"--driver {file}" for file in arguments.driver]
+        print(" ".join(["aces device -r", given, stand.device_options, *drivers]))
     if sys.stdout is not None:
         sys.stdout.flush()
-    say_note(f"{robot.name}: {len(stand.simulation.twins)} devices are there; {ENDLESS}")
+    number = len(stand.simulation.twins)
+    say_note(f"{robot.name}: {counted(number, 'device')} {'is' if number == 1 else 'are'} there; {ENDLESS}")
 
 
 def _summary(stand: SimulatedRobot, as_json: bool) -> None:
@@ -339,12 +342,16 @@ class SimulatedRobot:
 
     def listen_with(self, name: str, robot: str) -> str:
         """A command that shows what happens on a bus; a serial line, which has one other end, is scanned."""
+        from aces_bus.protocol import list_protocols
+        from aces_bus.protocol.files import python_file
         from aces_bus.robot.rig import spoken_on
 
         protocol = spoken_on(self.robot)[name]
         device = next(d for d in self.robot.devices_on(name) if d.active)
         dialect = self.robot.protocol_of(device)[1]
-        said = protocol.name + (f":{dialect}" if dialect and dialect != protocol.dialect else "")
+        file, _ = python_file(list_protocols()[protocol.name].value)  # of a driver that is not installed
+        said = file or protocol.name
+        said += f":{dialect}" if dialect and dialect != protocol.dialect else ""
         if self.robot.tables(protocol):
             said += f"@{robot}"
         way = self.reached[name]

@@ -270,7 +270,7 @@ class BitLayout(Construct):
             raise SpecError(f"{self.place}: every field of a bit layout needs a name")
         if name in self._known:
             raise SpecError(
-                f"{self.place.of_field(name)}: field {name!r} is there twice or taken (bits left out are 'reserved')"
+                f"{self.place.of_field(name)}: field {name!r} is declared twice or taken (bits left out are 'reserved')"
             )
         self._known.add(name)
         self.names.append(name)

@@ -11,6 +11,7 @@ check itself.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -300,6 +301,30 @@ class Crc(Check):
         return self.name
 
 
+#: What sheets call a CRC of the catalogue (its aliases, https://reveng.sourceforge.io/crc-catalogue/), as `_plain` has it.
+ALSO_CALLED = {
+    "CRC16": "CRC16-ARC",
+    "CRC16IBM": "CRC16-ARC",
+    "CRC16BUYPASS": "CRC16-UMTS",
+    "CRC16AUTOSAR": "CRC16-IBM-3740",
+    "CRC16CCITTFALSE": "CRC16-IBM-3740",
+    "CRC16CCITTTRUE": "CRC16-KERMIT",
+    "CRC16AUGCCITT": "CRC16-SPI-FUJITSU",
+    "CRC16X25": "CRC16-IBM-SDLC",
+    "CRC16ZMODEM": "CRC16-XMODEM",
+    # Said of three.
+    "CRC16CCITT": "CRC16-IBM-3740 (it begins with FFFF), CRC16-XMODEM (with 0) or CRC16-KERMIT (low bit first)",
+    "CRC32": "CRC32-ISO-HDLC",
+    "CRC32C": "CRC32-ISCSI",
+    "CRC8": "CRC8-SMBUS",
+    "CRC8MAXIM": "CRC8-MAXIM-DOW",
+}
+
+
+def _plain(name: str) -> str:
+    return re.sub("[^A-Z0-9]", "", name.upper())
+
+
 @cache
 def _catalogued(name: str) -> tuple[int, int, int, bool, bool, int]:
     import anycrc
@@ -308,7 +333,14 @@ def _catalogued(name: str) -> tuple[int, int, int, bool, bool, int]:
     if name not in known:
         import difflib
 
-        near = difflib.get_close_matches(name, known, n=5, cutoff=0.4)
+        plain = _plain(name)
+        meant = {_plain(one): one for one in known} | ALSO_CALLED
+        for one in (plain, f"CRC16{plain.removeprefix('CRC')}"):
+            if one in meant:
+                raise SpecError(
+                    f"{caller()}: no CRC named {name!r} in the catalogue; there it is {meant[one]}"
+                )
+        near = difflib.get_close_matches(name.upper(), known, n=5, cutoff=0.4)
         raise SpecError(
             f"{caller()}: no CRC named {name!r} in the catalogue; near: {', '.join(near) or 'none'}"
         )

@@ -270,9 +270,11 @@ class Framing:
         self.sizes: dict[int, int] = {}
         self.max_size = max_size if max_size is not None else (self.fixed_size or 0)
         self.min_size = self.head_end + self.check_size + len(self.end)
+        if max_size is None and self.fixed_size is None:
+            raise SpecError(f"{self.place}: max_size= is missing: how many bytes may a packet have at most?")
         if self.max_size < max(1, self.min_size):
             raise SpecError(
-                f"{self.place}: max_size says how long a packet may be; {self.max_size} is less than its head and check"
+                f"{self.place}: a packet of {self.max_size} bytes has no room for header and check ({self.min_size} bytes)"
             )
         if self.is_silent and not gap:
             raise SpecError(f"{self.place}: a packet that ends by silence needs gap=seconds")

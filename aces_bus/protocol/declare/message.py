@@ -293,7 +293,7 @@ class Message:
             check_name(name, self.place)
             if name in places:
                 raise SpecError(
-                    f"{self.place.of_field(name)}: field {name!r} of {self.name} is there twice:"
+                    f"{self.place.of_field(name)}: field {name!r} of {self.name} is declared twice:"
                     f" in its {what} and in its {places[name]}"
                 )
             places[name] = what

@@ -193,7 +193,7 @@ class _Walk:
                     ' name it (bytes that mean nothing: "reserved" / Reserved(n)); only a Const may go without'
                 )
             if name is not None and name in seen:
-                raise SpecError(f"{place.of_field(name)}: field {name!r} is there twice")
+                raise SpecError(f"{place.of_field(name)}: field {name!r} is declared twice")
             made = self.of(item, path, own)
             body = made.subcon if isinstance(made, c.Renamed) else made
             if isinstance(body, Multiplexed):

@@ -122,7 +122,7 @@ class IdPattern(Arithmetic):
         names = [c.name for c in captures]
         for name in names:
             if names.count(name) > 1:
-                raise SpecError(f"{caller()}: capture {name!r} is there twice in one pattern")
+                raise SpecError(f"{caller()}: {name!r} is declared twice in one pattern")
         return IdPattern(self.constant + more.constant, captures)
 
     def united(self, other: int | Arithmetic) -> IdPattern:

@@ -212,7 +212,7 @@ class Protocol:
         for other in self.declared if name in self.messages else ():
             # Also where `when` keeps them apart: a variant with boards of both kinds has one message of a name.
             if other.name == name and share_dialect(made, other):
-                raise SpecError(f"{place}: message {name!r} is there twice; the other is at {other.place}")
+                raise SpecError(f"{place}: message {name!r} is declared twice; the other is at {other.place}")
         self._check_order(made)
         if made.framing is None:
             ambiguity.check_against(made, self._neighbours.of(made.identifier))

@@ -118,7 +118,9 @@ class RegisterMap(Mapping[str, Register]):
         size = int(field.sizeof())
         for other in self._registers.values():
             if other.name == name:
-                raise SpecError(f"{place}: register {name!r} is there twice; the other is at {other.place}")
+                raise SpecError(
+                    f"{place}: register {name!r} is declared twice; the other is at {other.place}"
+                )
             if address < other.address + other.size and other.address < address + size:
                 raise SpecError(
                     f"{place}: register {name!r} (address {address:#04x}, {size} bytes) overlaps {other.name!r}"

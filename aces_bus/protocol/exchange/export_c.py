@@ -16,44 +16,46 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from ..declare.bits import whole_bits
-from ..declare.checks import Check, Crc, Extra, IdBytes, Sum
 from ..declare.head import Head
 from ..declare.message import Message
 from ..declare.pattern import IdField
 from ..declare.protocol import Variant
 from ..plan import nodes as p
-from .dissector_tables import bit_pieces
+from .c_checks import CheckPrinter
+from .c_fields import (
+    CField,
+    c_type,
+    captured,
+    held_bits,
+    place_of,
+    put_in,
+    rest_mask,
+    shifted,
+    taken_out,
+    under_conditions,
+)
+from .c_language import (
+    LISTED,
+    NotInC,
+    c_float,
+    c_hex,
+    c_name,
+    comment,
+    is_among,
+    outside,
+    refuse_if,
+    terms_of,
+    written,
+)
 from .names import snake
-from .problems import Loss, one_line
+from .problems import Loss
 
-#: Values that a test lists one by one.
-LISTED = 64
 #: Bits of integers that a double holds.
 EXACT_BITS = 53
-_WORDS = """
-auto break case char const continue default do double else enum extern float for goto if inline int long register restrict
-return short signed sizeof static struct switch typedef union unsigned void volatile while bool true false asm typeof
-alignas alignof and bitand bitor class compl delete explicit export friend mutable namespace new not operator or private
-protected public template this throw try using virtual xor
-"""
-#: What C and C++ keep for themselves, and the headers that are included.
-KEYWORDS = frozenset(_WORDS.split())
-
-
-@dataclass(frozen=True)
-class CField:
-    """A member of a struct: its C name and type ("bytes" and "rest" for a pointer with a size), and where it comes from."""
-
-    name: str
-    type: str
-    leaf: p.NodePath
-    #: Whether there are `…_decode` and `…_encode`.
-    can_decode: bool = False
-    can_encode: bool = False
 
 
 @dataclass(frozen=True)
@@ -80,53 +82,11 @@ def print_c_source(variant: Variant, *, only: Collection[str] = (), name: str = 
     return _Printer(variant, only).print(name or snake(variant.name))
 
 
-class _Refused(Exception):
-    """C does not say this message; the argument is why."""
-
-
-def _c_name(text: str, taken: set[str]) -> str:
-    made = snake(text)
-    made = f"n{made}" if made[:1].isdigit() or not made.strip("_") else made
-    while made in taken or made in KEYWORDS:
-        made += "_"
-    taken.add(made)
-    return made
-
-
-def _unsigned(width: int) -> int:
-    """Bits of the C integer that holds so many."""
-    return next(size for size in (8, 16, 32, 64) if size >= width)
-
-
-def _hex(number: int, wide: bool) -> str:
-    return f"{number:#x}{'ull' if wide else 'u'}"
-
-
-def _among(name: str, values: Collection[int], most: int | None = None) -> str:
-    """The test that an unsigned number is one of these; empty where they are all up to `most`."""
-    runs: list[list[int]] = []
-    for value in sorted(values):
-        if runs and value == runs[-1][1] + 1:
-            runs[-1][1] = value
-        else:
-            runs.append([value, value])
-    if len(runs) > LISTED:
-        raise _Refused(f"a number among {len(values)} values")
-    tests: list[str] = []
-    for low, high in runs:
-        parts = [f"{name} >= {low}u"] if low else []
-        parts += [f"{name} <= {high}u"] if high != most else []
-        tests.append(f"{name} == {low}u" if low == high else " && ".join(parts))
-    return (
-        tests[0] if len(tests) == 1 else " || ".join(f"({test})" if "&&" in test else test for test in tests)
-    )
-
-
 class _Printer:
     def __init__(self, variant: Variant, only: Collection[str]) -> None:
         self.variant = variant
         self.losses: list[Loss] = []
-        self.prefix = _c_name(variant.name, set())
+        self.prefix = c_name(variant.name, set())
         self.wanted = [m for m in variant.messages.values() if not only or m.name in only]
         self.header: list[str] = []
         self.source: list[str] = []
@@ -139,14 +99,11 @@ class _Printer:
         for message in self.wanted:
             try:
                 made.append(_MessagePrinter(self, message).print())
-            except _Refused as why:
+            except NotInC as why:
                 self.losses.append(Loss(message.name, "", f"{why}: left out"))
         guard = re.sub(r"\W", "_", f"{name}_h".upper(), flags=re.ASCII)
-        title = one_line(
-            f"{self.variant.label} in C, printed by aces-bus from the spec: change that instead."
-        )
-        title = title.replace("*/", "* /")
-        lost = [f" *   {one_line(str(loss)).replace('*/', '* /')}" for loss in self.losses]
+        title = comment(f"{self.variant.label} in C, printed by aces-bus from the spec: change that instead.")
+        lost = [f" *   {comment(str(loss))}" for loss in self.losses]
         lost = [" *", " * Not as the scanner has it:", *lost] if lost else []
         header = [
             f"/* {title}",
@@ -189,52 +146,46 @@ class _Printer:
         self.losses.append(Loss(message, name, reason))
 
 
+def _refusal(message: Message) -> str:
+    """Why C does not have a message; empty where it has."""
+    plan, framing = message.plan, message.framing
+    if message.transport is not None:
+        return f"carried by {message.transport.title}, in several frames"
+    affine = framing.affine if framing is not None else None
+    reasons = {
+        "a remote frame": message.remote,
+        plan.opaque: plan.opaque,
+        "delimited text": plan.split is not None,
+        "a list of items": plan.lists,
+        "shows fields of its request": any(isinstance(one.node, p.FromRequest) for one in plan.fields),
+        "a check inside its payload": plan.is_checked or message.check is not None,
+        "its length depends on its values": plan.lengths_by is not None,
+        "its fields share bits": getattr(message.payload, "overlapping", False),
+        "its packets are stuffed": framing is not None and framing.stuffing is not None,
+        "its packets have a trailer": framing is not None and framing.trailer is not None,
+        "an escaped length": affine is not None and (affine.escape is not None or affine.flags is not None),
+    }
+    return next((reason for reason, holds in reasons.items() if holds), "")
+
+
 class _MessagePrinter:
-    """One message. Raises `_Refused`, and leaves nothing of it, where C cannot say it."""
+    """One message. Raises `NotInC`, and leaves nothing of it, where C cannot say it."""
 
     def __init__(self, printer: _Printer, message: Message) -> None:
         self.printer, self.message, self.plan = printer, message, message.plan
-        self.check: Check | None = None
-        self._refuse()
-        self.name = _c_name(f"{printer.prefix}_{message.name}", printer.taken)
+        if refusal := _refusal(message):
+            raise NotInC(refusal)
+        check = message.framing.check if message.framing is not None else None
+        self.check = (
+            CheckPrinter(message, check, printer.prefix, printer.helpers) if check is not None else None
+        )
+        self.name = c_name(f"{printer.prefix}_{message.name}", printer.taken)
         self.macro = self.name.upper()
         self.members: set[str] = set()
         self.fields: list[CField] = []
         self.header: list[str] = []
         self.declared: list[str] = []
         self.functions: list[str] = []
-
-    def _refuse(self) -> None:
-        message, plan = self.message, self.plan
-        framing = message.framing
-        if message.transport is not None:
-            raise _Refused(f"carried by {message.transport.title}, in several frames")
-        if message.remote:
-            raise _Refused("a remote frame")
-        if plan.opaque:
-            raise _Refused(plan.opaque)
-        if plan.split is not None:
-            raise _Refused("delimited text")
-        if plan.lists:
-            raise _Refused("a list of items")
-        if any(isinstance(one.node, p.FromRequest) for one in plan.fields):
-            raise _Refused("shows fields of its request")
-        if plan.is_checked or message.check is not None:
-            raise _Refused("a check inside its payload")
-        if plan.lengths_by is not None:
-            raise _Refused("its length depends on its values")
-        if getattr(message.payload, "overlapping", False):
-            raise _Refused("its fields share bits")
-        if framing is None:
-            return
-        if framing.stuffing is not None:
-            raise _Refused("its packets are stuffed")
-        if framing.trailer is not None:
-            raise _Refused("its packets have a trailer")
-        affine = framing.affine
-        if affine is not None and (affine.escape is not None or affine.flags is not None):
-            raise _Refused("an escaped length")
-        self.check = framing.check
 
     # ------------------------------------------------------------------ what there is
 
@@ -244,10 +195,9 @@ class _MessagePrinter:
         for leaf in leaves:
             self._field(leaf)
         unpack, pack = self._unpack(), self._pack()
-        doc = one_line(plan.doc).replace("*/", "* /")
-        lines = ["", f"/* {message.name}{': ' + doc if doc else ''} */"]
+        lines = ["", f"/* {': '.join(filter(None, (message.name, comment(plan.doc))))} */"]
         if message.framing is None:
-            lines.append(f"#define {self.macro}_ID {_hex(message.identifier.constant, False)}")
+            lines.append(f"#define {self.macro}_ID {c_hex(message.identifier.constant)}")
             lines.append(f"#define {self.macro}_IS_EXTENDED {int(message.extended)}")
             lines.append(f"#define {self.macro}_IS_FD {int(message.fd)}")
         if plan.lengths is not None:
@@ -273,75 +223,57 @@ class _MessagePrinter:
                     self.message.name, leaf.path, "bits without a field: not kept, written as 0"
                 )
                 return False
-            return bool(_rest_mask(node))
+            return bool(rest_mask(node))
         if isinstance(node, p.FromIdentifier):
             return True
         if not isinstance(node, p.Scalar):
-            raise _Refused(f"a {type(node).__name__}")
+            raise NotInC(f"a {type(node).__name__}")
         if len(node.bits) > 64:
-            raise _Refused(f"a number of {len(node.bits)} bits")
+            raise NotInC(f"a number of {len(node.bits)} bits")
         if node.kind == "float" and len(node.place) not in (32, 64):
-            raise _Refused("a float of 16 bits")
+            raise NotInC("a float of 16 bits")
         return True
 
     def _field(self, leaf: p.NodePath) -> None:
         node = leaf.node
-        name = _c_name(leaf.identifier, self.members)
-        comment = ", ".join(filter(None, (node.unit and f"[{node.unit}]", one_line(leaf.doc))))
-        comment = f" /* {comment.replace('*/', '* /')} */" if comment else ""
-        type_ = self._type(node)
+        name = c_name(leaf.identifier, self.members)
+        said = comment(", ".join(filter(None, (node.unit and f"[{node.unit}]", leaf.doc))))
+        said = f" /* {said} */" if said else ""
+        type_ = c_type(node)
         if type_ == "rest":
-            self.declared.append(f"    const uint8_t *{name};{comment}")
-            self.declared.append(f"    size_t {name}_size;")
+            self.declared += [f"    const uint8_t *{name};{said}", f"    size_t {name}_size;"]
             self.members.add(f"{name}_size")
         elif type_ == "bytes":
             assert isinstance(node, p.Scalar)
-            self.declared.append(f"    uint8_t {name}[{node.size}];{comment}")
+            self.declared.append(f"    uint8_t {name}[{node.size}];{said}")
         else:
-            self.declared.append(f"    {type_} {name};{comment}")
+            self.declared.append(f"    {type_} {name};{said}")
         scale = node.scale
         is_number = type_ not in ("rest", "bytes")
         decodes = is_number and scale is not None
-        encodes = decodes and (type_ in ("float", "double") or len(_place(node)) <= EXACT_BITS)
+        encodes = decodes and (type_ in ("float", "double") or len(place_of(node)) <= EXACT_BITS)
         made = CField(name, type_, leaf, decodes, encodes)
         self.fields.append(made)
-        for number, label in node.value_names.items() if is_number else ():
-            macro = _c_name(f"{self.macro}_{name}_{label}".lower(), self.printer.macros).upper()
-            self.header.append(f"#define {macro} ({int(number)})")
-        for label, bit in node.flags.items() if is_number else ():
-            macro = _c_name(f"{self.macro}_{name}_{label}".lower(), self.printer.macros).upper()
-            self.header.append(f"#define {macro} {_hex(1 << bit, bit > 31)}")
+        named = [(label, f"({int(number)})") for number, label in node.value_names.items()]
+        named += [(label, c_hex(1 << bit)) for label, bit in node.flags.items()]
+        for label, number in named if is_number else ():
+            macro = c_name(f"{self.macro}_{name}_{label}".lower(), self.printer.macros).upper()
+            self.header.append(f"#define {macro} {number}")
         if scale is not None and decodes:
             self._quantity(made, scale, encodes)
-
-    def _type(self, node: p.Node) -> str:
-        if isinstance(node, p.Scalar) and node.is_bytes:
-            if node.size == 0:
-                raise _Refused("bytes of no size")
-            return "rest" if node.size is None else "bytes"
-        if isinstance(node, p.Rest):
-            return f"uint{_unsigned(8 * node.size)}_t"
-        if isinstance(node, p.Scalar) and node.kind == "float":
-            return "float" if len(node.place) == 32 else "double"
-        low, high = node.raw_range or (0, 0)
-        if low < 0:
-            return f"int{_unsigned(max(high.bit_length(), (-low - 1).bit_length()) + 1)}_t"
-        return f"uint{_unsigned(max(1, high.bit_length()))}_t"
 
     def _quantity(self, made: CField, scale: p.Scale, encodes: bool) -> None:
         factor, offset = float(scale.scale), float(scale.offset)
         is_float = made.type in ("float", "double")
         unknown = [
-            f"raw == {_c_float(low)}"
-            if low == high
-            else f"(raw >= {_c_float(low)} && raw <= {_c_float(high)})"
+            f"raw == {c_float(low)}" if low == high else f"(raw >= {c_float(low)} && raw <= {c_float(high)})"
             for low, high in scale.unknown_runs
             if not math.isnan(low)
         ]
         if any(math.isnan(low) for low, _ in scale.unknown_runs):
             unknown.append("raw != raw")
         if len(unknown) > LISTED:
-            raise _Refused("a quantity with many unknown values")
+            raise NotInC("a quantity with many unknown values")
         name = f"{self.name}_{made.name}"
         value = "raw" if factor == 1 else f"raw * {factor!r}"
         value = f"{value} + {offset!r}" if offset else value
@@ -364,7 +296,7 @@ class _MessagePrinter:
             raw = f"value - {offset!r}" if factor == 1 else f"(value - {offset!r}) / {factor!r}"
         tests: list[str] = []
         if scale.bounds is not None:
-            tests += _outside("value", scale.bounds)
+            tests += outside("value", scale.bounds)
         lines = [f"int {name}_encode({made.type} *number, double value)", "{"]
         if is_float:
             lines += [f"    const double raw = {raw};", ""]
@@ -373,12 +305,12 @@ class _MessagePrinter:
             rounding = "nearbyint" if scale.rounding == "nearest" else "trunc"
             lines += [f"    const double raw = {rounding}({raw});", ""]
             limits = made.leaf.node.raw_range or (0, 0)
-            tests += _outside("raw", limits)
+            tests += outside("raw", limits)
             if scale.raw_bounds is not None and scale.raw_bounds != limits:
-                tests += _outside("raw", scale.raw_bounds)
+                tests += outside("raw", scale.raw_bounds)
             tests += unknown
         if tests:
-            lines += _refuse_if(f"{' || '.join(tests)}")
+            lines += refuse_if(f"{' || '.join(tests)}")
         self.functions.append("\n".join([*lines, f"    *number = ({made.type})raw;", "    return 0;", "}"]))
 
     # ------------------------------------------------------------------ unpack
@@ -400,11 +332,11 @@ class _MessagePrinter:
         body = [f"int {self.name}_unpack({arguments})", "{"]
         checks = self._identifier_tests() if is_can else []
         for test in [*checks, *tests]:
-            body += _refuse_if(test)
-        body += self._length_test() + self._check_test()
+            body += refuse_if(test)
+        body += self._length_test() + (self.check.test() if self.check is not None else [])
         body.append("    memset(to, 0, sizeof *to);")
         for one in self.fields:
-            body += _when(one.leaf, self._get(one))
+            body += under_conditions(one.leaf, self._get(one))
         if not any("data[" in line or "data +" in line for line in body):
             body.append("    (void)data;")
         return [*body, "    return 0;", "}"]
@@ -412,7 +344,7 @@ class _MessagePrinter:
     def _one_of(self) -> list[str]:
         """Tests of numbers that must be among some values."""
         numbers = [(one.number.place, one.values) for one in self.plan.one_of]
-        tests = [_among(f"({_terms(bits)})", values, (1 << len(bits)) - 1) for bits, values in numbers]
+        tests = [is_among(f"({terms_of(bits)})", values, (1 << len(bits)) - 1) for bits, values in numbers]
         return [f"!({test})" for test in tests if test]
 
     def _size_tests(self) -> list[str]:
@@ -421,7 +353,7 @@ class _MessagePrinter:
             return [f"size < {max(plan.least, plan.framed)}u"] if max(plan.least, plan.framed) else []
         if len(plan.lengths) == 1:
             return [f"size != {plan.lengths[0]}u"]
-        return [f"!({_among('size', plan.lengths)})"]
+        return [f"!({is_among('size', plan.lengths)})"]
 
     def _identifier_tests(self) -> list[str]:
         pattern = self.message.identifier
@@ -434,30 +366,30 @@ class _MessagePrinter:
                 tests.append(f"id < {self.macro}_ID")
             rest = f"(id - {self.macro}_ID)"
             if one.shift:
-                tests.append(f"({rest} & {_hex((1 << one.shift) - 1, False)}) != 0")
+                tests.append(f"({rest} & {c_hex((1 << one.shift) - 1)}) != 0")
                 rest = f"({rest} >> {one.shift})"
-            return [*tests, f"!({_among(rest, one.values)})"]
+            return [*tests, f"!({is_among(rest, one.values)})"]
         mask = 0
         for one in pattern.captures:
             mask |= ((1 << one.width) - 1) << one.shift
-            tests.append(f"!({_among(_captured(one), one.values)})")
-        return [f"(id & {_hex(~mask & 0xFFFF_FFFF, False)}) != {self.macro}_ID", *tests]
+            tests.append(f"!({is_among(captured(one), one.values)})")
+        return [f"(id & {c_hex(~mask & 0xFFFF_FFFF)}) != {self.macro}_ID", *tests]
 
     def _length_test(self) -> list[str]:
         framing = self.message.framing
         if framing is None or framing.affine is None:
             return []
         affine = framing.affine
-        number = _terms(_head_bits(affine.length))
+        number = terms_of(_head_bits(affine.length))
         factor = f" * {affine.factor}u" if affine.factor != 1 else ""
-        return _refuse_if(f"({number}){factor} + {affine.constant}u != size")
+        return refuse_if(f"({number}){factor} + {affine.constant}u != size")
 
     def _get(self, one: CField) -> list[str]:
         node, target = one.leaf.node, f"to->{one.name}"
         if isinstance(node, p.Rest):
-            mask = _rest_mask(node)
-            terms = _terms(whole_bits(node.offset, node.size, "little"))
-            return [f"{target} = ({one.type})(({terms}) & {_hex(mask, node.size > 4)});"]
+            mask = rest_mask(node)
+            terms = terms_of(whole_bits(node.offset, node.size, "little"))
+            return [f"{target} = ({one.type})(({terms}) & {c_hex(mask)});"]
         if one.type == "rest":
             assert isinstance(node, p.Scalar)
             tail = node.offset + self.plan.tail
@@ -470,46 +402,16 @@ class _MessagePrinter:
             if len(self.message.identifier.captures) == 1:
                 shift = f" >> {capture.shift}" if capture.shift else ""
                 return [f"{target} = ({one.type})((id - {self.macro}_ID){shift});"]
-            return [f"{target} = ({one.type})({_captured(capture)});"]
+            return [f"{target} = ({one.type})({captured(capture)});"]
         if isinstance(node, p.FromIdentifier) and node.number is not None and node.is_alone and node.constant:
             shift = f" >> {node.shift}" if node.shift else ""
-            return [f"{target} = ({one.type})((({_terms(node.number.place)}) - {node.constant}u){shift});"]
-        bits = _place(node)
-        wide = len(bits) > 32
-        word = "uint64_t" if wide else "uint32_t"
-        terms = _terms(bits)
-        if one.type in ("float", "double"):
-            return [
-                "{",
-                f"    const {word} raw = {terms};",
-                f"    memcpy(&{target}, &raw, sizeof raw);",
-                "}",
-            ]
-        if one.type.startswith("uint"):
-            return [f"{target} = ({one.type})({terms});"]
-        half = 1 << len(bits) - 1
-        if node.is_magnitude:
-            return [
-                "{",
-                f"    const {word} raw = {terms};",
-                f"    {target} = ({one.type})(raw < {_hex(half, wide)} ? (int64_t)raw :"
-                f" -(int64_t)(raw - {_hex(half, wide)}));",
-                "}",
-            ]
-        if wide and len(bits) == 64:
-            return [
-                "{",
-                f"    const uint64_t raw = {terms};",
-                f"    memcpy(&{target}, &raw, sizeof raw);",
-                "}",
-            ]
-        raised = f"(int64_t)(({terms}) ^ {_hex(half, wide)})"
-        return [f"{target} = ({one.type})({raised} - {half}{'ll' if half > 1 << 30 else ''});"]
+            return [f"{target} = ({one.type})((({terms_of(node.number.place)}) - {node.constant}u){shift});"]
+        return taken_out(one)
 
     def _capture(self, one: CField) -> IdField:
         found = next((c for c in self.message.identifier.captures if c.name == one.leaf.path), None)
         if found is None:
-            raise _Refused(f"{one.leaf.path}: a part of the identifier with another name")
+            raise NotInC(f"{one.leaf.path}: a part of the identifier with another name")
         return found
 
     # ------------------------------------------------------------------ pack
@@ -529,28 +431,28 @@ class _MessagePrinter:
         if rest is not None:
             allowed = plan.lengths
             if allowed is not None:
-                body += _refuse_if(f"!({_among('length', allowed)})")
+                body += refuse_if(f"!({is_among('length', allowed)})")
             elif message.framing is not None:
-                body += _refuse_if(f"length > {message.framing.max_size}u")
-        body += ["    if (size < length) {", "        return -1;", "    }", "    memset(data, 0, length);"]
+                body += refuse_if(f"length > {message.framing.max_size}u")
+        body += [*refuse_if("size < length"), "    memset(data, 0, length);"]
         body += [f"    data[{fixed.offset}] |= {fixed.value:#04x};" for fixed in plan.constants]
         for one in sorted(self.fields, key=lambda field: len(field.leaf.whens)):
-            body += _when(one.leaf, self._put(one))
+            body += under_conditions(one.leaf, put_in(one))
         numbers = self._numbers()
         for number, parts in numbers.items():
             for one, node in parts:
                 capture = None if number is not None else self._capture(one)
                 values = range(1 << node.width) if capture is None else capture.values
-                if test := _among(f"(uint32_t)from->{one.name}", values, (1 << _held(one)) - 1):
-                    body += _refuse_if(f"!({test})")
+                if test := is_among(f"(uint32_t)from->{one.name}", values, (1 << held_bits(one)) - 1):
+                    body += refuse_if(f"!({test})")
             if number is not None:
-                whole = [_hex(parts[0][1].constant, False), *(_shifted(one, node) for one, node in parts)]
+                whole = [c_hex(parts[0][1].constant), *(shifted(one, node) for one, node in parts)]
                 body += ["    {", f"        const uint32_t raw = {' + '.join(whole)};", ""]
-                body += [*(f"        {line}" for line in _written(number.place)), "    }"]
+                body += [*(f"        {line}" for line in written(number.place)), "    }"]
         for test in self._one_of():
-            body += _refuse_if(test)
+            body += refuse_if(test)
         if is_can:
-            whole = [f"{self.macro}_ID", *(_shifted(one, node) for one, node in numbers.get(None, ()))]
+            whole = [f"{self.macro}_ID", *(shifted(one, node) for one, node in numbers.get(None, ()))]
             body.append(f"    *id = {' + '.join(whole)};")
         else:
             body += self._finish()
@@ -565,55 +467,6 @@ class _MessagePrinter:
             if isinstance(one.leaf.node, p.FromIdentifier):
                 found.setdefault(one.leaf.node.number, []).append((one, one.leaf.node))
         return found
-
-    def _put(self, one: CField) -> list[str]:
-        node, value = one.leaf.node, f"from->{one.name}"
-        refuse = ["    return -1;", "}"]
-        if isinstance(node, p.Rest):
-            mask, full = _rest_mask(node), (1 << _unsigned(8 * node.size)) - 1
-            test = f"if (({value} & {_hex(full & ~mask, node.size > 4)}) != 0) {{"
-            return ([test, *refuse] if mask != full else []) + [
-                f"data[{node.offset + k}] |= (uint8_t)({value}{f' >> {8 * k}' if k else ''});"
-                for k in range(node.size)
-            ]
-        if one.type == "rest":
-            assert isinstance(node, p.Scalar)
-            return [
-                f"if ({value}_size != 0) {{",
-                f"    memcpy(data + {node.offset}, {value}, {value}_size);",
-                "}",
-            ]
-        if one.type == "bytes":
-            assert isinstance(node, p.Scalar)
-            return [f"memcpy(data + {node.offset}, {value}, {node.size});"]
-        if isinstance(node, p.FromIdentifier):
-            return []  # together with what is in its number beside it
-        bits = _place(node)
-        wide = len(bits) > 32
-        word = "uint64_t" if wide else "uint32_t"
-        lines: list[str] = []
-        if one.type in ("float", "double"):
-            start = [f"{word} raw;", "", f"memcpy(&raw, &{value}, sizeof raw);"]
-        else:
-            low, high = node.raw_range or (0, 0)
-            held = int(one.type.removeprefix("u").removeprefix("int").removesuffix("_t"))
-            tests = []
-            if one.type.startswith("u"):
-                if high != (1 << held) - 1:
-                    tests.append(f"{value} > {_hex(high, high > 0xFFFF_FFFF)}")
-            else:
-                if low != -(1 << held - 1):
-                    tests.append(f"{value} < {low}")
-                if high != (1 << held - 1) - 1:
-                    tests.append(f"{value} > {high}")
-            if tests:
-                lines += [f"if ({' || '.join(tests)}) {{", *refuse]
-            number = f"({word}){value}"
-            if node.is_magnitude:
-                half = _hex(1 << len(bits) - 1, wide)
-                number = f"{value} < 0 ? {half} + ({word})(-(int64_t){value}) : ({word}){value}"
-            start = [f"const {word} raw = {number};", ""]
-        return [*lines, "{", *(f"    {line}" if line else "" for line in [*start, *_written(bits)]), "}"]
 
     def _finish(self) -> list[str]:
         """The length field, the end and the check of a packet."""
@@ -630,226 +483,14 @@ class _MessagePrinter:
                 "",
             ]
             if affine.factor != 1:
-                body += _refuse_if(f"raw * {affine.factor}u + {affine.constant}u != length", 2)
+                body += refuse_if(f"raw * {affine.factor}u + {affine.constant}u != length", 2)
             if len(bits) < 32:
-                body += _refuse_if(f"raw > {_hex((1 << len(bits)) - 1, False)}", 2)
-            body += [*(f"        {line}" for line in _written(bits)), "    }"]
+                body += refuse_if(f"raw > {c_hex((1 << len(bits)) - 1)}", 2)
+            body += [*(f"        {line}" for line in written(bits)), "    }"]
         for back, byte in zip(range(len(framing.end), 0, -1), framing.end, strict=True):
             body.append(f"    data[length - {back}u] = {byte:#04x};")
-        if self.check is not None:
-            body += [f"    {line}" for line in self._computed("length")]
-            for k, cell in enumerate(self._cells("length")):
-                shift = 8 * (k if self.check.order == "little" else self.check.bytes - 1 - k)
-                body.append(f"    {cell} = (uint8_t)(check >> {shift});")
-        return body
-
-    # ------------------------------------------------------------------ checks
-
-    def _cells(self, size: str) -> list[str]:
-        """The bytes of the check."""
-        assert self.check is not None
-        assert self.message.framing is not None
-        back = self.check.size + len(self.message.framing.end)
-        return [f"data[{size} - {back - k}u]" for k in range(self.check.size)]
-
-    def _check_test(self) -> list[str]:
-        check = self.check
-        if check is None:
-            return []
-        order = range(check.bytes) if check.order == "little" else range(check.bytes - 1, -1, -1)
-        terms = [
-            f"(uint32_t){cell} << {8 * k}" if k else f"(uint32_t){cell}"
-            for cell, k in zip(self._cells("size"), order, strict=True)
-        ]
-        lines = ["{", *(f"    {line}" for line in self._computed("size"))]
-        lines += [f"    if (check != ({' | '.join(terms)})) {{", "        return -1;", "    }", "}"]
-        return [f"    {line}" for line in lines]
-
-    def _computed(self, size: str) -> list[str]:
-        """Declares `check`, the number over what it covers."""
-        check, framing = self.check, self.message.framing
-        assert check is not None
-        assert framing is not None
-        if check.text is not None or check.bytes > 4:
-            raise _Refused(f"a check ({check.describe}) that is text, or wider than 32 bits")
-        begin, update, finish = self._engine(check)
-        runs: list[tuple[str, str] | bytes] = []
-        back = check.size + len(framing.end)
-        if check.over is None:
-            runs.append((str(len(framing.sync)), f"{size} - {back}u"))
-        for part in check.over or ():
-            if isinstance(part, slice):
-                runs.append((_bound(part.start or 0, size), _bound(part.stop, size)))
-            elif isinstance(part, Extra):
-                runs.append(self.message.check_extra)
-            elif isinstance(part, IdBytes):
-                raise _Refused("a check over an identifier")
-            else:
-                runs.append(part)
-        lines = [f"uint32_t check = {begin};"]
-        for run in runs:
-            if isinstance(run, bytes):
-                lines += [f"check = {update}_byte(check, {byte:#04x});" for byte in run]
-            else:
-                lines.append(f"check = {update}(check, data + {run[0]}, {run[1]} - {run[0]});")
-        return [*lines, f"check = {finish};"]
-
-    def _engine(self, check: Check) -> tuple[str, str, str]:
-        """What a check begins with, the function that goes on with it, and what it ends with."""
-        mask = _hex((1 << 8 * check.bytes) - 1, False)
-        if isinstance(check, Crc):
-            width, poly, start, refin, refout, xorout = check.parameters
-            if width < 8 or width > 32 or refin != refout:
-                raise _Refused(f"a check ({check.describe}) of an unusual kind")
-            name = f"{self.printer.prefix}_crc{width}_{poly:x}{'r' if refin else ''}"
-            top = _hex((1 << width) - 1, False)
-            if refin:
-                poly, start = (int(f"{n:0{width}b}"[::-1], 2) for n in (poly, start))
-                step = f"check = check & 1u ? check >> 1 ^ {_hex(poly, False)} : check >> 1;"
-                first = "check ^= byte;"
-            else:
-                high = _hex(1 << width - 1, False)
-                step = f"check = (check & {high} ? check << 1 ^ {_hex(poly, False)} : check << 1) & {top};"
-                first = f"check ^= (uint32_t)byte << {width - 8};" if width > 8 else "check ^= byte;"
-            inner = [first, "for (bit = 0; bit < 8; bit++) {", f"    {step}", "}", "return check;"]
-            self._helper(name, inner, has_bits=True)
-            return _hex(start, False), name, f"(check ^ {_hex(xorout, False)}) & {top}"
-        name = f"{self.printer.prefix}_{check.kind}"
-        if check.kind == "sum" and isinstance(check, Sum):
-            self._helper(name, ["return check + byte;"])
-            finish = {"": "check", "~": "~check", "-": "0u - check"}[check.sign]
-            return "0u", name, f"{finish} & {mask}"
-        if check.kind == "xor":
-            self._helper(name, ["return check ^ byte;"])
-            return "0u", name, "check & 0xffu"
-        if check.kind == "fletcher":
-            self._helper(
-                name,
-                [
-                    "const uint32_t first = (check + byte) & 0xffu;",
-                    "",
-                    "return first | (((check >> 8) + first) & 0xffu) << 8;",
-                ],
-            )
-            return "0u", name, "check & 0xffffu"
-        raise _Refused(f"a check ({check.describe}) of its own kind")
-
-    def _helper(self, name: str, inner: Sequence[str], *, has_bits: bool = False) -> None:
-        bits = ["    int bit;", ""] if has_bits else []
-        self.printer.helpers[name] = [
-            f"static uint32_t {name}_byte(uint32_t check, uint8_t byte)",
-            "{",
-            *bits,
-            *(f"    {line}" if line else "" for line in inner),
-            "}",
-            "",
-            f"static uint32_t {name}(uint32_t check, const uint8_t *data, size_t size)",
-            "{",
-            "    size_t at;",
-            "",
-            "    for (at = 0; at < size; at++) {",
-            f"        check = {name}_byte(check, data[at]);",
-            "    }",
-            "    return check;",
-            "}",
-        ]
-
-
-def _bound(index: int | None, size: str) -> str:
-    if index is None:
-        raise _Refused("a check over what is behind it")
-    return f"({size} - {-index}u)" if index < 0 else f"{index}u"
-
-
-def _refuse_if(test: str, depth: int = 1) -> list[str]:
-    """Statements that end a function with -1."""
-    indent = "    " * depth
-    return [f"{indent}if ({test}) {{", f"{indent}    return -1;", f"{indent}}}"]
-
-
-def _held(one: CField) -> int:
-    """The bits of an unsigned member."""
-    return int(one.type.removeprefix("uint").removesuffix("_t"))
-
-
-def _shifted(one: CField, node: p.FromIdentifier) -> str:
-    """A member where it is in its number."""
-    return f"((uint32_t)from->{one.name} << {node.shift})" if node.shift else f"(uint32_t)from->{one.name}"
-
-
-def _captured(one: IdField) -> str:
-    shifted = f"id >> {one.shift} & " if one.shift else "id & "
-    return f"({shifted}{_hex((1 << one.width) - 1, False)})"
+        return body + (self.check.fill() if self.check is not None else [])
 
 
 def _head_bits(head: Head) -> tuple[int, ...]:
     return whole_bits(head.offset, head.size, head.order)
-
-
-def _place(node: p.Node) -> tuple[int, ...]:
-    """The bits of a number, lowest first."""
-    if isinstance(node, p.FromIdentifier) and node.number is not None:
-        return node.number.place[node.shift : node.shift + node.width]
-    return node.place
-
-
-def _rest_mask(node: p.Rest) -> int:
-    claimed = dict(node.claimed)[None]
-    return (1 << 8 * node.size) - 1 & ~claimed
-
-
-def _terms(bits: Sequence[int]) -> str:
-    """The unsigned number of these bits, out of `data`."""
-    word = "uint64_t" if len(bits) > 32 else "uint32_t"
-    found: list[str] = []
-    for byte, shift, width, place in bit_pieces(bits):
-        text = f"data[{byte}]" + (f" >> {shift}" if shift else "")
-        if shift + width < 8:
-            text = (
-                f"({text}) & {_hex((1 << width) - 1, False)}"
-                if shift
-                else f"{text} & {_hex((1 << width) - 1, False)}"
-            )
-        text = f"({word})({text})" if " " in text else f"({word}){text}"
-        found.append(f"{text} << {place}" if place else text)
-    return " | ".join(found)
-
-
-def _written(bits: Sequence[int]) -> list[str]:
-    """Statements that put `raw` into these bits of `data`, which are 0."""
-    found: list[str] = []
-    for byte, shift, width, place in bit_pieces(bits):
-        text = f"raw >> {place}" if place else "raw"
-        if width < 8:
-            text = f"({text} & {_hex((1 << width) - 1, False)})"
-            text = f"{text} << {shift}" if shift else text
-        found.append(f"data[{byte}] |= (uint8_t)({text});")
-    return found
-
-
-def _when(leaf: p.NodePath, lines: Sequence[str]) -> list[str]:
-    """Statements under the conditions of a field."""
-    conditions = [f"({one})" for when in leaf.whens for one in _conditions(when)]
-    if not conditions or not lines:
-        return [f"    {line}" if line else "" for line in lines]
-    inside = [f"        {line}" if line else "" for line in lines]
-    return [f"    if ({' && '.join(dict.fromkeys(conditions))}) {{", *inside, "    }"]
-
-
-def _conditions(when: p.When) -> list[str]:
-    outer = [] if when.selector.when is None else _conditions(when.selector.when)
-    if any(value < 0 for value in when.values):
-        raise _Refused("a selector that is negative")
-    return [*outer, _among(f"({_terms(when.selector.number.place)})", when.values)]
-
-
-def _outside(name: str, limits: tuple[float, float]) -> list[str]:
-    """Tests that refuse what is not within, NaN too."""
-    low, high = limits
-    parts = [f"{name} >= {_c_float(low)}"] if math.isfinite(low) else []
-    parts += [f"{name} <= {_c_float(high)}"] if math.isfinite(high) else []
-    return [f"!({' && '.join(parts)})"] if parts else []
-
-
-def _c_float(number: float) -> str:
-    return repr(float(number))

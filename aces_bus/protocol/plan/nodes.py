@@ -10,74 +10,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any, Literal
 
 import msgspec
-from msgspec.structs import replace
 
 from ..declare.bits import runs_of, whole_bits
-from ..record import EACH, FirstOf, Held, WayStep
-
-
-class Scale(msgspec.Struct, frozen=True):
-    """physical = raw × scale + offset; raw values in `unknown` are None, those in `names` their name.
-
-    `bounds` (physical) and `raw_bounds` are what may be sent; `rounding` is how a physical value becomes an integer.
-    """
-
-    scale: float
-    offset: float
-    unknown: tuple[float, ...] | range = ()
-    bounds: tuple[float, float] | None = None
-    raw_bounds: tuple[int, int] | None = None
-    rounding: str = "nearest"
-    #: (raw, name) of raw values that are no quantity.
-    names: tuple[tuple[int, str], ...] = ()
-
-    def physical(self, raw: float) -> float:
-        """A raw number in its unit, computed as everywhere."""
-        scaled = raw * self.scale if self.scale != 1 else raw
-        return scaled + self.offset if self.offset else scaled
-
-    @property
-    def unknown_runs(self) -> tuple[tuple[float, float], ...]:
-        """The raw values that mean unknown, as (least, greatest) of each; a range is one."""
-        if isinstance(self.unknown, range):
-            low, high = sorted((self.unknown[0], self.unknown[-1]))  # its ends: min() would walk it
-            return ((low, high),)
-        return tuple((value, value) for value in self.unknown)
-
-    @property
-    def limits(self) -> tuple[float, float] | None:
-        """What may be sent, in the unit; None where nothing is stated."""
-        if self.bounds is not None or self.raw_bounds is None:
-            return self.bounds
-        low, high = sorted(raw * self.scale + self.offset for raw in self.raw_bounds)
-        return low, high
-
-
-class ValueNames(msgspec.Struct, frozen=True):
-    """Raw number to name."""
-
-    values: tuple[tuple[int, str], ...]
-
-
-class FlagBits(msgspec.Struct, frozen=True):
-    """Flag name to bit number."""
-
-    bits: tuple[tuple[str, int], ...]
-
-
-class Magnitude(msgspec.Struct, frozen=True):
-    """Sign and magnitude of `width` bits: part of the raw value, not of its meaning."""
-
-    width: int
-
-
-Step = Scale | ValueNames | FlagBits | Magnitude
-
+from ..record import EACH, FirstOf, Held
+from .paths import ItemPath as ItemPath
+from .paths import NodePath as NodePath
+from .paths import walk as walk
+from .steps import FlagBits as FlagBits
+from .steps import Magnitude as Magnitude
+from .steps import Scale as Scale
+from .steps import Step as Step
+from .steps import ValueNames as ValueNames
 
 #: `struct` formats of numbers by kind and size.
 FORMATS: dict[tuple[str, int | None], str] = {
@@ -520,74 +468,6 @@ class PlanField(msgspec.Struct, frozen=True):
     node: Node
     doc: str = ""
     when: When | None = None
-
-
-class NodePath(msgspec.Struct, frozen=True):
-    """A node and where its value is: `path` as columns and conditions name it (`servos.0.id`), `way` as the steps to the
-    value in the record.
-
-    `field` is the field of the message, `doc` that of the innermost one. `whens` are the conditions that it is there for,
-    the outermost first; `conditions` the same with the paths of their selectors, and with the conditions of these.
-    """
-
-    path: str
-    way: tuple[WayStep, ...]
-    node: Node
-    field: PlanField
-    doc: str = ""
-    whens: tuple[When, ...] = ()
-    conditions: tuple[tuple[str, When], ...] = ()
-
-    @property
-    def identifier(self) -> str:
-        """The path as one name: `motor_0_errors`."""
-        return self.path.replace(".", "_")
-
-
-class ItemPath(NodePath, frozen=True):
-    """A value inside a list; positions count from the data of its item (of `kind`) or from its group (None)."""
-
-    kind: ItemKind | None = None
-    #: The path in the plan of that.
-    inner: str = ""
-
-
-def walk(
-    fields: Sequence[PlanField], is_whole: Callable[[Node], bool] = lambda node: False
-) -> Iterator[NodePath]:
-    """Every node below these fields, the outer before the inner; of those that are taken as a whole only themselves."""
-    for field in fields:
-        yield from _inside(field.name, field, None, "", is_whole)
-
-
-def _inside(
-    step: str | int,
-    field: PlanField,
-    outer: NodePath | None,
-    prefix: str,
-    is_whole: Callable[[Node], bool],
-) -> Iterator[NodePath]:
-    path, when = f"{prefix}{step}", field.when
-    if outer is None:
-        here = NodePath(path, (step,), field.node, field, field.doc)
-    else:
-        # What is said of a list is said of its first item.
-        doc = field.doc if isinstance(step, str) else "" if step else outer.doc
-        here = NodePath(path, (*outer.way, step), field.node, outer.field, doc, outer.whens, outer.conditions)
-    if when is not None:
-        conditions = _conditions(prefix, when, here.conditions)
-        here = replace(here, whens=(*here.whens, when), conditions=conditions)
-    yield here
-    for inner, child in field.node.children if not is_whole(field.node) else ():
-        yield from _inside(inner, child, here, f"{path}.", is_whole)
-
-
-def _conditions(
-    prefix: str, when: When | None, known: tuple[tuple[str, When], ...]
-) -> tuple[tuple[str, When], ...]:
-    if when is None or any(when == one for _, one in known):
-        return known
-    return (*_conditions(prefix, when.selector.when, known), (prefix + when.selector.name, when))
 
 
 class Constant(msgspec.Struct, frozen=True):

@@ -11,19 +11,18 @@ Sources: see the spec.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Driver, Host, Job, Poll, Steps, Ticket
-from aces_bus.device.config import DeviceConfig
+from aces_bus.device import Driver, Job, Poll, Steps, Ticket
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import AcesError, CallerError, DeviceError, UnknownNameError
 from aces_protocols.damiao.spec import INTEGERS, KD_MAX, KP_MAX, MODELS, READ_ONLY, REGISTERS, SHARE
 
 from ..mit_motor import MitMotor, Ranges
+from ..scanning import Scan, scan_numbers
 from .twin import DamiaoFdTwin, DamiaoTwin
 
 #: Units of register 9 (s).
@@ -303,26 +302,20 @@ class DamiaoFd(Damiao):
     protocol = "damiao_fd"
 
 
-def _scan(name: str, host: Host, job: Job) -> Steps:
+def _scan(name: str) -> Scan:
     """Ask numbers 1 to 15 for a feedback."""
-    found: list[DeviceConfig] = []
-    for motor in range(1, 16):
-        job.progress, job.text = motor / 15, f"motor {motor}, {len(found)} found"
-        answer = yield from host.answers(
-            name, {"motor": motor}, "AskFeedback", reply="Feedback", timeout_s=0.05, retries=2, how=0
-        )
-        if answer is not None:
-            settings = {"master": answer.master} if answer.master else {}
-            found.append(
-                DeviceConfig(
-                    name=f"DM{motor}",
-                    driver=name,
-                    bus=host.name,
-                    credentials={"motor": motor},
-                    settings=settings,
-                )
-            )
-    return found
+    return scan_numbers(
+        name,
+        "DM",
+        "motor",
+        range(1, 16),
+        "AskFeedback",
+        reply="Feedback",
+        timeout_s=0.05,
+        retries=2,
+        known=lambda feedback: {"settings": {"master": feedback.master} if feedback.master else {}},
+        how=0,
+    )
 
 
 #: A joint a mode; two models, of which one says other ranges than its file.
@@ -353,7 +346,7 @@ driver = Driver(
     example=EXAMPLE,
     doc="Damiao DM motor: a joint with stiffness, damping and torque (MIT), or by position or velocity.",
     source="python-damiao-driver; DM_CAN.py; openarm_can; motorcontrol",
-    scan=partial(_scan, "damiao"),
+    scan=_scan("damiao"),
     settings=described(DamiaoSettings),
 )
 
@@ -364,6 +357,6 @@ fd_driver = Driver(
     example=FD_EXAMPLE,
     doc="Damiao DM motor on CAN FD, as an OpenArm has them: a joint as `damiao` has it.",
     source="openarm_can; python-damiao-driver; DM_CAN.py; motorcontrol",
-    scan=partial(_scan, "damiao_fd"),
+    scan=_scan("damiao_fd"),
     settings=described(DamiaoSettings),
 )

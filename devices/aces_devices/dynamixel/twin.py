@@ -15,7 +15,7 @@ from aces_protocols.dynamixel.models import MODEL_NAMES, MODELS
 from aces_protocols.dynamixel.spec import BROADCAST, CRC, control_table, packet
 
 from ..servos.motion import SteadyShaft
-from ..servos.twin import WRITE, RegisterTable, ServoTwin, alarm_registers
+from ..servos.twin import WRITE, RegisterTable, ServoTwin
 from .driver import FAR, PWM, TURN, Dynamixel, DynamixelSettings, mode_of
 
 RAM = 64
@@ -23,8 +23,6 @@ RAM = 64
 FIRMWARE, SUPPLY, WARMTH = 46, 120, 32
 #: Counts a second at one count of velocity.
 PER_SPEED = SPEED * 6 / ANGLE
-#: Saturated for so long without moving, it is overloaded (ns). A choice.
-OVERLOAD_NS = 500_000_000
 #: A count of the watchdog (ns).
 WATCHDOG_NS = 20_000_000
 GOALS = frozenset(("goal_position", "goal_velocity", "goal_current", "goal_pwm"))
@@ -84,7 +82,7 @@ class DynamixelTwin(ServoTwin):
     def begin(self) -> None:
         """The RAM's defaults; goals are the limits, and where it is."""
         now = self.clock.now()
-        self._pushing_since: int | None = None
+        super().begin()
         #: When it last had an instruction (ns).
         self._instructed_at = now
         self.motion.settle(now)
@@ -162,28 +160,15 @@ class DynamixelTwin(ServoTwin):
         self["registered_instruction"] = self.is_holding
         self["realtime_tick"] = now // 1_000_000 % 0x8000
         lowest, highest = self.model.voltages
-        alarm_registers(
-            self,
-            faults,
-            limit="temperature_limit",
+        errors = self["hardware_error"] | self.alarms(
+            HARDWARE_ERRORS,
+            pushes=motion.is_jammed and bool(wanted),
+            hottest="temperature_limit",
             lowest="min_voltage_limit",
+            highest="max_voltage_limit",
             supply=min(SUPPLY, (lowest + highest) // 2),
             warmth=WARMTH,
         )
-        errors = self["hardware_error"]
-        if not self["min_voltage_limit"] <= self["present_voltage"] <= self["max_voltage_limit"]:
-            errors |= 1 << HARDWARE_ERRORS["voltage"]
-        if self["present_temperature"] > self["temperature_limit"]:
-            errors |= 1 << HARDWARE_ERRORS["overheating"]
-        if motion.is_jammed and wanted:
-            if self._pushing_since is None:
-                self._pushing_since = now
-            if now - self._pushing_since >= OVERLOAD_NS:
-                errors |= 1 << HARDWARE_ERRORS["overload"]
-        else:
-            self._pushing_since = None
-        if "overload" in faults:
-            errors |= 1 << HARDWARE_ERRORS["overload"]
         self["hardware_error"] = errors
         if errors & self["shutdown"] and self["torque_enable"]:
             self["torque_enable"] = 0

@@ -16,7 +16,7 @@ from aces_protocols.feetech.spec import scs_table, sts_table
 from aces_protocols.robotis.fields import from_directed, to_directed
 
 from ..servos.motion import SteadyShaft
-from ..servos.twin import RegisterTable, ServoTwin, alarm_registers
+from ..servos.twin import RegisterTable, ServoTwin
 from .driver import FULL, series_of
 
 RAM = 40
@@ -24,8 +24,6 @@ RAM = 40
 FIRMWARE, SUPPLY, WARMTH = (3, 10), 74, 30
 #: The greatest speed (counts a second) of a turn of 4096: 50 rpm. A choice.
 FREE = 3413
-#: Saturated for so long without moving, it is overloaded (ns). A choice.
-OVERLOAD_NS = 500_000_000
 TABLES = {"STS": RegisterTable(sts_table), "SCS": RegisterTable(scs_table)}
 #: ° a count.
 ANGLES = {"STS": STS_ANGLE, "SCS": SCS_ANGLE}
@@ -82,7 +80,7 @@ class FeetechTwin(ServoTwin):
 
     def begin(self) -> None:
         """What was saved, the RAM's defaults; the goal is where it is."""
-        self._pushing_since: int | None = None
+        super().begin()
         self.motion.settle(self.clock.now())
         self.table[:RAM] = self._saved
         self.load_defaults(RAM, len(self.table))
@@ -153,23 +151,15 @@ class FeetechTwin(ServoTwin):
         if self.series == "STS":
             self["present_current"] = abs(share) // 10
         self["moving"] = bool(speed)
-        alarm_registers(
-            self, faults, limit="max_temperature", lowest="min_voltage", supply=SUPPLY, warmth=WARMTH
+        errors = self.alarms(
+            ERRORS,
+            pushes=motion.is_jammed and bool(wanted),
+            hottest="max_temperature",
+            lowest="min_voltage",
+            highest="max_voltage",
+            supply=SUPPLY,
+            warmth=WARMTH,
         )
-        errors = 0
-        if not self["min_voltage"] <= self["present_voltage"] <= self["max_voltage"]:
-            errors |= 1 << ERRORS["voltage"]
-        if self["present_temperature"] > self["max_temperature"]:
-            errors |= 1 << ERRORS["overheating"]
-        if motion.is_jammed and wanted:
-            if self._pushing_since is None:
-                self._pushing_since = now
-            if now - self._pushing_since >= OVERLOAD_NS:
-                errors |= 1 << ERRORS["overload"]
-        else:
-            self._pushing_since = None
-        if "overload" in faults:
-            errors |= 1 << ERRORS["overload"]
         self["status"] = errors
         if errors & self["unload_condition"] and self["torque_enable"]:
             self["torque_enable"] = 0

@@ -29,11 +29,11 @@ from aces_bus.device import (
     on,
     together,
 )
-from aces_bus.device.config import DeviceConfig
 from aces_bus.errors import CallerError, DeviceError
 from aces_protocols.hubo.d15 import NUMBERS, POWER
 
 from ..joint_model import AMBIENT, MotorJoint, MotorModel
+from ..scanning import scan_numbers
 from .board import MotorAxis
 
 REPLIES = ("StatusD15", "StatusShortD15")
@@ -499,19 +499,21 @@ class HuboMotorD15Twin(Twin):
 # ---------------------------------------------------------------------- what is registered
 
 
+_boards = scan_numbers(
+    "hubo_d15",
+    "B",
+    "board",
+    [number for number in NUMBERS if number != POWER],
+    "GetBoardInfoD15",
+    reply="BoardInfoD15",
+    timeout_s=0.01,
+    protocol="hubo",
+)
+
+
 def _scan(host: Host, job: Job) -> Steps:
-    """Ask every board number what it is."""
-    found: list[DeviceConfig] = []
-    if host.variants["hubo"].dialect != "D15":
-        return found
-    for number in NUMBERS:
-        job.progress = number / len(NUMBERS)
-        if number == POWER:
-            continue
-        who = {"board": number}
-        if (yield from host.answers("hubo", who, "GetBoardInfoD15", reply="BoardInfoD15", timeout_s=0.01)):
-            found.append(DeviceConfig(name=f"B{number}", driver="hubo_d15", bus=host.name, credentials=who))
-    return found
+    """Ask every board number what it is, on a bus that speaks D15."""
+    return (yield from _boards(host, job)) if host.variants["hubo"].dialect == "D15" else []
 
 
 EXAMPLE = """

@@ -16,10 +16,11 @@ from typing import Annotated, Any, ClassVar
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Device, DeviceConfig, Driver, Host, Job, Poll, Steps, Ticket
+from aces_bus.device import Device, Driver, Job, Poll, Steps, Ticket
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError, NoReplyError, UnknownNameError
 
+from ..scanning import scan_numbers
 from .table import READERS, ModbusRegister, bits_from, registers_of, stretches
 from .twin import ModbusTwin
 
@@ -332,29 +333,6 @@ def _is_in(one: ModbusRegister, span: tuple[str, int, int]) -> bool:
     return one.entry.table == table and start <= one.addresses.start and one.addresses.stop <= start + count
 
 
-def _scan(host: Host, job: Job) -> Steps:
-    """Ask each unit for its first holding register: one that is there answers, if only with an exception."""
-    found: list[DeviceConfig] = []
-    for unit in range(1, 248):
-        job.progress, job.text = unit / 247, f"unit {unit}"
-        answer = yield from host.answers(
-            "modbus",
-            {"unit": unit},
-            "ReadRegisters",
-            reply=("Registers", "Refusal"),
-            timeout_s=PATIENCE_S,
-            retries=0,
-            function=3,
-            start=0,
-            count=1,
-        )
-        if answer is not None:
-            found.append(
-                DeviceConfig(name=f"UNIT{unit}", driver="modbus", bus=host.name, credentials={"unit": unit})
-            )
-    return found
-
-
 EXAMPLE = """
 name = "modbus_example"
 rate_hz = 20
@@ -396,6 +374,19 @@ driver = Driver(
     example=EXAMPLE,
     doc="Any device on Modbus RTU, by a table of its registers.",
     source="Modbus application protocol",
-    scan=_scan,
+    # The first holding register: a unit that is there answers, if only with an exception.
+    scan=scan_numbers(
+        "modbus",
+        "UNIT",
+        "unit",
+        range(1, 248),
+        "ReadRegisters",
+        reply=("Registers", "Refusal"),
+        timeout_s=PATIENCE_S,
+        retries=0,
+        function=3,
+        start=0,
+        count=1,
+    ),
     settings=described(ModbusSettings),
 )

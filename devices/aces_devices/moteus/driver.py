@@ -19,7 +19,6 @@ from msgspec import Meta
 from aces_bus.device import (
     Device,
     Driver,
-    Host,
     Job,
     OutgoingMessage,
     Poll,
@@ -28,13 +27,13 @@ from aces_bus.device import (
     Steps,
     Ticket,
 )
-from aces_bus.device.config import DeviceConfig
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError
 from aces_protocols.moteus.registers import BY_NAME
 from aces_protocols.moteus.spec import REPLIES
 from aces_protocols.moteus.subframes import register_values
 
+from ..scanning import scan_numbers
 from .twin import MoteusTwin
 
 #: The watchdog where the robot's file does not say: the controller's own default, or five ticks where they are longer.
@@ -368,28 +367,6 @@ def runs(values: dict[str, float]) -> list[Item]:
 PATIENCE_S = 0.02
 
 
-def _scan(host: Host, job: Job) -> Steps:
-    """Ask every number for its mode: a question that changes nothing."""
-    found: list[DeviceConfig] = []
-    for number in range(1, 127):
-        job.progress, job.text = number / 127, f"number {number}, {len(found)} found"
-        answer = yield from host.answers(
-            "moteus",
-            {"id": number},
-            "Query",
-            reply=REPLIES,
-            timeout_s=PATIENCE_S,
-            subframes=[{"kind": "read_i8", "data": ["mode"]}],
-        )
-        if answer is not None:
-            found.append(
-                DeviceConfig(
-                    name=f"MOTEUS{number}", driver="moteus", bus=host.name, credentials={"id": number}
-                )
-            )
-    return found
-
-
 EXAMPLE = """
 name = "moteus"
 rate_hz = 20
@@ -413,6 +390,16 @@ driver = Driver(
     example=EXAMPLE,
     doc="mjbots moteus servo controller on CAN FD: one joint by position or speed.",
     source="mjbots/moteus docs/protocol/can.md, registers.md",
-    scan=_scan,
+    # Its mode, which changes nothing.
+    scan=scan_numbers(
+        "moteus",
+        "MOTEUS",
+        "id",
+        range(1, 127),
+        "Query",
+        reply=REPLIES,
+        timeout_s=PATIENCE_S,
+        subframes=[{"kind": "read_i8", "data": ["mode"]}],
+    ),
     settings=described(MoteusSettings),
 )

@@ -14,12 +14,12 @@ from typing import Annotated, Any, ClassVar
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Device, Driver, Host, Job, Poll, Steps
-from aces_bus.device.config import DeviceConfig
+from aces_bus.device import Device, Driver, Job, Poll, Steps
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_protocols.diagnostics import VALUES
 
+from ..scanning import scan_numbers
 from .twin import AT_ONCE, Obd2Twin
 
 USUAL = ("engine_load", "coolant_temperature", "engine_speed", "vehicle_speed", "throttle", "fuel_level")
@@ -156,21 +156,6 @@ class Obd2(Device):
         return self.job("supported", steps)
 
 
-def _scan(host: Host, job: Job) -> Steps:
-    """Ask each of the eight ECUs which values it has."""
-    found: list[DeviceConfig] = []
-    for ecu in range(8):
-        job.progress, job.text = ecu / 8, f"ECU {ecu}, {len(found)} found"
-        who = {"ecu": ecu}
-        if (
-            yield from host.answers(
-                "obd2", who, "ReadLive", reply="Live", timeout_s=TIMEOUT_S, retries=0, pids=[0]
-            )
-        ):
-            found.append(DeviceConfig(name=f"ECU{ecu}", driver="obd2", bus=host.name, credentials=who))
-    return found
-
-
 EXAMPLE = """
 name = "obd2"
 rate_hz = 20
@@ -190,6 +175,9 @@ driver = Driver(
     example=EXAMPLE,
     doc="A car's ECU by OBD-II: live values, trouble codes, the vehicle's number.",
     source="SAE J1979 / ISO 15031-5; ISO 15765-4",
-    scan=_scan,
+    # Which values it has.
+    scan=scan_numbers(
+        "obd2", "ECU", "ecu", range(8), "ReadLive", reply="Live", timeout_s=TIMEOUT_S, retries=0, pids=[0]
+    ),
     settings=described(Obd2Settings),
 )

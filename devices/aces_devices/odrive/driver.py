@@ -18,12 +18,12 @@ from typing import Annotated, Any, ClassVar, Literal
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Driver, Host, Job, Poll, SingleMotor, Steps, Ticket
-from aces_bus.device.config import DeviceConfig
+from aces_bus.device import Driver, Job, Poll, SingleMotor, Steps, Ticket
 from aces_bus.device.settings import described, settings_of
 from aces_bus.device.ticket import Awaited
 from aces_bus.errors import CallerError, DeviceError
 
+from ..scanning import scan_numbers
 from .twin import OdriveTwin
 
 #: A heartbeat comes every 100 ms; so long it is waited for (s).
@@ -352,27 +352,6 @@ def _code(who: str, type: str) -> str:
     return f"<{TYPES[type]}"
 
 
-def _scan(host: Host, job: Job) -> Steps:
-    """Ask each node where it is: 63 remote frames, twice 30 ms each."""
-    found: list[DeviceConfig] = []
-    for node in range(0x3F):
-        job.progress, job.text = node / 0x3F, f"node {node}, {len(found)} found"
-        if (
-            yield from host.answers(
-                "odrive",
-                {"node": node},
-                "GetEncoderEstimates",
-                reply="EncoderEstimates",
-                timeout_s=0.03,
-                retries=1,
-            )
-        ):
-            found.append(
-                DeviceConfig(name=f"ODRIVE{node}", driver="odrive", bus=host.name, credentials={"node": node})
-            )
-    return found
-
-
 #: Both firmwares, a joint a mode; only the first sends its position by itself.
 EXAMPLE = """
 name = "odrive"
@@ -400,6 +379,15 @@ driver = Driver(
     example=EXAMPLE,
     doc="ODrive motor controller on CAN: position, velocity or torque of an axis.",
     source="ODrive can-protocol.rst, can_simple.cpp; ODriveArduino; ODriveResources",
-    scan=_scan,
+    # Where it is: 63 remote frames, twice 30 ms each.
+    scan=scan_numbers(
+        "odrive",
+        "ODRIVE",
+        "node",
+        range(0x3F),
+        "GetEncoderEstimates",
+        reply="EncoderEstimates",
+        timeout_s=0.03,
+    ),
     settings=described(OdriveSettings),
 )

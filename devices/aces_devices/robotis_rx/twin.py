@@ -14,7 +14,7 @@ from aces_protocols.robotis.control_table import ERRORS
 from aces_protocols.robotis.fields import to_directed
 from aces_protocols.robotis.spec import control_table
 
-from ..servos.twin import READ, WRITE, RegisterTable, ServoTwin, alarm_registers
+from ..servos.twin import READ, WRITE, RegisterTable, ServoTwin
 from .driver import CLOCKWISE, STEP, TOP, UNLOCKED, signed
 from .motion import FREE, PER_SPEED, ShaftMotion
 
@@ -22,8 +22,6 @@ EEPROM = 0x18
 MODELS = {"RX-10": 10, "RX-28": 28, "RX-64": 64}
 #: What a servo of the recordings has: firmware 0x17, 11.1 V, 37 °C.
 FIRMWARE, SUPPLY, WARMTH = 0x17, 111, 37
-#: Saturated for so long without moving, it is overloaded (ns). A choice.
-OVERLOAD_NS = 500_000_000
 #: So long after its own status a servo answers nothing that it does not understand (ns): on a line with a second one of
 #: its id, their statuses would answer each other for ever. A choice.
 QUIET_NS = 3_000_000
@@ -71,7 +69,7 @@ class RobotisRXTwin(ServoTwin):
     def begin(self) -> None:
         """The RAM's defaults; the goal is where it is."""
         self.blinks = False
-        self._pushing_since: int | None = None
+        super().begin()
         self.load_defaults(EEPROM, len(self.table))
         self["torque_limit"] = self["max_torque"]
         self.motion.settle(self.clock.now())
@@ -128,23 +126,15 @@ class RobotisRXTwin(ServoTwin):
         moves = motion.is_moving(now)
         self["moving"] = moves
         self["registered_instruction"] = self.is_holding
-        alarm_registers(
-            self, faults, limit="highest_temperature", lowest="lowest_voltage", supply=SUPPLY, warmth=WARMTH
+        bits = self.alarms(
+            ERRORS,
+            pushes=motion.is_jammed and moves,
+            hottest="highest_temperature",
+            lowest="lowest_voltage",
+            highest="highest_voltage",
+            supply=SUPPLY,
+            warmth=WARMTH,
         )
-        bits = 0
-        if not self["lowest_voltage"] <= self["present_voltage"] <= self["highest_voltage"]:
-            bits |= 1 << ERRORS["voltage"]
-        if self["present_temperature"] > self["highest_temperature"]:
-            bits |= 1 << ERRORS["overheating"]
-        if motion.is_jammed and moves:
-            if self._pushing_since is None:
-                self._pushing_since = now
-            if now - self._pushing_since >= OVERLOAD_NS:
-                bits |= 1 << ERRORS["overload"]
-        else:
-            self._pushing_since = None
-        if "overload" in faults:
-            bits |= 1 << ERRORS["overload"]
         self.blinks = bool(bits & self["alarm_led"])
         if bits & self["alarm_shutdown"] and self["torque_enable"]:
             self["torque_enable"] = 0

@@ -17,8 +17,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Driver, Host, Job, Poll, Signal, Steps, Ticket
-from aces_bus.device.config import DeviceConfig
+from aces_bus.device import Driver, Job, Poll, Signal, Steps, Ticket
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError, UnknownNameError
 from aces_protocols.robstride.spec import (
@@ -33,6 +32,7 @@ from aces_protocols.robstride.spec import (
 )
 
 from ..mit_motor import MitMotor
+from ..scanning import scan_numbers
 from .twin import RobstrideTwin
 
 #: Bits of a feedback that are faults.
@@ -313,24 +313,6 @@ class Robstride(MitMotor):
         return self.send("Save", host=self.settings.host)
 
 
-def _scan(host: Host, job: Job) -> Steps:
-    """Ask numbers 1 to 127 for their unique ids."""
-    found: list[DeviceConfig] = []
-    for motor in range(1, 0x80):
-        job.progress, job.text = motor / 0x80, f"motor {motor}, {len(found)} found"
-        if (
-            yield from host.answers(
-                "robstride", {"motor": motor}, "GetId", reply="Id", timeout_s=0.03, retries=1, host=0xFD
-            )
-        ):
-            found.append(
-                DeviceConfig(
-                    name=f"RS{motor}", driver="robstride", bus=host.name, credentials={"motor": motor}
-                )
-            )
-    return found
-
-
 #: Both families.
 EXAMPLE = """
 name = "robstride"
@@ -356,6 +338,9 @@ driver = Driver(
     example=EXAMPLE,
     doc="CyberGear or RobStride motor: a joint with stiffness, damping and torque, or by position, speed or current.",
     source="cybergear-docs; Robstride-Dynamics-Python-SDK; kscalelabs/robstride",
-    scan=_scan,
+    # Its unique id.
+    scan=scan_numbers(
+        "robstride", "RS", "motor", range(1, 0x80), "GetId", reply="Id", timeout_s=0.03, host=0xFD
+    ),
     settings=described(RobstrideSettings),
 )

@@ -23,6 +23,8 @@ from .driver import BROADCAST, ServoSettings
 PING, READ, WRITE = "Ping", "Read", "Write"
 #: What a receiver tolerates of a wrong line speed (RX-28 manual).
 TUNED = 0.03
+#: Saturated for so long without moving, it is overloaded (ns). A choice.
+OVERLOAD_NS = 500_000_000
 
 
 class RegisterTable:
@@ -72,7 +74,8 @@ class ServoTwin(Twin):
 
     def begin(self) -> None:
         """Power-up: what is lost without power has its defaults again."""
-        raise NotImplementedError
+        #: Since when it pushes without moving (ns).
+        self._pushing_since: int | None = None
 
     def apply(self) -> None:
         """What the registers mean for the motion, from now on."""
@@ -98,6 +101,39 @@ class ServoTwin(Twin):
     def with_errors(self, refusal: Any, errors: int) -> Any:
         """A status's `error` from that and the servo's own errors."""
         raise NotImplementedError
+
+    # ------------------------------------------------------------------ alarms
+
+    def alarms(
+        self,
+        bits: Mapping[str, int],
+        *,
+        pushes: bool,
+        hottest: str,
+        lowest: str,
+        highest: str,
+        supply: int,
+        warmth: int,
+    ) -> int:
+        """Set temperature and supply, as the faults `hot` and `low_voltage` (°C, V) make them; the errors of both, and of a
+        motor that `pushes` against something, by the numbers of their `bits`. The others are names of registers with limits.
+        """
+        faults = self.active_faults
+        hot, low = faults.get("hot"), faults.get("low_voltage")
+        warm = warmth if hot is None else self[hottest] + 5 if hot == 1 else round(hot)
+        volts = supply if low is None else self[lowest] - 5 if low == 1 else round(low * 10)
+        self["present_temperature"], self["present_voltage"] = warm & 0xFF, max(0, volts) & 0xFF
+        now = self.clock.now()
+        self._pushing_since = (
+            (now if self._pushing_since is None else self._pushing_since) if pushes else None
+        )
+        is_overloaded = self._pushing_since is not None and now - self._pushing_since >= OVERLOAD_NS
+        wrong = {
+            "voltage": not self[lowest] <= self["present_voltage"] <= self[highest],
+            "overheating": self["present_temperature"] > self[hottest],
+            "overload": is_overloaded or "overload" in faults,
+        }
+        return sum(1 << bits[name] for name, holds in wrong.items() if holds)
 
     # ------------------------------------------------------------------ registers
 
@@ -327,15 +363,3 @@ class ServoTwin(Twin):
         self.before_write()
         super().fault(name, amount, on=on)
         self.apply()
-
-
-def alarm_registers(
-    twin: ServoTwin, faults: Mapping[str, float], *, limit: str, lowest: str, supply: int, warmth: int
-) -> None:
-    """Set the measured temperature and supply, as the faults `hot` and `low_voltage` (°C, V) make them."""
-    hot, low = faults.get("hot"), faults.get("low_voltage")
-    twin["present_temperature"] = (
-        warmth if hot is None else twin[limit] + 5 if hot == 1 else round(hot)
-    ) & 0xFF
-    volts = supply if low is None else twin[lowest] - 5 if low == 1 else round(low * 10)
-    twin["present_voltage"] = max(0, volts) & 0xFF

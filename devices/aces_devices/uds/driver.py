@@ -12,79 +12,32 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
-import msgspec
-from msgspec import Meta
-
-from aces_bus.device import Device, Driver, Host, Job, Poll, Signal, Steps, Ticket
-from aces_bus.device.config import DeviceConfig
+from aces_bus.device import Device, Driver, Job, Poll, Signal, Steps
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import AcesError, CallerError, DeviceError, UnknownNameError
-from aces_protocols.uds.spec import SERVICE_OF, SESSIONS
+from aces_protocols.uds.spec import SESSIONS
 
+from ..scanning import scan_numbers
+from .answers import is_answer, late_text
+from .settings import TIMEOUT_S, UdsSettings
 from .table import UdsValue, identifiers_of
 from .twin import UdsTwin
 
-#: How often values and codes are asked for (s).
-EVERY_S, CODES_EVERY_S = 0.5, 2.0
-#: How long an answer may take (s): it begins within 50 ms (P2), and has several frames.
-TIMEOUT_S = 0.15
 #: How long after `response_pending` (s), until a session says otherwise: P2* of ISO 14229-2.
 PATIENCE_S = 5.0
 #: A session ends after 5 s without a request (ISO 14229-2); it is kept so often (ns).
 KEEP_NS = 2_000_000_000
 #: One that is busy is asked again, so often and after (ns); it has not done what was asked.
 BUSY_TRIES, BUSY_NS = 5, 50_000_000
-#: So many identifiers fit into a request of one frame.
-AT_ONCE = 3
 #: Of the bytes of a transfer's request these are no data.
 TRANSFER_HEAD = 2
 NO_SESSION = ("service_not_in_this_session", "subfunction_not_in_this_session")
 #: Why a routine is not stopped that does not run any more: ISO 14229-1, RoutineControl.
 OVER = ("sequence_error", *NO_SESSION)
-#: How many bytes behind its service an answer repeats of its request: a sub-function, an identifier, both (ISO 14229-1).
-REPEATED = {
-    "Session": 1,
-    "ResetBegins": 1,
-    "Security": 1,
-    "DataTransferred": 1,
-    "DataWritten": 2,
-    "Routine": 3,
-}
 #: The identifier of the session that it is in, and the default one there (ISO 14229-1, C.1 and 10.2).
 ACTIVE_SESSION, DEFAULT_SESSION = 0xF186, b"\x01"
-
-
-class UdsSettings(msgspec.Struct, frozen=True, kw_only=True):
-    """The driver's own keys in a robot file."""
-
-    identifiers: Annotated[
-        dict[str, Any],
-        Meta(description="a table of values: name = { identifier, type, access, unit, scale, offset, … }"),
-    ] = {}
-    table: Annotated[str, Meta(description="the path of a TOML file with [identifiers]")] | None = None
-    every_s: Annotated[
-        float, Meta(gt=0, description=f"how often values are read (s), {EVERY_S} when absent")
-    ] = EVERY_S
-    codes_every_s: Annotated[
-        float, Meta(ge=0, description=f"how often trouble codes are read (s), {CODES_EVERY_S}; 0: never")
-    ] = CODES_EVERY_S
-    at_once: Annotated[
-        int, Meta(ge=1, le=AT_ONCE, description="how many identifiers one request has, 1 when absent")
-    ] = 1
-    timeout_s: Annotated[
-        float, Meta(gt=0, description=f"how long an answer may take (s), {TIMEOUT_S} when absent")
-    ] = TIMEOUT_S
-    session: Annotated[
-        str, Meta(description="the session in which it takes what is written, extended when absent")
-    ] = "extended"
-    level: Annotated[
-        int, Meta(ge=0, le=0x7D, description="the level, an odd number, that enable unlocks; 0: none")
-    ] = 0
-    routines: Annotated[
-        dict[str, int], Meta(description="names of routines and their numbers: { erase = 0xFF00 }")
-    ] = {}
 
 
 class Uds(Device):
@@ -183,22 +136,15 @@ class Uds(Device):
     def polls_of(self, name: str) -> list[Poll]:
         """The poll that reads the signal."""
         own = name.partition(".")[2]
+        if own in ("codes", "trouble"):
+            return [poll for poll in self.polls if poll.message == "ReadCodes"]
         found = self._value_polls.get(own)
-        if found is not None:
-            return [poll for poll in self.polls if poll.fields == found.fields]
-        return (
-            [poll for poll in self.polls if poll.message == "ReadCodes"]
-            if own in ("codes", "trouble")
-            else []
-        )
+        return [poll for poll in self.polls if found is not None and poll.fields == found.fields]
 
     def start(self) -> Job | None:
         """Read what is read once."""
-        once = [
-            name
-            for name, one in self.table.items()
-            if one.entry.access != "write" and name not in self._value_polls
-        ]
+        unread = (one for one in self.table.values() if one.entry.access != "write")
+        once = [one.name for one in unread if one.name not in self._value_polls]
         if not once:
             return None
 
@@ -217,12 +163,12 @@ class Uds(Device):
             self.last_received = instant
             self.host.prolong(self, self.patience_s)
             return
-        asked = next((one for one in self.awaiting if _is_answer(record, one)), None)
+        asked = next((one for one in self.awaiting if is_answer(record, one)), None)
         if asked is None:
             is_awaited = any(name in one.reply for one in self.awaiting)
             if is_awaited or (name == "Session" and not self.host.passive):
                 self.last_received = instant
-                self.emit_event("late reply", f"{_shown(record)}, which nothing asks for now")
+                self.emit_event("late reply", f"{late_text(record)}, which nothing asks for now")
                 # What was begun is not known to be over, and is nothing to go on with.
                 self.is_engaged |= name == "Session" and str(record.session) != "default"
                 return
@@ -589,51 +535,6 @@ class Uds(Device):
         return self.job("look which session it is in", steps)
 
 
-def _content(packet: Any) -> bytes:
-    """What a request says, as far as its first frame has it: its service and what follows (ISO 15765-2)."""
-    data: bytes = (packet[0] if isinstance(packet, tuple) else packet).data
-    return data[2:] if data[0] >> 4 else data[1 : 1 + data[0]]
-
-
-def _is_answer(record: Any, ticket: Ticket) -> bool:
-    """Whether a record answers a request: by the service, and by what an answer repeats of its request."""
-    name = type(record).__name__
-    if name == "Refused":
-        return bool(SERVICE_OF[ticket.message] == record.service)
-    if name not in ticket.reply:
-        return False
-    said, asked = record.meta.raw, _content(ticket.packet)
-    if ticket.message == "ReadData":
-        return said[1:3] in [asked[at : at + 2] for at in range(1, len(asked), 2)]
-    size = REPEATED.get(name, 0)
-    return bool(said[1 : 1 + size] == asked[1 : 1 + size])
-
-
-def _shown(record: Any) -> str:
-    """An answer that is too late, in few words."""
-    name = type(record).__name__
-    return (
-        f"{record.service} was refused: {record.reason}"
-        if name == "Refused"
-        else f"{name} {record.meta.raw[1:4].hex(' ').upper()}"
-    )
-
-
-def _scan(host: Host, job: Job) -> Steps:
-    """Ask each of the eight ECUs whether it is there, which changes nothing."""
-    found: list[DeviceConfig] = []
-    for ecu in range(8):
-        job.progress, job.text = ecu / 8, f"ECU {ecu}, {len(found)} found"
-        who = {"ecu": ecu}
-        answers = ("TesterSeen", "Refused")
-        there = yield from host.answers(
-            "uds", who, "TesterPresent", reply=answers, timeout_s=TIMEOUT_S, retries=0, none=0, suppress=0
-        )
-        if there is not None:
-            found.append(DeviceConfig(name=f"ECU{ecu}", driver="uds", bus=host.name, credentials=who))
-    return found
-
-
 EXAMPLE = """
 name = "uds"
 rate_hz = 20
@@ -675,6 +576,18 @@ driver = Driver(
     example=EXAMPLE,
     doc="An ECU by UDS: values by identifier from a table, trouble codes, sessions, seed and key, routines, downloads.",
     source="ISO 14229-1; ISO 14229-2; ISO 15765-4",
-    scan=_scan,
+    # Whether it is there, which changes nothing.
+    scan=scan_numbers(
+        "uds",
+        "ECU",
+        "ecu",
+        range(8),
+        "TesterPresent",
+        reply=("TesterSeen", "Refused"),
+        timeout_s=TIMEOUT_S,
+        retries=0,
+        none=0,
+        suppress=0,
+    ),
     settings=described(UdsSettings),
 )

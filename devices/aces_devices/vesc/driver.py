@@ -22,6 +22,7 @@ from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError
 from aces_protocols.vesc_uart.spec import mask_of
 
+from ..scanning import scan_numbers
 from .twin import VescTwin, VescUartTwin
 from .wires import CanWire, SerialWire
 
@@ -362,21 +363,6 @@ PATIENCE_S = 0.02
 SCANNER = 254
 
 
-def _scan(host: Host, job: Job) -> Steps:
-    """Ping every number; a ping changes nothing, and does not feed a time-out."""
-    found: list[DeviceConfig] = []
-    for number in range(254):
-        job.progress, job.text = number / 254, f"number {number}, {len(found)} found"
-        answer = yield from host.answers(
-            "vesc", {"id": number}, "Ping", reply="Pong", timeout_s=PATIENCE_S, retries=0, host=SCANNER
-        )
-        if answer is not None and str(answer.hardware) == "vesc":
-            found.append(
-                DeviceConfig(name=f"VESC{number}", driver="vesc", bus=host.name, credentials={"id": number})
-            )
-    return found
-
-
 def _scan_line(host: Host, job: Job) -> Steps:
     """Ask for the version."""
     answer = yield from host.answers("vesc_uart", {}, "GetFirmware", reply="Firmware", timeout_s=0.1)
@@ -410,7 +396,19 @@ driver = Driver(
     example=EXAMPLE,
     doc="VESC motor controller on CAN: a motor by duty, current, speed or position.",
     source="vedderb/bldc comm/comm_can.c, comm/commands.c, timeout.c",
-    scan=_scan,
+    # A ping changes nothing, and does not feed a time-out.
+    scan=scan_numbers(
+        "vesc",
+        "VESC",
+        "id",
+        range(254),
+        "Ping",
+        reply="Pong",
+        timeout_s=PATIENCE_S,
+        retries=0,
+        host=SCANNER,
+        known=lambda pong: {} if str(pong.hardware) == "vesc" else None,
+    ),
     settings=described(VescSettings),
 )
 

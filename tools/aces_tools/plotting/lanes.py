@@ -30,6 +30,8 @@ from .signal_lanes import Arrivals, LaneSignals, SignalLane, arrival_rates, is_o
 MOST_LANES = 48
 #: Inches: a lane, and what is left, right, above and below of all; beside the levels of signals; between A and B.
 LANE, LEFT, RIGHT, ABOVE, BELOW, LEVELS, BETWEEN = 0.24, 0.2, 0.55, 0.62, 0.5, 0.75, 0.2
+#: Share of the time shown that is left free at each end: a single frame at the beginning is seen.
+EDGE = 0.004
 #: Inches of a letter of the names beside the lanes, and letters of the longest one.
 LETTER, LONGEST = 0.062, 60
 SHADES = ("#E9E9E9", "#0072B2")
@@ -258,7 +260,8 @@ class LanePicture:
                     lane.draws[part](ax, lane.top)
                 if lane.top:
                     ax.axhline(lane.top, color="#F0F0F0", linewidth=0.6, zorder=0)
-            ax.set_xlim(low, high)
+            margin = EDGE * (high - low)
+            ax.set_xlim(low - margin, high + margin)
             ax.set_ylim(height, 0)
             ax.grid(False)
             ax.tick_params(axis="y", length=0)
@@ -312,7 +315,7 @@ def _shade_lane(ax: Any, top: float, shown: Shades, low: float, high: float) -> 
         vmax=high,
     )
     clip = Rectangle((shown.first, top), shown.end - shown.first, LANE, transform=ax.transData)
-    drawn.set_clip_path(clip)
+    drawn.set_clip_path(clip.get_path(), clip.get_transform())  # beside the box of the axes, not in its place
 
 
 def _write_levels(ax: Any, lanes: Sequence[Lane]) -> None:

@@ -161,6 +161,9 @@ def panels_of(
                     panel.axes[place].append(line)
         for panel in found.values():
             panel.axes = [axis for axis in panel.axes if axis]
+            units = dict.fromkeys(line.unit for line in panel.lines)
+            if panel.sort == "numbers" and len(panel.axes) == 1 and len(units) == 2 and all(units):
+                panel.axes = [[line for line in panel.lines if line.unit == unit] for unit in units]
             panels.append(panel)
     if sum(len(panel.lines) for panel in panels) > MOST_LINES:
         raise too_many(panels[0].lines[0].series)

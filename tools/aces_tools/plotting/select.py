@@ -328,6 +328,7 @@ def _missing(pattern: SignalPattern, messages: dict[tuple[str, str], Declared]) 
     wanted = pattern.name if pattern.rest is None else f"{pattern.name}.{pattern.rest}"
     names = {signal.name: signal.name for signal in every}
     names.update({signal.path: signal.name for signal in every})
+    names.update({message: f"{message}.*" for _, message in messages})
     lower = {name.lower(): full for name, full in names.items()}
     bare = wanted.replace("*", "").replace("?", "").lower()
     close = difflib.get_close_matches(bare, lower, n=NEAR, cutoff=0.5)

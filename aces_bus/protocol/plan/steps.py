@@ -1,0 +1,63 @@
+"""What a raw number means: the steps that lead from the wire to the record."""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class Scale(msgspec.Struct, frozen=True):
+    """physical = raw × scale + offset; raw values in `unknown` are None, those in `names` their name.
+
+    `bounds` (physical) and `raw_bounds` are what may be sent; `rounding` is how a physical value becomes an integer.
+    """
+
+    scale: float
+    offset: float
+    unknown: tuple[float, ...] | range = ()
+    bounds: tuple[float, float] | None = None
+    raw_bounds: tuple[int, int] | None = None
+    rounding: str = "nearest"
+    #: (raw, name) of raw values that are no quantity.
+    names: tuple[tuple[int, str], ...] = ()
+
+    def physical(self, raw: float) -> float:
+        """A raw number in its unit, computed as everywhere."""
+        scaled = raw * self.scale if self.scale != 1 else raw
+        return scaled + self.offset if self.offset else scaled
+
+    @property
+    def unknown_runs(self) -> tuple[tuple[float, float], ...]:
+        """The raw values that mean unknown, as (least, greatest) of each; a range is one."""
+        if isinstance(self.unknown, range):
+            low, high = sorted((self.unknown[0], self.unknown[-1]))  # its ends: min() would walk it
+            return ((low, high),)
+        return tuple((value, value) for value in self.unknown)
+
+    @property
+    def limits(self) -> tuple[float, float] | None:
+        """What may be sent, in the unit; None where nothing is stated."""
+        if self.bounds is not None or self.raw_bounds is None:
+            return self.bounds
+        low, high = sorted(raw * self.scale + self.offset for raw in self.raw_bounds)
+        return low, high
+
+
+class ValueNames(msgspec.Struct, frozen=True):
+    """Raw number to name."""
+
+    values: tuple[tuple[int, str], ...]
+
+
+class FlagBits(msgspec.Struct, frozen=True):
+    """Flag name to bit number."""
+
+    bits: tuple[tuple[str, int], ...]
+
+
+class Magnitude(msgspec.Struct, frozen=True):
+    """Sign and magnitude of `width` bits: part of the raw value, not of its meaning."""
+
+    width: int
+
+
+Step = Scale | ValueNames | FlagBits | Magnitude
