@@ -13,7 +13,6 @@ from .device import Device
 from .drivers import Driver, list_drivers, load_driver, use_driver_file
 from .events import DeviceEvent, EventLog
 from .host import Host
-from .j1939 import J1939Sender
 from .motor import MotorDevice
 from .packet_sender import PacketSender
 from .port import Port
@@ -37,7 +36,6 @@ __all__ = [
     "Gains",
     "Home",
     "Host",
-    "J1939Sender",
     "Job",
     "Joint",
     "JointModel",

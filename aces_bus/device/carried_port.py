@@ -1,10 +1,11 @@
 """A port for protocols with transports: packets go out frame by frame, as fast as their receivers allow.
 
-1. A packet that needs a go-ahead (flow control) sends its first frame and waits for it; without one in time it fails, and
-   says so. Nothing is sent again.
-2. First frames of packets for us are answered with a go-ahead; a port that may not send (a passive host) answers none.
+1. A packet that needs a go-ahead (flow control, clear to send) sends its first frame and waits for it; without one in time
+   it fails, and says so. Frames are sent again where the receiver asks for them (`outgoing_packet`).
+2. First frames of packets for us are answered with a go-ahead, and what transports want behind it (`incoming_packet`); a
+   port that may not send (a passive host) answers none.
 3. Packets that frames do not tell apart (mostly: of one identifier) go out one behind the other: what comes between its
-   frames would end one. A stop does.
+   frames would end one. A stop does, and ends what is under way to the same device.
 4. Where a transport wants pauses between frames (a broadcast's), they are kept.
 5. All of it runs on the clock of the port below, in life and in virtual time alike.
 
@@ -14,103 +15,18 @@ A packet is one frame, or a tuple of its frames.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from functools import partial
 from typing import Any, Literal
 
 from ..frames import Frame
 from ..protocol import Variant
-from ..protocol.declare.transport import Steering, Transport
+from ..protocol.declare.transport import Transport
 from ..protocol.keys import EXTENDED, key_of
 from ..runtime import EventClock
+from .incoming_packet import IncomingPacket
+from .outgoing_packet import OutgoingPacket
 from .port import Left, Port
-
-#: How often a receiver may ask for patience with one packet.
-MOST_WAITS = 16
-
-
-class _Outgoing:
-    """A packet that is on its way out."""
-
-    def __init__(
-        self, port: CarriedPort, frames: Sequence[Frame], send: Callable[..., bool], report: Left | None
-    ) -> None:
-        self.port, self.send, self._report = port, send, report
-        self.frames, self.opening = frames, frames[0].data
-        self.left = deque(frames)
-        #: How many frames may still go before the next go-ahead (None: all), and the time between two.
-        self.allowed: int | None = 0
-        self.gap_ns = port.pause_of(frames)
-        self.waits = 0
-        self.has_begun = False
-        self.timer: Any = None
-
-    def begin(self, waits: bool) -> bool:
-        """Send the first frame; without a handshake all of them. Not when it was ended while it waited for its turn."""
-        if not self.left:
-            return False
-        self.has_begun = True
-        if not waits:
-            self.allowed = None
-            return self.go_on()
-        taken = self.send(self.left.popleft())
-        self.wait()
-        return taken
-
-    def wait(self) -> None:
-        """Wait for a go-ahead, so long."""
-        self.restart(round(self.port.timeout_of(self) * 1e9), self.late)
-
-    def late(self) -> None:
-        self.end("expired", "its receiver gave no go-ahead in time")
-
-    def steered(self, steering: Steering) -> None:
-        """Its receiver says how to go on; before it has begun, that was another packet's."""
-        if not self.has_begun:
-            return
-        if steering.go == "stop":
-            self.end("dropped", "its receiver cannot take it")
-        elif steering.go == "wait":
-            self.waits += 1
-            if self.waits > MOST_WAITS:
-                self.end("expired", "its receiver asked for patience too often")
-            else:
-                self.wait()
-        elif self.allowed == 0:
-            self.allowed, self.gap_ns = steering.frames or None, steering.gap_ns
-            self.go_on()
-
-    def go_on(self) -> bool:
-        """Send what may go."""
-        while self.left:
-            if self.allowed == 0:
-                self.wait()
-                return True
-            frame = self.left.popleft()
-            if not self.send(frame):
-                self.end("dropped", "the bus does not take it")
-                return False
-            if self.allowed is not None:
-                self.allowed -= 1
-            if self.gap_ns and self.left:
-                self.restart(self.gap_ns, self.go_on)
-                return True
-        self.end("sent", "")
-        return True
-
-    def restart(self, delay_ns: int, action: Callable[[], Any]) -> None:
-        if self.timer is not None:
-            self.timer.cancel()
-        self.timer = self.port.clock.call_in(delay_ns, action)
-
-    def end(self, fate: str, why: str) -> None:
-        """It is over; say what became of it, and let the next one go."""
-        if self.timer is not None:
-            self.timer.cancel()
-        self.left.clear()
-        self.port.ended(self, fate == "sent")
-        if self._report is not None:
-            self._report(fate, why)
 
 
 class CarriedPort:
@@ -124,8 +40,10 @@ class CarriedPort:
         self._transports = list(dict.fromkeys(m.transport for m in messages if m.transport is not None))
         self._messages = messages
         self._carried: dict[int, Transport | None] = {}
-        #: By `turn_of`: packets on their way out, the first one under way.
-        self._out: dict[int, deque[tuple[_Outgoing, bool]]] = {}
+        #: By what they take turns for: packets on their way out, the first one under way.
+        self._out: dict[int, deque[OutgoingPacket]] = {}
+        #: Packets for us that are under way, by transport (its `id`: a hash of all its kinds takes long) and session.
+        self._in: dict[tuple[int, Hashable], IncomingPacket] = {}
         #: Packets that did not leave whole.
         self.failed = 0
 
@@ -149,6 +67,11 @@ class CarriedPort:
         """As of the port below."""
         return self.port.half_duplex
 
+    @property
+    def under_way(self) -> int:
+        """How many packets with a handshake, or that wait for their turn, are on their way, out and in."""
+        return sum(map(len, self._out.values())) + len(self._in)
+
     def open(self, received: Callable[[Any, int], Any]) -> None:
         """Start receiving: `received(frame, instant)` has every frame; those that steer are acted on before."""
 
@@ -168,10 +91,12 @@ class CarriedPort:
 
     def close(self) -> None:
         """Stop receiving; what is on its way ends."""
-        for waiting in [*self._out.values()]:
-            for outgoing, _ in [*waiting]:
+        out, self._out = self._out, {}
+        for waiting in out.values():
+            for outgoing in waiting:
                 outgoing.end("dropped", "the port was closed")
-        self._out.clear()
+        for incoming in [*self._in.values()]:
+            incoming.end()
         self.port.close()
 
     def send(
@@ -188,82 +113,96 @@ class CarriedPort:
             return self.port.send(packet, age_ns, urgent=urgent, topic=topic, report=report)
         frames: tuple[Frame, ...] = packet
         key = _key(frames[0])
-        transport, turn = self._transport_of(key), self._turn_of(frames)
-        if transport is not None and len(packet) > 1 and (why := transport.refuses(key)):
+        transport = self._transport_of(key)
+        if transport is not None and len(frames) > 1 and transport.unsendable:
             if report is not None:
-                report("dropped", f"{transport.title}: {why}")
+                report("dropped", f"{transport.title}: {transport.unsendable}")
             self.failed += 1
             return False
+        turn = key if transport is None else transport.in_turn(key)
         if urgent:  # what is under way gives way to a stop
-            for outgoing, _ in [*self._out.get(turn, ())]:
-                outgoing.end("dropped", "a stop overtook it")
-        if len(packet) == 1 and turn not in self._out:
+            for number, waiting in [*self._out.items()]:
+                for outgoing in [*waiting]:
+                    if number == turn or (topic is not None and outgoing.topic is topic):
+                        outgoing.end("dropped", "a stop overtook it", "overtaken")
+        if len(frames) == 1 and (urgent or turn not in self._out):
             return self.port.send(frames[0], age_ns, urgent=urgent, topic=topic, report=report)
 
-        def send(frame: Frame) -> bool:
-            return self.port.send(frame, 0, urgent=urgent, topic=topic)
+        def send(frame: Frame, left: Left) -> bool:
+            return self.port.send(frame, 0, urgent=urgent, topic=topic, report=left)
 
-        waits = transport is not None and transport.go_ahead(key, frames[0].data) is not None
-        made = _Outgoing(self, packet, send, report)
+        gone = partial(self._gone, turn)
+        made = OutgoingPacket(frames, key, transport, self.clock, send, gone, report, topic)
         waiting = self._out.setdefault(turn, deque())
-        waiting.append((made, waits))
-        return made.begin(waits) if len(waiting) == 1 else True
+        waiting.append(made)
+        return made.go_on() if len(waiting) == 1 else True
 
-    def timeout_of(self, outgoing: _Outgoing) -> float:
-        """How long a packet waits for its go-ahead (s)."""
-        transport = self._transport_of(_key(outgoing.frames[0]))
-        return transport.timeout_s if transport is not None else 1.0
-
-    def pause_of(self, frames: Sequence[Frame]) -> int:
-        """How long to wait between two frames of a packet (ns), if no flow control says it."""
-        transport = self._transport_of(_key(frames[0]))
-        return round(transport.pause_s(_key(frames[0])) * 1e9) if transport is not None else 0
-
-    def _turn_of(self, frames: Sequence[Frame]) -> int:
-        """What a packet has in common with those that go out before or behind it."""
+    def may_begin(self, frames: Sequence[Frame]) -> bool:
+        """Whether the first of these frames begins a packet, as their transport sees it."""
         key = _key(frames[0])
         transport = self._transport_of(key)
-        return key if transport is None else transport.in_turn(key)
+        return transport is None or transport.part(key, frames[0].data).role in ("first", "single")
 
     def cancel(self, frames: Sequence[Frame], why: str) -> None:
         """Send no more of a packet (the very tuple that `send` was given) that is on its way or waits for its turn."""
-        for outgoing, _ in [*self._out.get(self._turn_of(frames), ())]:
-            if outgoing.frames is frames:
-                outgoing.end("expired", why)
+        for waiting in [*self._out.values()]:
+            for outgoing in [*waiting]:
+                if outgoing.frames is frames:
+                    outgoing.end("expired", why, "timed out")
 
-    def ended(self, outgoing: _Outgoing, is_sent: bool) -> None:
-        """A packet is out of the way: the next one of its key begins."""
+    def _gone(self, turn: int, outgoing: OutgoingPacket, is_sent: bool) -> None:
+        """A packet is out of the way: the next one begins, if it was under way."""
         self.failed += not is_sent
-        turn = self._turn_of(outgoing.frames)
-        waiting = self._out[turn]
-        was_first = waiting[0][0] is outgoing
-        self._out[turn] = waiting = deque(pair for pair in waiting if pair[0] is not outgoing)
+        waiting = self._out.get(turn)
+        if waiting is None or outgoing not in waiting:
+            return
+        was_first = waiting[0] is outgoing
+        waiting.remove(outgoing)
         if not waiting:
             del self._out[turn]
         elif was_first:
-            following, waits = waiting[0]
-            self.clock.call_soon(partial(following.begin, waits))
+            self.clock.call_soon(waiting[0].go_on)
 
     def _steer(self, frame: Any) -> None:
-        """What a received frame asks for: to go on with a packet of ours, or a go-ahead for one of its sender's."""
+        """What a received frame asks for: to go on with a packet of ours, or an answer for one of its sender's."""
         if not isinstance(frame, Frame) or frame.is_remote_frame or frame.is_error_frame:
             return
         key = _key(frame)
         transport = self._transport_of(key)
-        if transport is None:
+        if transport is None or not transport.has_handshake:
             return
-        steering = transport.steering(key, frame.data)
-        if steering is not None:
-            waiting = self._out.get(transport.in_turn(steering.key))
-            if waiting and waiting[0][0].opening.startswith(steering.address):
-                waiting[0][0].steered(steering)
+        data = frame.data
+        steering = transport.steering(key, data)
+        if steering is not None and (waiting := self._out.get(transport.in_turn(steering.key))):
+            waiting[0].steered(steering)
+        part = transport.part(key, data)
+        incoming = self._in.get((id(transport), part.session))
+        if part.role == "next":
+            if incoming is not None:
+                incoming.take(key, data)
+        elif part.role in ("first", "single", "abort"):
+            if part.role == "abort" and incoming is None:
+                incoming = self._in.get((id(transport), part.other))
+            if incoming is not None:
+                incoming.end()
+            if part.role == "first" and self._is_ours(key, data):
+                self._let_in(transport, key, data, part.session)
+
+    def _let_in(self, transport: Transport, key: int, data: bytes, session: Hashable) -> None:
+        """A packet for us begins."""
+
+        def over() -> None:
+            self._in.pop((id(transport), session), None)
+
+        if transport.go_ahead(key, data) is None:
             return
-        answer = transport.go_ahead(key, frame.data)
-        if answer is not None and self._is_ours(key, frame.data):
-            number, data = answer
-            self.port.send(
-                Frame(number & 0x1FFF_FFFF, data, is_extended_id=bool(number & EXTENDED), is_fd=transport.fd)
-            )
+        if sum(one == id(transport) for one, _ in self._in) >= transport.senders:
+            if (abort := transport.abort(key, data, "busy", by_sender=False)) is not None:
+                self.port.send(transport.frame(*abort))
+            return
+        made = IncomingPacket(transport, key, data, session, self.clock, self.port.send, over)
+        self._in[id(transport), session] = made
+        made.take(key, data)
 
     def _transport_of(self, key: int) -> Transport | None:
         """Whose frames have a key."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from ..errors import AcesError, CallerError, DeviceError, NoReplyError
@@ -378,11 +379,15 @@ class Host(BusEndpoint[Device]):
             self.counts.not_sent += 1
             self.emit("not sent", device.name, f"{message}: {LISTENS}")
             return False
+        is_reported = report is None and isinstance(packet, tuple) and len(packet) > 1
+        if is_reported:  # what becomes of it is known later, and nobody else asks
+            report = partial(self._ended, device, message)
         if not self._is_open or not self.port.send(
             packet, age_ns, urgent=urgent, topic=device, report=report
         ):
             self.counts.not_sent += 1
-            self.emit("not sent", device.name, f"{message}: the bus does not take it")
+            if not (is_reported and self._is_open):
+                self.emit("not sent", device.name, f"{message}: the bus does not take it")
             return False
         self.counts.sent += 1
         if note is None:
@@ -390,6 +395,11 @@ class Host(BusEndpoint[Device]):
         else:
             note()
         return True
+
+    def _ended(self, device: Device, message: str, fate: str, why: str) -> None:
+        """What became of a packet of several frames."""
+        if fate != "sent":
+            self.emit("not sent", device.name, f"{message}: {why}")
 
     def prolong(self, device: Device, duration_s: float) -> None:
         """A device asks for patience: what was asked of it may be answered for so long from now."""

@@ -1,6 +1,6 @@
 """Packets of several frames over a gate, as their receivers allow: for programs that send a message now and then.
 
-1. The handshake is `CarriedPort`'s, on a loop of its own; frames leave by the gate, whose limits hold.
+1. Handshakes and pauses are `CarriedPort`'s, on a loop of its own; frames leave by the gate, whose limits hold.
 2. Nothing leaves but what `send` was asked for, and go-aheads for packets that are said to be ours.
 """
 
@@ -12,7 +12,7 @@ from functools import partial
 from types import TracebackType
 from typing import Any, Literal, Self
 
-from ..errors import AcesError, DeviceError, NoReplyError
+from ..errors import AcesError, CallerError, DeviceError, NoReplyError
 from ..frames import Frame, message_to_frame
 from ..protocol import Variant
 from ..runtime import Loop
@@ -25,7 +25,7 @@ def _of_others(key: int, data: bytes) -> bool:
 
 
 class PacketSender:
-    """Sends the frames of messages over a `CanGate` that is open; a packet waits for flow control, and obeys it.
+    """Sends the frames of messages over a `CanGate` that is open; a packet waits for its receiver's go-aheads, and obeys.
 
         with CanGate({"interface": "socketcan", "channel": "can0"}) as gate, PacketSender(gate, [uds.variant()]) as sender:
             sender.send(uds.encode("WriteData", ecu=0, identifier=0x123, data=bytes(100)))
@@ -56,12 +56,14 @@ class PacketSender:
         self._loop.stop()
 
     def send(self, frames: Sequence[Any], *, timeout_s: float = 30.0) -> None:
-        """Send what `encode` gave, until all of it has been given to the gate.
+        """Send what `encode` gave, until all of it has left, and is acknowledged where the transport has that.
 
-        Raises what the gate raises; `NoReplyError` where the receiver gives no go-ahead in time, `DeviceError` where it
-        cannot take the packet.
+        Raises what the gate raises; `CallerError` for frames that are no packet; `NoReplyError` where the receiver gives no
+        go-ahead or acknowledgement in time, `DeviceError` where it cannot take the packet.
         """
         packet = tuple(one if isinstance(one, Frame) else message_to_frame(one) for one in frames)
+        if not packet or not self._port.may_begin(packet):
+            raise CallerError("no packet: give all frames that encode gave, in their order")
         over = threading.Event()
         fates: list[tuple[str, str]] = []
 
@@ -116,8 +118,13 @@ class _StartedGate:
         report: Left | None = None,
     ) -> bool:
         """Queue a frame, behind all that were queued before; False, and why in `refusal`, where the gate refuses it."""
+
+        def left(fate: str, why: str) -> None:
+            if report is not None:
+                self.clock.call_soon(partial(report, fate, why))
+
         try:
-            return bool(self.gate.send(packet, priority=0, report=report))
+            return bool(self.gate.send(packet, priority=0, report=left))
         except AcesError as error:
             self.refusal = error
             return False

@@ -19,7 +19,6 @@ from ..errors import CallerError
 from ..protocol import CanScanner, StreamScanner, Variant, make_scanner
 from ..protocol import Unknown as UnknownRecord
 from ..protocol.declare.message import Message
-from ..protocol.keys import EXTENDED
 from ..protocol.record import protocol_name_of
 from ..runtime import EventClock, Timer
 from .carried_port import CarriedPort
@@ -239,18 +238,18 @@ class BusEndpoint(Generic[M]):
 
     def _is_carried_to_us(self, key: int, data: bytes) -> bool:
         """Whether the packet that a frame begins is for a member here: it is answered with a go-ahead."""
-        identifier, extended = key & 0x1FFF_FFFF, bool(key & EXTENDED)
+        other: Literal["to device", "from device"] = (
+            "to device" if self.direction == "from device" else "from device"
+        )
         for member in self.members.values():
+            sent = member.variant.messages_for(other)
             for message in member.variant.messages_for(self.direction):
-                captures = message.identifier.match(identifier) if message.transport is not None else None
-                if captures is None or message.extended != extended or not member.is_listening:
-                    continue
-                assert message.transport is not None
-                inside = message.transport.addressed(key, data)
-                if inside is None:
-                    continue
-                found = {**captures, **inside}
-                if all(found.get(name, number) == number for name, number in member.credentials.items()):
+                transport = message.transport
+                if (
+                    transport is not None
+                    and member.is_listening
+                    and transport.is_for(key, data, message, member.credentials, sent)
+                ):
                     return True
         return False
 

@@ -300,8 +300,14 @@ class Twins(BusEndpoint[Twin]):
 
     def send(self, packet: Any) -> None:
         """Put a packet on the bus."""
-        if not self._is_open or not self.port.send(packet):
+        if self._is_open and isinstance(packet, tuple) and len(packet) > 1:
+            self.port.send(packet, report=self._ended)
+        elif not self._is_open or not self.port.send(packet):
             self.not_sent += 1
+
+    def _ended(self, fate: str, why: str) -> None:
+        """What became of a packet of several frames."""
+        self.not_sent += fate != "sent"
 
     def close(self) -> None:
         """Stop receiving and sending."""

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
         top,
     )
     from .declare.framing import Escaped, Framing, Trailer
+    from .declare.handshake import AnswerTimes, Steering
     from .declare.isotp import IsoTp
     from .declare.item_list import ItemList
     from .declare.items import Items
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
     from .reference import Reference
 
 __all__ = [
+    "AnswerTimes",
     "AsciiDegrees",
     "AsciiEnumeration",
     "AsciiInteger",
@@ -108,6 +110,7 @@ __all__ = [
     "SignMagnitude",
     "Slip",
     "Split",
+    "Steering",
     "StreamScanner",
     "Sum",
     "TailByte",
@@ -139,6 +142,7 @@ __getattr__, __dir__ = lazy_names(
         ".declare.fast_packet": "FastPacket",
         ".declare.fields": "Counter Enumeration Field Flags FlagSet Multiplexed Quantity Reserved SignMagnitude Text top",
         ".declare.framing": "Escaped Framing Trailer",
+        ".declare.handshake": "AnswerTimes Steering",
         ".declare.isotp": "IsoTp",
         ".declare.item_list": "ItemList",
         ".declare.items": "Items",

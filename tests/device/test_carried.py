@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +13,16 @@ from aces_bus.device import Device, Driver, PacketSender, Twin, on
 from aces_bus.errors import CallerError, NoReplyError
 from aces_bus.frames import Frame
 from aces_bus.hardware import ListeningNode
-from aces_bus.protocol import IdField, IsoTp, Protocol, load_protocol
+from aces_bus.protocol import (
+    FrameKind,
+    FrameNumber,
+    IdField,
+    IsoTp,
+    Protocol,
+    Steering,
+    Transport,
+    load_protocol,
+)
 from aces_bus.robot import VirtualRobot, connect, parse_robot
 from tests.device.ecu import LOAD, robot_of_ecu
 
@@ -186,6 +196,94 @@ def test_a_go_ahead_of_another_unit_is_none() -> None:
         assert [f.arbitration_id for f in recorder.frames()] == [0x618]
         robot.advance(2.0)
         assert "no go-ahead in time" in str(ticket.error)
+
+
+@dataclass(frozen=True)
+class InFours(Transport):
+    """Pieces of seven bytes, at most four behind a go-ahead; all of them are acknowledged, or only let go on."""
+
+    is_thanked: bool = True
+    modulo: int = field(default=128, init=False)
+    kinds: tuple[FrameKind, ...] = field(
+        default=(
+            FrameKind(
+                "first", "opening", ((FrameNumber(0), 0x80),), head=3, size=FrameNumber(1, size=2), least=6
+            ),
+            FrameKind("control", "go on", ((FrameNumber(0), 0x81),)),
+            FrameKind("control", "thanks", ((FrameNumber(0), 0x82),)),
+            FrameKind(
+                "single", "short", ((FrameNumber(0), 0x83),), head=2, size=FrameNumber(1), least=1, most=5
+            ),
+            FrameKind("next", "piece", number=FrameNumber(0)),
+        ),
+        init=False,
+    )
+
+    def go_ahead(self, key: int, data: bytes, start: int = 1, frames: int = 0) -> tuple[int, bytes] | None:
+        return (key ^ 1, bytes([0x81, start, min(frames or 4, 4)])) if data[0] == 0x80 else None
+
+    def acknowledgement(self, key: int, data: bytes) -> tuple[int, bytes] | None:
+        return (key ^ 1, b"\x82") if self.is_thanked and data[0] == 0x80 else None
+
+    def steering(self, key: int, data: bytes) -> Steering | None:
+        if data[0] == 0x81:
+            return Steering("on", key ^ 1, frames=data[2], start=data[1])
+        return Steering("done", key ^ 1) if data[0] == 0x82 else None
+
+
+@pytest.mark.parametrize("is_thanked", [True, False])
+def test_a_transport_of_ones_own_has_a_handshake(is_thanked: bool) -> None:
+    """Blocks of four, asked for one behind the other, both ways; with an acknowledgement, or without."""
+    own = Protocol("own", link="can")
+    carrier = InFours(is_thanked=is_thanked, timeout_s=0.1)
+    for name, number, direction in (("Put", 0x240, "to device"), ("Got", 0x241, "from device")):
+        own.message(
+            name,
+            transport=carrier,
+            id=number,
+            direction="to device" if direction == "to device" else "from device",
+            payload=Struct("data" / GreedyBytes),
+        )
+
+    class OwnDevice(Device):
+        """Only asked."""
+
+        protocol = own
+
+    class OwnTwin(Twin):
+        """Gives back what was put."""
+
+        protocol = own
+
+        @on("Put")
+        def put(self, request: Any) -> None:
+            self.reply("Got", data=request.data[::-1])
+
+    text = """
+    name = "own"
+    [buses]
+    line = { link = "can", protocol = "own" }
+    [devices]
+    A = { driver = "own", bus = "line" }
+    """
+    robot, problems = parse_robot(text)
+    assert robot is not None, problems
+    driver = Driver("own", OwnDevice, OwnTwin, text, doc="its own", source="invented for tests")
+    with VirtualRobot(robot, load={"own": driver}.__getitem__) as made:
+        recorder = ListeningNode(made.wires["line"])
+        data = bytes(range(65))
+        ticket = made.devices["A"].ask("Put", reply="Got", timeout_s=1.0, data=data)
+        made.advance(0.5)
+        assert ticket.result is not None, ticket.error
+        assert ticket.result.data == data[::-1]
+        first = [f.data[0] for f in recorder.frames() if f.arbitration_id == 0x240 or f.data[0] >= 0x80]
+        expected = [0x80, 0x81, 1, 2, 3, 4, 0x81, 5, 6, 7, 8, 0x81, 9, *([0x82] * is_thanked), 0x80]
+        assert first[: len(expected)] == expected
+        # A go-ahead that does not come: the packet is given up on both sides.
+        made.twins["A"].power(False)
+        lost = made.devices["A"].send("Put", data=data)
+        made.advance(0.5)
+        assert "gave no go-ahead in time" in str(lost.error)
 
 
 class PickyGate:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from aces_tools.benchmarks import BenchRow, control, text
+from aces_tools.benchmarks import BenchRow, control, text, transports
 from aces_tools.benchmarks.saved import this_machine
 from tests.tools.conftest import Aces
 
@@ -72,3 +72,19 @@ def test_lines_are_measured_beside_a_peer() -> None:
     assert [row.contender.split()[-1] for row in rows] == ["text", "jsonl", "csv", "--single-line"]
     assert all(row.value > 0 for row in rows)
     assert [row.ratio is not None for row in rows] == [True, True, True, False]
+
+
+def test_loops_with_accounts_have_those_of_columns() -> None:
+    """What columns of packets are measured beside: the same counts on frames that are lost, late and doubled."""
+    by_hand = transports.IsoTpAccounts()
+    for make in (
+        transports.isotp,
+        transports.fast_packets,
+        transports.parameter_groups,
+        transports.transfers,
+    ):
+        protocol, senders = make()
+        peers = [protocol.scanner(), *([by_hand] if make is transports.isotp else [])]
+        transports.accounts(protocol, transports.interleaved(senders), peers)
+    reasons = {reason for _, reason in by_hand.losses}
+    assert {"repeated", "no first frame", "restarted", "timed out", "frame 3 missing"} <= reasons

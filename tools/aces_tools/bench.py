@@ -25,10 +25,11 @@ if TYPE_CHECKING:
 ARGUMENTS: Arguments = (
     argument(
         "subject",
-        choices=["live", "columns", "text", "bus", "control", "robot"],
+        choices=["live", "columns", "transports", "text", "bus", "control", "robot"],
         help="live: one frame or chunk at a time, beside cantools and dynamixel_sdk; columns: whole recordings, beside "
-        "cantools, python-can, polars, asammdf and C; text: whole recordings to lines, beside "
-        "cantools decode; bus: the virtual bus, beside python-can's; "
+        "cantools, python-can, polars, asammdf and C; transports: of these, packets in several frames, beside loops in "
+        "Python and python-can-isotp; text: whole recordings to lines, beside cantools decode; "
+        "bus: the virtual bus, beside python-can's; "
         "control: states, filters and controllers of a control loop, beside deque, np.interp and scipy; "
         "robot: a complete robot on served buses in real time, beside the same with threads",
     ),

@@ -26,10 +26,9 @@ import msgspec
 
 from aces_bus.errors import CallerError, DeviceError, UnknownNameError
 from aces_bus.frames import Frame, message_to_frame
-from aces_bus.protocol import CanScanner, J1939Transport, Meta, Unknown, Variant, make_scanner
+from aces_bus.protocol import CanScanner, Meta, Unknown, Variant, make_scanner
 from aces_bus.protocol.declare.message import Message
 from aces_bus.protocol.draw import picture
-from aces_bus.protocol.keys import EXTENDED
 from aces_bus.recordings import Chunk
 from aces_bus.recordings.candump.line import read_line
 from aces_bus.recordings.text.rows import UnreadableRow
@@ -62,8 +61,8 @@ bytes of a serial line or a datagram.
 --every keeps absolute deadlines: what comes too late is left out and counted
 (late), never made up for. --rate bounds what one call may do to a bus.
 
-A message in several frames waits for its receiver's flow control (ISO-TP), and
-obeys it; with --reply its answer is let go on.
+A message in several frames waits for its receiver's go-aheads (ISO-TP, J1939)
+and obeys them; with --reply its answer is let go on.
 
 --reply prints the decoded answer: the first message that the protocol says
 answers this one, or, where it says nothing of the kind, the first that comes.
@@ -299,10 +298,6 @@ class Sending:
         carrier = None if self.message is None else self.message.transport
         if carrier is None or self.variant is None or (len(self.first) == 1 and self.reply_ns is None):
             return None
-        if isinstance(carrier, J1939Transport):
-            from aces_bus.device import J1939Sender
-
-            return J1939Sender(gate) if len(self.first) > 1 else None
         from aces_bus.device import PacketSender
 
         return PacketSender(gate, [self.variant], self._is_answer)
@@ -311,10 +306,10 @@ class Sending:
         """Whether the packet that a frame begins may be the reply that is waited for."""
         if self.variant is None or self.reply_ns is None:
             return False
+        sent = [self.message] if self.message is not None else []
         for name in answers(self.variant, self.message):
             one = self.variant.messages[name]
-            found = one.identifier.match(key & 0x1FFF_FFFF) if one.extended == bool(key & EXTENDED) else None
-            if found is not None and all(self.fields.get(n, number) == number for n, number in found.items()):
+            if one.transport is not None and one.transport.is_for(key, data, one, self.fields, sent):
                 return True
         return False
 

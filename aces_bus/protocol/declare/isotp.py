@@ -12,9 +12,10 @@ from typing import Any, ClassVar, Literal
 
 from ...errors import SpecError
 from ..keys import EXTENDED
+from .handshake import Steering
 from .pattern import IdPattern, as_pattern
 from .place import caller
-from .transport import FrameKind, FrameNumber, Steering, Transport
+from .transport import FrameKind, FrameNumber, Transport
 
 _TYPE = FrameNumber(0, 0xF0)
 
@@ -138,7 +139,7 @@ class IsoTp(Transport):
                 return self._within(its, data[: self.address])
         return {}
 
-    def go_ahead(self, key: int, data: bytes) -> tuple[int, bytes] | None:
+    def go_ahead(self, key: int, data: bytes, start: int = 1, frames: int = 0) -> tuple[int, bytes] | None:
         """Flow control: go on, with all of it, as fast as you like. None where its identifier or address is not declared."""
         address = data[: self.address]
         back = self.answered_by(key, address)
@@ -158,7 +159,7 @@ class IsoTp(Transport):
         else:
             gap_ns = min(least, 0x7F) * 1_000_000
         go: Literal["on", "wait", "stop"] = "on" if status == 0 else "wait" if status == 1 else "stop"
-        return Steering(go, back[0], block, gap_ns, back[1])
+        return Steering(go, back[0], block, gap_ns, opening=((0, back[1]),))
 
     def identifier(self, direction: str | None) -> IdPattern | None:
         """The identifier of packets in a direction, where the transport names it."""

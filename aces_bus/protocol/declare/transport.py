@@ -11,17 +11,21 @@ told apart otherwise (by their identifiers, say) overrides `part` and `split`.
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 from ...errors import FieldError, SpecError
-from ...frames import FD_LENGTHS
+from ...frames import FD_LENGTHS, Frame
 from ..keys import EXTENDED, REMOTE
 from .checks import Crc
+from .handshake import AnswerTimes, GivenUp, Steering
 from .pattern import IdPattern
 from .place import caller
+
+if TYPE_CHECKING:
+    from .message import Message
 
 #: What a frame is: a whole packet; a packet's first frame; one that follows; one that only steers (flow control, an
 #: acknowledgement); one that ends a packet before its end; none of the transport. Of acknowledged packets also: the receiver
@@ -124,17 +128,6 @@ class FramePart(NamedTuple):
     is_acknowledged: bool = False
 
 
-class Steering(NamedTuple):
-    """What a receiver tells who sends it a packet of `key` and `address`: to go on with `frames` frames (0: all), `gap_ns`
-    from one to the next; to wait; to stop."""
-
-    go: Literal["on", "wait", "stop"]
-    key: int
-    frames: int = 0
-    gap_ns: int = 0
-    address: bytes = b""
-
-
 class AddedCheck(NamedTuple):
     """A CRC that a transport adds to packets of several frames: at the front of them, where it begins with the message's
     `check_extra`, or behind them."""
@@ -177,7 +170,7 @@ class Transport:
 
     #: For people, in messages and docs.
     title: ClassVar[str] = "transport"
-    #: Why devices and twins send no packets of several frames ("" where they do, or where `refuses` says of which not).
+    #: Why devices and twins send no packets of several frames ("" where they do).
     unsendable: ClassVar[str] = ""
 
     fd: bool = False
@@ -351,29 +344,66 @@ class Transport:
 
     # ------------------------------------------------------------------ handshakes
 
-    def refuses(self, key: int) -> str:
-        """Why devices and twins do not send a packet of several frames whose first one has this key; "" where they do."""
-        return self.unsendable
+    @property
+    def answer_times(self) -> AnswerTimes:
+        """How long both ends of a packet with a handshake wait for each other."""
+        return AnswerTimes(*[self.timeout_s] * 4)
+
+    @cached_property
+    def has_handshake(self) -> bool:
+        """Whether it has packets whose senders wait for a go-ahead."""
+        return type(self).go_ahead is not Transport.go_ahead
 
     def pause_s(self, key: int) -> float:
-        """How long to wait between two frames of a packet (s), whose first one has this key; flow control says otherwise."""
+        """How long to wait between two frames of a packet (s), whose first one has this key; a go-ahead says otherwise."""
         return 0.0
 
     def in_turn(self, key: int) -> int:
         """What packets that must not be under way at once have in common, of the keys of their first frames."""
         return key
 
-    def go_ahead(self, key: int, data: bytes) -> tuple[int, bytes] | None:
-        """The frame (key and data) with which a receiver of this frame lets its sender go on; None where none is needed."""
+    def go_ahead(self, key: int, data: bytes, start: int = 1, frames: int = 0) -> tuple[int, bytes] | None:
+        """The frame (key and data) with which the receiver of a packet lets its sender go on; None where none is needed.
+
+        `key` and `data` are those of the packet's first frame. The receiver lacks `frames` frames (0: all that follow) from
+        place `start` on. The answer may ask for fewer: `steering` of it says for how many.
+        """
+        return None
+
+    def acknowledgement(self, key: int, data: bytes) -> tuple[int, bytes] | None:
+        """The frame by which the receiver says that it has the packet with this first frame; None where it says nothing."""
+        return None
+
+    def abort(self, key: int, data: bytes, why: GivenUp, *, by_sender: bool) -> tuple[int, bytes] | None:
+        """The frame by which one end gives up the packet with this first frame; None where ends fall silent."""
         return None
 
     def steering(self, key: int, data: bytes) -> Steering | None:
         """What a frame tells who sends; None of frames that steer nothing."""
         return None
 
+    def frame(self, key: int, data: bytes) -> Frame:
+        """A frame of its own: what these give."""
+        return Frame(key & 0x1FFF_FFFF, data, is_extended_id=bool(key & EXTENDED), is_fd=self.fd)
+
     def addressed(self, key: int, data: bytes) -> dict[str, int] | None:
         """What the address in a frame captures beside its identifier; None where it is for nobody."""
         return {}
+
+    def is_for(
+        self, key: int, data: bytes, message: Message, known: Mapping[str, object], sent: Iterable[Message]
+    ) -> bool:
+        """Whether the packet that a first frame begins may be this message, to who takes it.
+
+        `known` are the values of fields that messages to it and of it have, as its credentials; `sent` is what it sends
+        itself.
+        """
+        packet = self.part(key, data).key
+        captures = message.identifier.match(packet & 0x1FFF_FFFF)
+        inside = self.addressed(key, data)
+        if captures is None or inside is None or message.extended != bool(packet & EXTENDED):
+            return False
+        return all(known.get(name, number) == number for name, number in (captures | inside).items())
 
     # ------------------------------------------------------------------ writing
 
@@ -441,4 +471,4 @@ class Transport:
         )
 
 
-__all__ = ["FrameKind", "FrameNumber", "FramePart", "Role", "Steering", "Transport"]
+__all__ = ["FrameKind", "FrameNumber", "FramePart", "Role", "Transport"]

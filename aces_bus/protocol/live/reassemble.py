@@ -321,6 +321,14 @@ class Reassembler:
         """Whether no packet is under way, and no session lost."""
         return not self._open
 
+    def missing(self, channel: Any, session: Hashable) -> list[int]:
+        """The places of the frames that a packet under way lacks; of one of unknown size all that may follow."""
+        found = self._open.get((channel, session))
+        if not isinstance(found, _Open):
+            return []
+        end = found.total or found.due + self.transport.longest
+        return [place for place in range(found.due, end) if place not in found.pieces]
+
     def under_way(self) -> list[CarriedFrame]:
         """The frames of packets under way."""
         return [frame for found in self._open.values() for frame in found.frames]

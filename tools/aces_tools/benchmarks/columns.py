@@ -82,7 +82,7 @@ def run(*, quick: bool, frames: int | None = None) -> list[BenchRow]:
         rows += _blf(subject, rounds)
         rows += _mf4(subject, rounds)
 
-    return rows + transports.rows(quick=quick) + stream_rows(quick=quick)
+    return rows + transports.run(quick=quick) + stream_rows(quick=quick)
 
 
 @contextmanager
