@@ -369,7 +369,6 @@ class Host(BusEndpoint[Device]):
         device: Device,
         message: str,
         age_ns: int = 0,
-        *,
         urgent: bool = False,
         report: Left | None = None,
         note: Callable[[], None] | None = None,

@@ -57,6 +57,7 @@ class PollSlot:
         "poll",
         "priority",
         "replies",
+        "ticket",
         "timeout_ns",
         "waiting",
         "wire_ns",
@@ -66,21 +67,26 @@ class PollSlot:
         #: How long its packet occupies the bus.
         self.wire_ns = wire_ns
         self.device = device
+        self.replies = poll.replies
+        #: The ticket of each of its rounds, which follow one another; `waiting` while there is no answer.
+        self.ticket = Ticket(
+            device.clock, device, poll.message, packet, self.replies, round(poll.timeout_s * 1e9), 0, self
+        )
+        self.waiting: Ticket | None = None
         self.ask_with(packet, None)
         self.priority = priority_of(device.config)
         #: It asks everybody: when several devices want it in one tick, it is sent once.
         self.common = not tags_of(device, device.variant[poll.message])
         self.retime(poll)
-        self.timeout_ns = round(poll.timeout_s * 1e9)
-        self.replies = poll.replies
+        self.timeout_ns = self.ticket.timeout_ns
         self.due = self.asked_at = 0
-        self.waiting: Ticket | None = None
         #: What it costs on the wire, with its answer; learnt.
         self.cost_ns = 2 * wire_ns
 
     def ask_with(self, packet: Any, note: Callable[[], None] | None) -> None:
         """Ask with this packet; `note` is called when it has left (None: the scanner is given the packet)."""
-        self.packet, self.note = packet, note
+        self.packet = self.ticket.packet = packet
+        self.note = note
 
     def retime(self, poll: Poll) -> None:
         """Have this poll's period."""

@@ -131,30 +131,32 @@ class Polling:
         """Ask what is due, as far as the budget goes, of which `used` ns are taken."""
         host, slots = self.host, self.slots
         most = self._polls_end - now
-        for _ in range(len(slots)):
-            slot = slots[0]
-            if self._is_due(slot, now):
-                if used + slot.cost_ns > most or host.clock.now() > self._polls_end:
-                    carried = sum(1 for one in slots if self._is_due(one, now))
-                    host.counts.polls_carried += carried
-                    host.emit(
-                        "overrun",
-                        "",
-                        f"{carried} polls did not fit into a tick of {host.period_ns / 1e6:g} ms",
-                    )
-                    break
+        if host.clock.now() > self._polls_end:  # this machine was held up
+            most = used
+        asked = 0
+        for slot in tuple(slots):
+            ticket = slot.waiting
+            if slot.due <= now if ticket is None else self._is_overdue(slot, ticket, now):
                 used += slot.cost_ns
-                if slot.waiting is None:
+                if used > most:
+                    self._carry(now)
+                    break
+                if ticket is None:
                     self.take(slot, now)
                 else:
-                    self._ask_again(slot.waiting, now)
-            slots.rotate(-1)
+                    self._ask_again(ticket, now)
+            asked += 1
+        slots.rotate(-asked)
 
-    def _is_due(self, slot: PollSlot, now: int) -> bool:
-        """Whether a slot is to be asked in this tick, or again as its answer is overdue."""
-        ticket = slot.waiting
-        if ticket is None:
-            return slot.due <= now
+    def _carry(self, now: int) -> None:
+        """What is due and not asked yet has to wait for the next tick."""
+        host = self.host
+        due = [s.due <= now if s.waiting is None else self._is_overdue(s, s.waiting, now) for s in self.slots]
+        host.counts.polls_carried += sum(due)
+        host.emit("overrun", "", f"{sum(due)} polls did not fit into a tick of {host.period_ns / 1e6:g} ms")
+
+    def _is_overdue(self, slot: PollSlot, ticket: Ticket, now: int) -> bool:
+        """Whether what was asked is to be asked again in this tick, as there is no answer."""
         period = self.host.period_ns
         if ticket.tries > ASKED_AGAIN or not period or ticket.device.is_silent or slot.common:
             return False  # what asks everybody would be answered by all, and those who had answered would seem to be two
@@ -223,17 +225,8 @@ class Polling:
         else:
             slot.due = now
         slot.asked_at = now
-        ticket = Ticket(
-            host.clock,
-            slot.device,
-            slot.poll.message,
-            slot.packet,
-            slot.replies if reply is None else reply,
-            slot.timeout_ns,
-            0,
-            slot,
-        )
-        slot.waiting = ticket
+        slot.waiting = ticket = slot.ticket
+        ticket.tries, ticket.reply = 0, slot.replies if reply is None else reply
         host.counts.polls += 1
         if line is not None and reply is None:
             line.poll(slot, ticket, now)
@@ -244,5 +237,5 @@ class Polling:
             if slot.common:
                 self._asked_all[slot.packet] = now
             ticket.tries = 1
-            host.transmit(slot.packet, slot.device, ticket.message, slot.timeout_ns, note=slot.note)
+            host.transmit(slot.packet, slot.device, ticket.message, slot.timeout_ns, False, None, slot.note)
         host.unanswered.wait_for(ticket, now)

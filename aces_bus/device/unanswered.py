@@ -36,10 +36,11 @@ class Unanswered:
         self.host, self.clock = host, host.clock
         #: When an answer was last received.
         self.received_at = 0
-        self._deadlines: list[tuple[int, int, Ticket]] = []
+        #: By deadline, who waits until then, and who did: polls of one tick have few; and the deadlines as a heap.
+        self._waiting: dict[int, list[Ticket]] = {}
+        self._deadlines: list[int] = []
         self._timer: Timer | None = None
         self._is_hearing = False
-        self._serial_number = 0
 
     # ------------------------------------------------------------------ waiting
 
@@ -61,8 +62,12 @@ class Unanswered:
     def _watch(self, ticket: Ticket, deadline: int) -> None:
         """See to it that a ticket's deadline is looked at."""
         ticket.deadline = deadline
-        self._serial_number += 1
-        heappush(self._deadlines, (deadline, self._serial_number, ticket))
+        waiting = self._waiting.get(deadline)
+        if waiting is not None:
+            waiting.append(ticket)
+            return
+        self._waiting[deadline] = [ticket]
+        heappush(self._deadlines, deadline)
         timer = self._timer
         if timer is None or timer.action is None or timer.instant > deadline:
             if timer is not None:
@@ -80,16 +85,24 @@ class Unanswered:
         self._is_hearing = False
         deadlines = self._deadlines
         while deadlines:
-            deadline, _, ticket = deadlines[0]
-            device: Device = ticket.device
-            is_waited_for = ticket in device.awaiting
-            if deadline > now and is_waited_for:
+            deadline = deadlines[0]
+            waiting = [one for one in self._waiting[deadline] if self._is_waiting(one, deadline)]
+            if deadline > now and waiting:
                 break
             heappop(deadlines)
-            if is_waited_for and ticket.deadline <= now:
-                device.awaiting.remove(ticket)
-                self._missed(ticket, now)
-        self._timer = self.clock.call_at(deadlines[0][0], self._expire) if deadlines else None
+            del self._waiting[deadline]
+            for ticket in waiting:
+                if self._is_waiting(
+                    ticket, deadline
+                ):  # still: what became of another may have ended this one
+                    ticket.device.awaiting.remove(ticket)
+                    self._missed(ticket, now)
+        self._timer = self.clock.call_at(deadlines[0], self._expire) if deadlines else None
+
+    @staticmethod
+    def _is_waiting(ticket: Ticket, deadline: int) -> bool:
+        """Whether it waits for an answer until then: a poll may have been answered and asked anew."""
+        return ticket.deadline == deadline and ticket in ticket.device.awaiting
 
     def _missed(self, ticket: Ticket, now: int) -> None:
         host, device = self.host, ticket.device
@@ -188,7 +201,8 @@ class Unanswered:
             if slot is not None:
                 slot.cost_ns = instant - slot.asked_at  # learnt: the poll with its answer
             line.free(ticket)
-        ticket.finish(record)
+        if slot is None:
+            ticket.finish(record)
 
     def _unasked(self, device: Device, name: str, instant: int) -> None:
         """A record that no request waits for: of a device that speaks by itself, late, or of a second one."""

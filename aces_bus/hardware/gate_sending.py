@@ -151,20 +151,6 @@ class SendingGate(GateBase[Item]):
 
     # ------------------------------------------------------------------ on a loop
 
-    def give(self, packet: Any, /, age_ns: int = 0, topic: object = None) -> bool:
-        """Send a packet of size 1 with all that this turn of the loop gives, on its thread: cheap, for what a tick sends.
-
-        False: the bus is lost, or does not take it. See `send` for the rest.
-        """
-        given = self._given
-        if self.state != "open" or self._is_closing or self._outbox.size + len(given) >= self.most:
-            return False
-        given.append((packet, age_ns, topic))
-        if not self._is_flush_planned:  # after the append: who flushes looks again
-            with self._guard:
-                self._plan_flush()
-        return True
-
     def _plan_flush(self) -> None:
         loop = self._loop
         assert loop is not None

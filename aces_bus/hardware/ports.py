@@ -8,7 +8,7 @@ A wire is simulated and needs no thread; a gate is served by the loop, with thre
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Generic, Literal, TypeVar
 
 from msgspec.structs import replace
@@ -45,9 +45,6 @@ MAILBOX_AGE_NS = round(AGE_S * 1e9)
 class BasePort(Generic[Packet]):
     """What ports of all kinds have in common. `_send` is set when a port is opened; a gate's packets go to its `Loop`."""
 
-    #: Whether its gate takes what a turn of the loop gives together (`Gate.give`): its packets are of size 1.
-    _gives = False
-
     def __init__(self, bus: Any, loop: Loop | None, name: str) -> None:
         self._gate: Gate[Packet] | None = bus if isinstance(bus, Gate) else None
         self.clock: EventClock = _loop_of(loop) if isinstance(bus, Gate) else bus.clock
@@ -59,15 +56,14 @@ class BasePort(Generic[Packet]):
         clock = self.clock
         assert isinstance(clock, Loop)
         # The method's place is taken by the closure: one call less a packet.
-        self.__dict__["send"] = _sender(gate, clock, gate.give if self._gives else None)
+        self.__dict__["send"] = _sender(gate, clock, gate.give if isinstance(gate, CanGate) else None)
 
-        one = self._take
+        hand_over = self._hand_over
 
         def take(items: Iterable[Received[Packet]]) -> None:
             left = iter(items)
             try:
-                for item in left:
-                    one(item, handle)
+                hand_over(left, handle)
             except (
                 BaseException
             ):  # a driver's: the loop reports it, and the packets behind it are read all the same
@@ -76,8 +72,9 @@ class BasePort(Generic[Packet]):
 
         gate.start_on(clock, take)
 
-    def _take(self, item: Received[Packet], handle: Handler) -> None:
-        handle(item.content, item.host_ns)
+    def _hand_over(self, items: Iterator[Received[Packet]], handle: Handler) -> None:
+        for item in items:
+            handle(item.content, item.host_ns)
 
     def on_event(self, handler: BusHandler) -> None:
         """Call `handler(kind, detail)` on the clock's thread with what happens to the bus."""
@@ -120,7 +117,6 @@ class CanPort(BasePort[Frame]):
     """
 
     link: Literal["can"] = "can"
-    _gives = True
     half_duplex = False
 
     def __init__(
@@ -171,10 +167,11 @@ class CanPort(BasePort[Frame]):
         # As of a gate's port: one call less a frame.
         self.__dict__["send"] = give
 
-    def _take(self, item: Received[Frame], handle: Handler) -> None:
+    def _hand_over(self, items: Iterator[Received[Frame]], handle: Handler) -> None:
         # Without its channel's name: what is sent has none, and answers belong to requests of the same channel.
-        frame = item.content
-        handle(frame if frame.channel is None else replace(frame, channel=None), item.host_ns)
+        for item in items:
+            frame = item.content
+            handle(frame if frame.channel is None else replace(frame, channel=None), item.host_ns)
 
     def on_event(self, handler: BusHandler) -> None:
         """Call `handler(kind, detail)` on the clock's thread with what happens to the bus."""
@@ -295,9 +292,10 @@ class DatagramPort(BasePort[bytes]):
 
         self.__dict__["send"] = answer
 
-    def _take(self, item: Received[bytes], handle: Handler) -> None:
-        self._last_source = item.source
-        handle(item.content, item.host_ns)
+    def _hand_over(self, items: Iterator[Received[bytes]], handle: Handler) -> None:
+        for item in items:
+            self._last_source = item.source
+            handle(item.content, item.host_ns)
 
     def wire_ns(self, datagram: bytes) -> int:
         """Nothing worth counting."""

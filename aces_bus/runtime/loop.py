@@ -202,20 +202,23 @@ class Loop(RealClock):
         self.watch(woken.fileno(), lambda: woken.recv(4096))
         try:
             while not self._stopping:
-                self._turn()
-                for action in self._ready():
+                for action in self._ready(self._turn()):
                     self._do(action)
         finally:
             woken.close()
             assert self._waker is not None
             self._waker.close()
 
-    def _turn(self) -> None:
-        """What was handed over, what is due, and the ends."""
+    def _turn(self) -> int:
+        """What was handed over, what is due, and the ends; the instant (ns) after it."""
         monotonic_ns = self._monotonic_ns
         now = monotonic_ns()
-        until = now + TURN_NS
         soon, events, do = self._soon, self._events, self._do
+        if not (
+            soon or self._ends or (events and events[0][0] <= now)
+        ):  # a file was served, and that was all
+            return now
+        until = now + TURN_NS
         for _ in range(len(soon)):
             do(soon.popleft())
             if monotonic_ns() > until:
@@ -237,6 +240,7 @@ class Loop(RealClock):
                 do(action)
         if soon or (events and events[0][0] <= now):
             self.carried += 1
+        return monotonic_ns()
 
     def _do(self, action: Action) -> None:
         try:
@@ -246,14 +250,14 @@ class Loop(RealClock):
             if self._failed is not None:
                 self._failed(error)
 
-    def _ready(self) -> list[Action]:
+    def _ready(self, now: int) -> list[Action]:
         """Wait for files, the next instant or another thread; what serves the files that have something."""
         events = self._events
         while events and events[0][2].__class__ is Timer and events[0][2].action is None:
             heapq.heappop(events)  # taken back: no reason to wake up
         left: float | None = None
         if events:
-            left = max(0, events[0][0] - self._monotonic_ns()) / 1e9
+            left = (events[0][0] - now) / 1e9 if events[0][0] > now else 0
         self._is_asleep = True
         if self._soon or self._stopping:  # handed over before that was seen
             left = 0

@@ -104,6 +104,21 @@ def _check(identifier: int, flags: int, length: int, most: int) -> None:
         raise PacketError(f"a classic frame of {length} bytes with flags {flags:#x} does not exist")
 
 
+def single_frames(data: bytes) -> list[Frame] | None:
+    """The frames of packets that hold a plain one each, as they come while a bus is busy; None where one is another."""
+    if len(data) % CLASSIC_PACKET.size:
+        return None
+    found: list[Frame] = []
+    for size, kind, time_ns, identifier, flags, length, padded in CLASSIC_PACKET.iter_unpack(data):
+        if size != CLASSIC_RECORD.size or kind != CLASSIC or flags or length > 8 or identifier > 0x7FF:
+            return None
+        seconds = time_ns / 1e9
+        found.append(
+            Frame(identifier, padded[:length], seconds, None, False, False, False, False, False, False, True)
+        )
+    return found
+
+
 def pack_record(time_ns: int, identifier: int, flags: int, length: int, data: bytes) -> bytes:
     """A frame as a record; short where it fits."""
     form = LONG_RECORD if len(data) > 8 and length > 8 and not flags & REMOTE else CLASSIC_RECORD

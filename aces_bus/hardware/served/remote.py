@@ -189,15 +189,13 @@ class ServedBus(VirtualBus):
         if not queue and self._reading.acquire(False):
             try:
                 self._check_open()
-                for kind, body in self._stream.read():
-                    if kind in FRAMES and self._filters is None:  # past the queue, as many as are wanted
-                        for record in packets.unpack_records(kind, body):
-                            if len(found) < most:
-                                found.append(_frame_of(record))
-                            else:
-                                self._keep(record)
-                    else:
-                        self._understand(kind, body)
+                data = self._stream.receive()
+                if self._filters is None and len(data) <= most * packets.CLASSIC_PACKET.size:
+                    singles = packets.single_frames(data)
+                    if singles is not None:  # past the queue
+                        return singles
+                for kind, body in self._stream.split(data):
+                    self._understand(kind, body)
             except (OSError, EOFError, PacketError, ValueError) as error:
                 raise self._lost(error) from error
             finally:

@@ -80,13 +80,25 @@ class ServerConnection:
 
     def read(self) -> list[tuple[int, bytes]]:
         """The packets that have come. Raises `EOFError` at the end."""
+        return self.split(self.receive())
+
+    def receive(self) -> bytes:
+        """The bytes that have come, with what was left of those before: for `split`. Raises as `read`."""
         try:
             data = self._socket.recv(_READ)
         except BlockingIOError:
-            return []
+            return b""
         if not data:
             raise EOFError("the server has closed the connection")
-        found, self._buffer = packets.split_packets(self._buffer + data if self._buffer else data)
+        if self._buffer:
+            data, self._buffer = self._buffer + data, b""
+        return data
+
+    def split(self, data: bytes) -> list[tuple[int, bytes]]:
+        """The whole packets of what `receive` gave; the rest is kept."""
+        found, rest = packets.split_packets(data)
+        if rest:
+            self._buffer = rest
         return found
 
     def write(self, packet: bytes, timeout: float | None = None) -> None:

@@ -50,6 +50,10 @@ class RequestLink:
     to_all: tuple[int | None, ...]
 
 
+#: Where a request is found, the message that hangs on it, and what it has to say.
+Modes = list[tuple[tuple[Any, ...], Message, Request]]
+
+
 @mypyc_attr(allow_interpreted_subclasses=True)
 class Context:
     """What has been asked on each channel."""
@@ -151,6 +155,39 @@ class Context:
                 else:
                     entry.consumed = not link.is_sticky
                 return message, entry.values
+        return None
+
+    def modes_of(self, messages: Sequence[Message], identifier: int, channel: Any) -> Modes | None:
+        """For `mode`: the requests that messages with this identifier hang on, and where each is found.
+
+        None where the identifier alone does not say, or a request is used up or too old some time.
+        """
+        found: Modes = []
+        for message in messages:
+            outer = message.identifier.match(identifier) or {}
+            for link in self._links[message.name]:
+                if not link.is_sticky or message.within is not None or not outer.keys() >= {*link.shared}:
+                    return None
+                for wanted, _ in _wanted(link, link.who(outer)):
+                    place = (link.request.message.name, channel, link.shared, wanted)
+                    found.append((place, message, link.request))
+        return found
+
+    def mode(self, modes: Modes) -> tuple[Message, Mapping[str, Any]] | None:
+        """What `of` gives where all of these messages fit; None where it is to be asked."""
+        latest: Entry | None = None
+        seen = self._seen
+        last: dict[Any, Entry] = {}
+        for place, _, _ in modes:
+            if place not in last and (entries := seen.get(place)):
+                last[place] = entry = entries[-1]
+                if entry.consumed or entry.answered:
+                    return None
+                if latest is None or entry.number > latest.number:
+                    latest = entry
+        for place, message, request in modes:
+            if latest is not None and last.get(place) is latest and request.accepts(latest.values):
+                return message, latest.values
         return None
 
     def pending(
