@@ -19,6 +19,7 @@ from types import FunctionType, MethodType, ModuleType
 from typing import Any
 
 import pytest
+from msgspec import NODEFAULT
 
 import aces_bus
 from tests.interpreted import looks_at_parameters
@@ -54,10 +55,12 @@ def packages() -> list[str]:
 
 def parameters(thing: Callable[..., Any]) -> str:
     """What a callable takes, without annotations; defaults only where they are the same on every machine."""
-    if fields := getattr(
-        thing, "__struct_fields__", None
-    ):  # its signature would look for types that only checkers import
-        return f"({', '.join(fields)})"
+    if fields := getattr(thing, "__struct_fields__", ()):
+        # Its signature would look for types that only checkers import.
+        defaults: tuple[Any, ...] = getattr(thing, "__struct_defaults__", ())
+        given = [NODEFAULT] * (len(fields) - len(defaults)) + list(defaults)
+        pairs = zip(fields, given, strict=True)
+        return f"({', '.join(name if value is NODEFAULT else f'{name}=…' for name, value in pairs)})"
     try:
         signature = inspect.signature(thing)
     except (TypeError, ValueError, NameError):  # NameError: of types that only checkers import

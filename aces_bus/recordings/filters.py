@@ -18,8 +18,9 @@ them wants them. `0x` in front of an identifier is not counted as two of its dig
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
+
+import msgspec
 
 from .._lazy import np
 from ..errors import CallerError
@@ -63,8 +64,7 @@ class _Rule(NamedTuple):
     inverted: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Set:
+class _Set(msgspec.Struct, frozen=True):
     """The filters of one interface."""
 
     interface: str | None
@@ -95,8 +95,7 @@ class _Set:
         return self.join
 
 
-@dataclass(frozen=True, slots=True)
-class CanFilter:
+class CanFilter(msgspec.Struct, frozen=True):
     """What passes: a frame that one of the sets lets pass. Made by `parse_filter`."""
 
     texts: tuple[str, ...]

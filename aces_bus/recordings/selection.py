@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -129,7 +130,7 @@ class AdoptedPieces:
         count = max((one.frames for one in handovers), default=0)
         selection = self._selection
         if selection.window is not None:  # frames without a time were counted where they were read
-            selection = replace(selection, window=replace(selection.window))
+            selection = replace(selection, window=copy(selection.window))
         if selection.filter is not None or selection.window is not None:
             kept = np.ones(count, bool)
             for table, rows in (left for one in handovers for left in one.deferred):

@@ -6,8 +6,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from typing import Any
+
+import msgspec
 
 from .._lazy import np
 from ..protocol.counts import ScanCounts
@@ -17,11 +18,10 @@ from .base import Link
 _COUNTED = ("total", "decoded", "control", "unknown", "malformed", "skipped", "errors", "pending", "records")
 
 
-@dataclass
-class Totals:
+class Totals(msgspec.Struct):
     """The bins of one kind of link, over all files: frames of CAN, bytes of serial lines."""
 
-    bins: dict[str, int] = field(default_factory=dict)
+    bins: dict[str, int] = msgspec.field(default_factory=dict)
     lines_unreadable: int = 0
     missed: int = 0
     dropped: int = 0

@@ -11,9 +11,10 @@ first frame, or of the next day where a recording runs past midnight.
 from __future__ import annotations
 
 import datetime
-from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from typing import Any
+
+import msgspec
 
 from ..errors import CallerError
 from ..frame_table import NO_TIME
@@ -22,8 +23,7 @@ from ..frame_table import NO_TIME
 ABSOLUTE_S = 10**8
 
 
-@dataclass
-class TimeWindow:
+class TimeWindow(msgspec.Struct):
     """The piece that is wanted; `start` and `stop` in ns or as a time of day, None open."""
 
     start: int | datetime.time | None

@@ -57,10 +57,11 @@ from .options import (
     several,
 )
 from .output import LIVE, Writer, line_format, table_format
-from .registers import RegisterNotes
 
 if TYPE_CHECKING:
     from aces_bus.recordings.where import Where
+
+    from .registers import RegisterNotes
 
 BATCH = 1024
 #: Unknown items that are looked at for one that can be explained.
@@ -230,7 +231,7 @@ class LiveDecoding(Decoding):
         #: End after so many lines, and how many were shown.
         self.count: int | None = arguments.count
         self.printed = 0
-        self.registers = RegisterNotes(variant for variants in self.variants.values() for variant in variants)
+        self.registers = self._registers()
         self.output = self._output(arguments)
         self.writer = self._writer(arguments)
 
@@ -243,6 +244,15 @@ class LiveDecoding(Decoding):
         from aces_bus.recordings.where import Where
 
         return Where(texts, self.plans)
+
+    def _registers(self) -> RegisterNotes | None:
+        """What to say of registers, where a protocol has any."""
+        variants = [variant for variants in self.variants.values() for variant in variants]
+        if not any(variant.protocol.register_maps for variant in variants):
+            return None
+        from .registers import RegisterNotes
+
+        return RegisterNotes(variants)
 
     def _writer(self, arguments: argparse.Namespace) -> Writer:
         form = line_format(arguments.output, arguments.format)
@@ -264,7 +274,7 @@ class LiveDecoding(Decoding):
         return LiveText(
             self.plans,
             stated,
-            notes=self.registers if self.registers.has_tables else None,
+            notes=self.registers,
             times=Times(arguments.time),
             paint=make_paint() if wants_colour(arguments.color, is_terminal) else no_paint,
             width=terminal_width() if is_terminal else None,
@@ -427,7 +437,8 @@ class LiveDecoding(Decoding):
         """Write what is to be shown; what --message and --where refuse goes into the bin `filtered`."""
         if items:
             self._begin(items[0])
-        self.registers.see(items)
+        if self.registers is not None:
+            self.registers.see(items)
         if self.is_selective:
             wanted = [type(item) is Unknown or self._is_wanted(item) for item in items]
             items = self._kept(items, wanted, totals, is_can=is_can)

@@ -121,6 +121,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, TextIOWrapper):  # where there is no Unicode, something like it is written
                 stream.reconfigure(errors=LOOKALIKES)
+        gc.disable()  # what is imported stays; `_run` switches it on again
     try:
         status = _run(list(sys.argv[1:] if argv is None else argv))
         if sys.stdout is not None:
@@ -191,6 +192,9 @@ def _run(arguments: list[str]) -> int:
         verb, arguments = f"{verb} {arguments[1]}", arguments[1:]
     given = parser_of(verb).parse_intermixed_args(_plain(arguments[1:]))
     show_notes(not given.quiet)
+    if not gc.isenabled():  # to look for garbage in all that was imported takes a twentieth of a short run
+        gc.freeze()
+        gc.enable()
     return int(_module(verb).run(given))
 
 

@@ -13,8 +13,7 @@ import argparse
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 _DIRECTIONS = {"to": "to device", "from": "from device", "both": "both"}
 
@@ -31,8 +30,7 @@ _UNITS_NS: Mapping[str | None, float] = {
 }
 
 
-@dataclass(frozen=True)
-class Argument:
+class Argument(NamedTuple):
     """An option or a positional argument: its names, and argparse's keywords."""
 
     names: tuple[str, ...]
@@ -40,11 +38,10 @@ class Argument:
 
     def but(self, **keywords: Any) -> Argument:
         """The same with other keywords: another help, another default."""
-        return replace(self, keywords={**self.keywords, **keywords})
+        return self._replace(keywords={**self.keywords, **keywords})
 
 
-@dataclass(frozen=True)
-class Group:
+class Group(NamedTuple):
     """Arguments under a title of their own; of those that are exclusive one may be given."""
 
     title: str

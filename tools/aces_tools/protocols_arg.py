@@ -32,13 +32,11 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Protocol, Variant, load_protocol
 from aces_bus.protocol.exchange import SUFFIXES, ImportedProtocol, ImportProblem, load_database
-from aces_bus.protocol.files import protocol_of_file
 
 from .console import say_note
 
@@ -95,6 +93,8 @@ def named_protocol(text: str) -> Named:
                 has = "no configurations" if protocol.dialects else "neither dialects nor configurations"
                 raise CallerError(f"-p {text}: {found['path']} has {has}")
             return Named(protocol, names[0] if names else None, None, found["path"])
+        from aces_bus.protocol.files import protocol_of_file
+
         given = names[:1]
         protocol = protocol_of_file(found["path"], names)
         source = ":".join([found["path"], *given[: len(given) - len(names)]])
@@ -163,7 +163,8 @@ def read_configuration(path: str, protocol: Protocol) -> tuple[dict[str, Mapping
     import tomllib
 
     try:
-        data = Path(path).read_bytes()
+        with open(path, "rb") as file:
+            data = file.read()
         content = tomllib.loads(data.decode("utf-8-sig"))
     except OSError as error:
         raise CallerError(f"{path}: {error.strerror or error}") from error

@@ -39,11 +39,6 @@ class RegisterNotes:
         self._tables = {name: _Tables(one) for name, one in protocols.items() if one.register_maps}
         self._notes: dict[int, list[PrintedField]] = {}
 
-    @property
-    def has_tables(self) -> bool:
-        """Whether there are registers to speak of."""
-        return bool(self._tables)
-
     def see(self, items: Iterable[Any]) -> None:
         """Take records, and remember what they ask for."""
         if not self._tables:

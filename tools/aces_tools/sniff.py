@@ -207,7 +207,7 @@ class Sniffing(LiveDecoding):
         return LiveText(
             self.plans,
             self.direction if self.direction != "both" else None,
-            notes=self.registers if self.registers.has_tables else None,
+            notes=self.registers,
             times=self.times,
             paint=paint,
             width=terminal_width() if is_terminal else None,

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import random
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
+import msgspec
 from construct import ConstructError
 
 from ...errors import AcesError, SpecError
@@ -27,8 +27,7 @@ from .pattern import IdPattern, meet
 from .place import SourceLine
 
 
-@dataclass(frozen=True)
-class Conflict:
+class Conflict(msgspec.Struct, frozen=True):
     """Two messages that accept the same packet. `witness` is one (identifier None on streams); None: undecided."""
 
     one: Message

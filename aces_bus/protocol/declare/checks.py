@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from itertools import accumulate
 from operator import add, xor
 from string import Formatter
 from typing import Any, Literal
+
+import msgspec
 
 from ...errors import SpecError
 from .place import caller
@@ -29,8 +30,7 @@ Order = Literal["little", "big"]
 LARGEST = 8
 
 
-@dataclass(frozen=True)
-class IdBytes:
+class IdBytes(msgspec.Struct, frozen=True):
     """The CAN identifier as `size` bytes, for a check that covers it. `mask` picks bits of it first."""
 
     size: int
@@ -41,8 +41,7 @@ class IdBytes:
         return (identifier & self.mask & ((1 << 8 * self.size) - 1)).to_bytes(self.size, self.order)
 
 
-@dataclass(frozen=True)
-class Extra:
+class Extra(msgspec.Struct, frozen=True):
     """The message's own `check_extra` bytes (MAVLink's CRC_EXTRA, a data id of AUTOSAR E2E)."""
 
 

@@ -18,8 +18,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
+
+import msgspec
 
 from ...errors import SpecError
 from ..keys import EXTENDED
@@ -33,8 +34,7 @@ _FRAME = re.compile(
 _LONGEST_ID = 3
 
 
-@dataclass(frozen=True)
-class ExampleFrame:
+class ExampleFrame(msgspec.Struct, frozen=True):
     """What stood on the wire: a packet, or with an identifier a CAN frame."""
 
     data: bytes
@@ -62,8 +62,7 @@ class ExampleFrame:
         return repr(self.data) if is_text else self.data.hex(" ").upper()
 
 
-@dataclass(frozen=True)
-class Example:
+class Example(msgspec.Struct, frozen=True):
     """A packet or frame, (some of) the fields that it means, and the request that it answers.
 
     `frames` are those that a transport carried it in; `packet` is then the packet that they are.
@@ -170,8 +169,7 @@ def _packet_of(frames: Sequence[ExampleFrame], transport: Transport, extra: byte
     raise ValueError(f"{', '.join(map(str, frames))}: by {transport.title}, {said}")
 
 
-@dataclass(frozen=True)
-class _Silent:
+class _Silent(msgspec.Struct, frozen=True):
     """What the rule of packets asks of a frame beside its bytes."""
 
     channel: str | None = None

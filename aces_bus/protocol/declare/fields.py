@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple
 
+import msgspec
 from construct import (
     Adapter,
     Array,
@@ -105,8 +105,7 @@ def plain_number(value: Any) -> Any:
     return float(value) if isinstance(value, numbers.Real) else None
 
 
-@dataclass(frozen=True)
-class TopValues:
+class TopValues(msgspec.Struct, frozen=True):
     """The highest raw values of a number, whatever its width; made by `top`."""
 
     count: int

@@ -17,10 +17,11 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Callable, Collection, Iterable, Mapping
-from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 from construct import Construct, Container, Struct
+from msgspec.structs import replace
 
 from ...errors import SpecError
 from .checks import Check
@@ -44,8 +45,7 @@ class Verdict(enum.Enum):
     WHOLE = "whole"
 
 
-@dataclass(frozen=True)
-class Judgement:
+class Judgement(msgspec.Struct, frozen=True):
     """A verdict with the packet's size on the wire, or with the reason of a failure.
 
     `data` is what the check of a whole packet is taken of: the packet, unstuffed where it is stuffed as a whole.
@@ -65,8 +65,7 @@ def BAD(reason: str) -> Judgement:
     return Judgement(Verdict.BAD, 0, reason)
 
 
-@dataclass(frozen=True)
-class Escaped:
+class Escaped(msgspec.Struct, frozen=True):
     """A size by a header field of which the value `escape` says that a wider length follows: `Escaped(this.length + 5, 255,
     Int16ub)`.
 
@@ -79,8 +78,7 @@ class Escaped:
     wide: Construct
 
 
-@dataclass(frozen=True)
-class Trailer:
+class Trailer(msgspec.Struct, frozen=True):
     """`size` bytes behind the check of those packets in whose header field `field` bit `bit` is set: MAVLink's signature is
     `Trailer(13, "incompat_flags")`.
 
@@ -92,8 +90,7 @@ class Trailer:
     bit: int = 0
 
 
-@dataclass(frozen=True)
-class Affine:
+class Affine(msgspec.Struct, frozen=True):
     """size = factor × length + constant, read off a size expression so that building can invert it.
 
     Where the length is `escape`, a `wide` one behind the header counts instead, and its bytes are of the packet too.
@@ -159,8 +156,7 @@ class Affine:
         return self.factor * ((1 << 8 * last.size) - 1) + self.constant + more
 
 
-@dataclass(frozen=True)
-class WideLength(Stuffing):
+class WideLength(Stuffing, msgspec.Struct, frozen=True):
     """The wider length of `Escaped` as stuffing: bytes in front of the data, where there is much of it.
 
     `around` is the size of header and check.

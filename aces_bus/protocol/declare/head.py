@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import msgspec
 from construct import Bytes, Const, Construct, Renamed, Struct
+from msgspec.structs import replace
 
 from ...errors import SpecError
 from .fields import Enumeration, Field, WireNumber, innermost, wire_number
@@ -16,8 +17,7 @@ from .pattern import IdPattern, as_pattern
 from .place import SourceLine
 
 
-@dataclass(frozen=True)
-class Head:
+class Head(msgspec.Struct, frozen=True):
     """One field of a head: `offset` from the packet's first byte (from the data's, on CAN)."""
 
     name: str | None

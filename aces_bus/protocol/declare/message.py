@@ -9,11 +9,12 @@ from __future__ import annotations
 import copy
 import keyword
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import construct as c
+import msgspec
+from msgspec.structs import replace
 
 from ...errors import SpecError, UnknownNameError
 from ...frames import FD_LENGTHS
@@ -38,8 +39,7 @@ Direction = Literal["to device", "from device"]
 DIRECTIONS: tuple[Direction, ...] = ("to device", "from device")
 
 
-@dataclass(frozen=True)
-class ConfigurationCondition:
+class ConfigurationCondition(msgspec.Struct, frozen=True):
     """`when=`: holds for the values of the field `capture` whose entry in the configuration table `key` is in `values`."""
 
     key: str
@@ -54,8 +54,7 @@ class ConfigurationCondition:
         return (self.key, self.capture) == (other.key, other.capture) and not self.values & other.values
 
 
-@dataclass(frozen=True)
-class Request:
+class Request(msgspec.Struct, frozen=True):
     """A message, perhaps with values that its fields must have: what `reply_to` and `after` refer to."""
 
     message: Message
@@ -563,7 +562,7 @@ class Message:
                     narrow = head.pattern.only(name, values)
                     if narrow is None:
                         return None
-                    head = _with_pattern(head, narrow)
+                    head = replace(head, pattern=narrow)
                 elif head.name == name:
                     if not values:
                         return None
@@ -591,12 +590,6 @@ class Message:
 def _numbers(values: range) -> frozenset[int]:
     """A range as a set: where it is long, requests share it."""
     return frozenset(values)
-
-
-def _with_pattern(head: Head, pattern: IdPattern) -> Head:
-    from dataclasses import replace
-
-    return replace(head, pattern=pattern)
 
 
 def as_requests(given: Any, protocol: Protocol, place: SourceLine) -> tuple[Request, ...]:

@@ -11,10 +11,12 @@ Written as arithmetic, as the vendor's sheet has it: `0x060 + Board`, `Node << 5
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
-from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
 from operator import or_
 from typing import Any
+
+import msgspec
+from msgspec.structs import force_setattr, replace
 
 from ...errors import FieldError, SpecError
 from .fields import Enumeration, Quantity
@@ -44,8 +46,7 @@ class Arithmetic:
         return self.as_pattern().shifted(bits)
 
 
-@dataclass(frozen=True, eq=False)
-class IdField(Arithmetic):
+class IdField(Arithmetic, msgspec.Struct, frozen=True, eq=False):
     """A part of a number that becomes the field `name`, with the raw values that it may take.
 
     `unit`, `scale` and `offset` make it a quantity (a torque inside an identifier), `names` an enumeration (a status).
@@ -59,7 +60,7 @@ class IdField(Arithmetic):
     names: Mapping[str, int] | None = None
     doc: str = ""
     shift: int = 0
-    quantity: Quantity | Enumeration | None = field(default=None, compare=False)
+    quantity: Quantity | Enumeration | None = None
 
     def __post_init__(self) -> None:
         if not self.values or bounds(self.values)[0] < 0:
@@ -68,11 +69,11 @@ class IdField(Arithmetic):
             from construct import Int64ub
 
             made = Quantity(Int64ub, unit=self.unit, scale=self.scale, offset=self.offset)
-            object.__setattr__(self, "quantity", made)
+            force_setattr(self, "quantity", made)
         if self.quantity is None and self.names is not None:
             from construct import Int64ub
 
-            object.__setattr__(self, "quantity", Enumeration(Int64ub, self.names))
+            force_setattr(self, "quantity", Enumeration(Int64ub, self.names))
 
     @cached_property
     def width(self) -> int:
@@ -104,8 +105,7 @@ class IdField(Arithmetic):
         return raw
 
 
-@dataclass(frozen=True, eq=False)
-class IdPattern(Arithmetic):
+class IdPattern(Arithmetic, msgspec.Struct, frozen=True, eq=False):
     """A constant plus captures; see the module."""
 
     constant: int

@@ -11,10 +11,10 @@ import linecache
 import os
 import sys
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import FrameType
 
-_CORE = str(Path(__file__).resolve().parents[1])
+_CORE = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
+_CONSTRUCT = f"{os.sep}construct{os.sep}"
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,10 @@ class SourceLine:
     @property
     def stable(self) -> str:
         """The place as generated source names it: the same on every machine, from the outermost package."""
-        path = Path(self.file)
-        top = path.parent
-        while (top / "__init__.py").exists():
-            top = top.parent
-        return f"{path.relative_to(top).as_posix()}:{self.line}"
+        top = os.path.dirname(self.file)
+        while os.path.exists(os.path.join(top, "__init__.py")):
+            top = os.path.dirname(top)
+        return f"{self.file[len(top) :].lstrip(os.sep).replace(os.sep, '/')}:{self.line}"
 
     def of_field(self, name: str) -> SourceLine:
         """The line where field `name` is written in the expression that starts here; this place when not found."""
@@ -91,8 +90,7 @@ def _own_frame() -> FrameType:
     frame = sys._getframe(2)  # pyright: ignore[reportPrivateUsage]  # `inspect` reads files
     while frame.f_back is not None:
         name = frame.f_code.co_filename
-        inside = name.startswith(_CORE) or f"{os.sep}construct{os.sep}" in name
-        if not inside:
+        if not (name.startswith(_CORE) or _CONSTRUCT in name):
             break
         frame = frame.f_back
     return frame

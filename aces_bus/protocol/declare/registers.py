@@ -7,10 +7,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import construct as c
+import msgspec
 
 from ...errors import FieldError, SpecError, UnknownNameError
 from .fields import Quantity
@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 Access = Literal["read", "write", "read-write"]
 
 
-@dataclass(frozen=True)
-class Register:
+class Register(msgspec.Struct, frozen=True):
     """One register. `size` is in bytes; `field` is the construct of its value; `default` is raw, None when unknown."""
 
     name: str

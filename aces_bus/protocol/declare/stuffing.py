@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import msgspec
 
 
 class Stuffing:
@@ -32,8 +32,7 @@ class Stuffing:
         raise NotImplementedError
 
 
-@dataclass(frozen=True)
-class Insert(Stuffing):
+class Insert(Stuffing, msgspec.Struct, frozen=True):
     """After each `pattern` in the data one byte `byte` is inserted (Dynamixel 2: FF FF FD → FF FF FD FD)."""
 
     pattern: bytes
@@ -53,8 +52,7 @@ class Insert(Stuffing):
         return size + size // len(self.pattern)
 
 
-@dataclass(frozen=True)
-class CutZeros(Stuffing):
+class CutZeros(Stuffing, msgspec.Struct, frozen=True):
     """Zeros at the end of the data are not sent, but for the first `least` bytes (MAVLink 2).
 
     Who reads gives them back up to the size of the message's own fields (`Framing.logical`), whether they were cut or not.
@@ -77,8 +75,7 @@ class CutZeros(Stuffing):
         return size
 
 
-@dataclass(frozen=True)
-class Slip(Stuffing):
+class Slip(Stuffing, msgspec.Struct, frozen=True):
     """SLIP (RFC 1055): C0 ends a packet; C0 in the data is DB DC, DB is DB DD."""
 
     def stuff(self, data: bytes) -> bytes:
@@ -94,8 +91,7 @@ class Slip(Stuffing):
         return 2 * size
 
 
-@dataclass(frozen=True)
-class Cobs(Stuffing):
+class Cobs(Stuffing, msgspec.Struct, frozen=True):
     """COBS: no zero byte inside; each block is led by 1 + its length, 255 meaning 254 bytes and no zero behind them."""
 
     def stuff(self, data: bytes) -> bytes:

@@ -16,6 +16,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
+import msgspec
+from msgspec.structs import force_setattr
+
 from ...errors import FieldError, SpecError
 from ...frames import FD_LENGTHS, Frame
 from ..keys import EXTENDED, REMOTE
@@ -33,8 +36,7 @@ if TYPE_CHECKING:
 Role = Literal["single", "first", "next", "control", "abort", "bad", "ready", "taken", "end", "over"]
 
 
-@dataclass(frozen=True)
-class FrameNumber:
+class FrameNumber(msgspec.Struct, frozen=True, dict=True):
     """A number in a frame: of the `size` bytes from `byte` on (negative: from the end), the bits of `mask`, moved down."""
 
     byte: int
@@ -44,7 +46,7 @@ class FrameNumber:
 
     def __post_init__(self) -> None:
         if not self.mask:
-            object.__setattr__(self, "mask", (1 << 8 * self.size) - 1)
+            force_setattr(self, "mask", (1 << 8 * self.size) - 1)
 
     @cached_property
     def shift(self) -> int:
@@ -76,8 +78,7 @@ class FrameNumber:
         data[start : start + self.size] = (old | number << self.shift).to_bytes(self.size, self.order)
 
 
-@dataclass(frozen=True)
-class FrameKind:
+class FrameKind(msgspec.Struct, frozen=True):
     """One kind of frame: how it is recognised, and where it has what.
 
     `match`: numbers that it has. `head` and `tail`: bytes in front of and behind its piece of the packet. `size`: how long

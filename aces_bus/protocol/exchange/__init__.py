@@ -13,7 +13,7 @@ imported.problems       what could not be taken over, with line and reason
 
 from __future__ import annotations
 
-from pathlib import Path
+import os
 
 from ...errors import CallerError
 from .problems import ImportedProtocol, ImportProblem, Loss
@@ -22,14 +22,14 @@ from .problems import ImportedProtocol, ImportProblem, Loss
 SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml", ".eds", ".dcf", ".xml", ".json")
 
 
-def load_database(path: str | Path) -> ImportedProtocol:
+def load_database(path: str | os.PathLike[str]) -> ImportedProtocol:
     """A database file as a protocol; its suffix says of which kind it is.
 
     What cannot be taken over is listed in `problems`, never dropped silently. Raises `CallerError` when the file cannot
     be read, is of none of the kinds, has nothing that can be used, or when the library that reads it is not installed.
     """
-    name = str(path)
-    suffix = Path(name).suffix.lower()
+    name = os.fspath(path)
+    suffix = os.path.splitext(name)[1].lower()
     if suffix in (".eds", ".dcf"):
         from .import_eds import load_eds
 

@@ -25,11 +25,11 @@ import copy
 import math
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
 from sys import float_info
 from typing import Any
 
 import construct as c
+import msgspec
 
 from ...errors import AcesError
 from ...frames import FD_LENGTHS
@@ -68,8 +68,7 @@ class _LeftOut(Exception):
     """This signal or message cannot be taken over; the argument says why."""
 
 
-@dataclass
-class _Taken:
+class _Taken(msgspec.Struct):
     """A message that is taken over: where it was declared, and what is decided about it."""
 
     message: Any

@@ -7,11 +7,11 @@
 from __future__ import annotations
 
 import gc
+import os
 import re
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..._lazy import import_only_modules
@@ -77,20 +77,21 @@ def _load(path: str, kind: str) -> ImportedProtocol:
 
 def protocol_name(path: str) -> str:
     """What the protocol of a file is called: the file's name without its suffix, as a Python name."""
-    return unused(Path(path).name.rpartition(".")[0] or Path(path).name, set())
+    name = os.path.basename(path)
+    return unused(name.rpartition(".")[0] or name, set())
 
 
 def read_text(path: str, kind: str) -> str:
     """The text of a file: UTF-8 where it is that, else Windows-1252, in which most tools write DBC and SYM files."""
     try:
-        file = Path(path)
-        if file.is_dir():
+        if os.path.isdir(path):
             raise CallerError(f"{path}: a folder, not a {kind.upper()} file")
-        if file.stat().st_size > MOST_BYTES:
-            raise CallerError(
-                f"{path}: {file.stat().st_size:,} bytes; at most {MOST_BYTES:,} are read as a {kind.upper()} file"
-            )
-        data = file.read_bytes()[: MOST_BYTES + 1]
+        with open(path, "rb") as file:
+            if (size := os.fstat(file.fileno()).st_size) > MOST_BYTES:
+                raise CallerError(
+                    f"{path}: {size:,} bytes; at most {MOST_BYTES:,} are read as a {kind.upper()} file"
+                )
+            data = file.read(MOST_BYTES + 1)
     except FileNotFoundError:
         raise CallerError(f"{path}: no such file") from None
     except (OSError, ValueError) as error:

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+
+import msgspec
 
 from .problems import ImportProblem, clean_text, excerpt
 
@@ -49,14 +50,13 @@ MOST_BYTES = 1785
 MOST_COMBINATIONS = 8192
 
 
-@dataclass
-class Statement:
+class Statement(msgspec.Struct):
     """One statement: the line it begins on (from 1), its word, its text with line ends. `inner` are the signals."""
 
     line: int
     word: str
     text: str
-    inner: list[Statement] = field(default_factory=list)
+    inner: list[Statement] = msgspec.field(default_factory=list)
 
     @property
     def whole(self) -> str:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 from collections.abc import Generator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+
+import msgspec
 
 from ..declare.protocol import Protocol
 
@@ -13,8 +14,7 @@ from ..declare.protocol import Protocol
 EXCERPT = 80
 
 
-@dataclass(frozen=True, order=True)
-class ImportProblem:
+class ImportProblem(msgspec.Struct, frozen=True, order=True):
     """Something that was left out, or (`is_note`) taken over differently: another name, shared bits.
 
     `line` counts from 1; 0 where no line can be named. `column` counts from 1 within it; 0 where only the line is known.
@@ -40,8 +40,7 @@ class ImportProblem:
         return self.reason + (f" ({self.excerpt})" if self.excerpt else "")
 
 
-@dataclass(frozen=True)
-class Loss:
+class Loss(msgspec.Struct, frozen=True):
     """What another form cannot say of a field ("" for the whole message), of a message ("" for all), and what is done."""
 
     message: str
@@ -53,15 +52,14 @@ class Loss:
         return f"{where}: {self.reason}" if where else self.reason
 
 
-@dataclass(frozen=True)
-class ImportedProtocol:
+class ImportedProtocol(msgspec.Struct, frozen=True):
     """A foreign file as a protocol. `statements` counts what the file consists of: of a DBC statements and signals, of
     an EDS sections, of the others messages."""
 
     protocol: Protocol
     problems: tuple[ImportProblem, ...]
     statements: int
-    path: str = field(default="", compare=False)
+    path: str = ""
 
     @property
     def losses(self) -> list[ImportProblem]:

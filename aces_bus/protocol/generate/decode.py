@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+
+import msgspec
 
 from ..declare.bits import runs_of
 from ..declare.pattern import bounds
@@ -17,8 +18,7 @@ CALLED = ("Struct", "from_bytes", "re", "degrees", "flags")
 LOCAL = ("data", "key", "time", "channel", "raw", "rx", "request", "cells", "cell", "count", "q", "n", "sm")
 
 
-@dataclass(frozen=True)
-class FetchedBytes:
+class FetchedBytes(msgspec.Struct, frozen=True):
     """Bytes [start, end) fetched under a local name: as one unsigned integer, or (not `is_unsigned`) as the value itself."""
 
     name: str

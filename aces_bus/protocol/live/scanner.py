@@ -14,7 +14,6 @@ from ...plugins import Plugins
 from ..counts import ScanCounts
 from ..declare.message import Direction
 from ..declare.protocol import Protocol, Variant
-from ..files import protocol_of_file, python_file
 from ..record import Record
 from .can import CanScanner
 from .stream import StreamScanner
@@ -162,6 +161,8 @@ def load_protocol(name: str) -> Protocol:
 
     Raises `UnknownNameError` with the names that exist, `CallerError` for what a file raises or cannot be read.
     """
+    from ..files import protocol_of_file, python_file
+
     path, attribute = python_file(name)
     if path:
         names = [attribute] if attribute else []

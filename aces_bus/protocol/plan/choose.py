@@ -7,13 +7,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+import msgspec
 
 from .nodes import MessagePlan
 
 
-@dataclass(frozen=True)
-class Choice:
+class Choice(msgspec.Struct, frozen=True):
     """Look at byte `offset`: `cases` are the choices by its value, `names` what to try when there is no byte to look at."""
 
     names: tuple[str, ...]

@@ -7,8 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from fractions import Fraction
+from decimal import Decimal
 from itertools import repeat
 from math import lcm
 from typing import Any, NamedTuple
@@ -121,7 +120,7 @@ def _whole(scale: p.Scale, raw_range: tuple[int, int] | None) -> int:
     """What makes scaled integers whole; 0 where they are too great to be found again."""
     if raw_range is None or not all(type(number) in (int, float) for number in (scale.scale, scale.offset)):
         return 0
-    whole = lcm(*(Fraction(repr(number)).denominator for number in (scale.scale, scale.offset)))
+    whole = lcm(*(Decimal(repr(number)).as_integer_ratio()[1] for number in (scale.scale, scale.offset)))
     return whole if max(abs(scale.physical(raw)) for raw in raw_range) * whole < FOUND_AGAIN else 0
 
 
@@ -174,8 +173,7 @@ def is_single_value(node: p.Node) -> bool:
 # ---------------------------------------------------------------------- single values, by path
 
 
-@dataclass(frozen=True)
-class RecordLeaf:
+class RecordLeaf(msgspec.Struct, frozen=True):
     """One value of a record: `path` is as a condition or a column names it (`servos.0.id`), `get` reads it, in the
     steps of `way`.
 
