@@ -185,7 +185,8 @@ class CarriedPort:
                 incoming = self._in.get((id(transport), part.other))
             if incoming is not None:
                 incoming.end()
-            if part.role == "first" and self._is_ours(key, data):
+            is_asking = part.role == "first" and transport.go_ahead(key, data) is not None
+            if is_asking and self._is_ours(key, data):
                 self._let_in(transport, key, data, part.session)
 
     def _let_in(self, transport: Transport, key: int, data: bytes, session: Hashable) -> None:
@@ -194,8 +195,6 @@ class CarriedPort:
         def over() -> None:
             self._in.pop((id(transport), session), None)
 
-        if transport.go_ahead(key, data) is None:
-            return
         if sum(one == id(transport) for one, _ in self._in) >= transport.senders:
             if (abort := transport.abort(key, data, "busy", by_sender=False)) is not None:
                 self.port.send(transport.frame(*abort))

@@ -35,21 +35,22 @@ class IncomingPacket:
         self._packets = Reassembler(transport)
         #: The place behind the last frame that was asked for, and how many were missing then.
         self._end = self._missing = 0
-        #: When its last frame came, and until when the scanner waits for another one (ns).
+        #: Until when the scanner waits for another frame (ns).
         self._until = 0
         self._timer: Any = None
 
     def take(self, key: int, data: bytes) -> None:
         """One more frame of the session; the first one is the packet's."""
-        self._until = self._clock.now() + round(self._transport.timeout_s * 1e9)
         for packet in self._packets.take(None, 0, key, data, None, None):
-            if not packet.reason:
+            if packet.reason == "malformed: repeated":
+                return  # the scanner waits no longer for that
+            if packet.reason:
+                self._give_up("contradiction")
+            else:
                 self._answer(self._transport.acknowledgement(self._key, self._opening))
                 self.end()
-                return
-            if packet.reason != "malformed: repeated":
-                self._give_up("contradiction")
-                return
+            return
+        self._until = self._clock.now() + round(self._transport.timeout_s * 1e9)
         missing = self._packets.missing(None, self._session)
         if self._end - 1 in missing:  # more is to come of what was asked for
             self._wait(self._transport.answer_times.next_s)

@@ -20,7 +20,8 @@ from .open import open_recording
 from .serial.raw import RawCapture
 
 if TYPE_CHECKING:
-    from ..protocol.columns.can import CanColumns, ChannelColumns
+    from ..protocol.columns.can import CanColumns
+    from ..protocol.columns.can_channels import ChannelColumns
 
 T = TypeVar("T")
 Direction = Literal["to device", "from device", "both"]
@@ -75,7 +76,8 @@ def make_can_scanner(
 ) -> CanColumns | ChannelColumns:
     """A column scanner of CAN that shares a recording with others: with `defer`, frames that hang on those of other pieces
     are left to `hand_over`; without, it is the one that adopts them, piece by piece."""
-    from ..protocol.columns.can import CanColumns, ChannelColumns
+    from ..protocol.columns.can import CanColumns
+    from ..protocol.columns.can_channels import ChannelColumns
 
     kind: Any = ChannelColumns if any(v.channel is not None for v in variants) else CanColumns
     made: CanColumns | ChannelColumns = kind(

@@ -295,6 +295,19 @@ def test_a_sender_that_falls_silent_is_aborted(twin_alone: VirtualRobot) -> None
     assert twin_alone.twins["A"].loaded == []
 
 
+def test_frames_that_come_again_keep_no_packet_open(twin_alone: VirtualRobot) -> None:
+    """A bystander waits 1.25 s for the next frame of the packet, whatever comes twice meanwhile; so does the receiver."""
+    peer = Peer(twin_alone)
+    peer.send(TO_CM, RTS)
+    peer.after(0.01)
+    peer.send(TO_DT, ONE)
+    lines = peer.after(0.5)
+    for pause in (0.5, 0.2, 0.2):
+        peer.send(TO_DT, ONE)
+        lines += peer.after(pause)
+    assert [line for line in lines if line[:5] == "0ECF9"] == ["0ECF910 11 02 02", "0ECF910 ff 03 ff"]
+
+
 def test_a_second_request_begins_anew(twin_alone: VirtualRobot) -> None:
     """What came of the first packet is forgotten."""
     peer = Peer(twin_alone)

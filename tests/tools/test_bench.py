@@ -85,6 +85,6 @@ def test_loops_with_accounts_have_those_of_columns() -> None:
     ):
         protocol, senders = make()
         peers = [protocol.scanner(), *([by_hand] if make is transports.isotp else [])]
-        transports.accounts(protocol, transports.interleaved(senders), peers)
+        transports.accounts(protocol, transports.taking_turns(senders), peers)
     reasons = {reason for _, reason in by_hand.losses}
     assert {"repeated", "no first frame", "restarted", "timed out", "frame 3 missing"} <= reasons

@@ -32,7 +32,8 @@ from aces_bus.errors import AcesError, CallerError, CaptureError
 from aces_bus.export import Export
 from aces_bus.export.files import Staging, telling
 from aces_bus.frame_table import FrameTable
-from aces_bus.protocol.columns.can import CanColumns, ChannelColumns
+from aces_bus.protocol.columns.can import CanColumns
+from aces_bus.protocol.columns.can_channels import ChannelColumns
 from aces_bus.protocol.columns.table import MessageTable
 from aces_bus.recordings import CanRecording, UnreadableEntry, open_recording
 from aces_bus.recordings.open import open_part, split_capture

@@ -3,56 +3,35 @@
 1. The answer is the live scanner's, value for value and bin for bin; frames that hang on others (requests, replies, modes)
    or have no columns go through the live scanner itself, in their order. Of a key that requests share with other messages,
    the frames of requests do.
-2. Frames are sorted by what they may be, not by identifier: one sort a table, then every message is a slice.
-
-The sort is stable, so a message's frames stay in the order of the capture. What an identifier may be is looked up once:
-in an array for 11-bit identifiers, in a sorted list for all other keys. Frames of a transport are a slice, too: its packets
-are a table like that of frames, which goes the same way.
+2. Frames are sorted by what they may be (`key_slots`), not by identifier: one sort a table, then every message is a slice
+   (`slot_batch`). Frames of a transport are a slice, too: its packets are a table like that of frames, which goes the same
+   way.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache, partial
-from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ...frame_table import ERROR, RX, TX, UNUSUAL, FrameTable, rows_at
-from ...frame_table import REMOTE as REMOTE_FLAG
+from ...frame_table import FrameTable
 from ..counts import ScanCounts, sum_counts
 from ..declare.ambiguity import ordered
 from ..declare.message import Direction, Message
 from ..declare.protocol import Variant
 from ..declare.transport import Transport
 from ..live.can import CanScanner
-from ..live.channels import ChannelScanners
 from ..live.decide import REMEMBERED
-from .key_numbers import KeyNumbers, few_keys
+from .key_slots import ERROR_FRAME, LIVE, UNKNOWN, KeySlots
 from .reassemble import CarriedTable, ColumnReassembler
 from .rows import PacketRows, RowDecoder
 from .scanner import RecordColumns
-from .table import Array, Column, ColumnKind, MessageTable, by_message, lost_table, object_array
-
-STANDARD = 0x800
-
-# What a slot's frames are, beside the messages that have decoders.
-_UNKNOWN, _ERROR, _LIVE = range(3)
-
-
-class _Candidate(NamedTuple):
-    """A message of one of the variants, with what decodes it."""
-
-    message: Message
-    decoder: RowDecoder
-    protocol: str
-    #: The number of its variant.
-    wire: int
-    #: Whether replies hang on it, or it uses up a request: its frames are the live scanner's.
-    is_live: bool
+from .slot_batch import MessageCandidate, SlotBatch, merge_tables, table_of_lost
+from .table import Array, MessageTable
 
 
 class _Lost(NamedTuple):
@@ -78,66 +57,6 @@ class Handover:
     frames: int
 
 
-class _KeySlots:
-    """The slots of keys; what each is, `slot_of` says once."""
-
-    def __init__(self, slot_of: Callable[[int], int]) -> None:
-        self._slot = slot_of
-        #: Slots of 11-bit data frames; −1 not looked up yet.
-        self._standard = np.full(STANDARD, -1, np.int32)
-        #: All other keys that were looked up, and their slots.
-        self._keys = KeyNumbers()
-        self._slots = np.empty(0, np.int32)
-        self._by_place = self._slots
-
-    def of(self, table: FrameTable) -> Array:
-        """The slot of each frame, int32 (n,)."""
-        flags = table.flags
-        any_flags = int(np.bitwise_or.reduce(flags)) if len(flags) else 0
-        if len(self._keys) < REMEMBERED and not any_flags & ERROR and (few := few_keys(table.key)):
-            slots = self._other_slots(few.present())
-            if (slots == slots[0]).all():
-                return np.broadcast_to(slots[0], len(table))
-        if not any_flags & UNUSUAL:
-            return self._standard_slots(table.id)
-        key = table.key
-        if (flags[0] == flags).all() and not any_flags & ERROR:
-            return self._other_slots(key)
-        slots = np.empty(len(table), np.int32)
-        plain = (flags & UNUSUAL) == 0
-        slots[plain] = self._standard_slots(table.id[plain])
-        errors = (flags & ERROR) != 0
-        slots[errors] = _ERROR
-        others = ~(plain | errors)
-        if others.any():
-            slots[others] = self._other_slots(key[others])
-        return slots
-
-    def _standard_slots(self, identifiers: Array) -> Array:
-        if len(identifiers) and int(identifiers.max()) >= STANDARD:
-            return self._other_slots(identifiers)  # no frame of a bus, but a table may hold it
-        slots: Array = self._standard.take(identifiers)
-        if len(slots) and int(slots.min()) < 0:
-            is_new = np.zeros(STANDARD, bool)
-            is_new[identifiers] = True
-            for key in np.flatnonzero(is_new & (self._standard < 0)).tolist():
-                self._standard[key] = self._slot(key)
-            slots = self._standard.take(identifiers)
-        return slots
-
-    def _other_slots(self, keys: Array) -> Array:
-        if len(self._keys) < REMEMBERED:
-            places = self._keys.places(keys)
-            if len(new := self._keys.known[len(self._slots) :]):
-                slots = [self._slot(key) for key in new.tolist()]
-                self._slots = np.concatenate([self._slots, np.array(slots, np.int32)])
-                self._by_place = self._keys.by_place(self._slots)
-            found: Array = self._by_place.take(places)
-            return found
-        unique, inverse = np.unique(keys, return_inverse=True)
-        return np.array([self._slot(key) for key in unique.tolist()], np.int32)[inverse]
-
-
 class _Carrier:
     """A transport in columns: its packets under way, and the slots of the keys of packets."""
 
@@ -146,7 +65,7 @@ class _Carrier:
     ) -> None:
         self.transport = transport
         self.reassembler = ColumnReassembler(transport, extra_of)
-        self.slots = _KeySlots(slot_of)
+        self.slots = KeySlots(slot_of)
 
 
 class CanColumns:
@@ -176,10 +95,10 @@ class CanColumns:
         self._scanner = CanScanner(variants, direction=direction, include_unknown=True, raw=raw)
         self._slow = RecordColumns(variants, include_unknown=True, raw=raw, scanner=self._scanner)
         self._wires = self._scanner.wires
-        self._candidates: list[tuple[_Candidate, ...]] = [(), (), ()]
+        self._candidates: list[tuple[MessageCandidate, ...]] = [(), (), ()]
         self._by_names: dict[tuple[tuple[int, str], ...], int] = {}
-        self._decoders: dict[tuple[int, str], _Candidate] = {}
-        self._slots = _KeySlots(self._slot)
+        self._decoders: dict[tuple[int, str], MessageCandidate] = {}
+        self._slots = KeySlots(self._slot)
         #: The transports whose packets are decoded in columns, by their slots.
         self._carriers: dict[int, _Carrier] = {}
         self._counts = ScanCounts()
@@ -213,13 +132,13 @@ class CanColumns:
         for number, wire in enumerate(self._wires):
             for message in ordered(wire.candidates(key, transport)):
                 if message.name in wire.contextual or self._candidate(number, message).decoder.reason:
-                    return _LIVE
+                    return LIVE
                 names.append((number, message.name))
         if not names:
-            return _UNKNOWN
+            return UNKNOWN
         chosen = tuple(names)
         if all(self._decoders[name].is_live for name in chosen):
-            return _LIVE
+            return LIVE
         if chosen not in self._by_names:
             self._by_names[chosen] = len(self._candidates)
             self._candidates.append(tuple(self._decoders[name] for name in chosen))
@@ -239,7 +158,7 @@ class CanColumns:
             return known
         for number, wire in enumerate(self._wires):
             if any(m.transport == transport and self._is_live(number, m) for m in wire.messages):
-                return _LIVE
+                return LIVE
         slot = len(self._candidates)
         self._candidates.append(())
         self._carriers[slot] = _Carrier(
@@ -254,14 +173,14 @@ class CanColumns:
         candidates = (m for wire in self._wires for m in wire.candidates(key, transport))
         return next((m.check_extra for m in candidates), b"")
 
-    def _candidate(self, number: int, message: Message) -> _Candidate:
+    def _candidate(self, number: int, message: Message) -> MessageCandidate:
         name = (number, message.name)
         if name not in self._decoders:
             variant = self.variants[number]
             decoder = RowDecoder(message.plan, raw=self.raw, message=message)
             context = self._wires[number].context
             is_live = message.name in context.requests or message.name in context.answers
-            self._decoders[name] = _Candidate(message, decoder, variant.name, number, is_live)
+            self._decoders[name] = MessageCandidate(message, decoder, variant.name, number, is_live)
         return self._decoders[name]
 
     # ------------------------------------------------------------------ feeding
@@ -277,13 +196,13 @@ class CanColumns:
         if rows is None:
             rows = np.arange(self._fed, self._fed + len(table))
         self._fed += len(table)
-        batch = _Batch(table, slots, rows, len(self._candidates))
+        batch = SlotBatch(table, slots, rows, len(self._candidates))
         lost: list[_Lost] = []
         tables: list[MessageTable] = []
         older: list[MessageTable] = []
         live: list[Array] = []
         for slot, start, end in batch.slices:
-            if slot == _LIVE or (self._defer and slot in self._carriers):
+            if slot == LIVE or (self._defer and slot in self._carriers):
                 live.append(batch.order[start:end])
             elif slot in self._carriers:
                 some, numbers = table, rows
@@ -291,9 +210,9 @@ class CanColumns:
                     places = batch.order[start:end]
                     some, numbers = table.take(places), rows[places]
                 self._carried(self._carriers[slot], some, numbers, tables, older)
-            elif slot in (_UNKNOWN, _ERROR):
+            elif slot in (UNKNOWN, ERROR_FRAME):
                 self._lose(
-                    batch, batch.order[start:end], "unknown" if slot == _UNKNOWN else "error frame", lost
+                    batch, batch.order[start:end], "unknown" if slot == UNKNOWN else "error frame", lost
                 )
             else:
                 live += self._decode(batch, start, end, self._candidates[slot], tables, lost)
@@ -305,7 +224,7 @@ class CanColumns:
             out += merge_tables([*older, self._lost_table(batch, lost)] if lost else older)
         return out
 
-    def _lose(self, batch: _Batch, places: Array, reason: str, lost: list[_Lost]) -> None:
+    def _lose(self, batch: SlotBatch, places: Array, reason: str, lost: list[_Lost]) -> None:
         self._counts.lose(batch.frames_of(places), reason)
         if self.include_unknown:
             lost.append(_Lost(places, [reason] * len(places)))
@@ -329,19 +248,19 @@ class CanColumns:
             places = np.concatenate([places for places, _ in lost])
             if len(places):
                 reasons = [reason for _, some in lost for reason in some]
-                older.append(_losses(decided.table, decided.rows, places, reasons))
+                older.append(table_of_lost(decided.table, decided.rows, places, reasons))
 
     def _packets(
         self, carrier: _Carrier, carried: CarriedTable, tables: list[MessageTable]
     ) -> list[tuple[Array, list[str]]]:
         """Packets of a transport: their messages, and the frames of those that are none."""
         slots = carrier.slots.of(carried.packets)
-        batch = _Batch(
+        batch = SlotBatch(
             carried.packets, slots, carried.rows, len(self._candidates), carrier.transport, carried
         )
         lost: list[_Lost] = []
         for slot, start, end in batch.slices:
-            if slot == _UNKNOWN:
+            if slot == UNKNOWN:
                 self._lose(batch, batch.order[start:end], "unknown", lost)
             else:
                 self._decode(batch, start, end, self._candidates[slot], tables, lost)
@@ -358,15 +277,15 @@ class CanColumns:
             left, rows = carrier.reassembler.close()
             self._counts.pending += len(rows)
             if len(rows):
-                tables.append(_losses(left, rows, np.arange(len(rows)), ["pending"] * len(rows)))
+                tables.append(table_of_lost(left, rows, np.arange(len(rows)), ["pending"] * len(rows)))
         return merge_tables(tables) if self.include_unknown else []
 
     def _decode(
         self,
-        batch: _Batch,
+        batch: SlotBatch,
         start: int,
         end: int,
-        candidates: tuple[_Candidate, ...],
+        candidates: tuple[MessageCandidate, ...],
         tables: list[MessageTable],
         lost: list[_Lost],
     ) -> list[Array]:
@@ -402,11 +321,11 @@ class CanColumns:
 
     def _add(
         self,
-        batch: _Batch,
+        batch: SlotBatch,
         start: int,
         end: int,
         which: Array | None,
-        candidate: _Candidate,
+        candidate: MessageCandidate,
         rows: PacketRows,
         tables: list[MessageTable],
     ) -> None:
@@ -421,7 +340,7 @@ class CanColumns:
 
     def _live(
         self,
-        batch: _Batch,
+        batch: SlotBatch,
         places: Array,
         tables: list[MessageTable],
         lost: list[_Lost],
@@ -445,7 +364,7 @@ class CanColumns:
     # ------------------------------------------------------------------ losses
 
     def _why(
-        self, candidates: tuple[_Candidate, ...], rows: PacketRows, transport: Transport | None
+        self, candidates: tuple[MessageCandidate, ...], rows: PacketRows, transport: Transport | None
     ) -> list[str]:
         """Why frames, or packets of a transport, are none of the messages that their identifier allows."""
         by_length = not any(c.decoder.plan.constants or c.decoder.plan.one_of for c in candidates)
@@ -467,13 +386,15 @@ class CanColumns:
             out.append(reason)
         return out
 
-    def _lost_table(self, batch: _Batch, lost: Sequence[_Lost]) -> MessageTable:
+    def _lost_table(self, batch: SlotBatch, lost: Sequence[_Lost]) -> MessageTable:
         places = np.concatenate([one.places for one in lost])
-        return _losses(batch.table, batch.numbers, places, [reason for one in lost for reason in one.reasons])
+        return table_of_lost(
+            batch.table, batch.numbers, places, [reason for one in lost for reason in one.reasons]
+        )
 
     # ------------------------------------------------------------------ rolling counters
 
-    def _count_missed(self, candidate: _Candidate, table: MessageTable, rows: PacketRows) -> None:
+    def _count_missed(self, candidate: MessageCandidate, table: MessageTable, rows: PacketRows) -> None:
         """What the rolling counters of a message say was missed, by channel and key."""
         message = candidate.message
         raw = candidate.decoder if self.raw else RowDecoder(candidate.decoder.plan, raw=True, message=message)
@@ -524,220 +445,3 @@ class CanColumns:
             tables += self.feed(table, rows + first)
         self._fed = fed + given.frames
         return merge_tables(tables)
-
-
-class _Batch:
-    """A table of frames in the order of their slots; the sorted columns are made once."""
-
-    def __init__(
-        self,
-        table: FrameTable,
-        slots: Array,
-        numbers: Array,
-        top: int,
-        transport: Transport | None = None,
-        carried: CarriedTable | None = None,
-    ) -> None:
-        self.table = table
-        self._slots, self._top = slots, top
-        #: Each slot that occurs, with its part of the sorted columns.
-        self.slices: list[tuple[int, int, int]]
-        self._is_sorted = slots.strides == (0,) or bool((slots[0] == slots).all())
-        if self._is_sorted:
-            self.slices = [(int(slots[0]), 0, len(slots))]
-        else:
-            ends = np.cumsum(np.bincount(slots, minlength=top)).tolist()
-            self.slices = [
-                (slot, start, end) for slot, (start, end) in enumerate(pairwise([0, *ends])) if end > start
-            ]
-        #: Where the frames are packets: of which transport, and what they are made of.
-        self.transport, self.carried = transport, carried
-        #: The frames' numbers in the capture, in the table's order.
-        self.numbers = numbers
-
-    @cached_property
-    def order(self) -> Array:
-        """The places of the frames, slot behind slot."""
-        slots = self._slots
-        if self._is_sorted:
-            return np.arange(len(slots))
-        return np.argsort(slots.astype(np.uint16) if self._top < 1 << 16 else slots, kind="stable")
-
-    # The sorted columns, made when some message of the table is decoded.
-
-    @cached_property
-    def _row(self) -> Array:
-        return self._in_order(self.numbers)
-
-    @cached_property
-    def _data(self) -> Array:
-        return self.table.data if self._is_sorted else rows_at(self.table.data, self.order)
-
-    @cached_property
-    def _lengths(self) -> Array:
-        flags = self.table.flags
-        length = self._in_order(self.table.length)
-        if int(np.bitwise_or.reduce(flags)) & REMOTE_FLAG:
-            # A remote frame's number is what it asks for; data it has none.
-            return np.where(flags[self.order] & REMOTE_FLAG, 0, length)
-        return length
-
-    @cached_property
-    def _keys(self) -> Array:
-        return self._in_order(self.table.key)
-
-    @cached_property
-    def _time(self) -> Array:
-        return self._in_order(self.table.time)
-
-    @cached_property
-    def _channel(self) -> Array:
-        return self._in_order(self.table.channel)
-
-    @cached_property
-    def _rx(self) -> Array:
-        flags = self.table.flags
-        is_said = int(np.bitwise_or.reduce(flags)) & (RX | TX)
-        return self._in_order(_way(flags)) if is_said else np.full(len(flags), 2, np.uint8)
-
-    def _in_order(self, column: Array) -> Array:
-        """A column in the order of slots; one that is the same throughout, as most are, costs little."""
-        if self._is_sorted:
-            return column
-        first = column[0]
-        if first == column[-1] and (column == first).all():
-            return np.broadcast_to(first, column.shape)
-        found: Array = column[self.order]
-        return found
-
-    def some(self, start: int, end: int, which: Array | None) -> Array:
-        """The places of those of [start, end) that are named (None: all)."""
-        places = self.order[start:end]
-        return places if which is None else places[which]
-
-    def frames_of(self, places: Any) -> int:
-        """How many frames there are at some places."""
-        counts = (
-            self.carried.counts[places] if self.carried is not None else np.ones(np.shape(places), np.int64)
-        )
-        return int(counts.sum())
-
-    def rows(self, start: int, end: int) -> PacketRows:
-        """The frames [start, end) as rows."""
-        return PacketRows(self._data[start:end], self._lengths[start:end], self._keys[start:end])
-
-    def message_table(
-        self, start: int, end: int, which: Array | None, candidate: _Candidate, rows: PacketRows
-    ) -> MessageTable:
-        """The table of the frames `which` (None: all) of [start, end), whose bytes are `rows`."""
-
-        def some(column: Array) -> Array:
-            part = column[start:end]
-            return part if which is None else part[which]
-
-        message, decoder, protocol, *_ = candidate
-
-        def make(kind: ColumnKind) -> Column:
-            return decoder.column(kind, rows)
-
-        return MessageTable(
-            protocol,
-            message.name,
-            message.direction,
-            False,
-            some(self._time),
-            some(self._channel),
-            self.table.channels,
-            some(self._keys),
-            some(self._row),
-            some(self._rx),
-            decoder.kinds,
-            make,
-            message.doc,
-            frames=None if self.carried is None else self.carried.counts[self.some(start, end, which)],
-            first_time=None
-            if self.carried is None
-            else self.carried.first_time[self.some(start, end, which)],
-        )
-
-
-def _losses(table: FrameTable, rows: Array, places: Array, reasons: Sequence[str]) -> MessageTable:
-    """The table of frames that are lost, by their places, in the order of the capture."""
-    by_place = np.argsort(places, kind="stable")
-    places = places[by_place]
-    some = table.take(places)
-    return lost_table(
-        object_array(reasons)[by_place],
-        lambda: object_array([frame.data for frame in some.frames()]),
-        is_stream=False,
-        time=some.time,
-        channel=some.channel,
-        channels=some.channels,
-        key=some.key,
-        row=rows[places],
-        rx=_way(some.flags),
-    )
-
-
-def _way(flags: Array) -> Array:
-    """1 received, 0 sent, 2 not said."""
-    return np.where(flags & RX, 1, np.where(flags & TX, 0, 2)).astype(np.uint8)
-
-
-def merge_tables(tables: Iterable[MessageTable]) -> list[MessageTable]:
-    """One table a message, in the order of the capture."""
-    merged: list[MessageTable] = []
-    for some in by_message(tables):
-        whole = MessageTable.concat(some)
-        merged.append(whole if len(some) == 1 else whole.take(np.argsort(whole.row, kind="stable")))
-    return merged
-
-
-class ChannelColumns(ChannelScanners[CanColumns]):
-    """The column scanner of several channels; made by `make_column_scanner` when a protocol is bound to one."""
-
-    def __init__(
-        self,
-        variants: Sequence[Variant],
-        *,
-        direction: Direction | Literal["both"] | None = None,
-        include_unknown: bool = False,
-        raw: bool = False,
-        defer: bool = False,
-    ) -> None:
-        super().__init__(
-            variants,
-            lambda mine: CanColumns(
-                mine, direction=direction, include_unknown=include_unknown, raw=raw, defer=defer
-            ),
-        )
-        self._fed = 0
-
-    def hand_over(self) -> dict[str | None, Handover]:
-        """What has been seen since the last call, by channel; see `CanColumns.hand_over`."""
-        given = {channel: scanner.hand_over() for channel, scanner in self._scanners.items()}
-        frames, self._fed = self._fed, 0
-        return {channel: replace(one, frames=frames) for channel, one in given.items()}
-
-    def adopt(self, given: Mapping[str | None, Handover]) -> list[MessageTable]:
-        """Go on behind a piece that another process has decoded: the tables of the frames that it left."""
-        tables: list[MessageTable] = []
-        for channel, one in given.items():
-            scanner = self.of(channel)
-            tables += scanner.adopt(one, self._fed)
-        self._fed += max((one.frames for one in given.values()), default=0)
-        return merge_tables(tables)
-
-    def feed(self, table: FrameTable, /) -> list[MessageTable]:
-        """The tables of a piece of a capture, one a message that occurs in it."""
-        tables: list[MessageTable] = []
-        for number in np.unique(table.channel).tolist():
-            places: Array = np.flatnonzero(table.channel == number)
-            scanner = self.of(table.channels.names[number])
-            tables += scanner.feed(table.take(places), places + self._fed)
-        self._fed += len(table)
-        return merge_tables(tables)
-
-    def close(self) -> list[MessageTable]:
-        """The end of a capture; see `CanColumns.close`."""
-        return merge_tables(table for scanner in self._scanners.values() for table in scanner.close())

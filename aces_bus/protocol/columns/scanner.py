@@ -169,7 +169,8 @@ def make_column_scanner(
 
     With `include_unknown` there is also a table named "" of what was not decoded, with the columns `reason` and `raw`.
     """
-    from .can import CanColumns, ChannelColumns
+    from .can import CanColumns
+    from .can_channels import ChannelColumns
     from .stream import StreamColumns
 
     kind: Any = StreamColumns

@@ -156,9 +156,8 @@ class J1939Transport(Transport):
         if not self._is_request(key, data):
             return None
         left = data[3] - start + 1
-        return _back(key), bytes([CTS, min(frames or left, left, data[4] or 1), start]) + b"\xff\xff" + data[
-            5:8
-        ]
+        head = bytes([CTS, min(frames or left, left, data[4] or 1), start])
+        return _back(key), head + b"\xff\xff" + data[5:8]
 
     def acknowledgement(self, key: int, data: bytes) -> tuple[int, bytes] | None:
         """End of message, of packets to one address."""
@@ -170,10 +169,8 @@ class J1939Transport(Transport):
         """Connection abort, with the reason as a number."""
         if not self._is_request(key, data):
             return None
-        back = _back(key)
-        return _back(back) if by_sender else back, bytes([ABORT, _GIVEN_UP[why]]) + b"\xff\xff\xff" + data[
-            5:8
-        ]
+        to = _back(_back(key)) if by_sender else _back(key)
+        return to, bytes([ABORT, _GIVEN_UP[why]]) + b"\xff\xff\xff" + data[5:8]
 
     def steering(self, key: int, data: bytes) -> Steering | None:
         """What a receiver says: clear to send (no frames: wait), end of message, abort."""
@@ -185,9 +182,8 @@ class J1939Transport(Transport):
         if data[0] == END:
             return Steering("done", to, opening=((1, data[1:4]), *of_group))
         if data[0] == ABORT:
-            return Steering(
-                "stop", to, opening=of_group, reason=f"its receiver aborted: {_why_aborted(data)}"
-            )
+            why = f"its receiver aborted: {_why_aborted(data)}"
+            return Steering("stop", to, opening=of_group, reason=why)
         return None
 
     def is_for(
@@ -198,12 +194,14 @@ class J1939Transport(Transport):
         That is the source of what it sends, or the destination of the message, as far as constants or `known` fields say
         them, of messages with a direction: a packet to an address that may be another's is not let go on.
         """
+        if not super().is_for(key, data, message, known, sent):
+            return False
         own = {
             _byte_of(one.identifier, 0, known) for one in sent if one.extended and one.direction is not None
         }
         if message.direction is not None and message.identifier.constant >> 16 & 0xFF < BROADCAST:
             own.add(_byte_of(message.identifier, 8, known))
-        return key >> 8 & 0xFF in own and super().is_for(key, data, message, known, sent)
+        return key >> 8 & 0xFF in own
 
     def _is_request(self, key: int, data: bytes) -> bool:
         """Whether a frame opens a packet to one address."""

@@ -298,7 +298,7 @@ def columns(variant: Variant, tables: list[FrameTable]) -> int:
     return count
 
 
-def interleaved(senders: list[list[Frame]]) -> list[Frame]:
+def taking_turns(senders: list[list[Frame]]) -> list[Frame]:
     """A frame of each sender in turn, 0.2 ms apart."""
     frames = [frame for together in zip(*senders, strict=True) for frame in together]
     return [replace(frame, timestamp=number * 2e-4) for number, frame in enumerate(frames)]
@@ -336,7 +336,7 @@ def run(*, quick: bool) -> list[BenchRow]:
         ("J1939 packets → values", parameter_groups(), parameter_group_loop),
         ("DroneCAN transfers → values", transfers(), transfer_loop),
     ):
-        block = interleaved(senders)
+        block = taking_turns(senders)
         careful = [IsoTpAccounts] if loop is isotp_loop else []
         accounts(protocol, block, [protocol.scanner(), *(make() for make in careful)])
         count = max(1, (2 if quick else 4) * BATCH // len(block))
