@@ -28,12 +28,13 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..errors import CallerError, UnknownNameError
 from ..protocol import Protocol, Variant
+from ..runtime import Timer
 from .coalesce import CoalescingRule, Setpoint
 from .config import DeviceConfig, Robot
 from .declared import Poll, SignalSpec, field_reader, same, slot_of
 from .signals import Signal
 from .station import EndpointMember, refuse_shadowing
-from .ticket import Job, Steps, Ticket
+from .ticket import Awaited, Job, Steps, Ticket
 
 if TYPE_CHECKING:
     from .events import Kind
@@ -131,6 +132,8 @@ class Device(EndpointMember):
         self._dirty: set[str] = set()
         self._held: dict[str, int] = {}
         self._led: list[Job] = []
+        #: What is waited for: looked at whenever it has said something.
+        self._until_so: list[tuple[Callable[[], bool], Awaited, Timer]] = []
         for spec in self.provides:
             self._declare(spec)
         self.setup()
@@ -396,6 +399,11 @@ class Device(EndpointMember):
             if value is not None:
                 target.update(value, instant)
         self.received(record, instant)
+        if self._until_so:
+            self._look_again()
+
+    def _look_again(self) -> None:
+        """What is waited for may hold now (`MotorDevice.until`)."""
 
     # ------------------------------------------------------------------ down
 

@@ -96,11 +96,12 @@ class Host(BusEndpoint[Device]):
         self.polling, self.unanswered = Polling(self), Unanswered(self)
         #: Called with each record of a device, its message's name and the instant: who asked for it gets it.
         self.answered = self.unanswered.answered
-        self._note: Callable[[Any], None] = self.scanner.sent
+        #: Called with each packet that was sent, as replies may hang on it.
+        self.note: Callable[[Any], None] = self.scanner.sent
         if isinstance(self.port, CarriedPort):
-            self._note = self._note_frames
+            self.note = self._note_frames
         if passive and self._is_can:
-            feed, note = self._feed, self._note
+            feed, note = self._feed, self.note
 
             def received_by_others(frames: Any) -> list[Any]:
                 """Where others ask, an answer may need what they asked to be understood."""
@@ -283,7 +284,10 @@ class Host(BusEndpoint[Device]):
         if self.line is not None:
             self.line.put_set_points()
             return 0
-        return sum([self._send_set_point(out, now) for out in self.set_points(now)])
+        used = 0
+        for out in self.set_points(now):
+            used += self._send_set_point(out, now)
+        return used
 
     def set_points(self, now: int) -> Iterator[OutgoingMessage]:
         """What is wanted and not sent yet, as few messages as the rules make of it."""
@@ -314,8 +318,9 @@ class Host(BusEndpoint[Device]):
             return 0
         device, message = out.device, out.message
         used = self.port.wire_ns(packet)
-        is_sent = self.transmit(packet, device, message)
-        return used + self.polling.stand_in(device, message, now) if is_sent else used
+        if self.transmit(packet, device, message) and self.polling.stand_ins:
+            used += self.polling.stand_in(device, message, now)
+        return used
 
     # ------------------------------------------------------------------ asking
 
@@ -384,13 +389,14 @@ class Host(BusEndpoint[Device]):
         if not self._is_open or not self.port.send(
             packet, age_ns, urgent=urgent, topic=device, report=report
         ):
-            self.counts.not_sent += 1
-            if not (is_reported and self._is_open):
-                self.emit("not sent", device.name, f"{message}: the bus does not take it")
+            if is_reported and self._is_open:
+                self.counts.not_sent += 1
+            else:
+                self.not_taken(device, message)
             return False
         self.counts.sent += 1
         if note is None:
-            self._note(packet)
+            self.note(packet)
         else:
             note()
         return True
@@ -399,6 +405,11 @@ class Host(BusEndpoint[Device]):
         """What became of a packet of several frames."""
         if fate != "sent":
             self.emit("not sent", device.name, f"{message}: {why}")
+
+    def not_taken(self, device: Device, message: str) -> None:
+        """The bus does not take a device's packet."""
+        self.counts.not_sent += 1
+        self.emit("not sent", device.name, f"{message}: the bus does not take it")
 
     def prolong(self, device: Device, duration_s: float) -> None:
         """A device asks for patience: what was asked of it may be answered for so long from now."""

@@ -12,7 +12,7 @@ from typing import Protocol as Interface
 
 from ..errors import DeviceError, UnknownNameError
 from ..protocol import Record
-from ..runtime import Clock, Timer
+from ..runtime import Clock
 from .config import Joint
 from .device import Device
 from .ticket import Awaited, Job, Steps
@@ -61,10 +61,6 @@ class MotorDevice(Device, Generic[A]):
 
     axes: list[A]
 
-    def __init__(self, *args: Any) -> None:
-        self._until_so: list[tuple[Callable[[], bool], Awaited, Timer]] = []
-        super().__init__(*args)
-
     def axes_of(self, joint: str | None) -> list[A]:
         """The axis of a joint by name, alias or channel number; None: all that have a joint (all, where none has one).
 
@@ -91,11 +87,7 @@ class MotorDevice(Device, Generic[A]):
         self._until_so.append((holds, awaited, timer))
         return awaited
 
-    def receive(self, record: Any, instant: int) -> None:
-        """A record of this device; then what waits for it."""
-        super().receive(record, instant)
-        if not self._until_so:
-            return
+    def _look_again(self) -> None:
         waiting, self._until_so = self._until_so, []
         for one in waiting:
             holds, awaited, timer = one

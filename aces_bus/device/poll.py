@@ -63,7 +63,9 @@ class PollSlot:
         "wire_ns",
     )
 
-    def __init__(self, device: Device, poll: Poll, packet: Any, wire_ns: int) -> None:
+    def __init__(
+        self, device: Device, poll: Poll, packet: Any, note: Callable[[], None], wire_ns: int
+    ) -> None:
         #: How long its packet occupies the bus.
         self.wire_ns = wire_ns
         self.device = device
@@ -73,7 +75,7 @@ class PollSlot:
             device.clock, device, poll.message, packet, self.replies, round(poll.timeout_s * 1e9), 0, self
         )
         self.waiting: Ticket | None = None
-        self.ask_with(packet, None)
+        self.ask_with(packet, note)
         self.priority = priority_of(device.config)
         #: It asks everybody: when several devices want it in one tick, it is sent once.
         self.common = not tags_of(device, device.variant[poll.message])
@@ -83,8 +85,8 @@ class PollSlot:
         #: What it costs on the wire, with its answer; learnt.
         self.cost_ns = 2 * wire_ns
 
-    def ask_with(self, packet: Any, note: Callable[[], None] | None) -> None:
-        """Ask with this packet; `note` is called when it has left (None: the scanner is given the packet)."""
+    def ask_with(self, packet: Any, note: Callable[[], None]) -> None:
+        """Ask with this packet; `note` is called when it has left, as replies may hang on it."""
         self.packet = self.ticket.packet = packet
         self.note = note
 

@@ -40,7 +40,7 @@ class Polling:
         self.host = host
         self.slots: deque[PollSlot] = deque()
         #: By device and message of set-points: the poll that it stands for, and what answers it.
-        self._asked_by: dict[tuple[str, str], tuple[PollSlot, frozenset[str]]] = {}
+        self.stand_ins: dict[tuple[str, str], tuple[PollSlot, frozenset[str]]] = {}
         #: Whether some devices are asked before others in each tick.
         self._has_priorities = False
         #: Requests to everybody, and when each was last sent.
@@ -68,28 +68,27 @@ class Polling:
                     f"{host.name} {member.name}: it cannot be asked: {error}; its credentials are:"
                     f" {shown(member.credentials) or 'none'}"
                 ) from error
-            slot = PollSlot(member, poll, packet, host.port.wire_ns(packet))
-            slot.ask_with(packet, self._noting(packet))
+            slot = PollSlot(member, poll, packet, self._noting(packet), host.port.wire_ns(packet))
             if slot.every_ns:  # slow polls begin spread over their period, or all would meet in one tick
                 slot.due = host.clock.now() + round(slot.every_ns * (0.618 * len(self.slots) % 1))
             if host.line is not None and not host.period_ns:
                 slot.due = NEVER_NS  # asked on request: `poll` or `tick`
             self.slots.append(slot)
             for name, reply in poll.asked_by.items():
-                self._asked_by[member.name, name] = slot, frozenset((reply,))
+                self.stand_ins[member.name, name] = slot, frozenset((reply,))
         self._has_priorities = len({slot.priority for slot in self.slots}) > 1
 
-    def _noting(self, packet: Any) -> Callable[[], None] | None:
-        """What is called instead of giving the scanner a packet that was sent; None for several frames: each is given."""
-        scanner = self.host.scanner
-        if not isinstance(scanner, CanScanner) or isinstance(packet, tuple):
-            return None
-        return scanner.noting(packet) or _nothing
+    def _noting(self, packet: Any) -> Callable[[], None]:
+        """What is called when a packet was sent, as replies may hang on it."""
+        host = self.host
+        if not isinstance(host.scanner, CanScanner) or isinstance(packet, tuple):
+            return lambda: host.note(packet)
+        return host.scanner.noting(packet) or _nothing
 
     def remove(self, device: Device | None) -> None:
         """Ask a device no more."""
         self.slots = deque(slot for slot in self.slots if slot.device is not device)
-        self._asked_by = {key: one for key, one in self._asked_by.items() if one[0].device is not device}
+        self.stand_ins = {key: one for key, one in self.stand_ins.items() if one[0].device is not device}
 
     def renew(self, device: Device) -> None:
         """A device has other credentials: its polls ask for them."""
@@ -133,20 +132,44 @@ class Polling:
         most = self._polls_end - now
         if host.clock.now() > self._polls_end:  # this machine was held up
             most = used
-        asked = 0
+        asked, alone = 0, list[PollSlot]()
         for slot in tuple(slots):
             ticket = slot.waiting
             if slot.due <= now if ticket is None else self._is_overdue(slot, ticket, now):
                 used += slot.cost_ns
                 if used > most:
-                    self._carry(now)
                     break
-                if ticket is None:
+                if ticket is not None:
+                    self._ask_again(ticket, now)
+                elif slot.common:
                     self.take(slot, now)
                 else:
-                    self._ask_again(ticket, now)
+                    alone.append(slot)
             asked += 1
         slots.rotate(-asked)
+        self._ask(alone, now)
+        if used > most:
+            self._carry(now)
+
+    def _ask(self, slots: list[PollSlot], now: int) -> None:
+        """Ask these in this tick, each its own device: as `take`, with what they share done once."""
+        host, is_open = self.host, self.host.is_open
+        send, early = host.port.send, host.period_ns // 2
+        sent = 0
+        for slot in slots:
+            every = slot.every_ns
+            slot.due = now + every - early if every else now
+            slot.asked_at = now
+            slot.waiting = ticket = slot.ticket
+            ticket.tries, ticket.reply = 1, slot.replies
+            if is_open and send(slot.packet, slot.timeout_ns, topic=slot.device):
+                sent += 1
+                slot.note()
+            else:
+                host.not_taken(slot.device, ticket.message)
+        host.counts.sent += sent
+        host.counts.polls += len(slots)
+        host.unanswered.wait_for_polls(slots, now)
 
     def _carry(self, now: int) -> None:
         """What is due and not asked yet has to wait for the next tick."""
@@ -203,7 +226,7 @@ class Polling:
 
     def stand_in(self, device: Device, message: str, now: int) -> int:
         """Set-points of a device were sent: they stand for a poll where they are answered as it is. What that costs (ns)."""
-        asked = self._asked_by.get((device.name, message))
+        asked = self.stand_ins.get((device.name, message))
         if asked is None or device.is_silent:  # one that is silent is asked besides
             return 0
         slot, reply = asked

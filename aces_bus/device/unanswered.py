@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING, Any
 
@@ -53,6 +54,19 @@ class Unanswered:
         device.awaiting.append(ticket)
         self._watch(ticket, now + ticket.timeout_ns + wire_ns + more_ns)
 
+    def wait_for_polls(self, slots: Iterable[PollSlot], now: int) -> None:
+        """The same for polls of one tick."""
+        known = self._waiting
+        for slot in slots:
+            ticket = slot.ticket
+            ticket.sent_at = now
+            slot.device.awaiting.append(ticket)
+            ticket.deadline = deadline = now + slot.timeout_ns + slot.wire_ns
+            if deadline in known:
+                known[deadline].append(ticket)
+            else:
+                self._watch(ticket, deadline)
+
     def prolong(self, device: Device, until: int) -> None:
         """What was asked of a device may be answered until this instant (ns)."""
         for ticket in device.awaiting:
@@ -92,9 +106,7 @@ class Unanswered:
             heappop(deadlines)
             del self._waiting[deadline]
             for ticket in waiting:
-                if self._is_waiting(
-                    ticket, deadline
-                ):  # still: what became of another may have ended this one
+                if self._is_waiting(ticket, deadline):  # still: another's end may have been this one's
                     ticket.device.awaiting.remove(ticket)
                     self._missed(ticket, now)
         self._timer = self.clock.call_at(deadlines[0], self._expire) if deadlines else None
@@ -181,25 +193,26 @@ class Unanswered:
         if (device.timed_out or device.second_answers) and instant - device.missed_at > LATE_REPLY_NS:
             device.timed_out.clear()  # what has not come by now never will
             device.second_answers.clear()
-        ticket.answered_at = instant
         counts.answered += 1
         latency = instant - ticket.sent_at
         if latency > counts.latency_ns:
             counts.latency_ns = latency
-        if latency > host.period_ns and host.period_ns:
+        if latency > host.period_ns > 0:
             counts.answered_late += 1
+        line = host.line
         slot: PollSlot | None = ticket.poll
-        if slot is not None:  # how long the round takes
+        if slot is None:
+            ticket.answered_at = instant
+        else:  # how long the round takes
             slot.waiting = None
             cycle = instant - slot.asked_at
             if cycle > counts.cycle_ns:
                 counts.cycle_ns = cycle
             counts.cycle_sum_ns += cycle
             counts.cycles += 1
-        line = host.line
+            if line is not None:
+                slot.cost_ns = cycle  # learnt: the poll with its answer
         if line is not None:
-            if slot is not None:
-                slot.cost_ns = instant - slot.asked_at  # learnt: the poll with its answer
             line.free(ticket)
         if slot is None:
             ticket.finish(record)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import errno
 import os
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from ..errors import CallerError
@@ -196,23 +196,34 @@ class CanGate(Gate[Frame]):
         batch: list[Received[Frame]] = []
         found: list[Any] = []
         error: Exception | None = None
+        quick = self._quick
         try:
-            if self._quick is not None:
-                found = self._quick.frames(TURN_BATCH)
+            if quick is not None:
+                found = quick.frames(TURN_BATCH)
             else:
                 while len(found) < TURN_BATCH and (message := self._read(0)) is not None:
                     found.append(message)
         except Exception as raised:  # CanError, OSError, and whatever a backend lets through
             error = raised
         now = self.clock.now()
-        if self._quick is not None:
-            self._look_at_stamps(found)
-            batch = [Received(frame, now) for frame in found]
-        else:
+        if quick is None:
             for message in found:
                 frame = self._frame(message)
                 if frame is not None:
                     batch.append(Received(frame, now))
+        else:
+            for frame in found:
+                stamp, last = frame.timestamp, self._last_stamp
+                if stamp is not None:
+                    if last is not None and stamp < last:
+                        self._went_back(stamp)
+                    self._last_stamp = stamp
+                batch.append(Received(frame, now))
+            # Nearly always: there was something, and nothing else has happened.
+            if error is None and 0 < len(found) < TURN_BATCH and quick.changes == self._changes:
+                self.counters.received += len(batch)
+                self._strange = self._hollow = 0
+                return batch
         self._account(batch)
         self._strange = 0 if found or error is None else self._strange + 1
         # What says that it has something, and gives nothing, again and again, is dead.
@@ -263,19 +274,16 @@ class CanGate(Gate[Frame]):
         if self._is_echoing and self._is_echo(frame):
             self.counters.echoes += 1
             return None
-        self._look_at_stamps((frame,))
+        stamp = frame.timestamp
+        if stamp is not None:
+            if self._last_stamp is not None and stamp < self._last_stamp:
+                self._went_back(stamp)
+            self._last_stamp = stamp
         return frame
 
-    def _look_at_stamps(self, frames: Sequence[Frame]) -> None:
-        """Emit an event where the adapter's clock went back."""
-        last = self._last_stamp
-        for frame in frames:
-            stamp = frame.timestamp
-            if stamp is not None:
-                if last is not None and stamp < last:
-                    self._emit("clock", f"the adapter's clock went back by {last - stamp:.6f} s")
-                last = stamp
-        self._last_stamp = last
+    def _went_back(self, stamp: float) -> None:
+        assert self._last_stamp is not None
+        self._emit("clock", f"the adapter's clock went back by {self._last_stamp - stamp:.6f} s")
 
     def _is_echo(self, frame: Frame) -> bool:
         """Whether a backend that hears itself gives back what was sent; each frame once."""

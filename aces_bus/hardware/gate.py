@@ -217,9 +217,13 @@ class Gate(SendingGate[Item]):
             found = self._read_now()
         except Exception as error:  # CanError, OSError, and whatever a backend lets through
             self._lose_here(error)
-        else:
-            if found:
-                self._put(found)
+            return
+        if not found:
+            return
+        for inbox in self._inboxes:
+            inbox.put(found)
+        if self._received is not None:
+            self._received(found)
 
     def _lose_here(self, error: BaseException | None) -> None:
         """The bus is gone: a thread opens it again, which may take its time."""

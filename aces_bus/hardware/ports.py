@@ -9,6 +9,7 @@ A wire is simulated and needs no thread; a gate is served by the loop, with thre
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from threading import get_ident
 from typing import Any, Generic, Literal, TypeVar
 
 from msgspec.structs import replace
@@ -133,7 +134,7 @@ class CanPort(BasePort[Frame]):
             raise CallerError(f"{self.name}: what may be sent is its gate's to know: CanGate(allow=…)")
         self._bus, self._allow = bus, allow
         self._handler: BusHandler | None = None
-        self._costs: dict[tuple[int, bool, bool, bool], int] = {}
+        self._costs: dict[int | tuple[int, bool, bool, bool], int] = {}
         self.bitrate, self.data_bitrate = bitrate or 1_000_000, None
         if isinstance(bus, SimulatedBus):
             self.bitrate, self.data_bitrate = bus.bitrate, bus.data_bitrate
@@ -184,7 +185,11 @@ class CanPort(BasePort[Frame]):
 
     def wire_ns(self, frame: Frame) -> int:
         """How long a frame occupies the bus at most, its intermission included."""
-        key = (len(frame.data), frame.is_extended_id, frame.is_fd, frame.bitrate_switch)
+        key = (
+            (len(frame.data), frame.is_extended_id, frame.is_fd, frame.bitrate_switch)
+            if frame.is_extended_id or frame.is_fd
+            else len(frame.data)
+        )
         known = self._costs.get(key)
         if known is None:
             known = self._costs[key] = self._cost(frame)
@@ -325,8 +330,6 @@ def _sender(gate: Any, clock: Loop, quick: Callable[..., bool] | None = None) ->
         report: SendReport | None = None,
         **to: Any,
     ) -> bool:
-        if quick is not None and not urgent and report is None and clock.is_own_thread:
-            return quick(packet, age_ns, topic)
         if gate.state != "open" and not urgent:
             return False
         try:
@@ -342,7 +345,23 @@ def _sender(gate: Any, clock: Loop, quick: Callable[..., bool] | None = None) ->
         except CallerError:  # too much waits already, or not of this bus's kind
             return False
 
-    return give
+    if quick is None:
+        return give
+    usual = quick
+
+    def give_quick(
+        packet: Any,
+        age_ns: int = 0,
+        *,
+        urgent: bool = False,
+        topic: object = None,
+        report: SendReport | None = None,
+    ) -> bool:
+        if not urgent and report is None and clock.own_thread == get_ident():
+            return usual(packet, age_ns, topic)
+        return give(packet, age_ns, urgent=urgent, topic=topic, report=report)
+
+    return give_quick
 
 
 def port_of(bus: Any, loop: Loop | None = None, **options: Any) -> Any:

@@ -74,7 +74,8 @@ class Loop(RealClock):
         self._is_asleep = False
         self._stopping = False
         self._thread: threading.Thread | None = None
-        self._own_thread = 0
+        #: The number of its thread; 0: it does not run.
+        self.own_thread = 0
 
     # ------------------------------------------------------------------ planning
 
@@ -142,7 +143,7 @@ class Loop(RealClock):
     @property
     def is_own_thread(self) -> bool:
         """Whether the caller runs on it."""
-        return self._own_thread == threading.get_ident()
+        return self.own_thread == threading.get_ident()
 
     # ------------------------------------------------------------------ files
 
@@ -198,26 +199,42 @@ class Loop(RealClock):
                 pass
 
     def _run(self, woken: socket.socket) -> None:
-        self._own_thread = threading.get_ident()
+        self.own_thread = threading.get_ident()
         self.watch(woken.fileno(), lambda: woken.recv(4096))
+        soon, events, readers, select = self._soon, self._events, self._readers, self._select
+        monotonic_ns, do = self._monotonic_ns, self._do
         try:
             while not self._stopping:
-                for action in self._ready(self._turn()):
-                    self._do(action)
+                now = monotonic_ns()
+                if soon or self._ends or (events and events[0][0] <= now):
+                    self._turn(now)
+                    now = monotonic_ns()
+                while events and events[0][2].__class__ is Timer and events[0][2].action is None:
+                    heapq.heappop(events)  # taken back: no reason to wake up
+                left = max(0, events[0][0] - now) / 1e9 if events else None
+                self._is_asleep = True
+                if soon or self._stopping:  # handed over before that was seen
+                    left = 0
+                try:
+                    readable, _, _ = select(readers, (), (), left)
+                except (OSError, ValueError):  # a file was closed under us
+                    self._is_asleep = False
+                    self._serve_closed()
+                    continue
+                self._is_asleep = False
+                for number in readable:
+                    action = readers.get(number)
+                    if action is not None:
+                        do(action)
         finally:
             woken.close()
             assert self._waker is not None
             self._waker.close()
 
-    def _turn(self) -> int:
-        """What was handed over, what is due, and the ends; the instant (ns) after it."""
+    def _turn(self, now: int) -> None:
+        """What was handed over, what is due, and the ends."""
         monotonic_ns = self._monotonic_ns
-        now = monotonic_ns()
         soon, events, do = self._soon, self._events, self._do
-        if not (
-            soon or self._ends or (events and events[0][0] <= now)
-        ):  # a file was served, and that was all
-            return now
         until = now + TURN_NS
         for _ in range(len(soon)):
             do(soon.popleft())
@@ -240,7 +257,6 @@ class Loop(RealClock):
                 do(action)
         if soon or (events and events[0][0] <= now):
             self.carried += 1
-        return monotonic_ns()
 
     def _do(self, action: Action) -> None:
         try:
@@ -250,36 +266,14 @@ class Loop(RealClock):
             if self._failed is not None:
                 self._failed(error)
 
-    def _ready(self, now: int) -> list[Action]:
-        """Wait for files, the next instant or another thread; what serves the files that have something."""
-        events = self._events
-        while events and events[0][2].__class__ is Timer and events[0][2].action is None:
-            heapq.heappop(events)  # taken back: no reason to wake up
-        left: float | None = None
-        if events:
-            left = (events[0][0] - now) / 1e9 if events[0][0] > now else 0
-        self._is_asleep = True
-        if self._soon or self._stopping:  # handed over before that was seen
-            left = 0
-        readers = self._readers
-        try:
-            readable, _, _ = self._select(readers, (), (), left)
-        except (OSError, ValueError):  # a file was closed under us
-            return self._closed()
-        finally:
-            self._is_asleep = False
-        return [readers[number] for number in readable]
-
-    def _closed(self) -> list[Action]:
+    def _serve_closed(self) -> None:
         """Take out the files that are closed: reading says to whom they belong."""
-        found: list[Action] = []
         for number, readable in list(self._readers.items()):
             try:
                 os.fstat(number)
             except (OSError, ValueError):
                 self.unwatch(number)
-                found.append(readable)
-        return found
+                self._do(readable)
 
     def wait(self, until: Callable[[], bool], timeout_ns: int) -> bool:
         """Wait on another thread until `until()` holds; whether it did within `timeout_ns`. It is asked every millisecond.

@@ -141,18 +141,24 @@ class State(TimeSeries):
             self.push(source.last, source.instant)
         source.listeners.append(self.push)
         self._source = source
-        given: list[Listener] | None = getattr(source, "given", None)
-        if given is not None:  # it says what was really handed down
-            given.append(self._was_given)
-            self._is_known = True
+        self._is_known = hasattr(source, "given")  # it says what was really handed down
+        if self._target is not None or not self.is_sampled:
+            self._follow_given()
+
+    def _follow_given(self) -> None:
+        """Take what is handed down, too: a call for each set-point, which not every state is asked for."""
+        if self._is_known:
+            given: list[Listener] = getattr(self._source, "given")  # noqa: B009
+            if self._was_given not in given:
+                given.append(self._was_given)
 
     def disconnect(self) -> None:
         """Follow nothing any more; what is known stays."""
         if self._source is not None:
             self._source.listeners.remove(self.push)
-            if self._is_known:
+            if self._was_given in getattr(self._source, "given", ()):
                 getattr(self._source, "given").remove(self._was_given)  # noqa: B009
-                self._is_known = False
+            self._is_known = False
             self._source = None
 
     # ---- samples come in ------------------------------------------------------------------------------------------
@@ -280,6 +286,7 @@ class State(TimeSeries):
                 history=self.history,
                 interpolation="hold",
             )
+            self._follow_given()
         return self._target
 
     def refresh(self) -> None:

@@ -13,7 +13,7 @@ ways. `REPORT` tells a client how many of its frames the bus has taken, so that 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from struct import Struct
 from typing import TYPE_CHECKING, Annotated, Final, Literal, TypeVar
 
@@ -198,6 +198,26 @@ def packed(many: Iterable[bytes]) -> Iterator[bytes]:
         total += size
     if run:
         yield HEAD.pack(total, CLASSIC if size == CLASSIC_RECORD.size else LONG) + b"".join(run)
+
+
+def frames_packet(frames: Sequence[Frame], time_ns: int) -> bytes:
+    """Frames as packets, one behind another."""
+    if len(frames) <= MOST // CLASSIC_RECORD.size:
+        pack, out = CLASSIC_RECORD.pack, [HEAD.pack(CLASSIC_RECORD.size * len(frames), CLASSIC)]
+        for frame in frames:
+            if (
+                frame.is_extended_id
+                or frame.is_remote_frame
+                or frame.is_fd
+                or frame.bitrate_switch
+                or frame.error_state_indicator
+            ):
+                break
+            data = frame.data
+            out.append(pack(time_ns, frame.arbitration_id, 0, len(data), data))
+        else:
+            return b"".join(out)
+    return b"".join(packed([frame_record(frame, time_ns) for frame in frames]))
 
 
 def message_packet(message: Message, time_ns: int = 0) -> bytes:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Sequence
+from operator import attrgetter
 from typing import Any
 
 from can import CanInitializationError, CanOperationError, CanTimeoutError, Message
@@ -29,6 +30,7 @@ from .address import parse_address
 from .packets import FRAMES, OWN, PacketError
 from .stream import ANSWER_S, ServerConnection, read_status, wait
 
+_is_fd = attrgetter("is_fd")
 #: Events that leave a node in another state.
 _STATES = ("error-passive", "error-active", "recovered", "bus-off")
 
@@ -188,7 +190,8 @@ class ServedBus(VirtualBus):
         found: list[Frame] = []
         if not queue and self._reading.acquire(False):
             try:
-                self._check_open()
+                if self._why:
+                    raise self._unusable()
                 data = self._stream.receive()
                 if self._filters is None and len(data) <= most * packets.CLASSIC_PACKET.size:
                     singles = packets.single_frames(data)
@@ -242,7 +245,7 @@ class ServedBus(VirtualBus):
             raise self._untaken(self._state)
         if self._window:
             frames = frames[: max(0, self._window - (self._sent - self._taken))]
-        if not self._fd:
+        if not self._fd and any(map(_is_fd, frames)):
             for number, frame in enumerate(frames):
                 if frame.is_fd:
                     if not number:
@@ -251,8 +254,7 @@ class ServedBus(VirtualBus):
                     break
         if not frames:
             return 0
-        now = time.time_ns()
-        packet = b"".join(packets.packed([packets.frame_record(frame, now) for frame in frames]))
+        packet = packets.frames_packet(frames, time.time_ns())
         with self._sending:
             try:
                 is_taken = self._stream.offer(packet)

@@ -380,7 +380,9 @@ class CanScanner:
 
     def sent(self, frame: Any) -> None:
         """Our own transmission: a request that replies may hang on. It is not counted and gives no record."""
-        key = self._key_of(frame)
+        key = frame.arbitration_id
+        if frame.is_extended_id or frame.is_remote_frame or frame.is_fd:
+            key = self._key_of(frame)
         if key in self._unasked:  # no reply hangs on it: most set-points
             return
         carrier = self._carrier_at(key)

@@ -50,8 +50,8 @@ class RequestLink:
     to_all: tuple[int | None, ...]
 
 
-#: Where a request is found, the message that hangs on it, and what it has to say.
-Modes = list[tuple[tuple[Any, ...], Message, Request]]
+#: Where requests are found; and in which of these places, the message that hangs on it, and what it has to say.
+Modes = tuple[list[Any], list[tuple[int, Message, Request]]]
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -162,7 +162,8 @@ class Context:
 
         None where the identifier alone does not say, or a request is used up or too old some time.
         """
-        found: Modes = []
+        places: dict[Any, int] = {}
+        found: list[tuple[int, Message, Request]] = []
         for message in messages:
             outer = message.identifier.match(identifier) or {}
             for link in self._links[message.name]:
@@ -170,24 +171,27 @@ class Context:
                     return None
                 for wanted, _ in _wanted(link, link.who(outer)):
                     place = (link.request.message.name, channel, link.shared, wanted)
-                    found.append((place, message, link.request))
-        return found
+                    found.append((places.setdefault(place, len(places)), message, link.request))
+        return [*places], found
 
     def mode(self, modes: Modes) -> tuple[Message, Mapping[str, Any]] | None:
         """What `of` gives where all of these messages fit; None where it is to be asked."""
-        latest: Entry | None = None
         seen = self._seen
-        last: dict[Any, Entry] = {}
-        for place, _, _ in modes:
-            if place not in last and (entries := seen.get(place)):
-                last[place] = entry = entries[-1]
+        latest: Entry | None = None
+        last: list[Entry | None] = []
+        for place in modes[0]:
+            entries = seen.get(place)
+            entry = entries[-1] if entries else None
+            last.append(entry)
+            if entry is not None:
                 if entry.consumed or entry.answered:
                     return None
                 if latest is None or entry.number > latest.number:
                     latest = entry
-        for place, message, request in modes:
-            if latest is not None and last.get(place) is latest and request.accepts(latest.values):
-                return message, latest.values
+        if latest is not None:
+            for at, message, request in modes[1]:
+                if last[at] is latest and request.accepts(latest.values):
+                    return message, latest.values
         return None
 
     def pending(

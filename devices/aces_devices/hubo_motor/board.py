@@ -99,12 +99,12 @@ class MotorAxis:
 
     def received(self, count: int, instant: int, moves: bool) -> None:
         """The encoder says `count`; `moves` False: a zero is being set, and the difference is no movement."""
-        position, velocity = self.position, self.velocity
+        position, velocity, scale = self.position, self.velocity, self.scale
         if position is not None:
-            position.update(count * self.scale - self.zero * self.direction, instant)
+            position.update(count * scale - self.zero * self.direction, instant)
             old, passed = self.count, instant - self.instant
             if velocity is not None and old is not None and passed > 0 and moves:
-                velocity.update((count - old) * self.scale * 1e9 / passed, instant)
+                velocity.update((count - old) * scale * 1e9 / passed, instant)
         self.count, self.instant = count, instant
 
     def forget(self) -> None:
