@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from aces_bus.protocol import load_protocol
+from aces_tools import benchmarks
 from aces_tools.benchmarks import fastest
 from aces_tools.benchmarks.live import CHUNK, car_like, dynamixel_stream, hubo_like, messages
 
@@ -51,3 +52,10 @@ def test_contenders_take_turns() -> None:
     best = fastest({"one": lambda: order.append("one"), "other": lambda: order.append("other")}, rounds=3)
     assert order == ["one", "other"] * 3
     assert all(seconds >= 0 for seconds in best.values())
+
+
+def test_one_thread_is_measured_in_processor_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Contenders that work on one thread are measured in processor time, which other programs do not lengthen."""
+    instants = iter([0, 5_000_000_000, 5_000_000_000, 7_000_000_000])
+    monkeypatch.setattr(benchmarks, "process_time_ns", lambda: next(instants))
+    assert fastest({"one": lambda: None}, rounds=2, one_thread=True) == {"one": 2.0}

@@ -142,7 +142,7 @@ def _printed(patch: pytest.MonkeyPatch, module: Any, name: str, old: str, new: s
 
 def a_scale_is_wrong(patch: pytest.MonkeyPatch) -> None:
     good = load.print_decoder
-    patch.setattr(load, "print_decoder", lambda *args, **more: good(*args, **more).replace("* 0.5", "* 0.25"))
+    patch.setattr(load, "print_decoder", lambda *args, **more: good(*args, **more).replace("0.5 *", "0.25 *"))
 
 
 def _decided(patch: pytest.MonkeyPatch, spoil: Callable[[Any, bytes], Any]) -> None:

@@ -167,7 +167,10 @@ def can_rows(
                 decode(identifier, frame.data)
 
         contenders["cantools"] = peer
-    best = {name: seconds / len(frames) * 1e6 for name, seconds in fastest(contenders, rounds=rounds).items()}
+    best = {
+        name: seconds / len(frames) * 1e6
+        for name, seconds in fastest(contenders, rounds=rounds, one_thread=True).items()
+    }
     rows = []
     peer_time = best.get("cantools")
     targets = {"aces codec": 6.0, f"aces feed, {BATCH} at once": 4.0, "aces feed, one by one": 2.5}
@@ -266,7 +269,10 @@ def serial_rows(*, rounds: int, size: int) -> list[BenchRow]:
             found["sdk"] = count()
 
         contenders["dynamixel_sdk"] = peer
-    best = {name: len(data) / seconds / 1e6 for name, seconds in fastest(contenders, rounds=rounds).items()}
+    best = {
+        name: len(data) / seconds / 1e6
+        for name, seconds in fastest(contenders, rounds=rounds, one_thread=True).items()
+    }
     subject = f"Dynamixel 1.0, {len(data) / 1e6:.1f} MB in {CHUNK}-byte chunks"
     rows = []
     if sdk is not None:
@@ -316,6 +322,7 @@ def construct_rows(*, rounds: int, count: int) -> list[BenchRow]:
             "aces codec": each(lambda item: decode(item, 0x60, None, None, item, None)),
         },
         rounds=rounds,
+        one_thread=True,
     )
     base = best["construct, compiled"]
     return [
