@@ -26,7 +26,7 @@ class Plugins(Generic[T]):
         #: What was loaded is kept: searching all that is installed takes milliseconds.
         self._loaded: dict[str, T] = {}
         self._added: list[EntryPoint] = []
-        #: What was last found: whoever lists names and loads them searches once.
+        #: What was last found: listing names and loading them searches once.
         self._listed: dict[str, EntryPoint] = {}
 
     def points(self) -> dict[str, EntryPoint]:

@@ -1,4 +1,4 @@
-"""Frames counted by identifier: how many, how far apart, how long; for whoever says what a recording holds.
+"""Frames counted by identifier: how many, how far apart, how long; for summaries of recordings.
 
 1. Memory is bounded: `MOST_IDENTIFIERS` counts, of which each has `EXACT` gaps and then bins; what is beyond is counted.
 2. A gap is between two frames of one identifier and one window; frames of one instant have none.

@@ -15,7 +15,7 @@ SESSION = Path(__file__).resolve().parent / "captures" / "robotis_session.dxconf
 
 
 def main(file: Path = SESSION, servo: int = 2) -> None:
-    # Requests and answers look alike; with both on the line, each answer is told by its request.
+    # Requests and answers look alike; with both on the line, each answer is recognised by its request.
     scanner = robotis.scanner(direction="both")
     start = 0
     for chunk in open_recording(file, link="serial"):

@@ -48,7 +48,7 @@ def main(arguments: Sequence[str]) -> None:
         for name, seen in turned.items():
             seen.append(run.world.twins[robot.joint(name).device].position(run.clock.now()))
 
-    # Nobody says where the joints are, so there is no approach: a wave begins at zero, where the arms hang.
+    # Where the joints are is not known, so there is no approach: a wave begins at zero, where the arms hang.
     player = Player("wave", motion, rate_hz=RATE, approach=None, hook=look)
     run = run_virtual(robot, [player], rate_hz=RATE)
     ended = run.run(motion.duration_s + 1, until=lambda: player.mode == "ended")

@@ -1,7 +1,7 @@
 """Hubo 2 finds its homes: force sensors are nulled, then limbs search in parallel, joint after joint.
 
 A joint's driver tries its search twice (legs, waist) or three times (arms). What still fails is a failure of the phase: it
-is told by name, nothing behind it begins, and whoever stands beside the robot may mend it and have the phase tried again.
+is reported by name, nothing behind it begins, and an operator may mend it and have the phase tried again.
 Here the right knee's switch does not close until somebody plugs it in; the left elbow's is a loose contact.
 
 The order: acesHubo autoZero.osd. There the step after the ankles looked at the hips twice, and a failure at the waist had
@@ -30,15 +30,15 @@ SENSORS = {"FT_LF": 3, "FT_RF": 3, "FT_RH": 1}
 
 
 class Homing:
-    """The sequence. `state` is the phase, "failed: …", or "ready"; `send` hears of each change, `mend` of each failure."""
+    """The sequence. `state` is the phase, "failed: …", or "ready"; `say` gets each change, `mend` each failure."""
 
-    def __init__(self, robot: VirtualRobot, tell: Callable[[str], None], mend: Callable[[str], bool]) -> None:
-        self.robot, self.tell, self.mend = robot, tell, mend
+    def __init__(self, robot: VirtualRobot, say: Callable[[str], None], mend: Callable[[str], bool]) -> None:
+        self.robot, self.say, self.mend = robot, say, mend
         self.state = "new"
 
     def enter(self, state: str) -> None:
         self.state = state
-        self.tell(state)
+        self.say(state)
 
     def start(self) -> Job:
         """Begin; the job is over when the robot is ready, or has failed."""
@@ -83,7 +83,7 @@ class Homing:
                 search = board.home(self.robot.robot.joint(joints[0]).name)  # type: ignore[attr-defined]
                 yield search
                 if "try 1" not in search.text:
-                    self.tell(f"{search.text}: found")
+                    self.say(f"{search.text}: found")
                 joints.pop(0)
 
         return Job(self.robot.clock, " ".join(joints), steps)
@@ -95,7 +95,7 @@ def main() -> list[str]:
     knee, elbow = robot.twins["JMC2"], robot.twins["JMC11"]
     said: list[str] = []
 
-    def tell(state: str) -> None:
+    def say(state: str) -> None:
         said.append(state)
         print(f"{robot.clock.now() / 1e9:7.2f} s  {state}")
         if state == "arms":  # a loose contact, for so long
@@ -108,7 +108,7 @@ def main() -> list[str]:
     with robot:
         knee.fault("no_switch")
         elbow.fault("no_switch", 2)
-        Homing(robot, tell, mend).start().wait(120)
+        Homing(robot, say, mend).start().wait(120)
         now = robot.clock.now()
         homed = [
             robot.robot.joint(name).name for limbs in PHASES.values() for name in " ".join(limbs).split()

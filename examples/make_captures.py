@@ -123,7 +123,7 @@ def robotis_session() -> Line:
         send("Ping", id=servo.id)
         line.packet("Status", servo.answer())
 
-    # A Ping whose last byte is hit: its first byte is malformed, the rest is no header. Nobody answers it.
+    # A Ping whose last byte is hit: its first byte is malformed, the rest is no header. It is not answered.
     ping = bytearray(robotis.encode("Ping", id=3))
     ping[-1] ^= 0x10
     line.lose("malformed", bytes(ping[:1]))
@@ -315,7 +315,7 @@ def hubo2plus() -> Bus:
                 "errors", "can0", "20000004", "0004000000000000"
             )  # the controller's receive buffer ran over
             bus.lose("malformed", "can0", "012", "BC3100")  # half a reference
-            bus.lose("unknown", "can1", "7A0", "0102030405060708")  # nobody's identifier
+            bus.lose("unknown", "can1", "7A0", "0102030405060708")  # an identifier that no board has
             bus.lose("unknown", "can0", "1C2", "0000290000000000")  # a reply whose request was not seen
     return bus
 

@@ -1,7 +1,7 @@
-"""MicroStrain MIP in under 100 lines: a part of what inertial units of that make are told, and send.
+"""MicroStrain MIP in under 100 lines: some messages to and from inertial units of that make.
 
 Written from the README and the tutorial alone. A packet carries fields of different kinds, each with its own length, so
-that devices may send kinds which nobody knows yet: those stay bytes.
+that devices may send unknown kinds: those stay bytes.
 
     aces decode session.bin -p examples/mip.py --direction from
 

@@ -1,6 +1,6 @@
 """Omnibot drives a square, and turns: four wheels on two motor drivers, one serial line, nothing is measured.
 
-What a 3-D mouse told the original, a table of moves tells it here: (z, x, b) are forward, sideways and turn. The mix of the
+What the original read from a 3-D mouse is a table of moves here: (z, x, b) are forward, sideways and turn. The mix of the
 four wheels stands in equations; set-points are duties of ±127.
 """
 

@@ -1,4 +1,4 @@
-"""The test suite of the ACES paper: three sines go down to a device that sends back what it is told, and come up as states.
+"""The test suite of the ACES paper: three sines go down to a device that echoes them, and come up as states.
 
 X turns within −1…1, Y within 3…4, Z within 5…6, as A·sin(t) + C, at 50 to 10 000 set-points a second. What comes up is
 compared with the sine, its derivative with the cosine, its integral with one minus the cosine, each at the sample's own
@@ -24,7 +24,7 @@ from aces_bus.device import Device, Driver, Twin, on
 from aces_bus.protocol import InvertedSum, Protocol
 from aces_bus.robot import VirtualRobot, parse_robot, run_virtual
 
-# ---------------------------------------------------------------------- a device that sends back what it is told
+# ---------------------------------------------------------------------- a device that echoes what it receives
 
 loop = Protocol(
     "loop", link="datagram", doc="Datagrams that come back", source="acesHubo testsuite.cpp: SET is 2"
@@ -94,7 +94,7 @@ Y = { device = "D2", command = "speed", lower = 3.0, upper = 4.0 }
 Z = { device = "D3", command = "speed", lower = 5.0, upper = 6.0 }
 """
 SPINNER = Driver(
-    "loop", Loop, LoopTwin, ROBOT, doc="Sends back what it is told", source="acesHubo testsuite.cpp"
+    "loop", Loop, LoopTwin, ROBOT, doc="Echoes what it receives", source="acesHubo testsuite.cpp"
 )
 
 # ---------------------------------------------------------------------- three sines, and what comes back of them

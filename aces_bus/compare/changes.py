@@ -329,7 +329,7 @@ def _byte(both: _Sides, byte: int) -> Iterator[TrafficChange]:
     if count and varying:
         score = novelty(count / n_b, by_itself(a.visits[byte]))
         found.append(both.change("values", score, **values, count=count))
-    if found:  # of bits that are new and of values that are, what tells more
+    if found:  # of bits that are new and of values that are, what says more
         yield max(found, key=lambda one: one.score)
     gone = ones_a & zeros_a & ~(ones_b & zeros_b)
     if gone:

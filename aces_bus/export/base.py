@@ -200,7 +200,7 @@ class Export(Datasets, ABC):
     #: What the format is called, and whether it is a folder of datasets unless a single message is wanted.
     format: ClassVar[str]
     is_folder: ClassVar[bool] = False
-    #: How names of datasets are compared: SQLite and many file systems do not tell upper from lower case.
+    #: How names of datasets are compared: SQLite and many file systems do not distinguish upper from lower case.
     suffix: ClassVar[str] = ""
 
     def __init__(self, path: str, options: Options, variants: Sequence[Variant]) -> None:

@@ -205,6 +205,6 @@ def exposure(cluster: Any) -> str | None:
     if is_loopback(host):
         return None
     return (
-        f"{address} is not tls://: anybody who reaches this scheduler can run programs on its workers and read their traffic"
+        f"{address} is not tls://: all that reach this scheduler can run programs on its workers and read their traffic"
         " (docs/fleets.md shows certificates)"
     )

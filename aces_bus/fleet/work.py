@@ -59,7 +59,7 @@ class FleetPiece(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def says_faults(self) -> bool:
-        """Whether nobody else reads the same."""
+        """Whether no other worker reads the same."""
         return self.span is not None or self.number == 0
 
 

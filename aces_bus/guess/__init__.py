@@ -1,4 +1,4 @@
-"""Guessing a spec from recordings that nobody can read: what varies how, and what that may mean.
+"""Guessing a spec from recordings of an unknown protocol: what varies how, and what that may mean.
 
 1. A guess has its evidence in words and a confidence between 0 and 1; what is not known is said to be bytes.
 2. Recordings are untrusted: work and memory are bounded by samples, whatever the recording holds.

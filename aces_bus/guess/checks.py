@@ -148,7 +148,7 @@ def checks_of_packets(packets: Iterable[bytes], *, least_share: float = SHARE) -
 
 
 def _different(lengths: Array, *parts: Array) -> Array:
-    """The first row of each content, in order; int64. Rows are told apart by a number of 64 bits made of all their bytes."""
+    """The first row of each content, in order; int64. Rows are compared by a number of 64 bits made of all bytes."""
     mixed = lengths.astype(np.uint64)
     for part in parts:
         for column in part.T:

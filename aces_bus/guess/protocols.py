@@ -1,6 +1,6 @@
-"""Open standards that frames follow, told by their form alone: ISO-TP, J1939, NMEA 2000 and its fast packets, CANopen.
+"""Open standards that frames follow, recognised by their form alone: ISO-TP, J1939, NMEA 2000 and its fast packets, CANopen.
 
-1. Each is told by what its frames must be (headers, counts, orders), with how many of them were; facts are those of
+1. Each is recognised by what its frames must be (headers, counts, orders), with how many of them were; facts are those of
    `aces_bus.protocol.declare` (ISO 15765-2, SAE J1939-21, NMEA 2000 fast packet) and of CiA 301.
 2. A standard is named where enough frames could have spoken against it, and few did.
 """

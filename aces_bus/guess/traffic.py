@@ -1,4 +1,4 @@
-"""Frames of a CAN bus that nobody can read, as guesses: messages with their timing and fields, and what belongs together.
+"""Frames of an unknown CAN bus as guesses: messages with their timing and fields, and what belongs together.
 
 1. Of a recording the first `FRAMES` frames are kept, of at most `IDENTIFIERS` identifiers; others are counted.
 2. One identifier is looked at at a time, on the channel where it has most frames.

@@ -7,9 +7,8 @@
 from __future__ import annotations
 
 import io
-import re
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -26,11 +25,12 @@ from ..protocol.declare.delimited import (
     AsciiNumber,
     Delimited,
 )
-from ..protocol.declare.fields import Enumeration, Field, Multiplexed, SignMagnitude, innermost
+from ..protocol.declare.fields import Enumeration, Field, Multiplexed, SignMagnitude
 from ..protocol.declare.items import Items
 from ..protocol.declare.message import Message
 from ..protocol.declare.normalise import sizes
 from ..protocol.declare.stuffing import CutZeros
+from .hints import Hints, hints, is_integer
 from .source import ChoiceSource, edge_number, spread
 
 #: How many times bytes are tried that a construct may read.
@@ -46,81 +46,6 @@ class Room:
 
 
 Draw = Callable[[ChoiceSource, Any, Room], Any]
-
-
-# ---------------------------------------------------------------------- hints: numbers that decide about others
-
-
-@dataclass(frozen=True)
-class Hints:
-    """Values that selectors should have, and names of numbers that say how much follows."""
-
-    values: Mapping[str, tuple[int, ...]]
-    small: frozenset[str]
-
-
-@lru_cache(maxsize=4096)
-def hints(message: Message) -> Hints:
-    values: dict[str, set[int]] = {}
-    small: set[str] = set()
-
-    def visit(con: Any) -> None:
-        if isinstance(con, Multiplexed):
-            values.setdefault(con.selector, set()).update(con.when)
-        elif isinstance(con, BitLayout):
-            for slot in con.slots:
-                if slot.mux is not None:
-                    values.setdefault(slot.mux.selector, set()).update(slot.mux.when)
-        elif isinstance(con, c.Switch):
-            for name in _names_in(con.keyfunc):
-                values.setdefault(name, set()).update(k for k in con.cases if isinstance(k, int))
-        elif isinstance(con, c.IfThenElse):
-            for name in _names_in(con.condfunc):
-                values.setdefault(name, set()).update(_numbers_in(con.condfunc))
-        elif isinstance(con, c.Array):
-            small.update(_names_in(con.count))
-        elif isinstance(con, (c.Bytes, c.BytesInteger)):
-            small.update(_names_in(con.length))
-        for _, inner in parts_of(con):
-            visit(inner)
-
-    visit(message.payload)
-    return Hints({k: tuple(sorted(v)) for k, v in values.items() if v}, frozenset(small))
-
-
-def parts_of(con: Any) -> Iterator[tuple[str, Any]]:
-    """The constructs directly inside one, of whatever kind it is, and the name of each; "" where it has none."""
-    if isinstance(con, BitLayout):
-        yield from ((slot.name, slot.field) for slot in con.slots)
-        return
-    inner = list(getattr(con, "subcons", ()))
-    if isinstance(con, Multiplexed):
-        inner.append(con.body)
-    elif isinstance(con, c.IfThenElse):
-        inner += [con.thensubcon, con.elsesubcon]
-    elif isinstance(con, c.Switch):
-        inner += [*con.cases.values(), con.default]
-    elif hasattr(con, "subcon"):
-        inner.append(con.subcon)
-    name = con.name if isinstance(con, c.Renamed) else ""
-    yield from ((name, part) for part in inner)
-
-
-def _names_in(expression: Any) -> list[str]:
-    return (
-        [n for n in re.findall(r"\['(\w+)'\]", repr(expression)) if n != "_"] if callable(expression) else []
-    )
-
-
-def _numbers_in(expression: Any) -> list[int]:
-    return [int(n) for n in re.findall(r"(?<![\w'])\d+", repr(expression))]
-
-
-def _is_integer(con: Any) -> bool:
-    inner = innermost(con)
-    return (isinstance(inner, (c.BytesInteger, Bits)) and not getattr(inner, "is_float", False)) or (
-        isinstance(inner, c.FormatField) and inner.fmtstr[-1:] not in "efd"
-    )
 
 
 # ---------------------------------------------------------------------- the walk
@@ -267,7 +192,7 @@ class _Walk:
             body = item.subcon if isinstance(item, c.Renamed) else item
             low, high = sizes(item)
             one = self.of(item)
-            if _is_integer(body) and (item.name in self.hints.values or item.name in self.hints.small):
+            if is_integer(body) and (item.name in self.hints.values or item.name in self.hints.small):
                 one = self._hinted(item.name, one)
             items.append((item.name, body, one, low, high, isinstance(body, c.Rebuild)))
         least = sum(item[3] for item in items)
@@ -621,4 +546,4 @@ def _ascii(field: AsciiField, characters: str) -> Callable[[ChoiceSource], str]:
     return draw
 
 
-__all__ = ["Draw", "Hints", "Room", "drawer", "hints", "parts_of"]
+__all__ = ["Draw", "Room", "drawer"]

@@ -26,7 +26,7 @@ from .device_tester import DeviceTester, Problem, SentStep, Tap
 
 #: How long a fresh device is listened to before anything is sent, so that it is known what it sends by itself (ns).
 LISTEN_NS = 300_000_000
-#: A device that does not answer is asked again after these pauses (ns): it may have been told to start anew.
+#: A device that does not answer is asked again after these pauses (ns): it may have been reset.
 PATIENCE_NS = (20_000_000, 500_000_000, 2_000_000_000)
 #: What a device sends by itself and has not sent for so many periods, and so long (ns), has stopped.
 PERIODS, STOPPED_NS = 10, 500_000_000

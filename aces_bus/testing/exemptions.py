@@ -18,7 +18,7 @@ from ..protocol.declare.fields import SignMagnitude
 from ..protocol.declare.message import Message
 from ..protocol.declare.stuffing import CutZeros
 from ..protocol.plan import nodes as p
-from .constructs import parts_of
+from .hints import parts_of
 
 
 @dataclass(frozen=True)

@@ -25,13 +25,13 @@ from construct import ConstructError
 from ..errors import AcesError
 from ..frame_table import FrameTable
 from ..protocol.declare.ambiguity import Conflict, conflict, unresolved
-from ..protocol.declare.framing import Framing, Verdict
+from ..protocol.declare.framing import Verdict
 from ..protocol.declare.message import DIRECTIONS, Message
 from ..protocol.declare.protocol import Protocol, Variant
 from ..protocol.live.can import CanScanner
-from ..protocol.live.candidates import CHAINS
 from ..protocol.live.stream import StreamScanner
 from ..protocol.record import Unknown
+from .allowed_work import candidates_in, unstuffing_allowed, work_allowed
 from .bench import bench_of, reads
 from .columns import MODES, columns_difference
 from .encoders import encoders
@@ -230,7 +230,7 @@ def resynchronisation(trial: Trial) -> None:
     for end in [*scene.idle_at, len(scene)]:
         seen = scene.traffic[:end]
         for (variant, framing, messages), extras in framings:
-            for start in _candidates(framing, seen, begin):
+            for start in candidates_in(framing, seen, begin):
                 if covered[start]:
                     continue
                 judged = framing.judge(seen, start, silent=True, extras=extras)
@@ -242,18 +242,6 @@ def resynchronisation(trial: Trial) -> None:
                 )
                 trial.fail(4, f"{variant.name} {name} {packet.hex()} at {start} was not found")
         begin = end
-
-
-def _candidates(framing: Framing, seen: bytes, begin: int) -> Sequence[int]:
-    """Where a packet of a framing may begin."""
-    if not framing.sync:
-        return range(begin, len(seen))
-    found: list[int] = []
-    at = seen.find(framing.sync, begin)
-    while at >= 0:
-        found.append(at)
-        at = seen.find(framing.sync, at + 1)
-    return found
 
 
 def _no_frame_overlooked(trial: Trial) -> None:
@@ -407,10 +395,6 @@ def _frames_accounted(trial: Trial, given: Sequence[Any], counts: dict[str, Any]
 # ---------------------------------------------------------------------- 7
 
 
-#: A check may cost this many bytes for a candidate besides the sums of its bytes (law 7: O(1)).
-PER_CANDIDATE = 16
-
-
 @law(7, takes_cuts=True, streams_only=True)
 def bounded(trial: Trial) -> None:
     """Law 7: the buffer holds `max_size` at most after each chunk, and checks read a bounded number of bytes.
@@ -432,41 +416,12 @@ def bounded(trial: Trial) -> None:
         if scanner.buffered > scanner.max_size:
             trial.fail(7, f"{scanner.buffered} bytes held after {at}, max_size is {scanner.max_size}")
     scanner.close()
-    limit = _work_allowed(scanner.framings, traffic, len(cuts))
+    limit = work_allowed(scanner.framings, traffic, len(cuts))
     if scanner.check_work > limit:
         trial.fail(7, f"checks read {scanner.check_work} bytes of {len(traffic)}; {limit} is the limit")
-    limit = _unstuffing_allowed(scanner.framings, traffic, len(cuts))
+    limit = unstuffing_allowed(scanner.framings, traffic, len(cuts))
     if scanner.unstuff_work > limit:
         trial.fail(7, f"unstuffing read {scanner.unstuff_work} bytes of {len(traffic)}; {limit} is the limit")
-
-
-def _work_allowed(framings: Sequence[Framing], traffic: bytes, chunks: int) -> int:
-    """How many bytes checks may read in `traffic`."""
-    limit = len(traffic)  # each byte of an accepted packet once
-    for framing in framings:
-        if framing.check is None:
-            continue
-        candidates = len(_candidates(framing, traffic, 0))
-        is_whole = framing.end and framing.stuffing is None  # the bytes on the wire are what is summed
-        if framing.check.kind == "crc" or not ((framing.sync and not framing.end) or is_whole):
-            limit += framing.max_size * candidates
-            if len(framings) > 1:
-                # While another framing waits at the same offset, each chunk has the candidate read again.
-                limit += framing.max_size * chunks
-        else:
-            limit += len(traffic) + PER_CANDIDATE * candidates
-    return limit
-
-
-def _unstuffing_allowed(framings: Sequence[Framing], traffic: bytes, chunks: int) -> int:
-    """How many bytes may be unstuffed in `traffic`: a few times all of them, and a small part of a packet a candidate."""
-    limit = 0
-    for framing in framings:
-        if framing.is_enclosed:
-            limit += 3 * len(traffic) + (framing.max_size // CHAINS + 1) * len(traffic)
-            if len(framings) > 1:
-                limit += 2 * framing.max_size * chunks
-    return limit
 
 
 # ---------------------------------------------------------------------- 8

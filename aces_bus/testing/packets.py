@@ -18,7 +18,8 @@ from ..protocol.declare.head import Head
 from ..protocol.declare.message import Message, Request
 from ..protocol.declare.protocol import Variant
 from ..protocol.keys import EXTENDED
-from .constructs import Hints, Room, drawer, hints
+from .constructs import Room, drawer
+from .hints import Hints, hints
 from .source import ChoiceSource, edge_number, spread
 
 #: How often a message is drawn again when its packet cannot be built.

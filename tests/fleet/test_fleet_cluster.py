@@ -226,6 +226,6 @@ def test_a_scheduler_that_others_reach_is_warned_of(
         assert main([*call, "--cluster", "tcp://0.0.0.0:1"]) == 2
     said = capfd.readouterr().err.splitlines()
     assert said[0].startswith(
-        "aces: tcp://0.0.0.0:1 is not tls://: anybody who reaches this scheduler can run programs"
+        "aces: tcp://0.0.0.0:1 is not tls://: all that reach this scheduler can run programs"
     )
     assert said[1].startswith("aces: tcp://0.0.0.0:1: no worker answers: ")

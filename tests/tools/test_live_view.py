@@ -153,7 +153,7 @@ def test_who_else_can_look_is_said(aces: Aces) -> None:
     """An address that is not this machine's own warns, also with -q."""
     made = aces("play", HUBO, "-p", "hubo", "-q", "--foxglove", f"0.0.0.0:{free_port()}")
     assert made.status == 0
-    assert made.messages[0].startswith("live view: whoever reaches 0.0.0.0 sees it")
+    assert made.messages[0].startswith("live view: every program that reaches 0.0.0.0 sees it")
 
 
 LAYOUT = HUBO.parents[1] / "foxglove" / "robot.json"

@@ -112,7 +112,7 @@ async def three(stage: Stage) -> None:
         await_frames = [encoder(n, tick * (n + 1), at_ms=100 * tick) for n in (0, 1)]
         stage.gate.clock.advance(100 * MS)
         stage.inbox.put([Received(f, stage.gate.clock.now()) for f in (*await_frames, Frame(0x7FF, b"\xde"))])
-        await stage.app.hear()
+        await stage.app.take_in()
     await stage.look()
 
 
@@ -370,7 +370,7 @@ def test_a_screen_is_made_for_a_gate(kind: str) -> None:
     assert app.model.event_counts == {"lost": 1}
     item = Received(bytes([0xAA, 1, 2, 3, 4]), 5) if kind == "serial" else Received(encoder(0), 5)
     gate._put([item])
-    asyncio.run(app.hear())
+    asyncio.run(app.take_in())
     assert only(app.model).name == ("Encoder" if kind == "can" else "Sample")
 
 

@@ -416,7 +416,7 @@ def _served_load(text: str) -> Iterator[dict[str, Any]]:
 
 
 def _received_load(bus: ChosenBus, bitrate: int, data_bitrate: int | None) -> Iterator[dict[str, Any]]:
-    """A measure a second from what a node hears that only listens; retransmissions and errors are not heard."""
+    """A measure a second from what a listening node receives, which is without retransmissions and errors."""
     from aces_bus.hardware.simulated.frame_time import INTERMISSION, frame_bits
 
     pause = INTERMISSION * 1_000_000_000 // bitrate

@@ -296,7 +296,7 @@ class Patience:
         while not self.is_over:
             try:
                 with self.waiting():
-                    if self.is_over:  # a Ctrl-C between the two: nobody would end the waiting
+                    if self.is_over:  # a Ctrl-C between the two: nothing would end the waiting
                         return
                     item = next(iterator)
             except (StopIteration, KeyboardInterrupt):

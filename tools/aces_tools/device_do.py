@@ -64,7 +64,7 @@ def checked(device: Device, part: str | None, action: str, values: Any) -> None:
     if action in ("get", "watch"):
         for one in chosen_signals(device, part, values):
             if one.name not in device.readable:
-                raise CallerError(f"{one.name} can only be set: {device.name} does not tell it")
+                raise CallerError(f"{one.name} can only be set: {device.name} does not report it")
         if not values and not any(one.name in device.readable for one in signals_of(device, part)):
             raise CallerError(f"{part or device.name} reports nothing: it can only be set")
         return

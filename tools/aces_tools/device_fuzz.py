@@ -294,7 +294,7 @@ class Searching:
             return self._searched(fuzzer, frames, progress, patience)
 
     def _no_ports(self) -> dict[str, Any]:
-        """Ports on no bus: what would be sent can be told without one."""
+        """Ports on no bus: what would be sent is known without one."""
         from aces_bus.device.config import alone
         from aces_bus.robot import VirtualRobot
 

@@ -3,7 +3,7 @@
      (1436509052.249713)  can0  123   [4]  DE AD BE EF
 
 1. The lines are candump's, byte by byte, so that what reads candump reads these.
-2. A delta is to the line before, as it is shown; the zero of `relative` is the first item heard.
+2. A delta is to the line before, as it is shown; the zero of `relative` is the first item received.
 
 *Facts*: candump.c and lib.c of can-utils: times have ten digits before the point (`a`) or three (`d`, `z`); once a
 29-bit identifier was shown, 11-bit ones are indented to its width.

@@ -64,7 +64,7 @@ def live_view(arguments: argparse.Namespace, name: str) -> Generator[LiveView | 
         say_note(f"live view: {view.address} (in Foxglove: Open connection, Foxglove WebSocket)")
         if not view.is_local:
             say(
-                f"live view: whoever reaches {view.host} sees it: nothing is encrypted, and nobody has to log in"
+                f"live view: every program that reaches {view.host} sees it: nothing is encrypted, and there is no log-in"
             )
         yield view
     finally:

@@ -332,7 +332,7 @@ class Playing:
                 most = self.most
                 if outgoing.pending > most and not outgoing.drain(patience, most // 2, PATIENCE_S):
                     if not patience.is_over:
-                        say(f"{outgoing.gate.name}: it takes no more; is anybody on the bus?")
+                        say(f"{outgoing.gate.name}: it takes no more; is another node on the bus?")
                         patience.is_over = True
                         self.status = 1
                     return

@@ -18,7 +18,7 @@ from typing import Any
 
 from aces_bus.errors import CallerError, FieldError, UnknownNameError
 from aces_bus.protocol import Message, Protocol, Register, RegisterMap, Unknown, Variant
-from aces_bus.protocol.plan.flatten import NotFlat, scalar_of
+from aces_bus.protocol.plan.scalars import NotFlat, scalar_of
 from aces_bus.protocol.record import protocol_name_of
 
 from .output.field_text import PrintedField

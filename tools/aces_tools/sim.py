@@ -13,8 +13,8 @@
   aces sim -r minihubo_1 --foxglove              where its joints are, live
   aces sim -r hubo2plus --list-faults            how its devices can misbehave
 
-The devices answer as the real ones do, and move only when a program tells them
-to. On a bus that exists they transmit: they answer every request.
+The devices answer as the real ones do, and move only when a program commands
+it. On a bus that exists they transmit: they answer every request.
 """
 
 from __future__ import annotations

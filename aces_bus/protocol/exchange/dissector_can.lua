@@ -88,9 +88,9 @@ local function carried_frame(transport, bytes, size, pinfo, id, is_extended)
 end
 
 -- A packet's bytes as Wireshark has bytes of its own.
-local function tvb_of(told)
+local function tvb_of(seen)
   local digits = {}
-  for at = 0, told.size - 1 do digits[at + 1] = string.format("%02x", told.data[at]) end
+  for at = 0, seen.size - 1 do digits[at + 1] = string.format("%02x", seen.data[at]) end
   return ByteArray.new(table.concat(digits)):tvb("Packet")
 end
 
@@ -101,34 +101,34 @@ local function dissect(tvb, pinfo, tree, bytes, size)
   local transport = carrier_of(id, is_extended, is_remote, is_fd)
   local messages = transport and {} or candidates(id, is_extended, is_remote, is_fd)
   if not transport and #messages == 0 then return 0 end
-  local told = known[pinfo.number]
-  if not told and transport and pinfo.visited then
-    told = { problem = "not put together: its packet's other frames were not seen in order" }
-  elseif not told and transport then
-    told = carried_frame(transport, bytes, size, pinfo, id, is_extended)
-    known[pinfo.number] = told
-  elseif not told then
+  local seen = known[pinfo.number]
+  if not seen and transport and pinfo.visited then
+    seen = { problem = "not put together: its packet's other frames were not seen in order" }
+  elseif not seen and transport then
+    seen = carried_frame(transport, bytes, size, pinfo, id, is_extended)
+    known[pinfo.number] = seen
+  elseif not seen then
     local found, problem = decided(messages, bytes, size, id, tostring(last(interface()) or 0), pinfo.abs_ts, "both")
-    told = { found = found, problem = problem }
-    known[pinfo.number] = told
+    seen = { found = found, problem = problem }
+    known[pinfo.number] = seen
   end
   pinfo.cols.protocol = P.name:upper()
   local branch = tree:add(proto, tvb:range(0, size))
-  if told.found then
-    pinfo.cols.info = summary(told.found)
-    branch:append_text(": " .. summary(told.found))
-    if told.data and told.size > 0 then
-      if told.frames then branch:add(f_frames, tvb:range(0, 0), #told.frames):set_generated() end
-      show(branch, tvb_of(told), told.data, told.size, told.found)
+  if seen.found then
+    pinfo.cols.info = summary(seen.found)
+    branch:append_text(": " .. summary(seen.found))
+    if seen.data and seen.size > 0 then
+      if seen.frames then branch:add(f_frames, tvb:range(0, 0), #seen.frames):set_generated() end
+      show(branch, tvb_of(seen), seen.data, seen.size, seen.found)
     else
-      show(branch, tvb, bytes, size, told.found)
+      show(branch, tvb, bytes, size, seen.found)
     end
   else
-    local text = told.problem or told.place .. " of a packet (" .. told.title .. ")"
+    local text = seen.problem or seen.place .. " of a packet (" .. seen.title .. ")"
     pinfo.cols.info = text
     branch:append_text(": " .. text)
-    if told.problem and not told.problem:find("^control") then branch:add(f_problem, tvb:range(0, size), text) end
-    if told.whole then branch:add(f_whole, tvb:range(0, 0), told.whole):set_generated() end
+    if seen.problem and not seen.problem:find("^control") then branch:add(f_problem, tvb:range(0, size), text) end
+    if seen.whole then branch:add(f_whole, tvb:range(0, 0), seen.whole):set_generated() end
   end
   return size
 end

@@ -6,7 +6,7 @@ proto.prefs.direction = Pref.enum("Direction", P.direction, "Who speaks: what by
   { 1, "by the port: what comes from it is from the device", BY_PORT },
   { 2, "to the device", TO },
   { 3, "from the device", FROM },
-  { 4, "both: replies are told by their requests", BOTH },
+  { 4, "both: replies are recognised by their requests", BOTH },
 }, false)
 proto.prefs.tcp_port = Pref.uint("TCP port", P.port, "Of a serial server; 0 for none")
 proto.prefs.udp_port = Pref.uint("UDP port", P.port, "Of a serial server; 0 for none")

@@ -18,7 +18,7 @@ from ..declare.message import Message
 from ..declare.protocol import Protocol
 from ..draw import row_of
 from ..plan import nodes as p
-from ..plan.flatten import NotFlat, scalar_of
+from ..plan.scalars import NotFlat, scalar_of
 from .records import type_of
 from .source import NameScope, SourceText
 

@@ -14,17 +14,11 @@ import construct as c
 from msgspec.structs import replace
 
 from ..declare import delimited as d
-from ..declare.bits import BitLayout, Bits, ByteSplit, LayoutSlot, whole_bits
+from ..declare.bits import BitLayout, Bits, LayoutSlot, whole_bits
 from ..declare.fields import (
-    Counter,
     Enumeration,
-    Flags,
     Multiplexed,
-    Quantity,
-    SignMagnitude,
-    Text,
     inner_constructs,
-    wire_number,
 )
 from ..declare.head import Head
 from ..declare.item_list import ItemList
@@ -34,13 +28,10 @@ from ..declare.normalise import sizes
 from ..declare.pattern import IdField, IdPattern
 from ..keys import key_of
 from . import nodes as p
+from .scalars import NotFlat, integer_at, peeled, scalar_of, scale_of
 
 #: The fields of an item's record.
 ITEM = ("kind", "data", "reason")
-
-
-class NotFlat(Exception):
-    """This construct cannot be flattened; the argument says why."""
 
 
 @lru_cache(maxsize=4096)
@@ -180,7 +171,7 @@ def _head(
             )
             return
     if head.name is not None and is_shown:
-        scalar = _scalar(head.field, head.offset)
+        scalar = scalar_of(head.field, head.offset)
         fields.append(p.PlanField(head.name, scalar, doc=head.field.docs or ""))
 
 
@@ -201,7 +192,7 @@ def _capture_field(
     if isinstance(capture.quantity, Enumeration):
         steps = (p.ValueNames(tuple((v, k) for k, v in capture.quantity.names.items())),)
     elif capture.quantity is not None:
-        steps = (_scale(capture.quantity),)
+        steps = (scale_of(capture.quantity),)
     node = p.FromIdentifier(
         constant, capture.shift, capture.width, len(captures) == 1, steps, capture.unit, number
     )
@@ -211,85 +202,6 @@ def _capture_field(
 def _asked(path: str) -> Any:
     """The expression of a field, by its path: `this.flags.count`."""
     return reduce(getattr, path.split("."), c.this)
-
-
-def _scale(quantity: Quantity) -> p.Scale:
-    return p.Scale(
-        quantity.scale,
-        quantity.offset,
-        quantity.unknown,
-        quantity.range,
-        quantity.raw_range,
-        quantity.rounding,
-        tuple((value, name) for name, value in quantity.names.items()),
-    )
-
-
-def _peel(con: c.Construct) -> tuple[c.Construct, list[p.Step], str, str]:
-    """The construct below the known adapters, the steps from it outward, unit and doc."""
-    steps: list[p.Step] = []
-    unit = doc = ""
-    while True:
-        if isinstance(con, c.Renamed):
-            doc = doc or con.docs or ""
-            con = con.subcon
-        elif isinstance(con, (c.Default, Counter)):
-            con = con.subcon
-        elif isinstance(con, Quantity):
-            doc = doc or con.docs or ""
-            unit = unit or con.unit
-            steps.append(_scale(con))
-            con = con.subcon
-        elif isinstance(con, SignMagnitude):
-            steps.append(p.Magnitude(con.width))
-            con = con.subcon
-        elif isinstance(con, Enumeration):
-            steps.append(p.ValueNames(tuple((v, k) for k, v in con.names.items())))
-            con = con.subcon
-        elif isinstance(con, Flags):
-            steps.append(p.FlagBits(tuple(con.names.items())))
-            con = con.subcon
-        else:
-            return con, steps[::-1], unit, doc
-
-
-def scalar_of(con: c.Construct, offset: int) -> p.Scalar:
-    """One value of fixed size, such as a register's; raises `NotFlat` with the reason."""
-    return _scalar(con, offset)
-
-
-def _integer(
-    inner: Bits, offset: int, size: int, positions: Sequence[int], steps: tuple[p.Step, ...], unit: str
-) -> p.Scalar:
-    """An integer at these bits of the `size` bytes from `offset` on."""
-    bits = tuple(8 * offset + position for position in positions)
-    # What is all of these bytes may be plain ones, the highest first.
-    is_big = size > 1 and bits == whole_bits(offset, size, "big")
-    return p.Scalar(
-        "int" if inner.signed else "uint", offset, size, "big" if is_big else "little", bits, steps, unit
-    )
-
-
-def _scalar(con: c.Construct, offset: int) -> p.Scalar:
-    inner, steps, unit, _ = _peel(con)
-    found = tuple(steps)
-    if isinstance(inner, Text):
-        return p.Scalar("text", offset, inner.size, unit=unit)
-    if isinstance(inner, c.FormatField) and inner.fmtstr.startswith("="):
-        raise NotFlat("native byte order")
-    if isinstance(inner, ByteSplit):
-        return _integer(inner, offset, inner.bytes, inner.slot.positions, found, unit)
-    wire = wire_number(inner)
-    if wire is not None:
-        bits = whole_bits(offset, wire.size, wire.order) if wire.kind != "float" else ()
-        return p.Scalar(wire.kind, offset, wire.size, wire.order, bits, found, unit)
-    if isinstance(inner, c.Bytes) and not isinstance(inner.length, int):
-        raise NotFlat("bytes of a length that varies")
-    if isinstance(inner, c.Bytes) and not steps:
-        return p.Scalar("bytes", offset, inner.length)
-    if inner is c.GreedyBytes and not steps:
-        return p.Scalar("bytes", offset, None)
-    raise NotFlat(f"{type(inner).__name__} has no flat form")
 
 
 def fixed_leaves(message: Message) -> tuple[Sequence[p.NodePath], int]:
@@ -306,7 +218,7 @@ def fixed_leaves(message: Message) -> tuple[Sequence[p.NodePath], int]:
             offset += len(body.build(None))
             continue
         try:
-            scalar = _scalar(item, offset)
+            scalar = scalar_of(item, offset)
         except NotFlat:
             break
         if scalar.size is None:
@@ -401,7 +313,7 @@ class _Builder:
                 continue
             if isinstance(body, c.Const):
                 self._constant(body)
-                fields.append(p.PlanField(name, _scalar(body.subcon, self.offset - int(body.sizeof()))))
+                fields.append(p.PlanField(name, scalar_of(body.subcon, self.offset - int(body.sizeof()))))
                 continue
             if isinstance(body, c.Rebuild):
                 rebuilt.add(name)
@@ -424,7 +336,7 @@ class _Builder:
 
     @staticmethod
     def _doc(item: c.Construct) -> str:
-        return _peel(item)[3]
+        return peeled(item)[3]
 
     def _select(self, name: str, fields: list[p.PlanField]) -> p.Selector:
         for field in fields:
@@ -460,7 +372,7 @@ class _Builder:
             return self._repeated(body, [], path)[0]
         if isinstance(body, c.FocusedSeq):
             return self._prefixed(body, path)
-        scalar = _scalar(con, self.offset)
+        scalar = scalar_of(con, self.offset)
         self._advance(scalar.size)
         return scalar
 
@@ -524,7 +436,7 @@ class _Builder:
             raise NotFlat("FocusedSeq has no flat form")
         if repr(items.count) != repr(c.this.count):
             raise NotFlat("FocusedSeq has no flat form")
-        number = _scalar(count.subcon, self.offset)
+        number = scalar_of(count.subcon, self.offset)
         if number.kind != "uint" or number.steps or number.size is None:
             raise NotFlat("a count that is no plain number")
         self._advance(number.size)
@@ -618,12 +530,12 @@ class _Builder:
 
     def _slot(self, slot: LayoutSlot, layout: BitLayout) -> tuple[p.Scalar, str]:
         """A field of a layout as the plan has it, and what it means."""
-        inner, steps, unit, doc = _peel(slot.field)
+        inner, steps, unit, doc = peeled(slot.field)
         doc = slot.doc or doc
         assert isinstance(inner, Bits)
         bits = tuple(8 * self.offset + q for q in slot.positions)
         if not inner.is_float:
-            return _integer(inner, self.offset, layout.size, slot.positions, tuple(steps), unit), doc
+            return integer_at(inner, self.offset, layout.size, slot.positions, tuple(steps), unit), doc
         start, size = min(bits) // 8, len(bits) // 8
         orders: tuple[Literal["little", "big"], ...] = ("little", "big")
         for order in orders:

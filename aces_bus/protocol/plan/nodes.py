@@ -4,7 +4,7 @@
 2. Positions are canonical bit numbers (8 × byte + bit, bit 0 least significant) from the first byte of the data (CAN) or
    of the packet (streams), lowest bit of the number first. Byte order exists only in that list.
 3. What does not flatten is marked `Opaque` with the reason; construct decodes it, slower and equally.
-4. Whoever needs the values of a message asks `plan.leaves` (or `walk`), and what is known of a value its node: a new kind
+4. Code that needs the values of a message asks `plan.leaves` (or `walk`), and what is known of a value its node: a new kind
    of node is a subclass of `Node` here.
 """
 

@@ -37,7 +37,7 @@ from .line import NAME
 
 #: Fewer lines of one layout cost more here than line by line.
 FEW = 48
-#: Layouts that are kept, lines of a block that are asked for a new one, names that are told apart in one layout.
+#: Layouts that are kept, lines of a block that are asked for a new one, names that are distinguished in one layout.
 _LAYOUTS, _SAMPLES, _NAMES = 16, 16, 64
 #: Bytes of the shortest common line, so that blocks of shorter ones cost no more memory than others.
 _SHORTEST = len(b"(1.5) a 123#\n")

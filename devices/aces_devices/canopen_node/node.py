@@ -1,4 +1,4 @@
-"""A CANopen node as a driver has it: set up when its bus opens and whenever it has booted, heard by its heartbeat.
+"""A CANopen node as a driver has it: set up when its bus opens and whenever it has booted, watched by its heartbeat.
 
 1. Nothing here moves a node: setting up asks it, switches its heartbeat on and starts it.
 2. An absent node is looked for every now and then; one that was there and is not any more is silent.

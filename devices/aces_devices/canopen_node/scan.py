@@ -20,7 +20,7 @@ ANSWER_S = 0.02
 def scan_nodes(host: Host, job: Job, profile: int, driver: str, prefix: str, *, with_silent: bool) -> Steps:
     """Ask each node for its device type and identity; those of `profile` are a `driver`'s, named `prefix` and their number.
 
-    `with_silent`: also nodes that are heard, and do not answer.
+    `with_silent`: also nodes that send, and do not answer.
     """
     probes: dict[int, Device] = {node: host.probe("canopen", node=node) for node in NODES}
     found: list[DeviceConfig] = []

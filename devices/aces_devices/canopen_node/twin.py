@@ -150,7 +150,7 @@ class CanopenTwin(Twin):
     def _lost(self, node: int) -> None:
         """A node that it watches over is gone: its kind does what it does then; PDOs are ignored from now on (1029 is 0)."""
         self._watched.pop(node, None)
-        if not self._waits_for(node):  # it was told not to watch any more
+        if not self._waits_for(node):  # its consumer entry was cleared
             return
         self.lost_host(self.clock.now())
         self.send_emergency(HOST_GONE, HOST_GONE_REGISTER)

@@ -77,7 +77,7 @@ class Watchdog:
         self.entry = None
 
     def _free(self) -> Steps:
-        """The entry that is ours already, or the first that watches nobody."""
+        """The entry that is ours already, or the first that is free."""
         sdo = self.device.sdo
         count: bytes = yield sdo.upload(CONSUMER, 0)
         free: int | None = None

@@ -1,7 +1,7 @@
 """One axis of a drive: its objects as signals in SI, its set-points as objects, its place in the state machine.
 
 1. Values cross into counts here and in `units`, nowhere else.
-2. Only what the present mode takes can be set; a set-point for an axis that is not enabled is dropped, and told.
+2. Only what the present mode takes can be set; a set-point for an axis that is not enabled is dropped and reported.
 3. A set-point of profile position is one handshake: target, bit 4 up, taken, bit 4 down. A newer one waits for that.
 
 Objects are named as those of axis 0; those of axis n are 0x800 × n higher (ros2_canopen).
@@ -70,7 +70,7 @@ class DriveAxis:
         self.received = 0
         self._is_fresh = False
         self._raised_at = 0
-        #: A set-point that came before the drive was heard.
+        #: A set-point that came before the drive's first message.
         self._early: int | None = None
         self._declare("N·m" if self.units.is_rated else "")
 
@@ -170,7 +170,7 @@ class DriveAxis:
     state = "unknown"
 
     def forget(self) -> None:
-        """The drive has forgotten what it was told, and nothing is known of it."""
+        """The drive has lost its settings, and nothing is known of it."""
         self.statusword = self.position_raw = self.mode_shown = None
         self.state = "unknown"
         self.outputs = {CONTROLWORD: 0, MODE: 0}

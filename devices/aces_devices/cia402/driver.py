@@ -105,7 +105,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
             self.polls = (Poll("Sync", reply=f"Tpdo{number}", timeout_s=0.02),)
 
     def _wire(self) -> None:
-        """Who is told of what stands where in PDOs, and which PDO takes what is told."""
+        """Who receives what in PDOs, and which PDO takes which set-point."""
         axes = {axis.offset: axis for axis in self.axes}
         self._readers: dict[str, list[tuple[PdoEntry, DriveAxis, int]]] = {}
         self._takers: dict[int, int] = {}
@@ -136,7 +136,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
         return set_up(self, job)
 
     def begin(self) -> None:
-        """It was started, and its PDOs are known: from now on it is to be heard."""
+        """It was started, and its PDOs are known: from now on it is watched."""
         self._wire()
         self.is_set_up = True
         self.quiet(False)

@@ -84,7 +84,7 @@ def set_up(device: Cia402, job: Job) -> Steps:
 
 
 def _last_error(device: Cia402) -> Steps:
-    """The error that is there already: emergencies tell of new ones only."""
+    """The error that is there already: emergencies report new ones only."""
     try:
         data: bytes = yield device.sdo.upload(0x603F)
     except SdoRefused:

@@ -1,6 +1,6 @@
 """The twin of a Damiao motor: MIT's law and three other modes, registers, faults, its time-out.
 
-1. Every command of the mode that register 10 says is answered by a feedback; those of other modes are not heard
+1. Every command of the mode that register 10 says is answered by a feedback; those of other modes are ignored
    (python-damiao-driver, motor-control-modes).
 2. Registers are kept until it is switched off, or for good by Store. Zero is for good at once.
 3. Without a command for longer than register 9 (units of 50 µs; 0: for ever) it is off: lost_communication.

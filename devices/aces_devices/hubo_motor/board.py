@@ -175,7 +175,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         self._held_until = 0
         #: The message of set-points while enabled: positions, or duties for boards whose joints are commanded so.
         self.set_message: str | None = self._declare_signals()
-        self._hearers: dict[str, Callable[[Any, int], None]] = {}
+        self._receivers: dict[str, Callable[[Any, int], None]] = {}
         self._declare_polls()
 
     def _declare_signals(self) -> str | None:
@@ -353,7 +353,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         shape, polls = self.shape, list[Poll]()
         for ask in shape.encoders:
             polls.append(Poll(ask.message, ask.reply, ask.fields))
-            self._hearers.update(dict.fromkeys(ask.reply, self._encoder_hearer(self.axes[ask.first :])))
+            self._receivers.update(dict.fromkeys(ask.reply, self._encoder_receiver(self.axes[ask.first :])))
         for slow, every_s in (
             (shape.status, self.settings.status_s),
             (shape.current, self.settings.current_s),
@@ -361,8 +361,8 @@ class MotorBoard(MotorDevice[MotorAxis]):
             if slow is not None:
                 polls.append(Poll(slow.message, slow.reply, every_s=every_s))
         if shape.status is not None:
-            hear = self._hear_status if shape.reports_drive else self._hear_search
-            self._hearers.update(dict.fromkeys(shape.status.reply, hear))
+            take = self._receive_status if shape.reports_drive else self._receive_search
+            self._receivers.update(dict.fromkeys(shape.status.reply, take))
         self.polls = polls
 
     def start(self) -> None:
@@ -373,14 +373,14 @@ class MotorBoard(MotorDevice[MotorAxis]):
 
     def received(self, record: Any, instant: int) -> None:
         """A record of this board."""
-        hear = self._hearers.get(type(record).__name__)
-        if hear is not None:
-            hear(record, instant)
+        take = self._receivers.get(type(record).__name__)
+        if take is not None:
+            take(record, instant)
 
-    def _encoder_hearer(self, axes: list[MotorAxis]) -> Callable[[Any, int], None]:
+    def _encoder_receiver(self, axes: list[MotorAxis]) -> Callable[[Any, int], None]:
         is_neck = self.kind == "neck"
 
-        def hear(record: Any, instant: int) -> None:
+        def take(record: Any, instant: int) -> None:
             homing = self.homing
             for axis, count in zip(axes, record.position, strict=False):
                 if is_neck:
@@ -389,9 +389,9 @@ class MotorBoard(MotorDevice[MotorAxis]):
             if self.comply is not None:
                 self.comply(instant)
 
-        return hear
+        return take
 
-    def _hear_status(self, record: Any, instant: int) -> None:
+    def _receive_status(self, record: Any, instant: int) -> None:
         """Switches, home flags and errors of D12."""
         news: list[str] = []
         gone: list[str] = []
@@ -428,7 +428,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
             else:
                 self.rebooted("drivers or control went off without a command")
 
-    def _hear_search(self, record: Any, instant: int) -> None:
+    def _receive_search(self, record: Any, instant: int) -> None:
         """Home searches of D08."""
         lost: list[str] = []
         for axis, motor in zip(self.axes, record.motor, strict=False):

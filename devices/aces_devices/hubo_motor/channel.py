@@ -23,7 +23,7 @@ from .parameters import ChannelParameters, StoredBoard, StoredChannel
 BEYOND, RANGE = 0.1, 3.0
 #: rad/s of a home search for each unit of the board's velocities, whose unit is not known.
 HOMING_SPEED = 0.05
-#: Home flags that tell how far a search is; 6 is in the facts, the others are this twin's.
+#: Home flags that say how far a search is; 6 is in the facts, the others are this twin's.
 SEARCHING, INDEXING, RETURNING, HOMED = 1, 4, 5, 6
 
 

@@ -1,7 +1,7 @@
 """The driver `hubo_d15` and its twin: a motor board of DRC-HUBO+ (dialect D15), two channels at most.
 
 1. What the source does not state is not done: gains, parameters, currents, limits of the board.
-2. References go out while the board is enabled, from where the joints are; a set-point before that is dropped and told.
+2. References go out while the board is enabled, from where the joints are; a set-point before that is dropped and reported.
 3. A board that has switched control off by itself gets nothing more until it is enabled again.
 4. The twin answers what RoboWorld2018 reads, as the spec has it; how a search goes is not stated there: it runs to 0, then
    says 6. Control off lets a motor turn freely; a board that was off has forgotten control, home and modes, not where it is.
@@ -119,7 +119,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
         )
 
     def want(self, message: str, path: str, value: Any) -> None:
-        """A set-point; one of a board that is not enabled is dropped, and that is told."""
+        """A set-point; one of a board that is not enabled is dropped and reported."""
         if self.is_enabled:
             super().want(message, path, value)
         else:

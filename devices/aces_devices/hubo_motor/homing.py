@@ -1,6 +1,6 @@
 """Homing: searching a joint's switch and index, and what follows from it.
 
-1. Home commands are told, then looked after: progress, success, failure by status, by a stop, or by time.
+1. Home commands are sent, then watched: progress, success, failure by status, by a stop, or by time.
 2. No board of the bus is sent references for 3 s after a home command, and the board itself none while it searches.
 
 D12: the settings are stored in the board (0x11 with bit 1). Success: home flag 6 (2 for wrist rolls) and |position| at most

@@ -137,13 +137,13 @@ def block_fields(stored: ChannelParameters, block: int) -> dict[str, Any]:
 
 
 class StoredChannel(ChannelParameters, kw_only=True):
-    """What a board keeps of a motor without power, also what it does not tell."""
+    """What a board keeps of a motor without power, also what it does not report."""
 
     homing_duty: int = 30
 
 
 class StoredBoard(BoardParameters, kw_only=True):
-    """What a board keeps of itself without power, also what it does not tell."""
+    """What a board keeps of itself without power, also what it does not report."""
 
     temperature_warning: int = 80
 

@@ -1,4 +1,4 @@
-"""What a motor board of each kind and dialect is asked and told, and its settings: the tables that driver and twin read.
+"""Requests and commands of a motor board of each kind and dialect, and its settings: the tables that driver and twin read.
 
 1. A board is a row of `SHAPES`; nothing else in the driver asks for a dialect or a kind, except where firmware behaves
    differently with the same messages.
@@ -33,7 +33,9 @@ class BoardSettings(msgspec.Struct, frozen=True, kw_only=True):
         Annotated[
             float,
             _number(
-                "what NameInfo (D08) and GetBoardInfo (D12) tell the board: ms between two references", 1, 255
+                "what NameInfo (D08) and GetBoardInfo (D12) set on the board: ms between two references",
+                1,
+                255,
             ),
         ]
         | None

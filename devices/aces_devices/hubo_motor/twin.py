@@ -94,7 +94,7 @@ class HuboMotorTwin(Twin):
         self._frozen: dict[int, int] = {}
 
     def _start_of(self, own: Joint | None) -> float:
-        """Where a joint stands when nobody has homed it (rad)."""
+        """Where a joint is before it is homed (rad)."""
         somewhere = self.random.uniform(-0.05, 0.05)
         return somewhere if own is None else self.world.start_of(own.name, somewhere)
 
@@ -103,7 +103,7 @@ class HuboMotorTwin(Twin):
     def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
         """As all twins; those of motors take effect at once."""
         super().fault(name, amount, on=on)
-        # Off the bus nothing is heard.
+        # Off the bus nothing is received.
         self._handlers = {} if "can_error" in self.active_faults else self._listening
         now = self.clock.now()
         for channel in self.channels:
@@ -237,7 +237,7 @@ class HuboMotorTwin(Twin):
 
     @on("GetBoardInfo")
     def get_board_info(self, request: Any) -> None:
-        """The period is set, and told."""
+        """The period is set, and reported."""
         self.board.period = request.period
         self.reply("BoardInfo", period=request.period)
 
@@ -271,7 +271,7 @@ class HuboMotorTwin(Twin):
 
     @on("ReferenceNeck")
     def reference_neck(self, request: Any) -> None:
-        """Servo angles: servos hold whatever they are told."""
+        """Servo angles: servos hold what they are set to."""
         now = self.clock.now()
         for channel, angle in zip(self.channels, request.position, strict=True):
             channel.driver_on = channel.control_on = True

@@ -217,7 +217,7 @@ class SensorBoard(Device):
         """Ask for the offsets of the converters (D08): the job's result is {"da": record, "ad": record}."""
 
         if not self.is_old:
-            return self.refused("offsets", "only boards of D08 tell their offsets")
+            return self.refused("offsets", "only boards of D08 report their offsets")
 
         def steps(job: Job) -> Steps:
             da = yield self.ask("DaOffsetQuery", reply="DaOffset")

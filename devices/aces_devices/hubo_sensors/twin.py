@@ -97,7 +97,7 @@ class SensorTwin(Twin):
 
     @on("GetBoardInfo")
     def send_info(self, request: Any) -> None:
-        """The period that the request carries is taken, and told."""
+        """The period that the request carries is taken, and reported."""
         self.period_ms = request.period
         self.reply("SensorBoardInfo", period=self.period_ms)
 

@@ -1,4 +1,4 @@
-"""The twin of the control PC, motor by motor: it turns to where it is told, at a steady speed.
+"""The twin of the control PC, motor by motor: it turns to its set-point at a steady speed.
 
 1. Datagrams with a bad check are dropped; each twin counts those of its network.
 2. The PC answers nothing, and so does this.

@@ -59,7 +59,7 @@ class Obd2Twin(Twin):
 
     @on("ReadPermanentCodes", "ReadPermanentCodesAll")
     def send_permanent(self, request: Any) -> None:
-        """Codes that nobody clears."""
+        """Codes that cannot be cleared."""
         self.reply("PermanentCodes", codes=sorted(self.ecu.permanent))
 
     @on("ClearCodes", "ClearCodesAll")

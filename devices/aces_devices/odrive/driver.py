@@ -126,7 +126,7 @@ class Odrive(SingleMotor):
         )  # fmt: skip
         self.add_motor_signal(
             "torque", unit="N·m", of="Torques.estimate" if self.is_new else None, to_si=scale.torque,
-            from_si=scale.raw_torque, stale_s=slow, doc="torque; firmware 0.5 does not tell it",
+            from_si=scale.raw_torque, stale_s=slow, doc="torque; firmware 0.5 does not report it",
             source="CAN Simple 0x1C, 0x0E",
         )  # fmt: skip
         asked = ["Iq", "BusVoltageCurrent"]
@@ -274,7 +274,7 @@ class Odrive(SingleMotor):
             self.check_off("zero can be set")
             if self.is_new:
                 yield self.send("SetAbsolutePosition", position=self.scale.raw_angle(0.0))
-            else:  # counts of an encoder whose resolution CAN does not tell
+            else:  # counts of an encoder whose resolution is not reported on CAN
                 if self.scale.zero:
                     raise CallerError(
                         f"{self.name}: firmware 0.5 takes 0 only, and {self.owner} has zero = {self.scale.zero:g}"

@@ -316,7 +316,7 @@ def _unasked(host: Host) -> int:
 
 
 def _answers(host: Host, number: int, timeout_s: float) -> Steps:
-    """Whether anybody answers to this number."""
+    """Whether a device answers to this number."""
     return host.answers(
         "pololu_qik", {"id": number}, "GetFirmware", reply="Firmware", timeout_s=timeout_s, retries=0
     )

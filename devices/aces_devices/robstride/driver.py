@@ -2,7 +2,7 @@
 
 1. The motor does not tell its ranges: the robot's file says its model, and a model that sources disagree about needs
    `ranges`.
-2. Whether it is on is told by what answers commands alone. While none is sent it is asked for parameters, which disturb
+2. Only what answers commands says whether it is on. While none is sent it is asked for parameters, which disturb
    nobody; to be asked whether it is on it would have to be stopped. Until it has said so it counts as off.
 3. Its mode changes while it is stopped only: enabling stops it first.
 

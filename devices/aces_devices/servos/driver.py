@@ -1,4 +1,4 @@
-"""A servo as a table of registers on a half-duplex line: one servo, one joint, whoever makes it.
+"""A servo as a table of registers on a half-duplex line: one servo, one joint, of any maker.
 
 1. A goal is clipped to the servo's range, never wrapped; all goals go out in one SyncWrite a tick.
 2. Nothing that survives power-off is written, and no torque is switched on, unless it is asked for.

@@ -1,6 +1,6 @@
 """VESC: one controller, one motor, by duty, current, speed or position; on CAN or at a serial line.
 
-1. A controller has no state "enabled": whoever sends, drives. Nothing is sent before `enable`, and nothing after the device
+1. A controller has no state "enabled": it obeys every sender. Nothing is sent before `enable`, and nothing after the device
    has reported a fault or fallen silent, until it is enabled anew.
 2. Set-points are repeated in each tick; the controller's own time-out (1 s from the factory) stops its motor without them.
 3. On CAN each controller answers to a host number of its own: pieces of long answers have no sender, and would mix.

@@ -23,7 +23,7 @@ Held against recordings, a spec shows what it does not say, or says wrongly:
                                     messages and fields never seen, undeclared
                                     identifiers and opcodes, bytes left over,
                                     ranges exceeded, numbers in a wrong byte
-                                    order, checks that nobody declared …
+                                    order, undeclared checks …
   aces spec check my_spec.py --suggest walk.log
                                     examples=[…] of it, for you to confirm
 

@@ -207,7 +207,7 @@ def _end(process: subprocess.Popen[str]) -> None:
 
 @dataclass(frozen=True)
 class Simulated:
-    """What a simulation was: wall time, frames, load, and the hash of everything heard."""
+    """What a simulation was: wall time, frames, load, and the hash of everything received."""
 
     wall_s: float
     frames: int

@@ -273,5 +273,5 @@ def _step(step: Callable[[float, int], float], instants: count[int]) -> Callable
 
 
 def _taken(out: Any, instants: count[int]) -> Callable[[], Any]:
-    own = count(1 << 61, PERIOD_NS)  # even, whoever else takes instants
+    own = count(1 << 61, PERIOD_NS)  # even, whatever else takes instants
     return lambda: out._take(0.5, next(own))

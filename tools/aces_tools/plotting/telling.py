@@ -1,4 +1,4 @@
-"""What is drawn when nobody says what: of many signals those that say most.
+"""What is drawn where no signals are named: of many signals those that say most.
 
 1. Only what changes; quantities with a unit before bare numbers, for these may be counters and codes.
 2. One subplot a unit, a few lines in each, of as many messages as there are.

@@ -330,13 +330,13 @@ class LiveScreen(App[None]):
     # ------------------------------------------------------------------ one turn
 
     async def turn(self) -> None:
-        """Hear what has come, and show it."""
-        await self.hear()
+        """Take in what has come, and show it."""
+        await self.take_in()
         self.picture()
         if self._end is not None and self._end():
             self.exit()
 
-    async def hear(self) -> None:
+    async def take_in(self) -> None:
         """Count all that waits in the inbox."""
         items = self.inbox.get(0)
         for start in range(0, len(items), PIECE):
