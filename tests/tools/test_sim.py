@@ -111,6 +111,27 @@ def test_a_name_that_is_served(aces: Aces, leg: str) -> None:
         assert "-c unix:leg_can" in other.out
 
 
+LONE = """
+name = "lone"
+rate_hz = 50
+[buses]
+can = { link = "can", protocol = "odrive", bitrate = 250_000, channel = "lone0" }
+[devices]
+AXIS0 = { driver = "odrive", bus = "can", credentials = { node = 0 } }
+"""
+
+
+def test_a_listener_sees_what_a_lone_device_sends(aces: Aces, tmp_path: Path) -> None:
+    """The bus acknowledges what a device sends of its own accord, also where `aces sniff` is all that listens."""
+    file = tmp_path / "lone.toml"
+    file.write_text(LONE)
+    robot = chosen_robot(str(file))
+    with ExitStack() as stack:
+        SimulatedRobot(robot, {"can": {}}, 0, stack)
+        got = aces("sniff", "unix:lone0", "-p", "odrive", "-n", "3", "--for", "20s")
+    assert (got.status, got.summary["decoded"]) == (0, 3)
+
+
 def test_datagrams(aces: Aces) -> None:
     """A datagram bus is bound where the call says; a port that is taken is named."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:

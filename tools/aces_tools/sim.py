@@ -316,7 +316,10 @@ class SimulatedRobot:
             _warm()
             plain = text.removeprefix("unix:")
             is_path = "/" in plain
-            channel = ServedChannel(name if is_path else plain, bitrate=bitrate, fd=protocol.has_fd)
+            # Devices acknowledge one another, and all twins are one node here: what they send by themselves is to arrive.
+            channel = ServedChannel(
+                name if is_path else plain, bitrate=bitrate, fd=protocol.has_fd, acknowledge=True
+            )
             server = BusServer([channel], unix=plain if is_path else "", tcp=None, socketcand=None, said=say)
             stack.callback(server.close)
             thread = threading.Thread(target=server.serve, name=f"bus {name}", daemon=True)
