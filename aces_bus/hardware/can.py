@@ -379,7 +379,8 @@ class CanGate(Gate[Frame]):
                 self._plan_flush()
         return True
 
-    _priority_of = staticmethod(arbitration)
+    def _priority_of(self, frame: Frame) -> int:
+        return arbitration(frame)
 
     def _leaves_at(self) -> int:
         return self._due

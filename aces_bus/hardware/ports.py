@@ -57,7 +57,7 @@ class BasePort(Generic[Packet]):
         clock = self.clock
         assert isinstance(clock, Loop)
         # The method's place is taken by the closure: one call less a packet.
-        self.__dict__["send"] = _sender(gate, clock, gate.give if isinstance(gate, CanGate) else None)
+        self.__dict__["send"] = _sender(gate, clock)
 
         hand_over = self._hand_over
 
@@ -311,8 +311,8 @@ class DatagramPort(BasePort[bytes]):
             self.node.wire.nodes.remove(self.node)
 
 
-def _sender(gate: Any, clock: Loop, quick: Callable[..., bool] | None = None) -> Callable[..., bool]:
-    """What sends through a gate, `quick` what is usual; False: it does not take the packet.
+def _sender(gate: Any, clock: Loop) -> Callable[..., bool]:
+    """What sends through a gate; False: it does not take the packet.
 
     On a bus that is lost packets do not wait, but for stops: sent when it is back, an old set-point would move a robot.
     """
@@ -345,9 +345,9 @@ def _sender(gate: Any, clock: Loop, quick: Callable[..., bool] | None = None) ->
         except CallerError:  # too much waits already, or not of this bus's kind
             return False
 
-    if quick is None:
+    if not isinstance(gate, CanGate):
         return give
-    usual = quick
+    usual = gate.give
 
     def give_quick(
         packet: Any,

@@ -53,6 +53,25 @@ def test_frames_survive_packets(frames: list[tuple[Frame, int]], data: st.DataOb
     assert found == frames
 
 
+@given(st.lists(FRAMES, max_size=40))
+def test_what_is_quick_for_plain_frames_says_the_same(frames: list[Frame]) -> None:
+    """Frames offered together are the packets of any frames; packets of a plain frame each are read at once, others not."""
+    records = [packets.frame_record(frame, 5) for frame in frames]
+    assert packets.frames_packet(frames, 5) == b"".join(packets.packed(records))
+    found = packets.single_frames(b"".join(one for record in records for one in packets.packed([record])))
+    is_plain = all(not (f.is_extended_id or f.is_remote_frame or f.is_fd) for f in frames)
+    assert (found is not None) == is_plain
+    for frame, other in zip(frames, found or frames, strict=True):
+        assert (frame.arbitration_id, frame.data) == (other.arbitration_id, other.data)
+
+
+def test_a_packet_with_more_than_one_frame_is_left_to_the_other_reader() -> None:
+    """One packet of two frames is as long as no number of single ones, or is seen to be none."""
+    plain = [Frame(0x10 + n, bytes(8)) for n in range(8)]
+    assert packets.single_frames(packets.frames_packet(plain, 0)) is None
+    assert packets.single_frames(b"") == []
+
+
 @given(st.binary(max_size=300))
 def test_no_bytes_break_a_reader(data: bytes) -> None:
     """Whatever comes is packets or a `PacketError`; frames that come out can exist."""

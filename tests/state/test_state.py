@@ -241,6 +241,23 @@ def test_set_points_reach_the_setter_and_have_a_history() -> None:
     assert sent == [0.1, 0.2]
 
 
+def test_a_signal_tells_its_set_points_to_states_whose_set_points_are_read() -> None:
+    """Nothing listens to what is handed down before it is read; then its history begins, and ends with the connection."""
+    clock = VirtualClock()
+    signal = Signal("hip.position", clock, unit="rad", setter=lambda value: None)
+    hip = State.of(signal)
+    hip.set(0.1)
+    assert signal.given == []
+    target = hip.setpoint
+    hip.set(0.2)
+    assert target[0] == 0.2
+    assert target.counts.kept == 1
+    assert hip.setpoint is target
+    assert len(signal.given) == 1
+    hip.disconnect()
+    assert signal.given == []
+
+
 def test_read_only_and_unsampled_states() -> None:
     """A state without setter refuses; one that nobody measures takes its set-point as its value at once."""
     with pytest.raises(StateError, match="'omega' is read-only"):

@@ -202,7 +202,7 @@ def packed(many: Iterable[bytes]) -> Iterator[bytes]:
 
 def frames_packet(frames: Sequence[Frame], time_ns: int) -> bytes:
     """Frames as packets, one behind another."""
-    if len(frames) <= MOST // CLASSIC_RECORD.size:
+    if 0 < len(frames) <= MOST // CLASSIC_RECORD.size:
         pack, out = CLASSIC_RECORD.pack, [HEAD.pack(CLASSIC_RECORD.size * len(frames), CLASSIC)]
         for frame in frames:
             if (
