@@ -329,7 +329,7 @@ class Vesc(Device):
         """Whether no current drives it on: there is none, or it goes against the motion.
 
         A motor without a load takes hardly any, and no set-point is acknowledged. Where packets are lost the stop is sent again
-        and again; the question is right behind it and asked once: a later answer says nothing of a stop that was lost.
+        and again; the question is right behind it, asked once: a later answer says nothing of a lost stop.
         """
 
         def steps(job: Job) -> Steps:
