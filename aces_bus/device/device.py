@@ -174,6 +174,11 @@ class Device(EndpointMember):
         """Seconds for which it goes on without its host, which it watches; None: for ever, as far as is known."""
         return None
 
+    @property
+    def watchdog_s(self) -> float | None:
+        """Seconds within which it has to be sent something, for it stops by itself otherwise; None: however little."""
+        return None
+
     def malformed(self, reason: str, instant: int) -> None:
         """A frame or packet that is probably this device's was not understood."""
 

@@ -306,7 +306,7 @@ class RegisterDevice(Device):
         self.written(codec.name, number)
 
     def _own_span(self, codec: RegisterCodec) -> tuple[RegisterSpan, dict[str, int]]:
-        """What reads a register, as long as no poll where there is more beside it: a late answer is not taken for its own."""
+        """What reads a register, as long as no poll where there is more beside it: no late answer is taken for its own."""
         taken = {poll.fields.get("count") for poll in self.polls}
         begins = {one.address: one for one in self.codecs.values()}
         count = codec.size

@@ -215,9 +215,12 @@ class Runner(RunEnd):
     def open(self) -> None:
         """Open the buses, and wait until every polled device has been received or `RECEIVE_S` are over.
 
-        Whatever opening raises comes out, with all closed again.
+        Whatever opening raises comes out, with all closed again; `CallerError` for a bus rate that cannot be.
         """
         self.bind()
+        if self.drives:
+            for host in self.rig.hosts.values():
+                host.check_rate()
         try:
             for begin in self.before:
                 begin()

@@ -246,6 +246,11 @@ class Qik(Device):
         """Its serial time-out."""
         return self.timeout_s or None
 
+    @property
+    def watchdog_s(self) -> float | None:
+        """The same: any instruction feeds it."""
+        return self.alone_s
+
     def stop_motion(self) -> Job:
         """Speed 0, which brakes."""
         return self.brake()

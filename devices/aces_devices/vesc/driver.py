@@ -328,7 +328,7 @@ class Vesc(Device):
     def confirm_stopped(self) -> Job:
         """Whether no current drives it on: there is none, or it goes against the motion.
 
-        A motor without a load takes hardly any, and no set-point is acknowledged. Where packets are lost the stop is sent again
+        A motor without a load takes hardly any, and no set-point is acknowledged. Where packets are lost it is sent again
         and again; the question is right behind it, asked once: a later answer says nothing of a lost stop.
         """
 
