@@ -175,7 +175,7 @@ class Device(EndpointMember):
         return None
 
     @property
-    def watchdog_s(self) -> float | None:
+    def fed_within_s(self) -> float | None:
         """Seconds within which it has to be sent something, for it stops by itself otherwise; None: however little."""
         return None
 

@@ -218,10 +218,10 @@ class Host(BusEndpoint[Device]):
             )
         for device in self.members.values():
             every_s = max(tick_s, min((poll.every_s or tick_s for poll in device.polls), default=tick_s))
-            if device.watchdog_s is not None and every_s >= device.watchdog_s:
+            if device.fed_within_s is not None and every_s >= device.fed_within_s:
                 raise CallerError(
                     f"{device.name}: it would be sent something every {every_s:g} s, and stops by itself after"
-                    f" {device.watchdog_s:g} s without: choose a rate above {1 / device.watchdog_s:g} Hz, or a longer"
+                    f" {device.fed_within_s:g} s without: choose a rate above {1 / device.fed_within_s:g} Hz, or a longer"
                     " watchdog in the robot's file"
                 )
 

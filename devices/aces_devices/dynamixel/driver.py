@@ -296,7 +296,7 @@ class Dynamixel(ServoDevice):
         return self.settings.watchdog_s or None
 
     @property
-    def watchdog_s(self) -> float | None:
+    def fed_within_s(self) -> float | None:
         """The same: any instruction feeds it."""
         return self.alone_s
 

@@ -247,7 +247,7 @@ class Qik(Device):
         return self.timeout_s or None
 
     @property
-    def watchdog_s(self) -> float | None:
+    def fed_within_s(self) -> float | None:
         """The same: any instruction feeds it."""
         return self.alone_s
 
