@@ -58,6 +58,7 @@ HARMLESS = (
     "alarm over",
     "late reply",
     "overrun",
+    "stalled",
     "duplicate reply",
     "garbled",
     "limited",

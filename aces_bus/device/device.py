@@ -177,6 +177,11 @@ class Device(EndpointMember):
         """Seconds for which it goes on without its host, which it watches; None: for ever, as far as is known."""
         return None
 
+    @property
+    def fed_within_s(self) -> float | None:
+        """Seconds within which it has to be sent something, for it stops by itself otherwise; None: however little."""
+        return None
+
     def malformed(self, reason: str, instant: int) -> None:
         """A frame or packet that is probably this device's was not understood."""
 
@@ -510,13 +515,15 @@ class Device(EndpointMember):
         reply: str | tuple[str, ...] = (),
         timeout_s: float = 0.05,
         retries: int = 2,
+        confirms: bool = False,
         **fields: Any,
     ) -> Ticket:
         """Send a message and wait for one of `reply`, asking again `retries` times. The record is the ticket's result.
 
+        `confirms`: it asks whether a stop was obeyed, and on a half-duplex line goes with the stops, before all that waits.
         Raises `UnknownNameError` and `FieldError` as encoders do; a missing answer is the ticket's `NoReplyError`.
         """
-        return self._requested(message, reply, timeout_s, retries, fields)
+        return self._requested(message, reply, timeout_s, retries, fields, confirms=confirms)
 
     def send(self, message: str, **fields: Any) -> Ticket:
         """Send a message that is not answered. The ticket is over when it has left, and fails when it does not."""
@@ -546,11 +553,22 @@ class Device(EndpointMember):
         retries: int,
         fields: Mapping[str, Any],
         urgent: bool = False,
+        confirms: bool = False,
     ) -> Ticket:
         names = frozenset((reply,) if isinstance(reply, str) else reply)
         packet, timeout_ns = self.host.packet(self, message, fields), round(timeout_s * 1e9)
         return self.host.ask(
-            Ticket(self.clock, self, message, packet, names, timeout_ns, retries, urgent=urgent)
+            Ticket(
+                self.clock,
+                self,
+                message,
+                packet,
+                names,
+                timeout_ns,
+                retries,
+                urgent=urgent,
+                confirms=confirms,
+            )
         )
 
     def job(self, name: str, steps: Callable[[Job], Steps]) -> Job:

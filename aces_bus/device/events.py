@@ -40,6 +40,7 @@ Kind = Literal[
     "bus-off",
     "recovered",
     "dropped",
+    "stalled",  # the adapter does not take in time what devices are asked
     "send failed",
     "bad input",
     "clock",

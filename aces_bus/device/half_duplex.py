@@ -1,6 +1,7 @@
 """A half-duplex line: one speaks at a time, and the next one when it was answered or its time is up.
 
-1. A stop speaks next, whatever waits. What is asked leaves in its order; polls that are due speak when nothing waits.
+1. A stop speaks next, whatever waits, and so does what confirms one. Each has its turn, however often another is sent again.
+   What else is asked leaves in its order; polls that are due speak when nothing waits.
 2. Set-points wait for a turn as values: their packet is built when they have the line, so that none is older than the last
    tick, and none of a device that was stopped meanwhile is left.
 3. A poll whose answer would come after the budget's end waits for the next tick, unless it is the tick's first.
@@ -33,7 +34,8 @@ class HalfDuplexLine:
 
     def __init__(self, host: Host) -> None:
         self.host = host
-        #: In the order in which they speak: stops, the rest of the set-points' turn, and what waits (None: for their turn).
+        #: In the order in which they speak: stops and what confirms them, the rest of the set-points' turn, and what waits
+        #: (None: for their turn).
         self._stops: deque[Ticket] = deque()
         self._set_points: deque[OutgoingMessage] = deque()
         self._waiting: deque[Ticket | None] = deque()
@@ -42,8 +44,11 @@ class HalfDuplexLine:
         #: Those of a packet that asks several who have not been answered yet, and those that such a packet is made for now.
         self._together: list[Ticket] = []
         self._gathering: list[Ticket] | None = None
-        #: Who was asked last.
+        #: Who was asked last; who did not answer in time, where nothing was answered since.
         self.spoke_last: Device | None = None
+        self._missed_last: Device | None = None
+        #: Whether a ticket was missed right behind another device's.
+        self._is_behind_a_miss = False
         #: After what instant no poll of this tick may end, and whether the tick has had one: the first one goes out whatever
         #: it costs, or it never would.
         self._polls_end, self._has_polled = NEVER_NS, False
@@ -60,7 +65,7 @@ class HalfDuplexLine:
 
     def put(self, ticket: Ticket) -> None:
         """A packet that is to be sent, behind what waits; `pump` then."""
-        self._waiting.append(ticket)
+        (self._stops if ticket.confirms else self._waiting).append(ticket)
 
     def put_set_points(self) -> None:
         """Set-points are wanted: they have a turn behind what waits, if they do not wait for one already."""
@@ -69,7 +74,10 @@ class HalfDuplexLine:
         self.pump()
 
     def overtake(self, ticket: Ticket) -> None:
-        """A stop: before all that is none, and instead of what waits for its device; `pump` then."""
+        """A stop: before all that is none, and instead of what waits for its device; `pump` then.
+
+        One that waits already is not sent twice: a device whose stop is repeated would hold up the stops of others.
+        """
         overtaken = [one for one in self._waiting if one is not None and _is_overtaken(one, ticket)]
         self._waiting = deque(one for one in self._waiting if one not in overtaken)
         self._set_points = deque(self._without(ticket.device))
@@ -78,7 +86,11 @@ class HalfDuplexLine:
         ):  # the bus itself is free: only the devices take one request at a time
             self.host.send(ticket, self.host.clock.now())
         else:
-            self._stops.append(ticket)
+            same = (one for one in self._stops if one.device is ticket.device and one.packet == ticket.packet)
+            if (waiting := next(same, None)) is not None:
+                waiting.then(ticket.follow)
+            else:
+                self._stops.append(ticket)
         for one in overtaken:  # only now: who hears of it may ask for something else
             _fail_overtaken(one)
 
@@ -91,10 +103,21 @@ class HalfDuplexLine:
             elif left:
                 yield from (self.host.rule_of(out.message, left[0].device) or per_device)(left)
 
+    def missed(self, ticket: Ticket) -> None:
+        """It was not answered in time."""
+        last, self._missed_last = self._missed_last, ticket.device
+        self._is_behind_a_miss = last is not None and last is not ticket.device
+
     def again(self, ticket: Ticket) -> None:
-        """It was not answered in time, and is asked once more, behind stops and before all else that waits."""
-        if ticket.urgent:
-            self._stops.append(ticket)
+        """It was not answered in time, and is asked once more, behind stops and before all else that waits.
+
+        A stop's is at once, where the one before was not answered either: its answer may have come late, into this one's.
+        """
+        if ticket.urgent or ticket.confirms:
+            if self._is_behind_a_miss:
+                self._stops.appendleft(ticket)
+            else:
+                self._stops.append(ticket)
         elif any(_is_overtaken(ticket, stop) for stop in self._stops):
             _fail_overtaken(ticket)
         else:
@@ -189,6 +212,11 @@ class HalfDuplexLine:
         for one in tickets:
             one.tries += 1
             host.unanswered.wait_for(one, now, answers_ns)
+
+    def answered(self, ticket: Ticket) -> None:
+        """Who spoke has been answered."""
+        self._missed_last = None
+        self.free(ticket)
 
     def free(self, ticket: Ticket) -> None:
         """Who spoke has been answered, or will not be."""

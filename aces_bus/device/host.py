@@ -206,6 +206,27 @@ class Host(BusEndpoint[Device]):
 
     # ------------------------------------------------------------------ opening and ticking
 
+    def check_rate(self) -> None:
+        """Raise `CallerError` for a rate that its bus cannot carry, or that is too slow for the watchdog of a device."""
+        if not self.period_ns:
+            return
+        tick_s = self.period_ns / 1e9
+        cost = min((slot.cost_ns for slot in self.slots), default=0)
+        if cost > self.period_ns:
+            raise CallerError(
+                f"bus {self.name}: {1 / tick_s:g} Hz are too many: one request with its answer takes"
+                f" {cost / 1e6:.3g} ms there, so that {1e9 / cost:.0f} Hz are the most; `aces bus budget` says what a tick"
+                " takes in all"
+            )
+        for device in self.members.values():
+            every_s = max(tick_s, min((poll.every_s or tick_s for poll in device.polls), default=tick_s))
+            if device.fed_within_s is not None and every_s >= device.fed_within_s:
+                raise CallerError(
+                    f"{device.name}: it would be sent something every {every_s:g} s, and stops by itself after"
+                    f" {device.fed_within_s:g} s without: choose a rate above {1 / device.fed_within_s:g} Hz, or a longer"
+                    " watchdog in the robot's file"
+                )
+
     def open(self) -> None:
         """Start receiving and, with a rate, ticking. Each device's `start` is called; nothing of both when it is passive."""
         super().open()

@@ -264,7 +264,7 @@ class RegisterDevice(Device):
         def steps(job: Job) -> Steps:
             message, fields = self._write_message, {"start": codec.address, "data": codec.pack(number)}
             ticket = self._ask(message, None, **fields) if self.acknowledges else self.send(message, **fields)
-            yield from self._seen_written(codec, number, ticket)
+            yield from self._seen_written(codec, number, ticket, self.acknowledges)
 
         return self.job(f"write {name}", steps)
 
@@ -274,6 +274,8 @@ class RegisterDevice(Device):
         That it arrived is seen as with `write`; raises and fails like that.
         """
         codec = self.codec(name)
+        # Acknowledgements of earlier writes may come late, and look like this one's.
+        is_sure = self.acknowledges and not self.timed_out.get(self.reply)
         ticket = self.send_now(
             self._write_message,
             reply=self.reply if self.acknowledges else (),
@@ -282,23 +284,38 @@ class RegisterDevice(Device):
             start=codec.address,
             data=codec.pack(number),
         )
-        return self.job(f"write {name}", lambda job: self._seen_written(codec, number, ticket))
+        return self.job(f"write {name}", lambda job: self._seen_written(codec, number, ticket, is_sure))
 
-    def _seen_written(self, codec: RegisterCodec, number: int, ticket: Ticket) -> Steps:
-        """Steps that see that what was sent has arrived."""
+    def _seen_written(self, codec: RegisterCodec, number: int, ticket: Ticket, is_sure: bool) -> Steps:
+        """Steps that see that what was sent has arrived: by its acknowledgement, where that is sure, else by reading it."""
         doing = f"writing {codec.name} = {codec.value(number)!r}"
         record = yield ticket
         if self.acknowledges:
             self._raise_refusal(record, doing)
         else:
             yield self.host.port.wire_ns(ticket.packet)
-            if self.answers:
-                found = yield self.read(codec.name, raw=True)
-                if found != number:
-                    raise DeviceError(
-                        f"{self.name}: {doing}: it has {codec.value(found)!r} all the same; is it locked?"
-                    )
+        if self.answers and not is_sure:
+            span, fields = self._own_span(codec)
+            record = yield self._ask(self._read_message, span, ticket.urgent, **fields)
+            self._raise_refusal(record, f"reading {codec.name}")
+            (found,) = codec.unpack_from(getattr(record, self.payload), 0)
+            if found != number:
+                raise DeviceError(
+                    f"{self.name}: {doing}: it has {codec.value(found)!r} all the same; is it locked?"
+                )
         self.written(codec.name, number)
+
+    def _own_span(self, codec: RegisterCodec) -> tuple[RegisterSpan, dict[str, int]]:
+        """What reads a register, as long as no poll where there is more beside it: no late answer is taken for its own."""
+        taken = {poll.fields.get("count") for poll in self.polls}
+        begins = {one.address: one for one in self.codecs.values()}
+        count = codec.size
+        while count in taken and (beside := begins.get(codec.address + count)) is not None:
+            count += beside.size
+        if count in taken:  # there is nothing beside it
+            count = codec.size
+        fields = {"start": codec.address, "count": count}
+        return RegisterSpan(codec.address, count, self.codecs.values()), fields
 
     def check_write(self, name: str, confirm: bool = False) -> None:
         """Raise `CallerError` when a register may not be written now."""
@@ -443,11 +460,20 @@ class RegisterDevice(Device):
 
     # ------------------------------------------------------------------ inside
 
-    def _ask(self, message: str, span: RegisterSpan | None, **fields: Any) -> Ticket:
-        """A request; what it is answered with is remembered by its packet."""
+    def _ask(
+        self, message: str, span: RegisterSpan | None, confirms: bool = False, /, **fields: Any
+    ) -> Ticket:
+        """A request; what it is answered with is remembered by its packet. `confirms` as of `ask`."""
         if span is not None:
             self._spans[self.host.packet(self, message, fields)] = span
-        return self.ask(message, reply=self.reply, timeout_s=self.timeout_s, retries=self.retries, **fields)
+        return self.ask(
+            message,
+            reply=self.reply,
+            timeout_s=self.timeout_s,
+            retries=self.retries,
+            confirms=confirms,
+            **fields,
+        )
 
     def _unanswered(self, message: str, **fields: Any) -> Steps:
         """Steps that send what is not answered, and let it arrive."""

@@ -56,6 +56,13 @@ class Awaited:
             self.state, self.error = "failed", error
             self._notify()
 
+    def follow(self, other: Awaited) -> None:
+        """`other`, which stands for it, is over: it is, too."""
+        if other.error is not None:
+            self.fail(other.error)
+        else:
+            self.finish(other.result)
+
     def _notify(self) -> None:
         followers, self._followers = self._followers, None
         for follower in followers or ():
@@ -73,12 +80,14 @@ class Awaited:
 class Ticket(Awaited):
     """One request of a device. `result` is the record that answered, None when no answer is expected.
 
-    One without an answer is over when its packet has left, and fails when it does not. `urgent`: a stop (`Device.send_now`).
+    One without an answer is over when its packet has left, and fails when it does not. `urgent`: a stop (`Device.send_now`);
+    `confirms`: it asks whether one was obeyed.
     `packet` is what went out; `sent_at` and `answered_at` are instants (ns); `tries` counts how often it went out.
     """
 
     __slots__ = (
         "answered_at",
+        "confirms",
         "deadline",
         "device",
         "message",
@@ -103,11 +112,12 @@ class Ticket(Awaited):
         retries: int = 0,
         poll: Any = None,
         urgent: bool = False,
+        confirms: bool = False,
     ) -> None:
         self.clock, self.state, self.result, self.error, self._followers = clock, "waiting", None, None, None
         self.device, self.message, self.packet = device, message, packet
         self.reply, self.timeout_ns, self.retries, self.poll = reply, timeout_ns, retries, poll
-        self.urgent = urgent
+        self.urgent, self.confirms = urgent, confirms
         self.tries = 0
         self.sent_at = self.answered_at = self.deadline = 0
 

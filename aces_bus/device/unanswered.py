@@ -106,7 +106,10 @@ class Unanswered:
             heappop(deadlines)
             del self._waiting[deadline]
             for ticket in waiting:
-                if self._is_waiting(ticket, deadline):  # still: another's end may have been this one's
+                if not self._is_waiting(ticket, deadline):
+                    continue  # another's end was this one's
+                self._end_incomplete(now)
+                if self._is_waiting(ticket, deadline):  # its answer was not behind what was garbled
                     ticket.device.awaiting.remove(ticket)
                     self._missed(ticket, now)
         self._timer = self.clock.call_at(deadlines[0], self._expire) if deadlines else None
@@ -116,6 +119,15 @@ class Unanswered:
         """Whether it waits for an answer until then: a poll may have been answered and asked anew."""
         return ticket.deadline == deadline and ticket in ticket.device.awaiting
 
+    def _end_incomplete(self, now: int) -> None:
+        """Give up a packet that has not ended, as a false header does: it holds back what came behind it, and what will."""
+        host = self.host
+        # On a line only who was asked spoke, and its time is up.
+        if isinstance(host.scanner, StreamScanner) and (
+            host.line is not None or now - host.bytes_at > host.scanner.gap * 1e9
+        ):
+            host.fell_silent()
+
     def _missed(self, ticket: Ticket, now: int) -> None:
         host, device = self.host, ticket.device
         host.counts.missed += 1
@@ -123,11 +135,8 @@ class Unanswered:
             device.timed_out[name] = device.timed_out.get(name, 0) + 1
         device.missed_at = now
         line = host.line
-        if isinstance(host.scanner, StreamScanner) and (
-            line is not None or now - host.bytes_at > host.scanner.gap * 1e9
-        ):
-            # Only who was asked spoke on a line: the next answer must not fill what is left of a garbled one.
-            host.fell_silent()
+        if line is not None:
+            line.missed(ticket)
         if ticket.tries <= ticket.retries:
             host.counts.repeated += 1
             if line is not None:
@@ -164,9 +173,9 @@ class Unanswered:
         if device.misses >= device.silent_after and is_long and not device.is_silent:
             device.is_silent = True
             age = (
-                "never heard"
+                "never received"
                 if device.last_received is None
-                else f"last heard {(now - device.last_received) / 1e9:.3f} s ago"
+                else f"last received {(now - device.last_received) / 1e9:.3f} s ago"
             )
             self.host.emit("silent", device.name, f"{device.misses} requests without an answer, {age}")
 
@@ -213,7 +222,7 @@ class Unanswered:
             if line is not None:
                 slot.cost_ns = cycle  # learnt: the poll with its answer
         if line is not None:
-            line.free(ticket)
+            line.answered(ticket)
         if slot is None:
             ticket.finish(record)
 

@@ -27,6 +27,7 @@ Kind = Literal[
     "listener",
     "send failed",
     "not sent",
+    "stalled",
 ]
 
 
@@ -37,7 +38,8 @@ class BusEvent(msgspec.Struct, frozen=True):
     "bus-off" (the controller's state); "dropped" (frames lost: `count` of them, `detail` says where); "clock" (the adapter's
     stamps went back); "bad input" (the adapter said what cannot be understood); "listener" (one raised: its exception in
     `detail`); "send failed" (the backend refused a packet); "not sent" (`count` frames, bytes or datagrams were too old,
-    given to a lost bus, overtaken by a stop, or left over at the end: `detail` says which). `time_ns` is the host's
+    given to a lost bus, overtaken by a stop, or left over at the end: `detail` says which); "stalled" (the adapter did not
+    take `count` of those whose age their sender has said, such as polls, in time). `time_ns` is the host's
     monotonic clock, `bus` the name of the gate.
     """
 

@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import Any, Literal
 
 from ..errors import CallerError
 from .gate_base import GateBase, Item
@@ -32,6 +32,7 @@ _BINS: dict[Fate, str] = {
 }
 
 TOO_OLD = "too old, they do not leave late"
+STALLED = "the adapter does not take them in time, and they do not leave late"
 
 
 class SendingGate(GateBase[Item]):
@@ -62,7 +63,7 @@ class SendingGate(GateBase[Item]):
         if self._given:
             self._gather()
         until = self.clock.now() + (AGE_NS if age_s is None else round(age_s * 1e9))
-        item = OutboxItem(packet, size, until, urgent, topic, report)
+        item = OutboxItem(packet, size, until, urgent, topic, report, age_s is not None)
         overtaken: list[OutboxItem[Any]] = []
         with self._guard:
             if self.state != "open" or self.listen_only or self._is_closing:
@@ -196,7 +197,7 @@ class SendingGate(GateBase[Item]):
             why = f"{type(error).__name__}: {error}"
             self._settle(gone[-1], "failed", why)
             self._emit("send failed", f"{self._name_of(gone[-1].packet)}: {why}")
-        self._settle_all(old, "expired", TOO_OLD)
+        self._settle_old(old)
 
     def _gather(self) -> None:
         """What was given joins what waits."""
@@ -205,7 +206,7 @@ class SendingGate(GateBase[Item]):
         with self._guard:
             while given:
                 packet, age_ns, topic = given.popleft()
-                item = OutboxItem(packet, 1, now + (age_ns or AGE_NS), False, topic, None)
+                item = OutboxItem(packet, 1, now + (age_ns or AGE_NS), False, topic, None, bool(age_ns))
                 self._outbox.push(item, self._priority_of(packet))
                 self.counters.given += 1
 
@@ -235,7 +236,7 @@ class SendingGate(GateBase[Item]):
         now = self.clock.now()
         with self._guard:
             others = self._outbox.take_old(now)
-        self._settle_all([first, *others], "expired", TOO_OLD)
+        self._settle_old([first, *others])
 
     def _settle(self, item: OutboxItem[Any], fate: Fate, why: str) -> bool:
         """Count what became of a packet, once, and report it."""
@@ -267,11 +268,22 @@ class SendingGate(GateBase[Item]):
             except Exception:  # as above
                 self.events.failures += 1
 
-    def _settle_all(self, items: list[OutboxItem[Any]], fate: Fate, why: str) -> None:
+    def _settle_all(
+        self,
+        items: list[OutboxItem[Any]],
+        fate: Fate,
+        why: str,
+        kind: Literal["not sent", "stalled"] = "not sent",
+    ) -> None:
         """The same became of several, which is one event."""
         count = sum(item.size for item in items if self._settle(item, fate, why))
         if count:
-            self._emit("not sent", f"{count} {self.unit}: {why}", count)
+            self._emit(kind, f"{count} {self.unit}: {why}", count)
+
+    def _settle_old(self, old: list[OutboxItem[Any]]) -> None:
+        """These have waited too long: questions, whose age is said, are asked again; what else there is is lost."""
+        self._settle_all([item for item in old if item.is_timed], "expired", STALLED, "stalled")
+        self._settle_all([item for item in old if not item.is_timed], "expired", TOO_OLD)
 
     def _emit_refused(self) -> None:
         """What was given while the bus was lost."""

@@ -152,6 +152,8 @@ class OutboxItem(msgspec.Struct, Generic[Packet], gc=False, eq=False):
     urgent: bool
     topic: object
     report: Report | None
+    #: Whether its sender has said its age: a question that is asked again, and not a set-point.
+    is_timed: bool = False
     fate: Fate | None = None
 
 

@@ -213,11 +213,14 @@ class Runner(RunEnd):
             raise NotStoppedError(ended.not_stopped)
 
     def open(self) -> None:
-        """Open the buses, and wait until every polled device has been heard or `RECEIVE_S` are over.
+        """Open the buses, and wait until every polled device has been received or `RECEIVE_S` are over.
 
-        Whatever opening raises comes out, with all closed again.
+        Whatever opening raises comes out, with all closed again; `CallerError` for a bus rate that cannot be.
         """
         self.bind()
+        if self.drives:
+            for host in self.rig.hosts.values():
+                host.check_rate()
         try:
             for begin in self.before:
                 begin()
@@ -244,7 +247,7 @@ class Runner(RunEnd):
 
     @property
     def missing(self) -> list[str]:
-        """The polled devices that were never heard."""
+        """The polled devices of which nothing was ever received."""
         return [d.name for d in self.rig.devices.values() if d.polls and d.last_received is None]
 
     def do(

@@ -105,7 +105,7 @@ def test_who_has_not_stopped_is_named(robot: VirtualRobot) -> None:
     """Within its bound a stop fails with the devices that have not, and why; the others have."""
     robot.twins["A"].power(False)
     began = robot.clock.now()
-    why = r"^NOT switched off: A \(.*no answer to Ask.*; it was last heard 1\.\d s ago"
+    why = r"^NOT switched off: A \(.*no answer to Ask.*; last received 1\.\d s ago"
     with pytest.raises(NotStoppedError, match=why) as failed:
         wait_stopped(stop(robot))
     assert robot.clock.now() - began < 2_500_000_000

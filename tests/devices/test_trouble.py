@@ -96,7 +96,7 @@ def test_a_board_that_falls_silent_and_comes_back(robot: VirtualRobot) -> None:
     robot.twins[BOARD].fault("silent")
     robot.advance(0.5)
     assert robot.events.count("silent", BOARD) == 1
-    assert "last heard 0." in told(robot, "silent", BOARD)
+    assert "last received 0." in told(robot, "silent", BOARD)
     assert signal.value is UNKNOWN
     assert signal.last is not UNKNOWN
     assert signal.is_stale

@@ -239,7 +239,10 @@ def test_a_stop_waits_for_a_lost_bus_and_leaves_first() -> None:
 
 
 def test_what_is_too_old_does_not_leave() -> None:
-    """A frame that waited for longer than its age limit is counted and said, all of them as one event; a stop has no age."""
+    """A frame that waited beyond its age limit is counted and said, as of a stalled adapter where the sender said the limit.
+
+    A stop has no age.
+    """
     bench = HeldBench()
     clock = Hand()
     gate = bench.gate
@@ -263,7 +266,9 @@ def test_what_is_too_old_does_not_leave() -> None:
     assert bench.sent() == [1, 0x7FF, 3, 5]
     assert fates == {1: "sent", 2: "expired", 3: "sent", 4: "expired", 5: "sent", 0x7FF: "sent"}
     (event,) = bench.seen.of("not sent")
-    assert (event.count, event.detail) == (2, "2 frames: too old, they do not leave late")
+    assert (event.count, event.detail) == (1, "1 frames: too old, they do not leave late")
+    (event,) = bench.seen.of("stalled")
+    assert (event.count, event.detail[:26]) == (1, "1 frames: the adapter does")
     assert balanced(gate.counters)
 
 

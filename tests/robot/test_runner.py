@@ -11,8 +11,18 @@ from aces_bus.controller import IGNORE, Controller, controller
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.frames import Frame
 from aces_bus.hardware import CanGate, ListeningNode, port_of
-from aces_bus.robot import States, VirtualRobot, connect, run_real, run_replay, run_virtual, simulate
+from aces_bus.robot import (
+    States,
+    VirtualRobot,
+    connect,
+    parse_robot,
+    run_real,
+    run_replay,
+    run_virtual,
+    simulate,
+)
 from aces_bus.runtime import Loop
+from aces_devices.dynamixel import EXAMPLE as DYNAMIXEL
 from tests.device.fan import ROBOT, drivers, robot_of
 
 SPEEDS = ["A.left", "A.right", "B.left", "B.right"]
@@ -191,3 +201,19 @@ def test_what_nobody_can_set_is_read_only() -> None:
     mood = States(robot.rig)["A.mood"]
     device["mood"].update(3.0, 5)
     assert (mood[0], mood.is_writable) == (3.0, False)
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "why"),
+    [
+        (1, "D1: it would be sent something every 1 s, and stops by itself after 0.5 s"),
+        (1e5, "bus line: 100000 Hz are"),
+    ],
+)
+def test_a_rate_that_cannot_be_is_refused(rate_hz: float, why: str) -> None:
+    """At the start: one that does not feed a device's own watchdog, and one that its bus cannot carry."""
+    robot = parse_robot(DYNAMIXEL)[0]
+    assert robot is not None
+    run = run_virtual(robot, [], rate_hz=rate_hz)
+    with pytest.raises(CallerError, match=why):
+        run.open()

@@ -154,8 +154,7 @@ class SimulatedSerialLine:
         self.clock, self.baud, self.half_duplex = clock, baud, half_duplex
         self.byte_ns = round(BITS * 1_000_000_000 / baud)
         self.nodes: list[SerialNode] = []
-        self._noise = noise
-        self._random = random.Random(noise.seed if noise is not None else 0)
+        self.noise = noise
         self._flying: list[_Chunk] = []
         self.bytes = self.garbled = self.flipped = self.dropped = self.inserted = 0
 
@@ -182,6 +181,16 @@ class SimulatedSerialLine:
         self.catch_up()  # it was not there for what has passed
         self.nodes.append(node)
         return node
+
+    @property
+    def noise(self) -> Noise | None:
+        """What hits bytes from now on; one that is given draws anew from its seed."""
+        return self._noise
+
+    @noise.setter
+    def noise(self, noise: Noise | None) -> None:
+        self._noise = noise
+        self._random = random.Random(noise.seed if noise is not None else 0)
 
     @property
     def free_at(self) -> int:

@@ -295,6 +295,11 @@ class Dynamixel(ServoDevice):
         """Its bus watchdog, which `enable` sets."""
         return self.settings.watchdog_s or None
 
+    @property
+    def fed_within_s(self) -> float | None:
+        """The same: any instruction feeds it."""
+        return self.alone_s
+
     # ------------------------------------------------------------------ actions
 
     def before_torque(self) -> Steps:

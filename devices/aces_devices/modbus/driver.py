@@ -282,7 +282,7 @@ class ModbusDevice(Device):
         self._wanted[name] = value
         before = self._writing.get(name)
         if before is None or before.is_over:
-            self._writing[name] = self.job(f"set {name}", partial(self._write_wanted, name))
+            self._writing[name] = self.lead(f"set {name}", partial(self._write_wanted, name))
 
     def _write_wanted(self, name: str, job: Job) -> Steps:
         one = self.table[name]
@@ -296,36 +296,56 @@ class ModbusDevice(Device):
     def stop_motion(self) -> Job | None:
         """Write what the file's `stop` says, before all that waits; over when the device has confirmed each."""
         self._wanted.clear()
+        self.end_led()  # what has to be written again after a lost answer, too
         if not self.settings.stop:
             return None
-        tickets: list[tuple[str, Ticket]] = []
+        tickets: list[tuple[str, Ticket, dict[str, Any]]] = []
         for name, value in self.settings.stop.items():
             one = self.table[name]
             message, reply, fields = self._order(one, one.raw(value))
             ticket = self.send_now(
                 message, reply=reply, timeout_s=self.settings.timeout_s, retries=2, **fields
             )
-            tickets.append((name, ticket))
+            tickets.append((name, ticket, fields))
 
         def steps(job: Job) -> Steps:
-            for name, ticket in tickets:
+            for name, ticket, fields in tickets:
                 answer = yield ticket
                 self._raise_refusal(answer, f"stopping by {name}")
+                if any(getattr(answer, key, value) != value for key, value in fields.items()):
+                    raise DeviceError(f"{self.name}: stopping by {name}: confirmed was another write, late")
 
         return self.job("stop", steps)
 
     def confirm_stopped(self) -> Job | None:
-        """Fails when it was set and nothing says what stops it."""
-        if self.settings.stop is not None or not (self.moves and self.is_driven):
-            return None
+        """Fails when it was set and nothing says what stops it.
 
-        def steps(job: Job) -> Steps:
-            yield 0
-            raise DeviceError(
-                f"{self.name} was set, and its file says no `stop`: what it does, it goes on doing"
+        Where answers are missing, which may come late and be taken for a stop's, what was written is read back.
+        """
+        if self.settings.stop is None:
+            return (
+                self.job("say that nothing stops it", self._goes_on)
+                if self.moves and self.is_driven
+                else None
             )
+        stop = {self.table[name]: value for name, value in self.settings.stop.items()}
+        readable = {one: value for one, value in stop.items() if one.entry.access != "write"}
+        return self.job("read back", partial(self._stays, readable)) if any(self.timed_out.values()) else None
 
-        return self.job("say that nothing stops it", steps)
+    def _goes_on(self, job: Job) -> Steps:
+        yield 0
+        raise DeviceError(f"{self.name} was set, and its file says no `stop`: what it does, it goes on doing")
+
+    def _stays(self, wanted: dict[ModbusRegister, float], job: Job) -> Steps:
+        for one, value in wanted.items():
+            message, reply, fields = self._question((one.entry.table, one.entry.address, one.size))
+            answer = yield self.ask(
+                message, reply=reply, timeout_s=self.settings.timeout_s, retries=1, confirms=True, **fields
+            )
+            self._raise_refusal(answer, f"reading {one.name}")
+            raw = self._raw_of(answer)
+            if raw is None or tuple(raw) != tuple(one.raw(value)):
+                raise DeviceError(f"{self.name}: stopping by {one.name}: it has not stayed {value:g}")
 
 
 def _is_in(one: ModbusRegister, span: tuple[str, int, int]) -> bool:

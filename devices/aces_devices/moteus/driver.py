@@ -211,6 +211,11 @@ class Moteus(Device):
 
     # ------------------------------------------------------------------ down
 
+    @property
+    def fed_within_s(self) -> float | None:
+        """Its watchdog, which every set-point feeds."""
+        return self.watchdog_s
+
     def motion(self, given: dict[str, float]) -> list[Item]:
         """The sub-frames of a set-point (turns, turns/s): mode first, then where to, the limits and the watchdog."""
         settings, joint = self.settings, self.joint

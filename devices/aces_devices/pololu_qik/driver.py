@@ -3,11 +3,13 @@
 1. A set-point is a duty in the device's own steps: −127…127, in the 8-bit range −255…255. Its sign is the direction.
 2. Set-points are repeated in each tick: a lost byte costs one tick, and the device's own time-out can watch over the host.
 3. Answers are read only where the robot's file says that the device's transmit line is wired (`answers`).
+4. No command is acknowledged, and none has a check: a stop is sent again and again for `STOPPING_NS`, whatever of it is
+   lost. Where the device answers, it must say behind it that it has understood what it was sent.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from math import ceil
 from operator import mul
@@ -36,6 +38,10 @@ from .twin import UNIT_S, QikTwin
 
 #: Setting a parameter takes 4 ms (Pololu 0J25 5.c); without answers that time is left to the device (ns).
 PAUSE_NS = 5_000_000
+#: How often a stop is sent, and how long that takes in all (ns): longer than a disturbance usually is.
+STOPS, STOPPING_NS = 5, 80_000_000
+#: Errors after which a stop may not have been understood.
+NOT_UNDERSTOOD = ("crc", "format", "frame", "overrun")
 #: The serial time-out where the robot's file does not say: longer than any pause of a host that lives, shorter than a fall.
 WATCHDOG_S = 1.0
 PARAMETERS = ("device_id", "pwm", "shutdown_on_error", "serial_timeout")
@@ -130,6 +136,8 @@ class Qik(Device):
         self.timeout_s = usual if settings.timeout_s is None else settings.timeout_s
         self.errors: frozenset[str] = frozenset()
         self._was_asked = False
+        #: How many set-points and stops it was given: what is left of a stop is not sent behind the next of them.
+        self._given_count = 0
         most = 127 if self.bits == 7 else 255
         for joint in self.joints:
             if joint.channel > 1:
@@ -227,25 +235,75 @@ class Qik(Device):
 
     def coast(self) -> Job:
         """Let both motors turn freely; set-points end."""
-        return self._both("coast", "Coast")
+        return self._again_and_again("coast", partial(self._both, "Coast"))
 
     def brake(self) -> Job:
         """Stop both motors; set-points end."""
-        return self._both("brake", "SetSpeed", reverse=0, high=0, speed=0)
+        return self._again_and_again("brake", self._brake)
 
     @property
     def alone_s(self) -> float | None:
         """Its serial time-out."""
         return self.timeout_s or None
 
+    @property
+    def fed_within_s(self) -> float | None:
+        """The same: any instruction feeds it."""
+        return self.alone_s
+
     def stop_motion(self) -> Job:
         """Speed 0, which brakes."""
         return self.brake()
 
-    def _both(self, name: str, message: str, **fields: Any) -> Job:
-        self.drop("SetSpeed")
+    def confirm_stopped(self) -> Job | None:
+        """Brake once more, and ask whether it has understood what it was sent; None where it does not answer."""
+        if not self.answers:
+            return None
+
+        def steps(job: Job) -> Steps:
+            left = -PAUSE_NS
+            ticket: Ticket | None = None
+            # Right behind the stop, and asked once: an answer much later says nothing of a stop that was lost.
+            while ticket is None or ticket.sent_at - left > PAUSE_NS:
+                yield self._brake()
+                left = self.clock.now()
+                ticket = self.ask("GetError", reply="Errors", timeout_s=0.05, retries=0, confirms=True)
+                yield ticket
+            record = ticket.result
+            if wrong := [name for name in NOT_UNDERSTOOD if name in record.errors]:
+                raise DeviceError(
+                    f"{self.name} reports {', '.join(wrong)}: it may not have understood its stop"
+                )
+
+        return self.job("ask whether it has understood", steps)
+
+    def want(self, message: str, path: str, value: Any) -> None:
+        """As `Device.want`; it ends what is left of a stop."""
+        self._given_count += 1
+        super().want(message, path, value)
+
+    def _brake(self) -> Job:
+        return self._both("SetSpeed", reverse=0, high=0, speed=0)
+
+    def _both(self, message: str, **fields: Any) -> Job:
+        """Send a command to both motors, before all that waits."""
         tickets = [self.send_now(message, motor=motor, **fields) for motor in (0, 1)]
-        return together(self.clock, f"{self.name} {name}", tickets)
+        return together(self.clock, f"{self.name} {message}", tickets)
+
+    def _again_and_again(self, name: str, send: Callable[[], Job]) -> Job:
+        self.drop("SetSpeed")
+        self._given_count = mine = self._given_count + 1
+        first = send()
+
+        def steps(job: Job) -> Steps:
+            yield first
+            for _ in range(STOPS - 1):
+                yield STOPPING_NS // (STOPS - 1)
+                if self._given_count != mine:
+                    return
+                yield send()
+
+        return self.job(name, steps)
 
     def firmware(self) -> Ticket:
         """Ask for the firmware's version: the record's `version`."""

@@ -37,6 +37,8 @@ SETS = {
 TACHOMETER = 6
 #: Motor current that counts as none (A): measured currents are never quite 0.
 STILL_A = 1.0
+#: Between two packets of one stop, where they may be lost (ns).
+STOP_AGAIN_NS = 20_000_000
 #: What is asked for in each tick; with status messages only what they lack, and how often (s).
 POLLED = (
     "fet_temperature",
@@ -281,9 +283,11 @@ class Vesc(Device):
         for message in self.streams:
             self.drop(message)
 
-    def _ask(self, packet: str, **fields: Any) -> Ticket:
+    def _ask(self, packet: str, *, retries: int = 2, confirms: bool = False, **fields: Any) -> Ticket:
         message, inside = self.wire.request(packet, fields)
-        return self.ask(message, reply=self.wire.answers(packet), **inside)
+        return self.ask(
+            message, reply=self.wire.answers(packet), retries=retries, confirms=confirms, **inside
+        )
 
     def enable(self) -> Job:
         """Take set-points. Fails with `DeviceError` when the controller reports a fault."""
@@ -323,10 +327,17 @@ class Vesc(Device):
         return self.send_now("SetCurrent", current=0.0)
 
     def confirm_stopped(self) -> Job:
-        """Whether no current drives it on: there is none, or it goes against the motion."""
+        """Whether no current drives it on: there is none, or it goes against the motion.
+
+        A motor without a load takes hardly any, and no set-point is acknowledged. Where packets are lost it is sent again
+        and again; the question is right behind it, asked once: a later answer says nothing of a lost stop.
+        """
 
         def steps(job: Job) -> Steps:
-            yield self._ask("GetSelected", mask=self.asked)
+            for _ in range(self.wire.stops):
+                yield STOP_AGAIN_NS
+                yield self.stop_motion()
+            yield self._ask("GetSelected", retries=0, confirms=True, mask=self.asked)
             current, speed = self.values.get("motor_current", 0.0), self.values.get("speed", 0.0)
             if abs(current) > STILL_A and current * speed >= 0:
                 raise DeviceError(f"its motor current is {current:g} A")

@@ -21,6 +21,8 @@ class CanWire:
 
     #: All messages that give values.
     gives = (*PIECES, *STATUS)
+    #: How often a stop is sent again before it is asked whether it was obeyed: a frame is not lost.
+    stops = 0
 
     def __init__(self, name: str, credentials: dict[str, int], host: int | None) -> None:
         number = credentials["id"]
@@ -52,6 +54,8 @@ class SerialWire:
     """Packets to the one controller at a serial line."""
 
     gives = tuple(name for names in ANSWERED_BY.values() for name in names)
+    #: As of `CanWire`: longer than a disturbance usually is.
+    stops = 4
 
     def request(self, packet: str, fields: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
         """The packet itself."""
