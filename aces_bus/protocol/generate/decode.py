@@ -442,12 +442,12 @@ class Decoder(FunctionSetup):
             else f"({before})"
         )
         where = f"{self.plan.name}_{name}"
+        offset = step.offset
         if step.scale != 1:  # in front, where a float multiplies without asking the integer first
             text = f"{self._spec_number(f'_scale_{where}', step.scale)} * {text}"
-        if step.offset:
-            offset = step.offset
-            if isinstance(step.scale, float) and step.scale != 1 and abs(offset) < 1 << 53:
+            if isinstance(step.scale, float) and abs(offset) < 1 << 53:
                 offset = float(offset)  # a float less an integer takes twice as long
+        if offset:
             is_less = is_plain(offset) and offset < 0
             text += " - " if is_less else " + "
             text += self._spec_number(f"_offset_{where}", -offset if is_less else offset)
