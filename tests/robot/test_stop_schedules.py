@@ -22,7 +22,7 @@ from aces_bus.device import Robot
 from aces_bus.errors import CallerError
 from aces_bus.hardware import ListeningNode
 from aces_bus.protocol import make_scanner
-from aces_bus.robot import Runner, VirtualRobot, run_virtual, simulate
+from aces_bus.robot import Runner, VirtualRobot, run_virtual
 from aces_bus.robot.checks import KINDS_OF_FAULTS
 from aces_bus.robot.rig import bus_variants
 
@@ -78,12 +78,6 @@ def carry_out(run: Runner, drawn: Drawn, kind: str, what: Any) -> None:
             for _ in range(40):
                 node.count_errors(8, 0, None)
             run.clock.call_in(round(away_s * 1e9), node.restart)
-        case "second", name:
-            second = simulate(run.world.robot, run.world.ports("second"), seed=1)
-            for bus in second.buses.values():
-                for other in [one for one in bus.members if one != name]:
-                    bus.remove(other)
-            second.open()
         case "do", "release":
             run.release("drawn")
         case "do", "flood":
@@ -133,7 +127,6 @@ HAPPENS: st.SearchStrategy[tuple[str, Any]] = st.one_of(
     ),
     st.tuples(st.just("bus-off"), st.sampled_from([0.01, 0.2, 1.0, 60.0])),
     st.tuples(st.just("cable"), st.booleans()),
-    st.tuples(st.just("second"), st.sampled_from(["JMC2", "JMC3"])),
     st.tuples(st.just("gives"), st.one_of(st.floats(-4, 4), st.sampled_from(GIVEN))),
     st.tuples(st.just("do"), st.sampled_from(["release", "flood", "enable", "disable", "home"])),
     st.tuples(st.just("trip"), st.sampled_from(["hold", "disable", "zero duty"])),
