@@ -159,7 +159,7 @@ def surroundings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str,
         yield given
     finally:
         server.send_signal(signal.SIGINT)
-        server.communicate(timeout=WAIT_S)
+        server.wait(WAIT_S)  # the threads of `waited` read what it says
 
 
 def waited(process: subprocess.Popen[str], ready: str) -> list[str]:
