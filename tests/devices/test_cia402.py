@@ -23,6 +23,7 @@ from aces_devices.canopen_node.dictionary import object_of
 from aces_devices.cia402 import driver
 from aces_devices.cia402.dictionary import dictionary_of
 from aces_devices.cia402.states import drive_state, emergency_text
+from aces_devices.cia402.twin import Cia402Twin
 
 test_driver = driver_tests(driver)
 
@@ -713,6 +714,21 @@ def test_driver_and_twin_meet_in_real_time() -> None:
             loop.call(lambda: rig["J.position"].set(0.05))
             assert loop.wait(lambda: abs((rig["J.position"].value or 0) - 0.05) < 1e-3, 3_000_000_000)
         assert not loop.failures
+
+
+def test_a_twins_axes_are_there_before_its_node_speaks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The node's first timer may run on the clock's thread, in life, before `setup` has ended."""
+    known: list[bool] = []
+    add_node = Cia402Twin.add_node
+
+    def recorded(self: Cia402Twin, dictionary: Any) -> None:
+        known.append(len(self.axes) == 1)
+        add_node(self, dictionary)
+
+    monkeypatch.setattr(Cia402Twin, "add_node", recorded)
+    with VirtualRobot(_robot(), rate_hz=100, load=_load) as robot:
+        robot.twins["D"].reboot()
+    assert known == [True, True]
 
 
 def test_the_driver_speaks_to_a_bare_node_of_canopen() -> None:

@@ -32,9 +32,9 @@ class Cia402Twin(CanopenTwin):
     def setup(self) -> None:
         """The node and its axes, as just switched on."""
         settings = settings_of(self.name, DriveSettings, self.config.settings)
-        self.add_node(dictionary_of(settings.eds, self.credentials["node"]))
+        self.dictionary = dictionary_of(settings.eds, self.credentials["node"])
         now = self.clock.now()
-        self.axes: dict[int, AxisModel] = {}
+        axes: dict[int, AxisModel] = {}
         for joint in self.joints:
             offset = 0x800 * joint.channel
             units = units_of(self.name, joint, settings)
@@ -45,7 +45,9 @@ class Cia402Twin(CanopenTwin):
             if place:
                 made.motor.q = place
                 made.demand = made.goal = made.motor.q * units.per_rad + units.zero
-            self.axes[offset] = self.world.joints[joint.name] = made
+            axes[offset] = self.world.joints[joint.name] = made
+        self.axes = axes
+        self.add_node(self.dictionary)  # last: from here on its clock's thread may ask for them
         self._apply_faults()
 
     def _numbers(self, offset: int) -> dict[int, int]:
