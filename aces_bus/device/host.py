@@ -4,9 +4,9 @@
 2. Each tick sends set-points first, in as few packets as the rules allow; then polls, in turn, as far as the budget goes.
 3. A missing answer, a duplicate reply, a malformed frame and an unknown device are reported by name, and stop nothing.
 
-On a half-duplex line one speaks at a time (`half_duplex.py`). `gathering.py` makes messages of set-points, `polling.py` says
-what is asked when, `unanswered.py` who waits for which answer; what comes and is none of its
-devices' is `unknown_traffic.py`'s.
+Its parts: `half_duplex.py` lets one device speak at a time where the line needs it, `gathering.py` makes messages of
+set-points, `polling.py` decides what is asked when, `unanswered.py` gives answers to requests and finds those that are
+missing, `unknown_traffic.py` reports what was received and belongs to no device.
 """
 
 from __future__ import annotations
@@ -405,7 +405,7 @@ class Host(BusEndpoint[Device]):
             self.emit("not sent", device.name, f"{message}: {LISTENS}")
             return False
         is_reported = report is None and isinstance(packet, tuple) and len(packet) > 1
-        if is_reported:  # what becomes of it is known later, and nobody else asks
+        if is_reported:  # whether it left whole is known later, and the caller does not ask
             report = partial(self._ended, device, message)
         if not self._is_open or not self.port.send(
             packet, age_ns, urgent=urgent, topic=device, report=report

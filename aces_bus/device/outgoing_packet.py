@@ -2,8 +2,8 @@
 
 1. A frame is handed to the port when the one before it has left. So a packet that is ended has one frame left at most, and
    what its receiver says is about frames that it can have.
-2. It is over once, with a fate. Where its transport has aborts and the receiver did not end it, that is told so; what goes
-   out behind it in turn waits until both are gone: frames do not say of which packet they are.
+2. It ends once, with a fate. Where the transport has aborts and it was not the receiver that ended it, an abort is sent.
+   The next packet in turn waits until the last frame and the abort have left: frames do not say which packet they are of.
 """
 
 from __future__ import annotations

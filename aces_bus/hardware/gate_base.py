@@ -1,10 +1,10 @@
 """What all gatekeepers have in common: what a kind of bus does, what was received, and who wants to know.
 
-1. Whoever receives runs no user code and dies of nothing: what an adapter says wrongly becomes an event.
+1. The thread that receives runs no user code and nothing ends it: an adapter's errors become events.
 2. Every loss is counted where it happens: in the system, in a queue, in what the adapter reports.
 
-Events are the shortcut from the hardware to whoever must know at once: a handler is called on the thread where it happens,
-before anything else is done about it, and must be quick. One that raises is counted, and stops nothing."""
+Events are the shortcut from the hardware upwards: a handler is called at once, on the thread where the event happens, before
+anything else is done about it, and must be quick. One that raises is counted, and stops nothing."""
 
 from __future__ import annotations
 

@@ -140,7 +140,7 @@ class CanDecider(Decider):
         return self.decide(found, alone=True) if found else None
 
     def reason(self, key: int, data: bytes, transport: Transport | None = None) -> str:
-        """Why a frame, or a packet of a `transport`, is none of the messages."""
+        """Why a frame, or a packet of a `transport`, was not decoded."""
         need = self.need_of(key)
         if need:
             self.forget_need()
