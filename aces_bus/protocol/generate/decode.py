@@ -4,28 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import msgspec
-
-from ..declare.bits import runs_of
 from ..declare.pattern import bounds
 from ..plan import nodes as p
-from .source import FunctionSetup, NameScope, SourceText, comment_line, compact, is_plain, literal
+from .fetch import Fetch
+from .source import FunctionSetup, NameScope, SourceText, comment_line, is_plain, literal
 
 TRANSPORT = "time, channel, key, raw, rx"
 #: What decoders call, given to every module of them.
 CALLED = ("Struct", "from_bytes", "re", "degrees", "flags")
 #: The arguments of a decode function, and what its expressions use in passing.
 LOCAL = ("data", "key", "time", "channel", "raw", "rx", "request", "cells", "cell", "count", "q", "n", "sm")
-
-
-class FetchedBytes(msgspec.Struct, frozen=True):
-    """Bytes [start, end) fetched under a local name: as one unsigned integer, or (not `is_unsigned`) as the value itself."""
-
-    name: str
-    start: int
-    end: int
-    order: str
-    is_unsigned: bool = True
 
 
 class Decoder(FunctionSetup):
@@ -56,13 +44,9 @@ class Decoder(FunctionSetup):
         #: The text's names of what only the loader knows: a decode function through construct, and the message's own check.
         self.opaque = self.holds = ""
         self.body = SourceText()
-        self.atoms: dict[p.Scalar, str] = {}
-        self.cells: list[FetchedBytes] = []
-        #: The local name of each selector, and of the little-endian word of each layout that has bits of no field.
+        self.fetch = Fetch(plan, self.names, self.setup)
+        #: The local name of each selector.
         self.present: dict[p.Selector, str] = {}
-        self.words: dict[tuple[int, int], str] = {}
-        self.unpacks: list[str] = []
-        self.is_exact = False
 
     def print(self) -> tuple[list[str], list[str]]:
         """(module-level lines, function lines)."""
@@ -76,9 +60,9 @@ class Decoder(FunctionSetup):
             self.opaque = self.module.new(f"opaque_{plan.name}", avoid=self.names)
             out.line(f"return {self.opaque}(data, key, time, channel, raw, rx, request)")
             return self.setup, out.printed
-        self._fetch()
+        self.fetch.prepare()
         tests = plan.constants[plan.sync :] or plan.one_of or plan.is_checked or plan.lengths_by or plan.lists
-        if self.guard or tests or not self.is_exact:
+        if self.guard or tests or not self.fetch.is_exact:
             self._lengths()
         self._constants()
         self._repeats()
@@ -90,8 +74,7 @@ class Decoder(FunctionSetup):
             )
         if plan.split is not None:
             self._split(plan.split)
-        for line in self.unpacks:
-            out.line(line)
+        out.lines(*self.fetch.unpacks)
         for selector in plan.selectors:
             self._select(selector)
         if plan.lengths_by is not None:
@@ -147,7 +130,7 @@ class Decoder(FunctionSetup):
             values = one.values
             low, high = bounds(values)
             run = len(values) > 2 and len(values) == high - low + 1
-            number = self._integer(one.number, fetched=False)  # the test comes before the fetching
+            number = self.fetch.integer(one.number, fetched=False)  # the test comes before the fetching
             if run and low == 0 and number.startswith("data["):
                 tests.append(f"{number} > {high}")
             else:
@@ -159,136 +142,6 @@ class Decoder(FunctionSetup):
                 f"if {test}:",
                 "    return None",
             )
-
-    # -------------------------------------------------- fetching
-
-    def _fetch(self) -> None:
-        """Plan the fetching: one `struct` call for each byte order gets every number, bit fields by the bytes they share."""
-        leaves = self.plan.leaves
-        present = [leaf.node for leaf in leaves if isinstance(leaf.node, p.Scalar) and not leaf.whens]
-        whole: list[p.Scalar] = []
-        taken: list[tuple[int, int]] = []
-        for s in dict.fromkeys(present):
-            end = s.offset + (s.size or 0)
-            # Of numbers that share bytes, one is fetched so; the others read for themselves.
-            if s.size is not None and s.format and not any(a < end and s.offset < b for a, b in taken):
-                whole.append(s)
-                taken.append((s.offset, end))
-        chunks: list[tuple[int, int, str, p.Scalar | None]] = [
-            (s.offset, s.offset + (s.size or 0), s.order if s.size != 1 else "", s) for s in whole
-        ]
-        loose = [s for s in dict.fromkeys(present) if s.bits and s not in whole]
-        for start, end, order in clusters(loose):
-            size = end - start
-            if (size > 4 and size < 8) or size > 8 or any(a < end and start < b for a, b in taken):
-                continue
-            chunks.append((start, end, order if size > 1 else "", None))
-            taken.append((start, end))
-        if sum(end - start == 1 for start, end, _, _ in chunks) == len(chunks) and len(chunks) < 4:
-            chunks = [c for c in chunks if c[3] is not None and c[3].kind == "int"]
-        orders = {order for _, _, order, _ in chunks} - {""}
-        for order in sorted(orders, reverse=True) or ([""] if chunks else []):
-            mine = [c for c in chunks if c[2] == order or (c[2] == "" and order == max(orders, default=""))]
-            self._unpack_call(sorted(mine, key=lambda c: c[0]), order)
-        for start, end, order in clusters(
-            [s for s in loose if self._cell_of(s) is None and not in_one_byte(s)]
-        ):
-            if sum(start <= s.bits[0] // 8 < end for s in loose) > 1:
-                name = self.names.new(f"word{len(self.cells)}")
-                self.cells.append(FetchedBytes(name, start, end, order or "little"))
-                self.unpacks.append(f'{name} = from_bytes({self._slice(start, end)}, "{order or "little"}")')
-        for node in (leaf.node for leaf in leaves):
-            if not isinstance(node, p.Rest) or (node.offset, node.size) in self.words:
-                continue
-            name = self.words[node.offset, node.size] = self.names.new(f"all{node.offset}")
-            cell = FetchedBytes(name, node.offset, node.offset + node.size, "little")
-            self.cells.append(cell)
-            self.unpacks.append(f'{cell.name} = from_bytes({self._slice(cell.start, cell.end)}, "little")')
-
-    def _unpack_call(self, chunks: Sequence[tuple[int, int, str, p.Scalar | None]], order: str) -> None:
-        text = ">" if order == "big" else "<"
-        at = chunks[0][0]
-        names: list[str] = []
-        after: list[str] = []
-        for start, end, _, scalar in chunks:
-            if start > at:
-                text += f"{start - at}x"
-            at = end
-            name = self.names.new(f"v{len(self.cells)}")
-            size = end - start
-            if scalar is not None:
-                text += scalar.format
-                names.append(name)
-                self.atoms[scalar] = name
-            elif size == 3:
-                text += "BH" if order == "big" else "HB"
-                one, other = self.names.new(f"{name}a"), self.names.new(f"{name}b")
-                names += [one, other]
-                after.append(
-                    f"{name} = {one} << 16 | {other}" if order == "big" else f"{name} = {one} | {other} << 16"
-                )
-            else:
-                text += p.FORMATS["uint", size]
-                names.append(name)
-            is_unsigned = scalar is None or scalar.kind == "uint"
-            self.cells.append(FetchedBytes(name, start, end, order or "little", is_unsigned))
-        start = chunks[0][0]
-        whole = start == 0 and self.plan.lengths == (at,)
-        self.is_exact = self.is_exact or whole
-        made = f'Struct("{compact(text)}").{"unpack" if whole else "unpack_from"}'
-        helper = self._table(f"_unpack_{self.plan.name}" + ("_be" if order == "big" else ""), made)
-        call = f"{helper}(data)" if start == 0 else f"{helper}(data, {start})"
-        self.unpacks.append(f"{', '.join(names)}{',' if len(names) == 1 else ''} = {call}")
-        self.unpacks += after
-
-    def _cell_of(self, scalar: p.Scalar) -> FetchedBytes | None:
-        first, last = min(scalar.bits) // 8, max(scalar.bits) // 8
-        order = run_order(scalar)
-        for cell in self.cells:
-            if (
-                cell.is_unsigned
-                and cell.start <= first
-                and last < cell.end
-                and (cell.order == order or cell.end - cell.start == 1)
-            ):
-                return cell
-        return None
-
-    def _slice(self, start: int, end: int) -> str:
-        if start == 0 and self.plan.lengths == (end,):
-            return "data"
-        return f"data[{start or ''}:{end}]"
-
-    def _integer(self, scalar: p.Scalar, *, fetched: bool = True) -> str:
-        """The unsigned number (the signed one, of whole signed numbers), as an expression; from `data`, unless `fetched`."""
-        if fetched and scalar in self.atoms:
-            return self.atoms[scalar]
-        assert scalar.size is not None
-        cell = self._cell_of(scalar) if fetched else None
-        order = run_order(scalar)
-        if cell is None:
-            first, last = min(scalar.bits) // 8, max(scalar.bits) // 8
-            text = (
-                f"data[{first}]"
-                if first == last
-                else f'from_bytes({self._slice(first, last + 1)}, "{order}")'
-            )
-            cell = FetchedBytes(text, first, last + 1, order)
-        if cell.order == "little" or cell.end - cell.start == 1:
-            positions = [b - 8 * cell.start for b in scalar.bits]
-        else:
-            positions = [(cell.end - 1 - b // 8) * 8 + b % 8 for b in scalar.bits]
-        pieces = []
-        for at, to, width in runs_of(positions):
-            piece = f"{cell.name} >> {at}" if at else cell.name
-            if at + width < 8 * (cell.end - cell.start):
-                piece = f"{piece} & {(1 << width) - 1:#x}"
-            if to:
-                piece = f"({piece}) << {to}"
-            pieces.append(piece)
-        if len(pieces) == 1:
-            return pieces[0]
-        return " | ".join(f"({piece})" if "&" in piece or ">>" in piece else piece for piece in pieces)
 
     # -------------------------------------------------- values
 
@@ -302,9 +155,9 @@ class Decoder(FunctionSetup):
     def _select(self, selector: p.Selector) -> None:
         """A selector's raw number under a local name; None while it is not there itself."""
         scalar, when = selector.number, selector.when
-        number = self.atoms.get(scalar) if when is None else None
+        number = self.fetch.named.get(scalar) if when is None else None
         if number is None:
-            number = self._whole(scalar)
+            number = self.fetch.whole(scalar)
         if when is not None:
             number = f"{number} if {self._is_there(when)} else None"
         if not number.isidentifier():
@@ -312,7 +165,7 @@ class Decoder(FunctionSetup):
             self.body.line(f"{name} = {number}")
             number = name
             if when is None:
-                self.atoms[scalar] = number
+                self.fetch.named[scalar] = number
         self.present[selector] = number
 
     def _is_there(self, when: p.When) -> str:
@@ -365,35 +218,8 @@ class Decoder(FunctionSetup):
             if scalar.kind == "bytes" or self.raw:
                 return text
             return f'{text}.decode("latin-1")' + ('.rstrip("\\0")' if scalar.size is not None else "")
-        if scalar.kind == "float" and scalar.bits:
-            number = self._scattered(scalar)
-        elif scalar.kind == "float":
-            number = self.atoms.get(scalar) or self._lone(scalar, name)
-        elif scalar in self.atoms:
-            number = self.atoms[scalar]
-        else:
-            number = self._whole(scalar)
+        number = self.fetch.number(scalar, name)
         return self._steps(number, scalar.steps, name, len(scalar.bits) if scalar.kind == "uint" else 0)
-
-    def _whole(self, scalar: p.Scalar) -> str:
-        """A whole number with its sign, as an expression."""
-        number = self._integer(scalar)
-        if scalar.kind != "int":
-            return number
-        top = 1 << len(scalar.bits) - 1
-        return f"(({number}) ^ {top:#x}) - {top:#x}"
-
-    def _lone(self, scalar: p.Scalar, name: str) -> str:
-        """A float that is not always there."""
-        mark = "<" if scalar.order == "little" else ">"
-        made = f'Struct("{mark}{p.FORMATS["float", scalar.size or 0]}").unpack_from'
-        return f"{self._table(f'_unpack_{self.plan.name}_{name}', made)}(data, {scalar.offset})[0]"
-
-    def _scattered(self, scalar: p.Scalar) -> str:
-        """A float whose bits do not stand in whole bytes."""
-        size = len(scalar.bits) // 8
-        helper = self._table(f"_float{8 * size}", f'Struct("<{p.FORMATS["float", size]}").unpack')
-        return f'{helper}(({self._integer(scalar)}).to_bytes({size}, "little"))[0]'
 
     def _steps(self, number: str, steps: Sequence[p.Step], name: str, width: int = 0) -> str:
         number_is_index = True
@@ -469,7 +295,7 @@ class Decoder(FunctionSetup):
         return f"({''.join(tests)}{text})"
 
     def _captured(self, node: p.FromIdentifier, name: str) -> str:
-        number = "key" if node.number is None else self._integer(node.number)
+        number = "key" if node.number is None else self.fetch.integer(node.number)
         if node.is_alone:
             if not number.isidentifier() and (node.constant or node.shift):
                 number = f"({number})"
@@ -484,7 +310,7 @@ class Decoder(FunctionSetup):
         return self._steps(text, node.steps, name)
 
     def _rest(self, node: p.Rest) -> str:
-        word = self.words[node.offset, node.size]
+        word = self.fetch.layouts[node.offset, node.size]
         full = (1 << 8 * node.size) - 1
         masks = {value: full & ~claimed for value, claimed in node.claimed}
         if node.selector is None:
@@ -510,7 +336,7 @@ class Decoder(FunctionSetup):
                 left = f"(len(data) - {around})" if around else "len(data)"
                 test = f"{left} % {node.width}" if node.width > 1 else ""
             else:
-                test = f"len(data) != {around} + {node.width} * ({self._integer(node.count, fetched=False)})"
+                test = f"len(data) != {around} + {node.width} * ({self.fetch.integer(node.count, fetched=False)})"
             if test:
                 self.body.lines(
                     f"if {test}:",
@@ -701,38 +527,6 @@ def _number_at(number: p.Scalar) -> str:
         return places[0]
     start = f"at + {number.offset}" if number.offset else "at"
     return f'from_bytes(data[{start} : at + {number.offset + len(places)}], "{number.order}")'
-
-
-def clusters(scalars: Sequence[p.Scalar]) -> list[tuple[int, int, str]]:
-    """Byte ranges that the scalars cover, merged where they overlap, with the byte order that suits all in it."""
-    spans = sorted(
-        (min(s.bits) // 8, max(s.bits) // 8 + 1, "" if in_one_byte(s) else run_order(s)) for s in scalars
-    )
-    found: list[tuple[int, int, str]] = []
-    for start, end, order in spans:
-        if found and start < found[-1][1]:
-            first, last, other = found[-1]
-            if order and other and order != other:
-                # Two orders over the same bytes: each reads for itself.
-                found.append((start, end, order))
-                continue
-            found[-1] = (first, max(last, end), other or order)
-        else:
-            found.append((start, end, order))
-    return found
-
-
-def in_one_byte(scalar: p.Scalar) -> bool:
-    bits = scalar.bits
-    return bool(bits) and bits[0] // 8 == bits[-1] // 8 and bits == tuple(range(bits[0], bits[0] + len(bits)))
-
-
-def run_order(scalar: p.Scalar) -> str:
-    """The byte order in which the field falls into fewer pieces."""
-    little = len(scalar.runs)
-    size = scalar.size or 0
-    big = len(runs_of([(scalar.offset + size - 1 - b // 8) * 8 + b % 8 for b in scalar.bits]))
-    return "big" if big < little else "little"
 
 
 def is_balanced(text: str) -> bool:

@@ -72,7 +72,7 @@ def _flags(bits: Mapping[str, int]) -> OnDemand[int, FlagSet]:
     return OnDemand(flag_type(tuple(bits.items())), most=4096)
 
 
-#: What printed decoders call (see `print_decode.CALLED`).
+#: What printed decoders call (see `decode.CALLED`).
 _CALLED: Mapping[str, Any] = {
     "Struct": struct.Struct,
     "from_bytes": int.from_bytes,
