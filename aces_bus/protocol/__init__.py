@@ -29,7 +29,6 @@ if TYPE_CHECKING:
         Field,
         Flags,
         FlagSet,
-        Multiplexed,
         Quantity,
         Reserved,
         SignMagnitude,
@@ -43,6 +42,7 @@ if TYPE_CHECKING:
     from .declare.items import Items
     from .declare.j1939 import J1939Transport
     from .declare.message import Message, Request
+    from .declare.multiplexed import Multiplexed
     from .declare.pattern import IdField
     from .declare.protocol import Protocol, Variant
     from .declare.registers import Register, RegisterMap
@@ -140,7 +140,7 @@ __getattr__, __dir__ = lazy_names(
         ".declare.checks": "Check Crc Extra Fletcher IdBytes InvertedSum Sum Xor",
         ".declare.delimited": "AsciiDegrees AsciiEnumeration AsciiInteger AsciiNumber AsciiText Delimited",
         ".declare.fast_packet": "FastPacket",
-        ".declare.fields": "Counter Enumeration Field Flags FlagSet Multiplexed Quantity Reserved SignMagnitude Text top",
+        ".declare.fields": "Counter Enumeration Field Flags FlagSet Quantity Reserved SignMagnitude Text top",
         ".declare.framing": "Escaped Framing Trailer",
         ".declare.handshake": "AnswerTimes Steering",
         ".declare.isotp": "IsoTp",
@@ -148,6 +148,7 @@ __getattr__, __dir__ = lazy_names(
         ".declare.items": "Items",
         ".declare.j1939": "J1939Transport",
         ".declare.message": "Message Request",
+        ".declare.multiplexed": "Multiplexed",
         ".declare.pattern": "IdField",
         ".declare.protocol": "Protocol Variant",
         ".declare.registers": "Register RegisterMap",

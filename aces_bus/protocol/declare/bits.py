@@ -22,8 +22,9 @@ from typing import Any
 from construct import Construct, Container, IntegerError, ListContainer, Renamed, stream_read
 
 from ...errors import FieldError, SpecError
-from .fields import Multiplexed, innermost, number_runs, plain_number
+from .multiplexed import Multiplexed, number_runs
 from .place import caller
+from .wire_number import innermost, plain_number
 
 #: `struct` formats of numbers of so many bits (IEEE 754 binary16, binary32, binary64).
 #: Bytes of a layout: far more than any frame, few enough for a bound on the work.

@@ -15,8 +15,9 @@ from typing import Any
 from construct import Construct, Container, GreedyBytes, ListContainer, ValidationError, stream_read_entire
 
 from ...errors import FieldError, SpecError
-from .fields import Field, is_raw, plain_number
+from .fields import Field, is_raw
 from .place import caller
+from .wire_number import plain_number
 
 
 class AsciiField(Field):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Collection, Iterator, Mapping
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar
 
 import msgspec
 from construct import (
@@ -20,18 +20,15 @@ from construct import (
     BytesInteger,
     Construct,
     Default,
-    FormatField,
     GreedyBytes,
-    IfThenElse,
     IntegerError,
     Renamed,
     Struct,
-    Subconstruct,
-    Switch,
 )
 
 from ...errors import FieldError, SpecError
 from .place import SourceLine, caller
+from .wire_number import innermost, integer_width, is_float, plain_number, raw_limits
 
 #: As many values that mean unknown are listed in generated code and tables; more are a range.
 MOST_LISTED = 8
@@ -75,7 +72,7 @@ class Field(Adapter):
         inner = innermost(inner)
         if isinstance(inner, (Bytes, GreedyBytes.__class__, Struct, Array, Text)):
             raise SpecError(f"{self.place}: {mine.__name__} takes a number, not {type(inner).__name__}")
-        if mine is not Quantity and _is_float(inner):
+        if mine is not Quantity and is_float(inner):
             raise SpecError(f"{self.place}: {mine.__name__} takes an integer, not a float")
         signed = str(getattr(inner, "fmtstr", "")).endswith(("b", "h", "i", "l", "q"))
         if mine is SignMagnitude and (signed or getattr(inner, "signed", False)):
@@ -94,15 +91,6 @@ class Field(Adapter):
     def to_raw(self, value: Any, path: str = "") -> Any:
         """The number on the wire; raises `FieldError` when the value does not fit."""
         raise NotImplementedError
-
-
-def plain_number(value: Any) -> Any:
-    """A number of any kind (NumPy's, a fraction) as Python's int or float; None for what is none."""
-    if isinstance(value, (int, float)):
-        return value
-    if isinstance(value, numbers.Integral):
-        return int(value)
-    return float(value) if isinstance(value, numbers.Real) else None
 
 
 class TopValues(msgspec.Struct, frozen=True):
@@ -173,7 +161,7 @@ class Quantity(Field):
         if isinstance(unknown, (str, numbers.Real)):
             raise SpecError(f"{self.place}: unknown lists raw values, as in ({unknown!r},)")
         # The subcon shows whether the wire carries a float; found once, when the spec is read.
-        self.is_float = _is_float(subcon)
+        self.is_float = is_float(subcon)
         self.unknown = self._unknown_values(unknown.of(subcon) if isinstance(unknown, TopValues) else unknown)
         self._nan_is_unknown = self.is_float and any(value != value for value in self.unknown)
         self.rounding = rounding
@@ -291,12 +279,6 @@ class Quantity(Field):
             )
 
 
-def _is_float(subcon: Construct) -> bool:
-    inner = innermost(subcon)
-    fmt = getattr(inner, "fmtstr", "")
-    return fmt[-1:] in ("e", "f", "d") or bool(getattr(inner, "is_float", False))
-
-
 def exact_ratio(number: float, scale: float) -> float:
     """number ÷ scale: an integer where both are and it goes without rest, so that 64 bits survive, else a float."""
     if isinstance(number, int) and isinstance(scale, int) and not number % scale:
@@ -327,74 +309,6 @@ def named_number(name: str, names: Mapping[str, int], path: str) -> int:
     return names[name]
 
 
-def innermost(subcon: Construct) -> Construct:
-    """The construct that touches the bytes, below all names and adapters."""
-    while hasattr(subcon, "subcon"):
-        subcon = subcon.subcon
-    return subcon
-
-
-class WireNumber(NamedTuple):
-    """What a number is on the wire; `size` in bytes."""
-
-    kind: Literal["uint", "int", "float"]
-    size: int
-    order: Literal["little", "big"]
-
-    @property
-    def limits(self) -> tuple[int, int]:
-        """The least and the greatest integer of this size."""
-        top = 1 << 8 * self.size - 1
-        return (-top, top - 1) if self.kind == "int" else (0, 2 * top - 1)
-
-
-def wire_number(inner: Any) -> WireNumber | None:
-    """What number an innermost construct reads; None where it is none, or of a size that is not fixed."""
-    if isinstance(inner, FormatField) and inner.fmtstr[-1:] in "efdBbHhLlQq":
-        mark = inner.fmtstr[-1:]
-        order: Literal["little", "big"] = "little" if inner.fmtstr.startswith("<") else "big"
-        return WireNumber(
-            "float" if mark in "efd" else "int" if mark.islower() else "uint", inner.length, order
-        )
-    if isinstance(inner, BytesInteger) and isinstance(inner.length, int) and isinstance(inner.swapped, bool):
-        return WireNumber(
-            "int" if inner.signed else "uint", inner.length, "little" if inner.swapped else "big"
-        )
-    return None
-
-
-def raw_limits(con: Any) -> tuple[int, int] | None:
-    """The least and the greatest number that a construct gives; None where it is no integer of fixed size."""
-    while isinstance(con, Subconstruct) and (not isinstance(con, Adapter) or isinstance(con, Counter)):
-        con = con.subcon
-    if isinstance(con, SignMagnitude):
-        return -con.limit, con.limit
-    wire = wire_number(con)
-    if wire is not None:
-        return wire.limits if wire.kind != "float" else None
-    found: tuple[int, int] | None = getattr(con, "raw_limits", None)
-    return found
-
-
-def inner_constructs(con: Any) -> list[Any]:
-    """The constructs directly inside a construct: items, cases, or what it wraps; empty for what reads bytes itself."""
-    match con:
-        case Multiplexed():
-            return [con.body]
-        case IfThenElse():
-            return [con.thensubcon, con.elsesubcon]
-        case Switch():
-            return [*con.cases.values(), con.default]
-        case _:
-            return (
-                list(con.subcons)
-                if hasattr(con, "subcons")
-                else [con.subcon]
-                if hasattr(con, "subcon")
-                else []
-            )
-
-
 class SignMagnitude(Field):
     """A sign-and-magnitude integer of `width` bits: the top bit is the sign, the others the magnitude.
 
@@ -414,6 +328,7 @@ class SignMagnitude(Field):
             self.width = integer_width(subcon)
         super().__init__(subcon)
         self.limit = (1 << self.width - 1) - 1
+        self.raw_limits = -self.limit, self.limit
 
     def _decode(self, obj: Any, context: Any, path: str) -> Any:
         return self.to_physical(obj)
@@ -432,13 +347,6 @@ class SignMagnitude(Field):
         if abs(value) > self.limit:
             raise IntegerError(f"{value} is outside ±{self.limit}", path=path)
         return value if value >= 0 else (self.limit + 1) | -value
-
-
-def integer_width(subcon: Construct) -> int:
-    """Width in bits of an integer construct."""
-    inner = innermost(subcon)
-    width = getattr(inner, "width", None)
-    return width if isinstance(width, int) else int(inner.sizeof()) * 8
 
 
 class Enumeration(Field):
@@ -538,6 +446,7 @@ class Counter(Field):
     def __init__(self, subcon: Construct, modulo: int | None = None) -> None:
         super().__init__(subcon)
         self.modulo = modulo if modulo is not None else 1 << integer_width(subcon)
+        self.raw_limits = raw_limits(subcon)
         self.flagbuildnone = True
 
     def _encode(self, obj: Any, context: Any, path: str) -> Any:
@@ -582,53 +491,3 @@ def Reserved(size: int) -> Construct:
     if size < 0:
         raise SpecError(f"{caller()}: Reserved takes a number of bytes, not {size}")
     return Default(Bytes(size), bytes(size))
-
-
-def number_runs(values: Collection[int]) -> str:
-    """Numbers as their runs, shortest form: `0…15, 32`."""
-    runs: list[list[int]] = []
-    for value in sorted(values):
-        if runs and value == runs[-1][1] + 1:
-            runs[-1][1] = value
-        else:
-            runs.append([value, value])
-    texts = [
-        f"{low}…{high}" if high - low > 1 else str(low) if low == high else f"{low}, {high}"
-        for low, high in runs[:12]
-    ]
-    return ", ".join(texts) + (f", … ({len(values)} values)" if len(runs) > 12 else "")
-
-
-class Multiplexed(Construct):
-    """A field that is there only while the field `selector` has (one of) the raw value(s) `when`; else None, no bytes.
-
-    The selector may be multiplexed itself: while it is not there, neither is this field.
-    """
-
-    def __init__(self, selector: str, when: int | Collection[int], subcon: Construct) -> None:
-        super().__init__()
-        self.selector = selector
-        self.when = frozenset((when,) if isinstance(when, int) else when)
-        self.body = subcon
-        self.place = caller()
-        self.flagbuildnone = True
-        self.enumeration: Enumeration | None = None
-
-    def is_present(self, context: Any) -> bool:
-        value = context[self.selector]
-        if isinstance(value, str) and self.enumeration is not None:
-            value = self.enumeration.names.get(value)
-        return value in self.when
-
-    def _parse(self, stream: Any, context: Any, path: str) -> Any:
-        return self.body._parsereport(stream, context, path) if self.is_present(context) else None
-
-    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
-        if self.is_present(context):
-            return self.body._build(obj, stream, context, path)
-        if obj is not None:
-            raise FieldError(f"{path}: only there while {self.selector} is {number_runs(self.when)}")
-        return None
-
-    def _sizeof(self, context: Any, path: str) -> Any:
-        return self.body._sizeof(context, path) if self.is_present(context) else 0

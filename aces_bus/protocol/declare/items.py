@@ -20,8 +20,9 @@ from typing import Any, Literal
 import construct as c
 
 from ...errors import FieldError, SpecError
-from .fields import WireNumber, is_raw, named_number, names_by_value, wire_number
+from .fields import is_raw, named_number, names_by_value
 from .place import caller
+from .wire_number import WireNumber, wire_number
 
 #: What the size of an item counts.
 Counted = Literal["data", "tag and data", "item"]

@@ -22,14 +22,16 @@ from .bits import BitLayout, whole_bits
 from .checks import Check, Extra
 from .delimited import Delimited
 from .examples import Example
-from .fields import Counter, Enumeration, Multiplexed, innermost, wire_number
+from .fields import Counter, Enumeration
 from .framing import Framing
 from .head import Head, enumeration_of, heads_of
+from .multiplexed import Multiplexed
 from .normalise import check_name, check_selectors, normalised, sizes
 from .packet import PacketStruct
 from .pattern import IdPattern, describe_values
 from .place import SourceLine
 from .transport import Transport
+from .wire_number import innermost, wire_number
 
 if TYPE_CHECKING:
     from ..plan.nodes import MessagePlan

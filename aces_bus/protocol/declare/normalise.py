@@ -23,9 +23,10 @@ from ...errors import FieldError, SpecError
 from .bits import BitLayout, Bits, ByteSplit
 from .choices import Known, enumerations_around, enumerations_of, equal_in_both, switch_by_both
 from .delimited import Delimited
-from .fields import Enumeration, Field, Flags, Multiplexed, Quantity, SignMagnitude, inner_constructs
+from .fields import Enumeration, Field, Flags, Quantity, SignMagnitude
 from .head import enumeration_of
 from .items import Items
+from .multiplexed import Multiplexed
 from .place import SourceLine
 from .vocabulary import TRANSFORMS, refusal_of
 
@@ -52,6 +53,25 @@ def normalised(payload: c.Construct | None, place: SourceLine, around: Known | N
         return _Walk(place).of(payload, "payload", {("_", *path): e for path, e in (around or {}).items()})
     except RecursionError:
         raise SpecError(f"{place}: payload: its LazyBound gives another construct at each look") from None
+
+
+def inner_constructs(con: Any) -> list[Any]:
+    """The constructs directly inside a construct: items, cases, or what it wraps; empty for what reads bytes itself."""
+    match con:
+        case Multiplexed():
+            return [con.body]
+        case c.IfThenElse():
+            return [con.thensubcon, con.elsesubcon]
+        case c.Switch():
+            return [*con.cases.values(), con.default]
+        case _:
+            return (
+                list(con.subcons)
+                if hasattr(con, "subcons")
+                else [con.subcon]
+                if hasattr(con, "subcon")
+                else []
+            )
 
 
 def normalised_field(field: c.Construct, place: SourceLine, name: str) -> Any:

@@ -21,8 +21,9 @@ import construct as c
 
 from ...errors import CallerError
 from ..declare.bits import BitLayout, Bits, LayoutSlot
-from ..declare.fields import Enumeration, Multiplexed, Quantity
+from ..declare.fields import Enumeration, Quantity
 from ..declare.message import Message
+from ..declare.multiplexed import Multiplexed
 from ..declare.pattern import IdField, IdPattern
 from ..declare.protocol import Protocol
 from ..declare.transport import Transport

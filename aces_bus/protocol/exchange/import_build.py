@@ -35,8 +35,9 @@ from ...errors import AcesError
 from ...frames import FD_LENGTHS
 from ...plain_text import without_controls
 from ..declare.bits import BitLayout, bits, float_bits
-from ..declare.fields import Enumeration, Multiplexed, Quantity
+from ..declare.fields import Enumeration, Quantity
 from ..declare.j1939 import J1939Transport
+from ..declare.multiplexed import Multiplexed
 from ..declare.pattern import IdField, IdPattern
 from ..declare.place import SourceLine
 from ..declare.protocol import Protocol

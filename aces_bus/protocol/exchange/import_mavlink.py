@@ -23,11 +23,12 @@ import construct as c
 
 from ...errors import AcesError, CallerError
 from ..declare.checks import Crc, Extra
-from ..declare.fields import Enumeration, Flags, Quantity, Text, wire_number
+from ..declare.fields import Enumeration, Flags, Quantity, Text
 from ..declare.framing import Framing, Trailer
 from ..declare.place import SourceLine
 from ..declare.protocol import Protocol
 from ..declare.stuffing import CutZeros
+from ..declare.wire_number import wire_number
 from .import_dbc import protocol_name
 from .mavlink_dialect import MOST_PAYLOAD, MOST_V1, MOST_V2, TYPES, Dialect, DialectField, DialectMessage
 from .names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused

@@ -13,8 +13,8 @@ from collections.abc import Iterable, Sequence
 import construct as c
 
 from ...errors import SpecError
-from ..declare.fields import number_runs
 from ..declare.message import Message
+from ..declare.multiplexed import number_runs
 from ..declare.protocol import Protocol
 from ..draw import row_of
 from ..plan import nodes as p

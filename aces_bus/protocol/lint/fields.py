@@ -20,22 +20,16 @@ import construct as c
 
 from ..declare.bits import BitLayout
 from ..declare.delimited import Delimited
-from ..declare.fields import (
-    Enumeration,
-    Field,
-    Multiplexed,
-    Quantity,
-    SignMagnitude,
-    inner_constructs,
-    raw_limits,
-    wire_number,
-)
+from ..declare.fields import Enumeration, Field, Quantity, SignMagnitude
 from ..declare.head import enumeration_of
 from ..declare.items import Items
 from ..declare.message import Message
+from ..declare.multiplexed import Multiplexed
+from ..declare.normalise import inner_constructs
 from ..declare.pattern import IdField, describe_values
 from ..declare.place import SourceLine
 from ..declare.protocol import Protocol
+from ..declare.wire_number import raw_limits, wire_number
 from ..draw import bits_place
 from .finding import Finding, Level
 
@@ -364,7 +358,7 @@ class Written:
         """The least and the greatest raw number."""
         for adapter in self.adapters:
             if isinstance(adapter, SignMagnitude):
-                return -adapter.limit, adapter.limit
+                return adapter.raw_limits
         return raw_limits(self.inner)
 
     @property

@@ -15,16 +15,13 @@ from msgspec.structs import replace
 
 from ..declare import delimited as d
 from ..declare.bits import BitLayout, Bits, LayoutSlot, whole_bits
-from ..declare.fields import (
-    Enumeration,
-    Multiplexed,
-    inner_constructs,
-)
+from ..declare.fields import Enumeration
 from ..declare.head import Head
 from ..declare.item_list import ItemList
 from ..declare.items import Items
 from ..declare.message import Message
-from ..declare.normalise import sizes
+from ..declare.multiplexed import Multiplexed
+from ..declare.normalise import inner_constructs, sizes
 from ..declare.pattern import IdField, IdPattern
 from ..keys import key_of
 from . import nodes as p

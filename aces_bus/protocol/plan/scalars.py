@@ -7,15 +7,8 @@ from collections.abc import Sequence
 import construct as c
 
 from ..declare.bits import Bits, ByteSplit, whole_bits
-from ..declare.fields import (
-    Counter,
-    Enumeration,
-    Flags,
-    Quantity,
-    SignMagnitude,
-    Text,
-    wire_number,
-)
+from ..declare.fields import Counter, Enumeration, Flags, Quantity, SignMagnitude, Text
+from ..declare.wire_number import wire_number
 from . import nodes as p
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from aces_bus.protocol import Message, Quantity, draw
 from aces_bus.protocol.declare.bits import Bits
-from aces_bus.protocol.declare.fields import wire_number
+from aces_bus.protocol.declare.wire_number import wire_number
 from aces_bus.protocol.draw import FieldRow
 from aces_bus.protocol.lint.fields import Written, payload_fields
 from aces_bus.protocol.plan import nodes as p
