@@ -17,7 +17,6 @@ import msgspec
 from msgspec.structs import replace
 
 from ...errors import SpecError, UnknownNameError
-from ...frames import FD_LENGTHS
 from .bits import BitLayout, whole_bits
 from .checks import Check, Extra
 from .delimited import Delimited
@@ -25,7 +24,7 @@ from .examples import Example
 from .fields import Counter, Enumeration
 from .framing import Framing
 from .head import Head, enumeration_of, heads_of
-from .multiplexed import Multiplexed
+from .lengths import check_room, lengths_of
 from .normalise import check_name, check_selectors, normalised, sizes
 from .packet import PacketStruct
 from .pattern import IdPattern, describe_values
@@ -162,9 +161,9 @@ class Message:
         self.request_fields = self._request_fields()
         self.payload = normalised(payload, place, self._enumerations())
         check_selectors(self.payload, place)
-        self.lengths = self._lengths(length)
+        self.lengths = lengths_of(self, length)
         self._check_fields()
-        self._check_branches()
+        check_room(self)
         if self.extras is not None and not check_extra:
             raise SpecError(
                 f"{place}: the check of every packet ends with bytes of its message; give {name} its check_extra"
@@ -209,87 +208,6 @@ class Message:
         asked = (name for one in (*self.reply_to, *self.after) for name, _ in one.values)
         return tuple(dict.fromkeys(name for name in asked if name not in own))
 
-    def _lengths(self, length: int | Collection[int] | None) -> Collection[int] | None:
-        low, high = sizes(self.payload)
-        low += self.payload_start
-        if self.framing is not None:
-            if length is not None:
-                raise SpecError(
-                    f"{self.place}: length is for CAN; a stream's packets end as their framing says"
-                )
-            return None
-        if self.transport is not None:
-            return self._packet_lengths(self.transport, length, low, high)
-        top = 64 if self.fd else 8
-        high = top if high is None else high + self.payload_start
-        if self.remote and high:
-            raise SpecError(
-                f"{self.place}: a remote frame carries no data, so {self.name} can have no fields in it"
-            )
-        if low > top:
-            raise SpecError(
-                f"{self.place}: {self.name} has {low} bytes of fields;"
-                f" a {'CAN FD' if self.fd else 'classic CAN'} frame has {top}"
-            )
-        possible = [n for n in (FD_LENGTHS if self.fd else range(9)) if low <= n <= high]
-        if length is None:
-            if not possible:
-                raise SpecError(
-                    f"{self.place}: {self.name} has {low} bytes of fields, which no CAN FD frame has; add Reserved bytes"
-                )
-            return (
-                range(possible[0], possible[-1] + 1) if not self.fd and len(possible) > 1 else tuple(possible)
-            )
-        wanted = (length,) if isinstance(length, int) else tuple(sorted(length))
-        for one in wanted:
-            if not low <= one <= high:
-                raise SpecError(
-                    f"{self.place}: length {one} does not go with the fields of {self.name}, which take {low}"
-                    + (f"…{high}" if high > low else "")
-                    + " bytes"
-                )
-            if one not in (FD_LENGTHS if self.fd else range(9)):
-                raise SpecError(
-                    f"{self.place}: no {'CAN FD' if self.fd else 'classic CAN'} frame has {one} bytes"
-                )
-        return wanted
-
-    def _packet_lengths(
-        self, transport: Transport, length: int | Collection[int] | None, low: int, high: int | None
-    ) -> Collection[int]:
-        """How long packets are that a transport carries."""
-        if self.fd or self.remote or self.any_format:
-            raise SpecError(
-                f"{self.place}: fd, remote and any_format are of frames; those of {self.name} are made by its transport"
-            )
-        most = transport.longest
-        low = max(low, transport.min_size)
-        top = most if high is None else min(most, high + self.payload_start)
-        wanted = range(low, top + 1) if length is None else (length,) if isinstance(length, int) else length
-        if not wanted or min(wanted) < low or max(wanted) > top:
-            end = None if high is None else high + self.payload_start
-            more = "…" if end is None else f"…{end}" if end > low else ""
-            given = (
-                "" if length is None else f"length {describe_values(wanted)} does not go with {self.name}: "
-            )
-            raise SpecError(
-                f"{self.place}: {given}its fields take {low}{more} bytes, and packets of {transport.title} have"
-                f" {most} at most"
-            )
-        fitting = [size for size in wanted if transport.carries(size)]
-        if not fitting:
-            near = next((n for n in range(min(wanted), most + 1) if transport.carries(n)), None)
-            more = (
-                "" if near is None else f"; {near} would: end its fields with Reserved({near - min(wanted)})"
-            )
-            raise SpecError(
-                f"{self.place}: {describe_values(wanted)} bytes, as {self.name} has them, fill no frames of"
-                f" {transport.title}{more}"
-            )
-        if len(fitting) < len(wanted):
-            return tuple(sorted(fitting))
-        return wanted if isinstance(wanted, range) else tuple(sorted(wanted))
-
     def _check_fields(self) -> None:
         places: dict[str, str] = {}
 
@@ -308,7 +226,7 @@ class Message:
             claim(name, "head")
         for name in self.request_fields:
             claim(name, "request")
-        for name in self._payload_names():
+        for name in self.payload_names:
             claim(name, "payload")
         self.identifier.check()
         if self.any_format and (self.remote or self.framing is not None or self.identifier.captures):
@@ -328,48 +246,17 @@ class Message:
         if self.check is not None and self.check.field not in places:
             raise SpecError(f"{self.place}: check field {self.check.field!r} is not a field of {self.name}")
 
-    def _check_branches(self) -> None:
-        """Raise `SpecError` where no packet would be read, or a multiplexed field has no room in any frame."""
-        framing = self.framing
-        if framing is not None and framing.end and self.payload_start == len(framing.sync):
-            if not framing.check_size and sizes(self.payload)[1] == 0:
-                raise SpecError(f"{self.place}: with nothing before its end a packet of {self.name} is none")
-        if self.lengths is None or not isinstance(self.payload, c.Struct):
-            return
-        most = max(self.lengths)
-        items = [(i.name, i.subcon if isinstance(i, c.Renamed) else i) for i in self.payload.subcons]
-        always = self.payload_start + sum(sizes(body)[0] for _, body in items)
-        for name, body in items:
-            if not isinstance(body, Multiplexed):
-                continue
-            beside = [o for _, o in items if isinstance(o, Multiplexed) and o.selector == body.selector]
-            least = min(
-                (
-                    always + sum(sizes(one.body)[0] for one in beside if value in one.when)
-                    for value in body.when
-                ),
-                default=always,
-            )
-            if least > most:
-                raise SpecError(
-                    f"{self.place.of_field(name or '')}: with field {name!r} {self.name} has {least} bytes of data,"
-                    f" and its frames have {most} at most: the field would never be there"
-                )
-
     @cached_property
     def payload_names(self) -> tuple[str, ...]:
         """The names of the payload's own fields, in order."""
-        return tuple(self._payload_names())
-
-    def _payload_names(self) -> list[str]:
         payload = self.payload
         if isinstance(payload, c.Struct):
-            return [item.name for item in payload.subcons if item.name]
+            return tuple(item.name for item in payload.subcons if item.name)
         if isinstance(payload, Delimited):
-            return [f.name for f in payload.fields] + (["more"] if payload.more else [])
+            return (*(f.name for f in payload.fields), *(["more"] if payload.more else []))
         assert isinstance(payload, BitLayout)
         more = [payload.trailing] if payload.trailing else []
-        return [*payload.names, *(["reserved"] if payload.has_reserved else []), *more]
+        return (*payload.names, *(["reserved"] if payload.has_reserved else []), *more)
 
     # ------------------------------------------------------------------ the whole packet
 
@@ -390,7 +277,7 @@ class Message:
         """Names of a record's fields, in order."""
         captures = (capture.name for capture in self.identifier.captures)
         check = self.check.field if self.check is not None else None
-        payload = (name for name in self._payload_names() if name != check)
+        payload = (name for name in self.payload_names if name != check)
         return (*captures, *self.request_fields, *self._head_names(), *payload)
 
     def _head_names(self) -> list[str]:
