@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
+import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
 
 from aces_tools.main import main
+from tests.tools.live import Node, Opened
 
 
 class Result(NamedTuple):
@@ -141,3 +143,37 @@ def log(tmp_path: Path) -> Path:
     path = tmp_path / "walk.log"
     path.write_text(LOG, encoding="utf-8")
     return path
+
+
+@pytest.fixture
+def node() -> Iterator[Node]:
+    """Another node of a virtual bus."""
+    made = Node()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[Opened]:
+    """Set once the command has opened its bus."""
+    made = Opened(monkeypatch)
+    yield made
+    made.join()
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A command that ends waits for its gate's reader, which looks up so often."""
+    for module in ("can", "gate", "serial", "datagram"):
+        monkeypatch.setattr(f"aces_bus.hardware.{module}.POLL_S", 0.02)
+
+
+@pytest.fixture
+def pty() -> Iterator[tuple[int, str]]:
+    """The far end of a serial line, and the name of the near one."""
+    tty = pytest.importorskip("tty")
+    far, near = os.openpty()
+    tty.setraw(near)
+    yield far, os.ttyname(near)
+    for end in (far, near):
+        os.close(end)

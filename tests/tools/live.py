@@ -15,6 +15,7 @@ import pytest
 from aces_tools.bus_arg import ChosenBus
 
 WAIT_S = 60.0
+posix = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals, signals and pipes of a Unix system")
 _numbers = itertools.count()
 
 
@@ -32,6 +33,14 @@ class Node:
         """Send a frame; the data in hexadecimal."""
         more = {"is_extended_id": identifier > 0x7FF, "check": True, **more}
         self.bus.send(can.Message(arbitration_id=identifier, data=bytes.fromhex(data), **more))
+
+    def walk(self) -> None:
+        """Send five frames; to the protocol `arm`: two decoded, one malformed, one unknown, one decoded."""
+        self.send(0x060, "0A000000F6FFFFFF")
+        self.send(0x300, "02090064000080BF")
+        self.send(0x060, "0102")
+        self.send(0x7FE, "DEADBEEF")
+        self.send(0x061, "0B000000F5FFFFFF")
 
     def received(self, timeout: float = 0.0) -> list[can.Message]:
         """What has come; with a timeout, at least one is waited for."""

@@ -20,10 +20,8 @@ Aces = Callable[..., Any]
 
 
 @pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Gates look up often, and the two ends are not watched for long."""
-    for module in ("can", "gate", "serial", "datagram"):
-        monkeypatch.setattr(f"aces_bus.hardware.{module}.POLL_S", 0.02)
+def hasty(quick: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The two ends are not watched for long."""
     monkeypatch.setattr("aces_tools.bridge.WATCH_S", 0.0)
 
 
@@ -33,13 +31,6 @@ def nodes() -> Iterator[tuple[Node, Node]]:
     yield made
     for node in made:
         node.close()
-
-
-@pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[Opened]:
-    made = Opened(monkeypatch)
-    yield made
-    made.join()
 
 
 def end(node: Node) -> str:

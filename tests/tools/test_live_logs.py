@@ -9,7 +9,7 @@ import sqlite3
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -30,39 +30,8 @@ from aces_tools.rotation import Rotation
 from tests.tools.live import WAIT_S, Node, Opened
 
 Aces = Callable[..., Any]
+pytestmark = pytest.mark.usefixtures("quick")
 FOREIGN = ["log", "asc", "blf", "trc", "csv", "db"]
-IDS = [0x060, 0x300, 0x060, 0x7FE, 0x061]
-
-
-@pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A command that ends waits for its gate's reader, which looks up so often."""
-    monkeypatch.setattr("aces_bus.hardware.can.POLL_S", 0.02)
-
-
-@pytest.fixture
-def node() -> Iterator[Node]:
-    made = Node()
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[Opened]:
-    made = Opened(monkeypatch)
-    yield made
-    made.join()
-
-
-def walk(node: Node) -> Callable[[], None]:
-    """Five frames; to the protocol `arm`: two decoded, one malformed, one unknown, one decoded."""
-    data = ["0A000000F6FFFFFF", "02090064000080BF", "0102", "DEADBEEF", "0B000000F5FFFFFF"]
-
-    def send() -> None:
-        for identifier, content in zip(IDS, data, strict=True):
-            node.send(identifier, content)
-
-    return send
 
 
 def table(first: int, count: int) -> FrameTable:
@@ -239,7 +208,7 @@ def test_what_needs_its_end_is_not_written_live(tmp_path: Path, form: str) -> No
 @pytest.mark.parametrize("suffix", [*FOREIGN, "mf4", "log.gz"])
 def test_frames_as_they_came(aces: Aces, node: Node, opened: Opened, tmp_path: Path, suffix: str) -> None:
     """Without a protocol the file has the frames that are shown otherwise, and nothing is printed."""
-    opened.then(walk(node))
+    opened.then(node.walk)
     path = tmp_path / f"walk.{suffix}"
     found = aces("sniff", *node.options, "-o", path, "-n", 3, "--filter", "060~7FF")
     assert (found.status, found.out) == (0, "")
@@ -259,7 +228,7 @@ def test_decoded_tables(aces: Aces, node: Node, opened: Opened, arm: str, tmp_pa
         ("lost.sqlite", ["--unknown", "show"], 5),
     ]:
         opened.event.clear()
-        opened.then(walk(node))
+        opened.then(node.walk)
         found = aces("sniff", *node.options, "-p", arm, "-o", tmp_path / name, "-n", number, *more)
         assert (found.status, found.out) == (0, "")
         assert f"wrote {number} records to {tmp_path / name}" in found.messages

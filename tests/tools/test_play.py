@@ -7,7 +7,7 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,20 +27,6 @@ LOG = """\
 (1.020000) can1 12345678#00
 (1.050000) can0 400#R3
 """
-
-
-@pytest.fixture
-def node() -> Iterator[Node]:
-    made = Node()
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[Opened]:
-    made = Opened(monkeypatch)
-    yield made
-    made.join()
 
 
 @pytest.fixture
@@ -208,17 +194,6 @@ SERIAL = """\
 (1.010000000) < [2] 0304
 (1.020000000) > [1] 05
 """
-
-
-@pytest.fixture
-def pty() -> Iterator[tuple[int, str]]:
-    """The far end of a serial line, and the name of the near one."""
-    tty = pytest.importorskip("tty")
-    far, near = os.openpty()
-    tty.setraw(near)
-    yield far, os.ttyname(near)
-    for end in (far, near):
-        os.close(end)
 
 
 @pytest.mark.parametrize(

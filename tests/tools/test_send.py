@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,20 +31,6 @@ drive = Protocol("drive", link="can")
 Go = drive.message("Go", id=0x200, direction="to device", payload=Struct("speed" / Int16ul, "alive" / Counter(Byte, 4),
     "sum" / Byte), check=Sum(field="sum"))
 """
-
-
-@pytest.fixture
-def node() -> Iterator[Node]:
-    made = Node()
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[Opened]:
-    made = Opened(monkeypatch)
-    yield made
-    made.join()
 
 
 @pytest.fixture

@@ -6,23 +6,16 @@ from __future__ import annotations
 
 import ast
 import io
-import json
-import os
 import re
-import signal
-import socket
-import subprocess
-import sys
 import threading
 from argparse import ArgumentTypeError
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import can
 import pytest
-import serial
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import aces_tools.live_text
@@ -32,7 +25,6 @@ from aces_bus.errors import CallerError
 from aces_bus.frames import FD_LENGTHS, Frame
 from aces_bus.hardware import AcesBus, BusEvent, CanGate, Received
 from aces_bus.recordings import open_recording
-from aces_bus.recordings.write.candump import CandumpWriter
 from aces_tools.live import BusEventLines
 from aces_tools.live_text import CandumpLines, Times
 from aces_tools.options import duration
@@ -40,42 +32,7 @@ from tests.limits import small_disk
 from tests.tools.live import WAIT_S, Node, Opened, interrupt
 
 Aces = Callable[..., Any]
-#: The short profile leaves out what differs little from another case: Ctrl-C ends it in this process too.
-IS_LONG = settings().max_examples > 100
-
-
-@pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A command that ends waits for its gate's reader, which looks up so often."""
-    for module in ("can", "gate", "serial", "datagram"):
-        monkeypatch.setattr(f"aces_bus.hardware.{module}.POLL_S", 0.02)
-
-
-@pytest.fixture
-def node() -> Iterator[Node]:
-    made = Node()
-    yield made
-    made.close()
-
-
-@pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> Iterator[Opened]:
-    made = Opened(monkeypatch)
-    yield made
-    made.join()
-
-
-def walk(node: Node) -> Callable[[], None]:
-    """Five frames; to the protocol `arm`: two decoded, one malformed, one unknown, one decoded."""
-
-    def send() -> None:
-        node.send(0x060, "0A000000F6FFFFFF")
-        node.send(0x300, "02090064000080BF")
-        node.send(0x060, "0102")
-        node.send(0x7FE, "DEADBEEF")
-        node.send(0x061, "0B000000F5FFFFFF")
-
-    return send
+pytestmark = pytest.mark.usefixtures("quick")
 
 
 # ---------------------------------------------------------------------- what is shown
@@ -85,7 +42,7 @@ def test_live_lines_are_those_of_decode(
     aces: Aces, node: Node, opened: Opened, arm: str, tmp_path: Path
 ) -> None:
     """Record lines of a live bus equal those of `aces decode` of the recording that was made meanwhile."""
-    opened.then(walk(node))
+    opened.then(node.walk)
     record = tmp_path / "walk.log"
     live = aces("sniff", *node.options, "-p", arm, "--format", "jsonl", "-n", 5, "--record", record)
     assert live.status == 0
@@ -102,7 +59,7 @@ def test_the_summary_is_that_of_decode_and_what_was_lost(
     aces: Aces, node: Node, opened: Opened, arm: str
 ) -> None:
     """The bins sum to the frames, and the losses stand behind them."""
-    opened.then(walk(node))
+    opened.then(node.walk)
     found = aces("sniff", *node.options, "-p", arm, "-n", 5)
     assert found.summary == {
         "frames": 5,
@@ -230,11 +187,11 @@ def test_decoded_lines_have_the_time_that_is_asked_for(
     aces: Aces, node: Node, opened: Opened, arm: str
 ) -> None:
     """`-t delta` counts from the line before, `-t date` gives a date."""
-    opened.then(walk(node))
+    opened.then(node.walk)
     found = aces("sniff", *node.options, "-p", arm, "-t", "delta", "-n", 5)
     assert found.out.splitlines()[1].split()[0] == "0.000000"
     opened.event.clear()
-    opened.then(walk(node))
+    opened.then(node.walk)
     found = aces("sniff", *node.options, "-p", arm, "-t", "date", "-n", 5)
     assert re.match(r" *[0-9]{4}-[0-9]{2}-[0-9]{2} [0-9:]{8}\.[0-9]{6} ", found.out.splitlines()[1])
 
@@ -244,14 +201,14 @@ def test_filters_apply_to_what_is_shown_and_not_to_what_is_recorded(
 ) -> None:
     """candump's filters, by identifier and interface; the recording has everything."""
     record = tmp_path / "all.log"
-    opened.then(walk(node))
+    opened.then(node.walk)
     wanted = f"{node.channel},060:7F0"
     found = aces("sniff", *node.options, "-p", arm, "--filter", wanted, "-n", 3, "--record", record)
     assert len([line for line in found.out.splitlines() if "rx  06" in line]) == 3
     assert found.summary["filtered"] == 2
     assert len(list(open_recording(record, link="can"))) == 5
     opened.event.clear()
-    opened.then(walk(node))
+    opened.then(node.walk)
     found = aces("sniff", *node.options, "--filter", "060~7F0", "-n", 2)
     assert [line.split()[2] for line in found.out.splitlines()] == ["300", "7FE"]
     assert found.summary["filtered"] == 2
@@ -259,7 +216,7 @@ def test_filters_apply_to_what_is_shown_and_not_to_what_is_recorded(
 
 def test_messages_and_conditions_select(aces: Aces, node: Node, opened: Opened, arm: str) -> None:
     """`--message` and `--where` as of decode; with them losses are not shown."""
-    opened.then(walk(node))
+    opened.then(node.walk)
     found = aces(
         "sniff", *node.options, "-p", arm, "--message", "Encoder", "--where", "board=1", "--format", "jsonl", "-n", 1
     )  # fmt: skip
@@ -271,7 +228,7 @@ def test_messages_and_conditions_select(aces: Aces, node: Node, opened: Opened, 
 
 def test_several_protocols_each_claim_theirs(aces: Aces, node: Node, opened: Opened, arm: str) -> None:
     """Two protocols on one bus; the first named wins, which is said."""
-    opened.then(walk(node))
+    opened.then(node.walk)
     found = aces("sniff", *node.options, "-p", arm, "-p", "hubo", "-n", 5, "--format", "jsonl")
     assert {one["protocol"] for one in found.objects if one["message"]} == {"arm"}
     assert any("both claim identifier 0x060" in said for said in found.messages)
@@ -290,7 +247,7 @@ def test_it_ends_on_ctrl_c_with_everything_that_was_heard(
     """Ctrl-C is an end and no fault: what was heard is shown, and the status is 0."""
 
     def work() -> None:
-        walk(node)()
+        node.walk()
         interrupt()
 
     opened.then(work)
@@ -304,7 +261,7 @@ def test_quiet_prints_the_summary_only(aces: Aces, node: Node, opened: Opened) -
     """`-q` shows nothing and counts everything."""
 
     def work() -> None:
-        walk(node)()
+        node.walk()
         interrupt()
 
     opened.then(work)
@@ -365,7 +322,7 @@ def test_nothing_is_ever_sent(
         names.extend(thread.name for thread in threading.enumerate())
         with pytest.raises(CallerError, match="only listens"):
             gate.send(Frame(1))
-        walk(node)()
+        node.walk()
 
     opened.then(work)
     record = tmp_path / "all.log"
@@ -419,7 +376,7 @@ def test_a_bus_that_is_lost_comes_back(
         back = threading.Event()
         gate.on_event(lambda event: back.set() if event.kind == "reopened" else None)
         if gate.counters.reopened or back.wait(WAIT_S):
-            walk(node)()
+            node.walk()
 
     opened.then(work)
     found = aces("sniff", *node.options, "-p", arm, "-n", 5)
@@ -479,194 +436,6 @@ def test_who_sends_is_told_what_to_look_at(capsys: pytest.CaptureFixture[str]) -
     assert hinted.startswith("aces: can0: error-passive; is another node there")
 
 
-# ---------------------------------------------------------------------- recording
-
-
-@pytest.mark.parametrize("name", ["walk", "walk.log", "walk.blf", "walk.asc.gz", "walk.pcapng"])
-def test_recordings_of_any_format(aces: Aces, node: Node, opened: Opened, tmp_path: Path, name: str) -> None:
-    """The suffix says the format, and nothing else stays behind."""
-    opened.then(walk(node))
-    record = tmp_path / name
-    found = aces("sniff", *node.options, "-n", 5, "-q", "--record", record)
-    assert found.status == 0
-    frames = list(open_recording(record, link="can"))
-    assert [frame.arbitration_id for frame in frames] == [0x060, 0x300, 0x060, 0x7FE, 0x061]
-    assert [path.name for path in tmp_path.iterdir()] == [name]
-    assert f"recorded 5 frames in {record}" in found.messages
-
-
-def test_a_recording_is_never_written_over(aces: Aces, node: Node, tmp_path: Path) -> None:
-    """A file that is there stays, and so does what a run that was killed has left."""
-    record = tmp_path / "walk.log"
-    record.write_text("precious")
-    found = aces("sniff", *node.options, "--record", record)
-    assert found.status == 2
-    assert "there is such a file already" in found.err
-    left = tmp_path / "walk.mf4.log"
-    left.write_text("precious")
-    found = aces("sniff", *node.options, "--record", tmp_path / "walk.mf4")
-    assert found.status == 2
-    assert "cut short; convert it first" in found.err
-    assert record.read_text() == left.read_text() == "precious"
-
-
-def test_a_bus_that_cannot_be_opened_leaves_no_recording(aces: Aces, node: Node, tmp_path: Path) -> None:
-    """No empty file of a run that never began."""
-    record = tmp_path / "walk.log"
-    found = aces("sniff", "-i", "aces", "-c", node.channel, "--record", record)
-    assert found.status == 2
-    assert f"{node.channel} (interface aces) cannot be opened" in found.err
-    assert not record.exists()
-
-
-def test_a_recording_that_fails_ends_the_run(
-    aces: Aces, node: Node, opened: Opened, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A full disk is said, at once, and is no success."""
-
-    def full(*_: Any) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(CandumpWriter, "write", full)
-    opened.then(walk(node))
-    found = aces("sniff", *node.options, "--record", tmp_path / "walk.log")
-    assert found.status == 2
-    assert "recording stopped: No space left on device" in found.err
-
-
-def test_a_database_that_fails_ends_the_run(
-    aces: Aces, node: Node, opened: Opened, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """SQLite's own errors are an end like any other, said with the file."""
-    monkeypatch.setattr("aces_tools.live_log.INSERT", "INSERT INTO lost VALUES (?)")
-    opened.then(walk(node))
-    record = tmp_path / "walk.db"
-    found = aces("sniff", *node.options, "--record", record)
-    assert found.status == 2
-    assert f"recording stopped: {record}: cannot be written: no such table: lost" in found.err
-
-
-@pytest.mark.parametrize("size", [0, *([100] if IS_LONG else []), 200])
-def test_what_a_full_disk_took_is_counted(
-    aces: Aces, node: Node, opened: Opened, tmp_path: Path, size: int
-) -> None:
-    """The frames said to be recorded are those in the file, whole; with those said to be missing they are all."""
-    opened.then(walk(node))
-    record = tmp_path / "walk.log"
-    with small_disk(size):
-        found = aces("sniff", *node.options, "--record", record)
-    assert found.status == 2
-    assert "recording stopped: File too large" in found.err
-    said = re.search(r"recorded (\d+) frames in (\S+), (\d+) are not in it", found.err)
-    assert said is not None
-    assert said[2] == str(record)
-    assert int(said[1]) + int(said[3]) == found.summary["frames"]
-    data = record.read_bytes()
-    assert data.count(b"\n") == int(said[1])
-    assert (int(said[1]) > 0) is (size > 0)
-    assert data[-1:] in (b"", b"\n")
-
-
-# ---------------------------------------------------------------------- lines and datagrams
-
-posix = pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals, signals and pipes of a Unix system")
-
-
-@pytest.fixture
-def pty() -> Iterator[tuple[int, str]]:
-    """The far end of a serial line, and the name of the near one."""
-    import tty
-
-    far, near = os.openpty()
-    tty.setraw(near)
-    yield far, os.ttyname(near)
-    for end in (far, near):
-        os.close(end)
-
-
-@posix
-def test_a_serial_line_is_decoded_and_recorded(
-    aces: Aces, opened: Opened, pty: tuple[int, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Packets come as records, the recording has the bytes, their times and pieces; nothing is written to the line."""
-    far, near = pty
-    written: list[bytes] = []
-    monkeypatch.setattr(serial.Serial, "write", lambda _, data: written.append(data))
-    opened.then(lambda: os.write(far, bytes.fromhex("FFFF010200FC")))
-    record = tmp_path / "line.slog"
-    found = aces(
-        "sniff", "--serial", near, "-p", "robotis", "--direction", "from", "-n", 1, "--format", "jsonl",
-        "--record", record,
-    )  # fmt: skip
-    (one,) = found.objects
-    assert (one["message"], one["offset"], one["size"], one["direction"]) == ("Status", 0, 6, "from device")
-    assert found.summary["decoded"] == 6
-    chunks = list(open_recording(record, link="serial"))
-    assert b"".join(chunk.data for chunk in chunks) == bytes.fromhex("FFFF010200FC")
-    assert {chunk.direction for chunk in chunks} == {"from device"}
-    assert all(chunk.time is not None and chunk.time > 1.7e9 for chunk in chunks)
-    assert written == []
-    with pytest.raises(CallerError, match="only listens"):
-        opened.gates[0].send(b"\0")
-
-
-@posix
-def test_bytes_that_a_full_disk_took_are_counted(
-    aces: Aces, opened: Opened, pty: tuple[int, str], tmp_path: Path
-) -> None:
-    """Bytes said to be recorded are those in the file; a piece that did not fit leaves no part of it."""
-    far, near = pty
-    opened.then(lambda: os.write(far, bytes(range(100))))
-    record = tmp_path / "line.slog"
-    with small_disk(200):
-        found = aces("sniff", "--serial", near, "--record", record, "-q")
-    assert found.status == 2
-    assert f"recorded 0 bytes in {record}, 100 are not in it" in found.err
-    assert record.read_bytes() == b"# aces serial capture 1\n"
-
-
-@posix
-def test_a_silent_line_ends_what_is_incomplete(aces: Aces, opened: Opened, pty: tuple[int, str]) -> None:
-    """Half a packet is shown as malformed after the protocol's gap, though nothing follows."""
-    far, near = pty
-    opened.then(lambda: os.write(far, bytes.fromhex("FFFF0105")))
-    found = aces(
-        "sniff", "--serial", near, "-p", "robotis", "--direction", "from", "-n", 1, "--format", "jsonl"
-    )
-    (one,) = found.objects
-    assert one["reason"] == "malformed: incomplete"
-
-
-@posix
-def test_bytes_without_a_protocol(aces: Aces, opened: Opened, pty: tuple[int, str]) -> None:
-    """They are shown as they came, and are unknown."""
-    far, near = pty
-    opened.then(lambda: os.write(far, b"\x01\x02"))
-    found = aces("sniff", "--serial", near, "-n", 1)
-    assert found.out.endswith(f"{near} ?  [2]  01 02\n")
-    assert found.summary["unknown"] == found.summary["bytes"] == 2
-
-
-def test_datagrams_are_whole(aces: Aces, opened: Opened) -> None:
-    """What a datagram leaves incomplete the next one does not continue."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    packet = bytes.fromhex("FFFF010200FC")
-
-    def work() -> None:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-            for data in (packet[:3], packet[3:], packet):
-                sender.sendto(data, ("127.0.0.1", port))
-
-    opened.then(work)
-    found = aces(
-        "sniff", "--udp", port, "-p", "robotis", "--direction", "from", "--message", "Status", "-n", 1
-    )
-    assert found.summary["decoded"] == 6
-    assert found.summary["bytes"] == 12
-
-
 # ---------------------------------------------------------------------- wrong calls
 
 
@@ -721,7 +490,7 @@ def test_python_cans_variables_name_the_bus(
     """CAN_INTERFACE and CAN_CHANNEL, as with every program that uses python-can."""
     monkeypatch.setenv("CAN_INTERFACE", "aces")
     monkeypatch.setenv("CAN_CHANNEL", node.channel)
-    opened.then(walk(node))
+    opened.then(node.walk)
     found = aces("sniff", "--bus-kwargs", "physics=false", "-n", 5)
     assert found.summary["frames"] == 5
     assert node.channel in found.out
@@ -747,89 +516,3 @@ def test_no_durations(text: str) -> None:
     """What is no duration is refused with what is."""
     with pytest.raises(ArgumentTypeError, match="10ms"):
         duration(text)
-
-
-# ---------------------------------------------------------------------- as a program of its own
-
-
-@pytest.fixture
-def running(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
-    """`running("-n", "5")`: sniffs a replay that goes on for ever at 1,000 frames/s."""
-    log = tmp_path / "loop.log"
-    log.write_text("".join(f"({n / 1000:.6f}) can0 {n:03X}#{n:04X}\n" for n in range(1000)))
-    started: list[subprocess.Popen[bytes]] = []
-
-    def run(*arguments: object) -> subprocess.Popen[bytes]:
-        process = subprocess.Popen(
-            [
-                *(sys.executable, "-m", "aces_tools", "sniff", "-i", "aces-replay", "-c", str(log)),
-                *("--bus-kwargs", "loop=true", *map(str, arguments)),
-            ],
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-        )
-        alarm = threading.Timer(60, process.kill)
-        alarm.daemon = True
-        alarm.start()
-        started.append(process)
-        return process
-
-    yield run
-    for process in started:
-        process.kill()
-        process.communicate()
-
-
-@pytest.mark.slow
-@posix
-def test_kill_9_loses_less_than_a_second(
-    running: Callable[..., subprocess.Popen[bytes]], tmp_path: Path
-) -> None:
-    """Of a recording into any format, all but the last second is there after SIGKILL, and can be read."""
-    record = tmp_path / "walk.mf4"
-    process = running("--record", record, "--format", "jsonl")
-    assert process.stdout is not None
-    shown = [json.loads(process.stdout.readline()) for _ in range(1300)]
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    with open_recording(f"{record}.log", link="can") as capture:
-        kept = list(capture)
-        assert capture.lines_unreadable <= 1
-    assert len(kept) >= len(shown) - 1000
-    assert len(kept) >= 300
-    pairs = zip(kept, shown, strict=False)
-    assert all(frame.arbitration_id == one["id"] and frame.data.hex() == one["raw"] for frame, one in pairs)
-
-
-@pytest.mark.slow
-@posix
-@pytest.mark.parametrize("number", [*([signal.SIGINT] if IS_LONG else []), signal.SIGTERM])
-def test_signals_end_it_with_a_whole_recording(
-    running: Callable[..., subprocess.Popen[bytes]], tmp_path: Path, number: int
-) -> None:
-    """Ctrl-C and `kill` end it: the summary is printed, and the recording is in its format."""
-    record = tmp_path / "walk.blf"
-    process = running("--record", record)
-    assert process.stdout is not None
-    process.stdout.readline()
-    process.send_signal(number)
-    shown = 1 + len(process.stdout.read().splitlines())
-    assert process.stderr is not None
-    assert b"frames=%d " % shown in process.stderr.read().splitlines()[-1]
-    assert process.wait() == 0
-    assert len(list(open_recording(record, link="can"))) == shown
-
-
-@pytest.mark.slow
-@posix
-def test_nobody_reads_any_more(running: Callable[..., subprocess.Popen[bytes]]) -> None:
-    """`| head -1` ends it without a complaint."""
-    process = running()
-    assert process.stdout is not None
-    process.stdout.readline()
-    process.stdout.close()
-    assert process.stderr is not None
-    said = process.stderr.read()
-    assert process.wait() == 0
-    assert b"Traceback" not in said
-    process.stdout = None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import runpy
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ from aces_bus.recordings import open as parts
 from aces_tools import decode_jobs
 from aces_tools.screen.model import Model
 from tests.tools.conftest import Aces
-from tests.tools.conftest import aces as aces
 from tests.tools.live import WAIT_S, Node, Opened
 from tests.tools.screening import heard
 
@@ -130,13 +128,6 @@ def spec_of(folder: Path, timeout_s: float) -> Path:
 
 
 WRITE = ("send", "Write", "data=" + "AB" * 30)
-
-
-@pytest.fixture
-def node() -> Iterator[Node]:
-    made = Node()
-    yield made
-    made.close()
 
 
 @pytest.mark.slow
