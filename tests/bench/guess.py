@@ -18,115 +18,24 @@ import random
 import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from construct import Byte, Struct, this
 
-from aces_bus.device.drivers import load_driver
-from aces_bus.errors import AcesError
 from aces_bus.frames import Frame
-from aces_bus.guess import FramingGuess, StreamTraffic, checks_of, fields_of
-from aces_bus.guess.framings import framing_check
-from aces_bus.hardware.simulated.bus import ListeningNode, SimulatedBus
-from aces_bus.protocol import Fletcher, Protocol, load_protocol
-from aces_bus.protocol.declare.framing import Framing, Verdict
+from aces_bus.guess import checks_of, fields_of
+from aces_bus.protocol import load_protocol
 from aces_bus.recordings import open_recording
-from aces_bus.robot.buses import VirtualRobot
-from aces_bus.robot.file import parse_robot
-from aces_bus.testing.conformance import enable
-from aces_bus.testing.packets import draw_packet
-from aces_bus.testing.source import Dice
+from tests.bench.guess_scores import FIELDS, Scores, Truth, table
+from tests.bench.guess_streams import score_stream, streams_of_others, streams_of_specs
+from tests.bench.twin_traffic import twin_traffic
 
 Array = Any
 SHARED = Path(__file__).resolve().parents[2].parent / "shared" / "captures"
-#: Seconds of virtual time that twins are recorded, and packets that are drawn of a spec without a twin.
-TWINS_S, DRAWN = 8.0, 400
 #: Rows below which nothing is scored.
 LEAST_ROWS = 64
-
-
-@dataclass
-class Score:
-    """Right ones among those that were said, and among those that there are."""
-
-    right: int = 0
-    said: int = 0
-    there: int = 0
-
-    def add(self, right: int, said: int, there: int) -> None:
-        self.right += right
-        self.said += said
-        self.there += there
-
-    def merge(self, other: Score) -> None:
-        self.add(other.right, other.said, other.there)
-
-    @property
-    def precision(self) -> float:
-        return self.right / self.said if self.said else float("nan")
-
-    @property
-    def recall(self) -> float:
-        return self.right / self.there if self.there else float("nan")
-
-    @property
-    def f1(self) -> float:
-        return 2 * self.right / (self.said + self.there) if self.said + self.there else float("nan")
-
-    def __str__(self) -> str:
-        if not self.said and not self.there:
-            return "–"
-        return f"{self.precision:4.0%} {self.recall:4.0%} {self.f1:4.0%} ({self.there})"
-
-
-#: What is scored of fields, and of streams.
-FIELDS = (
-    "boundaries",
-    "boundaries READ",
-    "fields",
-    "constants",
-    "counters",
-    "counters READ",
-    "checks",
-    "order",
-    "sign",
-)
-STREAMS = ("packets", "sync", "length", "check")
-
-
-@dataclass
-class Scores:
-    """A line of a table, and what went wrong."""
-
-    name: str
-    kinds: Sequence[str]
-    by: dict[str, Score] = field(default_factory=dict[str, Score])
-    wrong: list[str] = field(default_factory=list[str])
-
-    def __post_init__(self) -> None:
-        for kind in self.kinds:
-            self.by.setdefault(kind, Score())
-
-    def merge(self, other: Scores) -> None:
-        for kind, score in other.by.items():
-            self.by[kind].merge(score)
-        self.wrong += other.wrong
-
-
-@dataclass(frozen=True)
-class Truth:
-    """A field as its spec has it."""
-
-    name: str
-    positions: tuple[int, ...]
-    order: str
-    signed: bool | None
-    kind: str
 
 
 # ---------------------------------------------------------------------- READ
@@ -431,199 +340,6 @@ def can_rows(
         yield f"{protocol.name}.{message.name}.{key[0]:X}", rows, truth, key[0].to_bytes(4, "big"), ""
 
 
-def number_or_zero(value: Any) -> Any:
-    """A signal's value where it is known."""
-    return value if isinstance(value, int | float) else 0.0
-
-
-def twin_traffic(driver: str) -> Iterator[tuple[str, Any, list[Any]]]:
-    """(protocol, wire, what was on it: frames, or (bytes, seconds)) of a driver's example robot that moves."""
-    robot_of, _ = parse_robot(load_driver(driver).example, f"{driver}.toml")
-    assert robot_of is not None
-    robot = VirtualRobot(robot_of, rate_hz=robot_of.rate_hz or 50, seed=1)
-    recorders: dict[str, tuple[Any, list[Any]]] = {}
-    for name, wire in robot.wires.items():
-        heard: list[Any] = []
-        if isinstance(wire, SimulatedBus):
-            recorders[name] = ListeningNode(wire), heard
-        else:
-            wire.attach(
-                "recorder", lambda data, now, heard=heard: heard.append((data, now * 1e-9)), whole=True
-            )
-            recorders[name] = None, heard
-    with robot:
-        robot.advance(0.5)
-        enable(robot)
-        settable = [
-            (one, number_or_zero(one.value))
-            for device in robot.devices.values()
-            for one in device.signals.values()
-            if one.is_writable and not isinstance(one.value, bool) and not isinstance(one.value, str)
-        ]
-        steps = 60
-        for step in range(steps):
-            for number, (one, start) in enumerate(settable):
-                low = max(start - 0.5, -np.inf if one.lower is None else one.lower)
-                high = min(start + 0.5, np.inf if one.upper is None else one.upper)
-                with suppress(AcesError):  # a joint that is stopped takes none
-                    one.set(type(start)((low + high) / 2 + 0.4 * (high - low) * np.sin(step / 8 + number)))
-            robot.advance(TWINS_S / steps)
-    for name, (node, heard) in recorders.items():
-        yield name, robot, list(node.frames()) if node is not None else heard
-
-
-# ---------------------------------------------------------------------- streams
-
-
-def true_packets(chunks: Sequence[tuple[bytes, float | None]], protocol: Any) -> Iterator[tuple[int, int]]:
-    """Packets by the rule of the protocol's own framings, also those that it has no message for."""
-    data = b"".join(chunk for chunk, _ in chunks)
-    silences: set[int] = set()
-    offset = 0
-    for (chunk, time), (_, following) in pairwise([*chunks, (b"", None)]):
-        offset += len(chunk)
-        if time is None or following is None or following - time > 0.001:
-            silences.add(offset)
-    extras = {framing: framing.extras_of(protocol.messages.values()) for framing in protocol.framings}
-    at = 0
-    while at < len(data):
-        end = (
-            min((one for one in silences if one > at), default=len(data)) if len(silences) > 1 else len(data)
-        )
-        verdicts = (framing.judge(data[:end], at, extras=extras[framing]) for framing in protocol.framings)
-        size = next((one.size for one in verdicts if one.verdict is Verdict.WHOLE), 0)
-        if size:
-            yield at, at + size
-        at += size or 1
-
-
-def score_stream(
-    name: str, chunks: Sequence[tuple[bytes, float | None]], protocol: Any, framing: Framing | None
-) -> Scores:
-    """The packets of a stream against those that its own protocol's scanner finds."""
-    scores = Scores(name, STREAMS)
-    traffic = StreamTraffic()
-    for data, time in chunks:
-        traffic.add(data, time)
-    guess = traffic.guess(known=False)
-    truth = set(true_packets(chunks, protocol))
-    said = {(span.start, span.end) for line in guess.spans for span in line}
-    # Marks in front of a packet belong to neither.
-    scores.by["packets"].add(len(truth & said), len(said), len(truth))
-    if len(truth & said) < 0.95 * len(truth):
-        scores.wrong.append(f"{name}: {len(truth & said)} of {len(truth)} packets; {len(said)} said")
-    data = b"".join(chunk for chunk, _ in chunks)
-    if len({data[start:end] for start, end in truth}) < 8:
-        return scores  # Of a few packets again and again nothing says which bytes are a check.
-    best = max(guess.framings, key=lambda one: one.packets, default=None)
-    if framing is not None:
-        _score_framing(scores, best, framing)
-    elif best is not None:
-        scores.by["check"].add(best.check is not None, 1, 1)
-    return scores
-
-
-def _score_framing(scores: Scores, best: FramingGuess | None, framing: Framing) -> None:
-    name = scores.name
-    if framing.sync:
-        right = best is not None and best.sync == framing.sync
-        scores.by["sync"].add(right, best is not None and bool(best.sync), 1)
-        if not right:
-            scores.wrong.append(f"{name}: sync {best.sync.hex() if best else None}, is {framing.sync.hex()}")
-    if framing.affine is not None:
-        head = framing.affine.length
-        rule = best.length if best is not None else None
-        right = rule is not None and (rule.offset, rule.width, rule.constant) == (
-            head.offset,
-            head.size,
-            framing.affine.constant,
-        )
-        scores.by["length"].add(right, rule is not None, 1)
-        if not right:
-            scores.wrong.append(
-                f"{name}: length {rule}, is {head.size} bytes at {head.offset} plus {framing.affine.constant}"
-            )
-    if framing.check is not None or (best is not None and best.is_checked):
-        made = framing_check(best) if best is not None else None
-        probe = b"\x31\x32\x33\x34\x35\x36\x37\x38\x39"
-        right = (
-            made is not None
-            and framing.check is not None
-            and (made.compute(probe) == framing.check.compute(probe) and made.order == framing.check.order)
-        )
-        scores.by["check"].add(right, best is not None and best.is_checked, int(framing.check is not None))
-        if not right:
-            is_ = framing.check.describe if framing.check is not None else None
-            scores.wrong.append(f"{name}: check {made.describe if made else None}, is {is_}")
-
-
-def drawn_packets(protocol: Protocol, seed: int = 1) -> bytes:
-    """Packets of a spec, valid and otherwise at random."""
-    dice = Dice(seed)
-    picker = random.Random(seed)
-    messages = list(protocol.messages.values())
-    return b"".join(draw_packet(picker.choice(messages), dice).image for _ in range(DRAWN))
-
-
-SERIAL_TWINS = (
-    ("robotis_rx", "robotis"),
-    ("feetech", "feetech"),
-    ("dynamixel", "dynamixel"),
-    ("modbus", "modbus"),
-    ("nmea0183", "nmea0183"),
-    ("ubx", "ubx"),
-    ("vesc_uart", "vesc_uart"),
-    ("minihubo_adc", "minihubo_adc"),
-)
-
-
-def streams_of_specs() -> Iterator[tuple[str, Sequence[tuple[bytes, float | None]], Any, Framing | None]]:
-    """Twins on serial lines, and packets drawn of specs that have none."""
-    from tests.specs.cobs import cobs
-    from tests.specs.mavlink1 import mavlink1
-    from tests.specs.slip import slip
-    from tests.specs.xbus_like import xbus_like
-
-    for driver, name in SERIAL_TWINS:
-        protocol = load_protocol(name)
-        for wire, _, heard in twin_traffic(driver):
-            framings = protocol.framings
-            yield f"twin {driver} {wire}", heard, protocol, framings[0] if len(framings) == 1 else None
-    for protocol in (load_protocol("ubx"), load_protocol("vesc_uart"), cobs, slip, mavlink1, xbus_like):
-        data = drawn_packets(protocol)
-        yield f"drawn {protocol.name}", [(data, None)], protocol, protocol.framings[0]
-
-
-def streams_of_others(
-    shared: Path,
-) -> Iterator[tuple[str, Sequence[tuple[bytes, float | None]], Any, Framing | None]]:
-    """Recordings made by others; of MIP's the framing as its maker describes it."""
-    mip = Protocol("mip", link="serial")
-    whole = mip.framing(
-        sync=b"\x75\x65",
-        header=Struct("set" / Byte, "length" / Byte),
-        size=this.length + 6,
-        max_size=261,
-        check=Fletcher(over=slice(0, -2)),
-    )
-    if (shared / "streams/mip-imu.part.bin").exists():
-        data = (shared / "streams/mip-imu.part.bin").read_bytes()
-        yield "streams/mip-imu.part.bin", [(data, None)], mip, whole
-    for path, name in (
-        ("streams/ubx-nav.bin", "ubx"),
-        ("streams/ubx-mon.bin", "ubx"),
-        ("streams/ubx-rxm.bin", "ubx"),
-        ("streams/nmea-gnss.txt", "nmea0183"),
-        ("streams/nmea-maritime.txt", "nmea0183"),
-        ("streams/nmea-lowercase-check.txt", "nmea0183"),
-        ("adc/minihubo_adc_part1.bin", "minihubo_adc"),
-        ("robotis/positioning.to-servo.truncated.bin", "robotis"),
-    ):
-        if (shared / path).exists():
-            protocol = load_protocol(name)
-            yield path, [((shared / path).read_bytes(), None)], protocol, protocol.framings[0]
-
-
 # ---------------------------------------------------------------------- the tables
 
 
@@ -638,21 +354,6 @@ def messages_of_others(shared: Path) -> Iterator[Scores]:
         with open_recording(folder / "candumpSample2.txt") as entries:
             frames = [one for one in entries if isinstance(one, Frame)]
         yield grouped("nmea2000/candumpSample2.txt", can_rows(frames, protocol, least=5))
-
-
-def table(title: str, lines: Sequence[Scores]) -> None:
-    """Precision, recall, F1 and how many there are, a line each and all together."""
-    if not lines:
-        return
-    kinds = lines[0].kinds
-    print(f"\n{title}: precision, recall, F1 (how many there are)")
-    print(f"{'':34}" + "".join(f"{kind:>24}" for kind in kinds))
-    total = Scores("all", kinds)
-    for line in lines:
-        print(f"{line.name[:33]:34}" + "".join(f"{line.by[kind]!s:>24}" for kind in kinds))
-        total.merge(line)
-    if len(lines) > 1:
-        print(f"{'all':34}" + "".join(f"{total.by[kind]!s:>24}" for kind in kinds))
 
 
 def grouped(name: str, some: Iterable[tuple[str, Array, list[Truth], bytes, str]]) -> Scores:

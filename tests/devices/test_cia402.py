@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Generator
-from contextlib import contextmanager
 from typing import Any
 
 import pytest
 
 from aces_bus import Frame
-from aces_bus.device import UNKNOWN, stop_devices, wait_stopped
+from aces_bus.device import stop_devices, wait_stopped
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError
 from aces_bus.hardware import CanGate
 from aces_bus.hardware.ports import port_of
@@ -24,52 +22,9 @@ from aces_devices.cia402 import driver
 from aces_devices.cia402.dictionary import dictionary_of
 from aces_devices.cia402.states import drive_state, emergency_text
 from aces_devices.cia402.twin import Cia402Twin
+from tests.devices.cia402_drive import ONE, changes, frames, load_cia402, one_drive, running_drive
 
 test_driver = driver_tests(driver)
-
-ONE = """
-name = "one"
-rate_hz = 100
-[buses]
-drives = { link = "can", protocol = "canopen", bitrate = 1_000_000 }
-[devices]
-D = { driver = "cia402", bus = "drives", credentials = { node = 5 }, settings = { SETTINGS } }
-[joints]
-J = { device = "D", channel = 0, lower = -1.5, upper = 1.5, MORE }
-"""
-
-
-def _robot(settings: str = "", more: str = 'command = "position"') -> Any:
-    text = ONE.replace("SETTINGS", f"counts_per_turn = 100_000, {settings}".rstrip(", ")).replace(
-        "MORE", more
-    )
-    robot, problems = parse_robot(text, "one.toml")
-    assert robot is not None, problems
-    return robot
-
-
-def _load(name: str) -> Any:
-    assert name == "cia402"
-    return driver
-
-
-@contextmanager
-def _running(settings: str = "", more: str = 'command = "position"', enabled: bool = True) -> Generator[Any]:
-    """One drive that is set up, and enabled."""
-    with VirtualRobot(_robot(settings, more), rate_hz=100, load=_load) as robot:
-        robot.advance(0.5)
-        if enabled:
-            robot.devices["D"].enable().wait(5)
-        yield robot
-
-
-def _frames(recorder: ListeningNode, *identifiers: int) -> list[str]:
-    return [f.data.hex(" ").upper() for f in recorder.frames() if f.arbitration_id in identifiers]
-
-
-def _changes(items: list[str]) -> list[str]:
-    """Without repetitions in a row."""
-    return [one for n, one in enumerate(items) if n == 0 or one != items[n - 1]]
 
 
 # ---------------------------------------------------------------------- bytes
@@ -77,10 +32,10 @@ def _changes(items: list[str]) -> list[str]:
 
 def test_enabling_is_the_controlwords_of_the_standard() -> None:
     """0006, 0007, 000F in RPDO 1 with mode and position, one each tick, as the state machine goes on; SYNC follows."""
-    with _running(enabled=False) as robot:
+    with running_drive(enabled=False) as robot:
         recorder = ListeningNode(robot.wires["drives"])
         robot.devices["D"].enable().wait(5)
-        sent = _changes(_frames(recorder, 0x205))
+        sent = changes(frames(recorder, 0x205))
         assert sent == [
             "00 00 00 00 00 00 01",
             "06 00 00 00 00 00 01",
@@ -94,27 +49,27 @@ def test_enabling_is_the_controlwords_of_the_standard() -> None:
 
 def test_setting_up_is_what_the_facts_have() -> None:
     """Identity is read, the heartbeat written, the node started: the frames of the facts, for node 5."""
-    with VirtualRobot(_robot("heartbeat_ms = 1000"), rate_hz=100, load=_load) as robot:
+    with VirtualRobot(one_drive("heartbeat_ms = 1000"), rate_hz=100, load=load_cia402) as robot:
         recorder = ListeningNode(robot.wires["drives"])
         robot.advance(1.5)
-        sent = _frames(recorder, 0x605)
+        sent = frames(recorder, 0x605)
         assert sent[0] == "40 00 10 00 00 00 00 00"
         assert "2B 17 10 00 E8 03 00 00" in sent
-        assert _frames(recorder, 0x000) == ["01 05"]  # once, also with the boot-up message between
-        assert _frames(recorder, 0x705)[0] == "00"
-        assert "05" in _frames(recorder, 0x705)
+        assert frames(recorder, 0x000) == ["01 05"]  # once, also with the boot-up message between
+        assert frames(recorder, 0x705)[0] == "00"
+        assert "05" in frames(recorder, 0x705)
 
 
 def test_every_worked_example_reaches_the_drive() -> None:
     """Mode 8, controlword 000F, target −1000 and the statusword, byte for byte as in the facts, are sent and received."""
-    with _running(enabled=False) as robot:
+    with running_drive(enabled=False) as robot:
         recorder = ListeningNode(robot.wires["drives"])
         device = robot.devices["D"]
         device.write("0x6060", 8, confirm=True).wait(1)
         device.write("controlword", 0x0F, confirm=True).wait(1)
         device.write("607A", -1000, confirm=True).wait(1)
         device.read("Statusword").wait(1)
-        assert _frames(recorder, 0x605) == [
+        assert frames(recorder, 0x605) == [
             "2F 60 60 00 08 00 00 00",
             "2B 40 60 00 0F 00 00 00",
             "23 7A 60 00 18 FC FF FF",
@@ -129,11 +84,11 @@ def test_every_worked_example_reaches_the_drive() -> None:
 
 def test_written_pdos_are_the_mapping_of_the_facts() -> None:
     """With pdo = "write" RPDO 1 is 6040 and 607A first: 000F and −1000 make `0F 00 18 FC FF FF` as in the facts."""
-    with _running('pdo = "write", mode = "cyclic_position"') as robot:
+    with running_drive('pdo = "write", mode = "cyclic_position"') as robot:
         recorder = ListeningNode(robot.wires["drives"])
         robot["J.position"].set(-1000 / 100_000 * 6.283185307179586)
         robot.advance(0.1)
-        assert _frames(recorder, 0x205)[-1].startswith("0F 00 18 FC FF FF")
+        assert frames(recorder, 0x205)[-1].startswith("0F 00 18 FC FF FF")
         assert robot["J.position"].value == pytest.approx(-0.0628, abs=1e-3)
 
 
@@ -142,14 +97,14 @@ def test_written_pdos_are_the_mapping_of_the_facts() -> None:
 
 def test_profile_position_hands_over_each_target() -> None:
     """Bit 4 rises with the target, falls when it was taken; a target set meanwhile follows."""
-    with _running() as robot:
+    with running_drive() as robot:
         recorder = ListeningNode(robot.wires["drives"])
         robot["J.position"].set(0.5)
         robot["J.position"].set(0.2)
         robot.advance(0.5)
         robot["J.position"].set(1.0)
         robot.advance(3)
-        words = [one[:2] for one in _changes([f[:5] for f in _frames(recorder, 0x205)])]
+        words = [one[:2] for one in changes([f[:5] for f in frames(recorder, 0x205)])]
         assert words[:4] in (["3F", "0F", "3F", "0F"], ["0F", "3F", "0F", "3F"])
         assert robot["J.position"].value == pytest.approx(1.0, abs=1e-4)
         assert robot["J.reached"].value is True
@@ -157,7 +112,7 @@ def test_profile_position_hands_over_each_target() -> None:
 
 def test_velocity_and_torque_modes_take_their_own_set_points() -> None:
     """A mode's target can be set and nothing else; another mode begins with no speed and no torque."""
-    with _running() as robot:
+    with running_drive() as robot:
         device = robot.devices["D"]
         assert [robot[f"J.{name}"].is_writable for name in ("position", "velocity", "torque")] == [
             True,
@@ -186,7 +141,7 @@ def test_velocity_and_torque_modes_take_their_own_set_points() -> None:
 
 def test_a_mode_that_the_drive_does_not_have_is_told() -> None:
     """Without cyclic torque among the drive's modes: after a second the driver says so."""
-    with _running() as robot:
+    with running_drive() as robot:
         robot.twins["D"].axes[0].objects[0x6502] = 0x3
         with pytest.raises(DeviceError, match="does not go into mode cyclic_torque"):
             robot.devices["D"].set_mode("cyclic_torque").wait(5)
@@ -194,7 +149,7 @@ def test_a_mode_that_the_drive_does_not_have_is_told() -> None:
 
 def test_objects_that_no_pdo_has_go_over_sdo() -> None:
     """The target of velocity mode, 6042, is mapped nowhere: it is written as an object."""
-    with _running('mode = "velocity"', more='command = "speed"') as robot:
+    with running_drive('mode = "velocity"', more='command = "speed"') as robot:
         robot["J.velocity"].set(0.3)
         robot.advance(1)
         assert robot["J.velocity"].value == pytest.approx(0.3, rel=0.01)
@@ -202,7 +157,7 @@ def test_objects_that_no_pdo_has_go_over_sdo() -> None:
 
 def test_set_points_of_a_disabled_axis_are_dropped() -> None:
     """Before it is enabled nothing moves, and the dropped set-point is told; enabling holds where it is."""
-    with _running(enabled=False) as robot:
+    with running_drive(enabled=False) as robot:
         robot["J.position"].set(1.0)
         robot.advance(0.05)
         assert "J is not enabled but switch on disabled" in robot.events.of("not sent")[0].detail
@@ -213,20 +168,20 @@ def test_set_points_of_a_disabled_axis_are_dropped() -> None:
 
 def test_a_drive_that_is_enabled_already_stays_so() -> None:
     """A second program's set-point, given before the drive was heard, moves it; its first controlword is 000F."""
-    with _running("watchdog_ms = 0") as robot:
+    with running_drive("watchdog_ms = 0") as robot:
         robot.rig.close()
-        second = connect(robot.robot, robot.ports("second"), rate_hz=100, load=_load)
+        second = connect(robot.robot, robot.ports("second"), rate_hz=100, load=load_cia402)
         with second:
             recorder = ListeningNode(robot.wires["drives"])
             second["J.position"].set(0.3)
             robot.advance(2)
-            assert _frames(recorder, 0x205)[0].startswith("3F 00")
+            assert frames(recorder, 0x205)[0].startswith("3F 00")
             assert second["J.position"].value == pytest.approx(0.3, abs=1e-3)
 
 
 def test_quick_stop_stops_a_movement() -> None:
     """Stopping ramps down within what 6085 allows, and the drive is not enabled any more."""
-    with _running() as robot:
+    with running_drive() as robot:
         robot["J.position"].set(1.4)
         robot.advance(0.2)
         moving = robot["J.position"].value
@@ -241,14 +196,14 @@ def test_quick_stop_stops_a_movement() -> None:
 
 def test_a_stop_does_not_wait_for_the_tick() -> None:
     """The controlword leaves at once, in the PDO or, where it is in none, over SDO, instead of transfers that wait."""
-    with _running() as robot:
+    with running_drive() as robot:
         robot["J.position"].set(1.4)
         robot.advance(0.203)
         recorder = ListeningNode(robot.wires["drives"])
         robot.devices["D"].stop_motion()
         robot.advance(0.0005)
         assert [(f.arbitration_id, f.data[:2].hex()) for f in recorder.frames()] == [(0x205, "0200")]
-    with _running() as robot:
+    with running_drive() as robot:
         device: Any = robot.devices["D"]
         device._takers.clear()  # as of a drive that has it in no PDO
         reads = [device.read(0x1008) for _ in range(5)]
@@ -256,7 +211,7 @@ def test_a_stop_does_not_wait_for_the_tick() -> None:
         recorder = ListeningNode(robot.wires["drives"])
         stop = device.stop_motion()
         robot.advance(0.0005)
-        assert _frames(recorder, 0x605) == ["2B 40 60 00 02 00 00 00"]
+        assert frames(recorder, 0x605) == ["2B 40 60 00 02 00 00 00"]
         robot.advance(0.3)
         assert {read.state for read in reads[2:]} == {"failed"}
         assert stop.state == "done"
@@ -266,7 +221,7 @@ def test_a_stop_does_not_wait_for_the_tick() -> None:
 @pytest.mark.parametrize("is_known", [False, True])
 def test_a_stop_reaches_a_drive_that_takes_no_pdos(is_known: bool) -> None:
     """Pre-operational, as its heartbeat says or does not say yet: it is stopped, and its statusword is read, over SDO."""
-    with _running() as robot:
+    with running_drive() as robot:
         robot["J.position"].set(1.0)
         robot.advance(0.3)
         twin, axis = robot.twins["D"], robot.twins["D"].axes[0]
@@ -282,7 +237,7 @@ def test_a_stop_reaches_a_drive_that_takes_no_pdos(is_known: bool) -> None:
 
 def test_a_stop_over_sdo_counts_when_the_statusword_says_so() -> None:
     """A drive that acknowledges the controlword and does not obey is named."""
-    with _running() as robot:
+    with running_drive() as robot:
         twin, axis = robot.twins["D"], robot.twins["D"].axes[0]
         twin.node.nmt.state = "PRE-OPERATIONAL"
         axis.written = lambda *_: None
@@ -293,7 +248,7 @@ def test_a_stop_over_sdo_counts_when_the_statusword_says_so() -> None:
 
 def test_stopping_ends_what_leads_the_drive_on() -> None:
     """A stop in the middle of enabling or homing has the last say: the job fails, and the drive stays disabled."""
-    with _running(enabled=False) as robot:
+    with running_drive(enabled=False) as robot:
         device = robot.devices["D"]
         for begin in (device.enable, device.home):
             job = begin()
@@ -306,7 +261,7 @@ def test_stopping_ends_what_leads_the_drive_on() -> None:
 
 def test_homing_sets_the_offset_and_says_when_it_fails() -> None:
     """Method 17 runs to the negative switch, whose count is 607C afterwards; without a switch the job fails by name."""
-    with _running() as robot:
+    with running_drive() as robot:
         device = robot.devices["D"]
         device.write("Home offset", -20_000, confirm=True).wait(1)
         job = device.home(method=17)
@@ -324,247 +279,12 @@ def test_homing_sets_the_offset_and_says_when_it_fails() -> None:
             device.home().wait(30)
 
 
-# ---------------------------------------------------------------------- trouble
-
-
-def test_a_following_error_is_a_fault_until_it_is_acknowledged() -> None:
-    """A blocked joint: EMCY 8611 is an alarm, the state is fault, enabling says what to do, resetting helps."""
-    with _running() as robot:
-        device, twin = robot.devices["D"], robot.twins["D"]
-        twin.fault("jammed")
-        robot["J.position"].set(1.0)
-        robot.advance(1)
-        assert robot["J.state"].value == "fault"
-        assert robot["D.error"].value == "0x8611, following error"
-        assert "0x8611" in robot.events.of("alarm")[0].detail
-        with pytest.raises(
-            DeviceError, match="J is in fault \\(0x8611, following error\\); reset_fault first"
-        ):
-            device.enable().wait(5)
-        twin.fault("jammed", on=False)
-        device.reset_fault().wait(5)
-        assert robot["D.error"].value == ""
-        assert robot.events.count("alarm over", "D") == 1
-        robot.advance(0.5)
-        assert robot["J.state"].value == "switch on disabled"
-        device.enable().wait(5)
-
-
-def test_a_fault_stays_while_its_cause_is_there() -> None:
-    """Over-voltage cannot be acknowledged away; resetting fails and names it."""
-    with _running() as robot:
-        robot.twins["D"].fault("over_voltage")
-        robot.advance(0.1)
-        with pytest.raises(DeviceError, match="J stays in fault: 0x3210, voltage inside"):
-            robot.devices["D"].reset_fault().wait(5)
-        robot.twins["D"].fault("over_voltage", on=False)
-        robot.devices["D"].reset_fault().wait(5)
-
-
-def test_a_hot_drive_warns() -> None:
-    """The warning bit is a signal, the emergency an alarm; both go."""
-    with _running() as robot:
-        robot.twins["D"].fault("hot")
-        robot.advance(0.1)
-        assert robot["J.warning"].value is True
-        assert robot["D.error"].value == "0x4210, device temperature"
-        robot.twins["D"].fault("hot", on=False)
-        robot.advance(0.1)
-        assert robot["J.warning"].value is False
-
-
-def test_a_reboot_is_told_and_leaves_the_drive_disabled() -> None:
-    """After its boot-up message the node is set up again; nothing that was known stays, nothing moves."""
-    with _running() as robot:
-        robot["J.position"].set(0.5)
-        robot.advance(2)
-        robot.twins["D"].reboot()
-        robot.advance(0.004)
-        assert robot["J.position"].value is UNKNOWN or robot["J.state"].value != "operation enabled"
-        robot.advance(1)
-        assert robot.events.count("rebooted", "D") == 1
-        assert robot["J.state"].value == "switch on disabled"
-        assert robot["J.position"].value == pytest.approx(0.5, abs=1e-3)
-        robot.devices["D"].enable().wait(5)
-
-
-def test_a_node_without_sync_falls_silent_by_its_heartbeat() -> None:
-    """A drive that sends by itself is missed when neither PDOs nor heartbeats come."""
-    with _running('pdo = "write", sync = false, heartbeat_ms = 100') as robot:
-        assert not [f for f in (ListeningNode(robot.wires["drives"]).frames()) if f.arbitration_id == 0x80]
-        robot.twins["D"].fault("silent")
-        robot.advance(1)
-        assert "no heartbeat for" in robot.events.of("silent")[0].detail
-        assert robot["J.position"].is_stale
-        robot.twins["D"].fault("silent", on=False)
-        robot.advance(1)
-        assert robot.events.count("answers", "D") == 1
-        assert robot["J.position"].value == 0
-
-
-def test_a_lost_heartbeat_alone_makes_the_network_state_unknown() -> None:
-    """PDOs go on; the state of the node is stale."""
-    with _running("heartbeat_ms = 100") as robot:
-        robot.twins["D"].fault("no_heartbeat")
-        robot.advance(1)
-        assert robot["D.network"].value is UNKNOWN
-        assert robot["J.state"].value == "operation enabled"
-
-
-def test_a_stopped_node_is_not_expected_to_answer() -> None:
-    """After NMT stop no PDO comes and nobody complains; after start they come again."""
-    with _running(enabled=False) as robot:
-        robot.devices["D"].nmt("stop").wait(1)
-        robot.advance(1)
-        assert robot["D.network"].value == "stopped"
-        assert robot["J.position"].is_stale
-        assert robot.events.count("silent") == 0
-        robot.devices["D"].nmt("start").wait(1)
-        robot.advance(0.2)
-        assert robot["J.position"].value == 0
-        with pytest.raises(CallerError, match="no command 'go'"):
-            robot.devices["D"].nmt("go")
-
-
-def test_a_refused_set_up_is_an_alarm_with_what_to_do() -> None:
-    """A drive that refuses SDO cannot be set up; that is told with the object and the reason, again and again not."""
-    with VirtualRobot(_robot(), rate_hz=100, load=_load) as robot:
-        robot.twins["D"].fault("refuses")
-        robot.advance(1)
-        assert "cannot be set up: D refuses object 1000:0" in robot.events.of("alarm")[0].detail
-        robot.twins["D"].fault("refuses", on=False)
-        robot.advance(3)
-        assert robot.devices["D"].is_set_up
-
-
-def test_a_mapping_that_cannot_work_says_how_to_change_it() -> None:
-    """The drive sends its statusword on events where SYNC is expected: named, with the settings that help."""
-    with VirtualRobot(_robot(), rate_hz=100, load=_load) as robot:
-        robot.twins["D"].node.set_data(0x1800, 2, b"\xff")
-        robot.advance(0.5)
-        detail = robot.events.of("alarm")[0].detail
-        assert "PDO 1 is sent by transmission type 255, not at each SYNC" in detail
-        assert 'pdo = "write"' in detail
-
-
-# ---------------------------------------------------------------------- the watch over the host
-
-
-def test_an_enabled_drive_watches_over_the_host() -> None:
-    """Enabling writes object 1016 (node 127, 500 ms) before the first controlword; heartbeats come; stopping ends it."""
-    with _running(enabled=False) as robot:
-        recorder = ListeningNode(robot.wires["drives"])
-        robot.devices["D"].enable().wait(5)
-        robot.advance(2)
-        assert "23 16 10 01 F4 01 7F 00" in _frames(recorder, 0x605)
-        first = [
-            f.arbitration_id for f in recorder.frames() if f.arbitration_id == 0x605 or f.data[:1] == b"\x06"
-        ]
-        assert first[0] == 0x605
-        assert set(_frames(recorder, 0x77F)) == {"05"}
-        assert len(_frames(recorder, 0x77F)) >= 4 * 3
-        assert robot["J.state"].value == "operation enabled"
-        assert robot.devices["D"].alone_s == 0.5
-        robot.devices["D"].stop_motion().wait(2)
-        assert robot.devices["D"].alone_s is None
-        assert "23 16 10 01 00 00 7F 00" in _frames(recorder, 0x605)
-        before = len(_frames(recorder, 0x77F))
-        robot.advance(2)
-        assert len(_frames(recorder, 0x77F)) <= before + 1
-        assert robot.events.count("alarm") == 0
-
-
-def test_a_drive_without_its_host_goes_into_fault_and_is_enabled_anew() -> None:
-    """No heartbeat for 500 ms: it disables itself with emergency 8130; acknowledged and enabled, it works again."""
-    with _running() as robot:
-        recorder = ListeningNode(robot.wires["drives"])
-        device, axis = robot.devices["D"], robot.twins["D"].axes[0]
-        port = device.host.port
-        send = port.send
-        port.send = lambda frame, *a, **k: (
-            True if getattr(frame, "arbitration_id", 0) == 0x77F else send(frame, *a, **k)
-        )
-        robot.advance(0.3)
-        assert axis.state == "operation enabled"
-        robot.advance(0.4)
-        assert axis.state == "fault"
-        assert _frames(recorder, 0x085) == ["30 81 11 00 00 00 00 00"]
-        assert "heartbeat" in robot["D.error"].value
-        port.send = send
-        robot.advance(1)
-        assert robot["D.network"].value == "pre_operational"
-        device.stop_motion().wait(2)  # over SDO: it takes no PDOs
-        device.reset_fault().wait(5)
-        device.enable().wait(5)
-        robot.advance(1)
-        assert robot["J.state"].value == "operation enabled"
-
-
-@pytest.mark.parametrize(
-    ("option", "state"), [(2, "switch on disabled"), (3, "switch on disabled"), (0, "fault")]
-)
-def test_what_a_drive_does_without_its_host_is_its_own_affair(option: int, state: str) -> None:
-    """Object 6007 as it is there counts (disable, quick stop); only "nothing" is made a fault."""
-    with _running(enabled=False) as robot:
-        device = robot.devices["D"]
-        device.write("6007", option, confirm=True).wait(1)
-        device.enable().wait(5)
-        device.host.close()
-        robot.advance(2)
-        axis = robot.twins["D"].axes[0]
-        axis.advance(robot.clock.now())
-        assert axis.state == state
-
-
-def test_one_heartbeat_a_bus() -> None:
-    """Two drives, one of them stopped: one heartbeat goes on, as often as the shorter watch wants."""
-    text = ONE.replace("SETTINGS", "counts_per_turn = 100_000").replace(", MORE", "")
-    text += 'K = { device = "E", channel = 0, lower = -1, upper = 1 }\n'
-    text = text.replace(
-        "[joints]",
-        'E = { driver = "cia402", bus = "drives", credentials = { node = 6 },'
-        " settings = { counts_per_turn = 1000, watchdog_ms = 200 } }\n[joints]",
-    )
-    robot, problems = parse_robot(text, "two.toml")
-    assert robot is not None, problems
-    with VirtualRobot(robot, rate_hz=100, load=_load) as two:
-        two.advance(0.5)
-        for name in ("D", "E"):
-            two.devices[name].enable().wait(5)
-        recorder = ListeningNode(two.wires["drives"])
-        two.advance(2)
-        assert 38 <= len(_frames(recorder, 0x77F)) <= 42
-        two.devices["D"].stop_motion().wait(2)
-        two.advance(2)
-        assert two["K.state"].value == "operation enabled"
-        assert len(_frames(recorder, 0x77F)) > 70
-
-
-def test_a_watch_that_cannot_be_had_is_an_error_with_the_way_out() -> None:
-    """All entries of 1016 watch others: enabling fails and says so; watchdog_ms = 0 does without."""
-    with _running(enabled=False) as robot:
-        device = robot.devices["D"]
-        for entry in (1, 2):
-            device.write(f"1016:{entry}", (entry << 16) + 100, confirm=True).wait(1)
-        with pytest.raises(
-            DeviceError, match=r"all 2 entries of object 1016 watch other nodes.*watchdog_ms = 0"
-        ):
-            device.enable().wait(5)
-        assert robot.twins["D"].axes[0].state == "switch on disabled"
-    with _running("watchdog_ms = 0") as robot:
-        recorder = ListeningNode(robot.wires["drives"])
-        robot.advance(1)
-        assert _frames(recorder, 0x77F) == []
-    with pytest.raises(CallerError, match="host_node = 5 is the node's own number"):
-        VirtualRobot(_robot("host_node = 5"), rate_hz=100, load=_load)
-
-
 def test_long_objects_are_read_and_written_in_segments() -> None:
     """The device's name has 14 bytes; reading it takes two segments."""
-    with _running(enabled=False) as robot:
+    with running_drive(enabled=False) as robot:
         recorder = ListeningNode(robot.wires["drives"])
         assert robot.devices["D"].read("Device name").wait(1) == "aces-bus drive"
-        assert [one[:2] for one in _frames(recorder, 0x605)] == ["40", "60", "70"]
+        assert [one[:2] for one in frames(recorder, 0x605)] == ["40", "60", "70"]
         found = robot.devices["D"].identity().wait(1)
         assert found["type"] == 0x20192
         assert found["name"] == "aces-bus drive"
@@ -572,7 +292,7 @@ def test_long_objects_are_read_and_written_in_segments() -> None:
 
 def test_writing_wants_a_word() -> None:
     """A write without confirm=true is refused before anything is sent; so is a value that does not fit."""
-    with _running(enabled=False) as robot:
+    with running_drive(enabled=False) as robot:
         device = robot.devices["D"]
         with pytest.raises(CallerError, match="confirm=true"):
             device.write("607A", 5)
@@ -599,7 +319,7 @@ def test_files_that_are_none_are_refused(tmp_path: Any) -> None:
     robot, _ = parse_robot(text, "one.toml")
     assert robot is not None
     with pytest.raises(CallerError, match="needs its counts"):
-        VirtualRobot(robot, load=_load)
+        VirtualRobot(robot, load=load_cia402)
 
 
 def test_statuswords_and_codes() -> None:
@@ -640,7 +360,7 @@ def test_a_drive_of_two_axes(tmp_path: Any) -> None:
     )
     robot, problems = parse_robot(text, "two.toml")
     assert robot is not None, problems
-    with VirtualRobot(robot, rate_hz=100, load=_load) as running:
+    with VirtualRobot(robot, rate_hz=100, load=load_cia402) as running:
         running.advance(0.5)
         device = running.devices["D"]
         device.enable("K").wait(5)
@@ -672,7 +392,7 @@ def test_canopens_own_drive_class_drives_the_twin() -> None:
     logging.getLogger("canopen").setLevel(logging.CRITICAL)
     with Loop() as loop:
         gate = CanGate({"interface": "aces", "channel": "cia402 twin"}, name="drives")
-        simulation = simulate(_robot(), {"drives": port_of(gate, loop)}, load=_load)
+        simulation = simulate(one_drive(), {"drives": port_of(gate, loop)}, load=load_cia402)
         with simulation:
             network = canopen.Network()
             network.NOTIFIER_CYCLE = 0.01
@@ -701,12 +421,12 @@ def test_canopens_own_drive_class_drives_the_twin() -> None:
 @pytest.mark.slow
 def test_driver_and_twin_meet_in_real_time() -> None:
     """On two gates of one bus, each with the loop's thread: set up, enabled, moved, without a sleep."""
-    robot = _robot()
+    robot = one_drive()
     with Loop() as loop:
         gates = [CanGate({"interface": "aces", "channel": "cia402 real"}, name=f"gate {n}") for n in (1, 2)]
         with (
-            simulate(robot, {"drives": port_of(gates[0], loop)}, load=_load),
-            connect(robot, {"drives": port_of(gates[1], loop)}, rate_hz=100, load=_load) as rig,
+            simulate(robot, {"drives": port_of(gates[0], loop)}, load=load_cia402),
+            connect(robot, {"drives": port_of(gates[1], loop)}, rate_hz=100, load=load_cia402) as rig,
         ):
             device: Any = rig.devices["D"]
             assert loop.wait(lambda: device.is_set_up, 3_000_000_000)
@@ -726,7 +446,7 @@ def test_a_twins_axes_are_there_before_its_node_speaks(monkeypatch: pytest.Monke
         add_node(self, dictionary)
 
     monkeypatch.setattr(Cia402Twin, "add_node", recorded)
-    with VirtualRobot(_robot(), rate_hz=100, load=_load) as robot:
+    with VirtualRobot(one_drive(), rate_hz=100, load=load_cia402) as robot:
         robot.twins["D"].reboot()
     assert known == [True, True]
 
@@ -737,7 +457,7 @@ def test_the_driver_speaks_to_a_bare_node_of_canopen() -> None:
     from aces_devices.canopen_node.network import StationNetwork
 
     robot = VirtualRobot(
-        _robot('sync = false, pdo = "file"', 'command = "position"'), rate_hz=100, load=_load
+        one_drive('sync = false, pdo = "file"', 'command = "position"'), rate_hz=100, load=load_cia402
     )
     port = robot.ports("bare")["drives"]
     node = canopen.LocalNode(5, dictionary_of(None, 5))

@@ -7,7 +7,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import settings
 
-from tests.laws import bit_arithmetic, drawn_specs
+from tests.laws import bit_arithmetic, drawn_specs, spec_drawing
 
 #: Specs in the short profile.
 SHORT = 60
@@ -15,7 +15,7 @@ SHORT = 60
 
 def _holds(seeds: range) -> drawn_specs.Outcome:
     outcome = drawn_specs.run(seeds)
-    shown = [f"seed {seed}\n{drawn_specs.draw(seed).source}\n{what}" for seed, what in outcome.failures[:3]]
+    shown = [f"seed {seed}\n{spec_drawing.draw(seed).source}\n{what}" for seed, what in outcome.failures[:3]]
     assert not shown, "\n\n".join(shown)
     return outcome
 
@@ -35,7 +35,7 @@ def test_many_drawn_specs_mean_what_bit_arithmetic_says() -> None:
 
 def test_drawn_specs_are_of_many_kinds() -> None:
     """Among some hundreds there is every word, and the shapes that generated code got wrong once."""
-    texts = "\n".join(drawn_specs.draw(seed).source for seed in range(1, 600))
+    texts = "\n".join(spec_drawing.draw(seed).source for seed in range(1, 600))
     words = (
         *("BitLayout(", "Multiplexed(", "Split(", "Tuple(", "SignMagnitude(", "Enumeration(", "Flags("),
         *(

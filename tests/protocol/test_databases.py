@@ -17,7 +17,7 @@ from aces_bus.protocol.exchange import import_dbc as dbc
 from aces_bus.protocol.exchange import load_database
 from aces_bus.protocol.generate import load as loading
 from aces_bus.protocol.record import field_names
-from tests.protocol.test_foreign import CAR, EDS, imported, laws_hold, reasons
+from tests.protocol.imported import CAR, EDS, imported, laws_hold, reasons
 
 cantools = pytest.importorskip("cantools")
 
