@@ -17,6 +17,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from ._lazy import np
+from .errors import CaptureError
 from .frames import Frame
 
 if TYPE_CHECKING:
@@ -207,6 +208,32 @@ class FrameTable:
             np.concatenate([widened(t.data, width) for t in tables]),
             tables[0].channels,
         )
+
+
+def joined_tables(tables: Iterable[FrameTable], least: int, *, is_live: bool = False) -> Iterator[FrameTable]:
+    """Tables put together to at least so many rows, but for the last; those of a live source as they come.
+
+    Where reading stops with a `CaptureError`, what was read before comes first.
+    """
+    waiting: list[FrameTable] = []
+    rows = 0
+    failure: CaptureError | None = None
+    try:
+        for table in tables:
+            waiting.append(table)
+            rows += len(table)
+            if rows >= least or (rows and is_live):
+                whole = FrameTable.concat(waiting)
+                waiting, rows = [], 0
+                del table
+                yield whole
+                del whole  # one piece at a time is in memory
+    except CaptureError as error:
+        failure = error
+    if waiting:
+        yield FrameTable.concat(waiting)
+    if failure is not None:
+        raise failure
 
 
 def rows_at(data: Ints, places: Ints) -> Ints:

@@ -8,14 +8,14 @@
 from __future__ import annotations
 
 import typing
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, BinaryIO
 
 import numpy as np
 
 from ..errors import CallerError
-from ..frame_table import NO_TIME, FrameTable, Ints, to_ns
+from ..frame_table import NO_TIME, FrameTable, Ints, joined_tables, to_ns
 from ..protocol import Protocol, Variant, load_protocol
 from ..protocol.columns.decode import feed
 from ..protocol.columns.scanner import make_column_scanner
@@ -176,7 +176,7 @@ class RecordingComparer:
             else None
         )
         passed: list[Ints] = []
-        for frames in _joined(each(capture.tables())):
+        for frames in joined_tables(each(capture.tables()), PIECE):
             kept = np.ones(len(frames), bool) if self.wanted is None else passing(self.wanted, frames)
             mine = frames if self.wanted is None else frames.take(np.flatnonzero(kept))
             if self.wanted is not None and scanner is not None:
@@ -260,18 +260,6 @@ class RecordingComparer:
         changes.sort(key=lambda one: -one.score)
         telling = [one for one in changes if one.score >= least]
         return RecordingComparison(self.a, self.b, telling, len(changes) - len(telling))
-
-
-def _joined(tables: Iterable[FrameTable]) -> Iterator[FrameTable]:
-    """The same frames in larger pieces: what a piece costs for each identifier is paid less often."""
-    waiting: list[FrameTable] = []
-    for table in tables:
-        waiting.append(table)
-        if sum(map(len, waiting)) >= PIECE:
-            yield FrameTable.concat(waiting)
-            waiting = []
-    if waiting:
-        yield FrameTable.concat(waiting)
 
 
 def _see(side: ComparedSide, times: Ints) -> None:

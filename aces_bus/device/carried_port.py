@@ -17,25 +17,25 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Hashable, Sequence
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 from ..frames import Frame
 from ..protocol import Variant
 from ..protocol.declare.transport import Transport
 from ..protocol.keys import EXTENDED, key_of
-from ..runtime import EventClock
 from .incoming_packet import IncomingPacket
 from .outgoing_packet import OutgoingPacket
-from .port import Left, Port
+from .port import Left, Port, UpperPort
 
 
-class CarriedPort:
+class CarriedPort(UpperPort):
     """A port that knows the transports of some protocols; `is_ours(key, data)` says whose packet a first frame begins."""
 
     def __init__(
         self, port: Port, variants: Sequence[Variant], is_ours: Callable[[int, bytes], bool]
     ) -> None:
-        self.port, self._is_ours = port, is_ours
+        super().__init__(port)
+        self._is_ours = is_ours
         messages = [m for variant in variants for m in variant.messages.values()]
         self._transports = list(dict.fromkeys(m.transport for m in messages if m.transport is not None))
         self._messages = messages
@@ -46,26 +46,6 @@ class CarriedPort:
         self._in: dict[tuple[int, Hashable], IncomingPacket] = {}
         #: Packets that did not leave whole.
         self.failed = 0
-
-    @property
-    def link(self) -> Literal["can", "serial", "datagram"]:
-        """The link of the port below; likewise its clock, name and half_duplex."""
-        return self.port.link
-
-    @property
-    def clock(self) -> EventClock:
-        """The clock of the port below."""
-        return self.port.clock
-
-    @property
-    def name(self) -> str:
-        """The name of the port below."""
-        return self.port.name
-
-    @property
-    def half_duplex(self) -> bool:
-        """As of the port below."""
-        return self.port.half_duplex
 
     @property
     def under_way(self) -> int:
@@ -80,10 +60,6 @@ class CarriedPort:
             received(frame, instant)
 
         self.port.open(steer)
-
-    def on_event(self, handler: Callable[[str, str], Any]) -> None:
-        """As of the port below."""
-        self.port.on_event(handler)
 
     def wire_ns(self, packet: Any) -> int:
         """How long a frame, or all frames of a packet, occupy the bus (ns)."""

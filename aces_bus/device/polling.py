@@ -17,7 +17,7 @@ from .declared import Poll
 from .device import Device
 from .half_duplex import NEVER_NS
 from .poll import PollSlot
-from .station import shown
+from .station import credential_text
 from .ticket import Ticket
 
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ class Polling:
             except FieldError as error:
                 raise CallerError(
                     f"{host.name} {member.name}: it cannot be asked: {error}; its credentials are:"
-                    f" {shown(member.credentials) or 'none'}"
+                    f" {credential_text(member.credentials) or 'none'}"
                 ) from error
             slot = PollSlot(member, poll, packet, self._noting(packet), host.port.wire_ns(packet))
             if slot.every_ns:  # slow polls begin spread over their period, or all would meet in one tick

@@ -68,3 +68,42 @@ class Port(Protocol):
     def close(self) -> None:
         """Stop receiving."""
         ...
+
+
+class UpperPort:
+    """What a port that stands above another one has of it."""
+
+    def __init__(self, port: Port) -> None:
+        self.port = port
+
+    @property
+    def link(self) -> Literal["can", "serial", "datagram"]:
+        """The link of the port below; likewise its clock, name and half_duplex."""
+        return self.port.link
+
+    @property
+    def clock(self) -> EventClock:
+        """The clock of the port below."""
+        return self.port.clock
+
+    @property
+    def name(self) -> str:
+        """The name of the port below."""
+        return self.port.name
+
+    @property
+    def half_duplex(self) -> bool:
+        """As of the port below."""
+        return self.port.half_duplex
+
+    def on_event(self, handler: Callable[[str, str], Any]) -> None:
+        """As of the port below."""
+        self.port.on_event(handler)
+
+    def wire_ns(self, packet: Any) -> int:
+        """As of the port below."""
+        return self.port.wire_ns(packet)
+
+    def close(self) -> None:
+        """Stop receiving."""
+        self.port.close()

@@ -66,7 +66,7 @@ class EndpointMember:
         return False
 
     def __repr__(self) -> str:
-        return f"<{type(self).__name__} {self.name}: {shown(self.credentials)}>"
+        return f"<{type(self).__name__} {self.name}: {credential_text(self.credentials)}>"
 
 
 def refuse_shadowing(cls: type, name: str, role: str, *, mark: str = "") -> None:
@@ -82,7 +82,7 @@ def refuse_shadowing(cls: type, name: str, role: str, *, mark: str = "") -> None
             )
 
 
-def shown(credentials: Mapping[str, int]) -> str:
+def credential_text(credentials: Mapping[str, int]) -> str:
     """Credentials in a message: `board 0x08`."""
     return ", ".join(f"{name} {value:#04x}" for name, value in credentials.items())
 

@@ -15,7 +15,7 @@ from ..protocol import Unknown as UnknownRecord
 from .device import DUPLICATES, Device
 from .events import Kind
 from .half_duplex import HalfDuplexLine
-from .station import shown
+from .station import credential_text
 
 if TYPE_CHECKING:
     from .host import Host
@@ -73,7 +73,7 @@ class UnknownTraffic:
         device.duplicates.append(instant)
         if len(device.duplicates) == DUPLICATES and instant - device.duplicates[0] < DUPLICATES_NS:
             device.duplicates.clear()
-            who = shown(device.credentials)
+            who = credential_text(device.credentials)
             self.host.emit("two devices", device.name, f"{detail}; are there two devices with {who}?")
 
     def _suspect(self, unknown: UnknownRecord, line: HalfDuplexLine | None) -> Device | None:

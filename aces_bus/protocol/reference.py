@@ -20,7 +20,7 @@ from ..errors import AcesError
 from .declare.ambiguity import needing_context, ordered, request_names
 from .declare.framing import Framing, Verdict
 from .declare.message import Direction, Message, Request
-from .declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, can_image
+from .declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, frame_image
 from .declare.packet_rule import DecidedFrames, PacketRule, packet_image
 from .declare.protocol import Variant
 from .declare.transport import Transport
@@ -271,7 +271,7 @@ class Reference:
         """Our own transmission of a CAN frame."""
         mine = self._transport_of(frame)
         if mine is None:
-            self.sent(_image(frame), frame.channel, frame.timestamp)
+            self.sent(frame_image(frame), frame.channel, frame.timestamp)
             return
         key = frame.arbitration_id | (EXTENDED if frame.is_extended_id else 0)
         for decided in mine[2].decide(frame, 0, key, bytes(frame.data)):
@@ -313,7 +313,7 @@ class Reference:
                     found += self._packet(mine[0], decided)
                 continue
             self._request = None
-            reason, message, fields = self._decode(_image(frame), frame.channel, frame.timestamp, None)
+            reason, message, fields = self._decode(frame_image(frame), frame.channel, frame.timestamp, None)
             names = (message.name, message.protocol.name) if message is not None else (None, None)
             found.append(ReferenceItem(number, 1, names[0], fields, reason, names[1], self._request))
         return found
@@ -470,14 +470,3 @@ class Reference:
             return self._decode(packet, None, None, framing)
         finally:
             self.sides = sides
-
-
-def _image(frame: Any) -> bytes:
-    """The image of a frame that `message.struct` parses."""
-    return can_image(
-        frame.arbitration_id,
-        bytes(frame.data),
-        extended=frame.is_extended_id,
-        remote=frame.is_remote_frame,
-        fd=frame.is_fd,
-    )

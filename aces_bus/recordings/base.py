@@ -129,27 +129,6 @@ class CanRecording(Recording):
         for frames in self._lists():
             yield FrameTable.from_frames(frames, self.channels)
 
-    def _joined(self, tables: Iterator[FrameTable], least: int) -> Iterator[FrameTable]:
-        """The tables put together to at least so many rows, but for the last; those of a live source as they come.
-
-        Where reading fails, what was read comes first.
-        """
-        pending: list[FrameTable] = []
-        rows = 0
-        try:
-            for table in tables:
-                pending.append(table)
-                rows += len(table)
-                if rows >= least or (rows and self.live):
-                    yield FrameTable.concat(pending)
-                    pending, rows = [], 0
-        except CaptureError:
-            if rows:
-                yield FrameTable.concat(pending)
-            raise
-        if rows:
-            yield FrameTable.concat(pending)
-
     def _pieces(self) -> Iterator[list[Frame]]:
         if self._stream is None:
             self._stream = self._lists()

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar
 
 from ..errors import CallerError, CaptureError
-from ..frame_table import FrameTable
+from ..frame_table import FrameTable, joined_tables
 from ..protocol.counts import ScanCounts
 from ..protocol.declare.message import Direction as OneWay
 from ..protocol.declare.protocol import Variant
@@ -31,29 +31,8 @@ PIECE = 1 << 18
 
 
 def pieces_of(tables: Iterable[FrameTable], *, is_live: bool) -> Iterator[FrameTable]:
-    """Tables joined until they are worth decoding: what a piece costs for each message is paid less often.
-
-    Where reading stops with an error, what was read before comes first.
-    """
-    waiting: list[FrameTable] = []
-    rows = 0
-    failure: CaptureError | None = None
-    try:
-        for table in tables:
-            waiting.append(table)
-            rows += len(table)
-            if is_live or rows >= PIECE:
-                whole = FrameTable.concat(waiting)
-                waiting, rows = [], 0
-                del table
-                yield whole
-                del whole  # one piece at a time is in memory
-    except CaptureError as error:
-        failure = error
-    if waiting:
-        yield FrameTable.concat(waiting)
-    if failure is not None:
-        raise failure
+    """Tables joined until they are worth decoding: what a piece costs for each message is paid less often."""
+    return joined_tables(tables, PIECE, is_live=is_live)
 
 
 def frame_runs(tables: Iterable[FrameTable], size: int) -> Iterator[FrameTable]:

@@ -16,7 +16,7 @@ from typing import Any, Literal
 from ..device import Poll, Robot
 from ..device.config import DeviceConfig
 from ..device.port import Left, Port
-from ..device.station import BusEndpoint, EndpointMember, shown
+from ..device.station import BusEndpoint, EndpointMember, credential_text
 from ..protocol import Unknown as UnknownRecord
 from ..protocol import Variant
 from ..protocol.declare.message import Message
@@ -254,7 +254,7 @@ class DeviceTester(BusEndpoint[_Ear]):
         ):
             return
         name = type(record).__name__
-        self._found("another's", name, f"{name} came with {shown(theirs) or 'no number'}")
+        self._found("another's", name, f"{name} came with {credential_text(theirs) or 'no number'}")
 
     def _found(self, kind: Kind, subject: str, text: str) -> None:
         if (kind, subject) not in {*self.ignored, *(one.key for one in self.problems)}:

@@ -178,7 +178,7 @@ class TwinTrial:
         if needs_start:
             rig.open()
             self.clock.advance(START_NS)
-            _close(rig)
+            rig.close()
         self.tester.open()
         self._credentials = dict(self.twin.credentials)
 
@@ -259,15 +259,9 @@ class TwinTrial:
         except AcesError as error:
             return Problem("does not follow", action, f"{action} fails: {error}")
         finally:
-            _close(rig)
+            rig.close()
             self.tester.ear.listens = True
         return None
-
-
-def _close(rig: Rig) -> None:
-    """Take a driver off its bus, and stop nothing."""
-    for host in rig.hosts.values():
-        host.close()
 
 
 def _raised(error: Exception) -> Problem:

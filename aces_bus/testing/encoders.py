@@ -18,10 +18,11 @@ from construct import ConstructError
 from ..errors import AcesError, FieldError, UnknownNameError
 from ..protocol.declare.fields import FlagSet
 from ..protocol.declare.message import Message
+from ..protocol.declare.packet import frame_image
 from ..protocol.declare.packet_rule import PacketRule, packet_image
 from ..protocol.encoder import Encoder
 from ..protocol.keys import key_of
-from .trial import Trial, image_of
+from .trial import Trial
 
 #: What construct raises for a value that does not fit.
 REFUSALS = (AcesError, ConstructError, KeyError, TypeError, AttributeError, ValueError, ArithmeticError)
@@ -112,7 +113,7 @@ def _image(message: Message, sent: Sequence[Any]) -> bytes:
     """The image of what an encoder made: of a packet that a transport carries, by the rule of the reference."""
     if message.transport is None:
         (packet,) = sent
-        return bytes(packet) if message.framing is not None else image_of(packet)
+        return bytes(packet) if message.framing is not None else frame_image(packet)
     rule, found = PacketRule(message.transport), b""
     for number, frame in enumerate(sent):
         key = key_of(frame.arbitration_id, extended=frame.is_extended_id)

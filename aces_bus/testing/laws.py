@@ -27,6 +27,7 @@ from ..frame_table import FrameTable
 from ..protocol.declare.ambiguity import Conflict, conflict, unresolved
 from ..protocol.declare.framing import Verdict
 from ..protocol.declare.message import DIRECTIONS, Message
+from ..protocol.declare.packet import frame_image
 from ..protocol.declare.protocol import Protocol, Variant
 from ..protocol.live.can import CanScanner
 from ..protocol.live.stream import StreamScanner
@@ -46,7 +47,6 @@ from .trial import (
     Trial,
     as_items,
     comparable,
-    image_of,
     law,
     plain_counts,
     play,
@@ -256,7 +256,7 @@ def _no_frame_overlooked(trial: Trial) -> None:
         item = scanned[number]
         if frame.is_error_frame or item.message or item.reason.startswith("unknown: needs"):
             continue
-        image = image_of(frame)
+        image = frame_image(frame)
         for variant, message in who.messages:
             if (variant.name, message.name) in trial.bench.contextual:
                 continue

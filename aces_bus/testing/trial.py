@@ -147,17 +147,6 @@ def join_losses(items: Iterable[ScannedItem]) -> list[ScannedItem]:
     return out
 
 
-def image_of(frame: Any) -> bytes:
-    """The image of a CAN frame that `message.struct` parses."""
-    return can_image(
-        frame.arbitration_id,
-        bytes(frame.data),
-        extended=frame.is_extended_id,
-        remote=frame.is_remote_frame,
-        fd=frame.is_fd,
-    )
-
-
 def record_image(record: Any) -> bytes:
     """The image that a record was read from."""
     meta = record.meta
@@ -358,7 +347,6 @@ __all__ = [
     "Trial",
     "as_items",
     "comparable",
-    "image_of",
     "items_by",
     "join_losses",
     "law",

@@ -5,7 +5,7 @@
 
 Elsewhere: SocketCAN's small receive buffer and silent drops, `tests/socketcan`; packets lost behind a false header or
 because of the size of the pieces, `tests/specs/test_streams.py` and the laws; a recording that is killed,
-`tests/tools/test_sniff.py`.
+`tests/tools/test_sniff_recording.py`.
 """
 
 from __future__ import annotations

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import argparse
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from aces_bus.device import Device, DeviceConfig, Driver, Robot, Signal, list_drivers, load_driver
+from aces_bus.device.station import credential_text
 from aces_bus.device.twin import FAULTS
 from aces_bus.errors import AcesError
 
@@ -181,11 +182,6 @@ def show_device(device: Device, config: DeviceConfig, signals: list[Signal], as_
         ]
         print("\n".join(aligned_rows(rows)))
     return 0
-
-
-def credential_text(credentials: Mapping[str, int]) -> str:
-    """`board 0x03, sensor 0x01`."""
-    return ", ".join(f"{key} {value:#04x}" for key, value in credentials.items())
 
 
 def arguments_of(device: Device, action: str) -> dict[str, bool]:

@@ -25,13 +25,13 @@ from typing import Any
 from msgspec.structs import replace
 
 from aces_bus.device import Bus, Driver, Host, Job, Robot, list_drivers, load_driver
+from aces_bus.device.station import credential_text
 from aces_bus.errors import AcesError, CallerError
 from aces_bus.protocol import load_protocol
 from aces_bus.protocol.files import python_file
 from aces_bus.protocol.live.scanner import adopt_protocol
 
 from .console import StatusLine, check_suffix, print_json, say, write_text
-from .devices import credential_text
 from .live import LivePatience
 from .options import JSON, OUTPUT, PROTOCOL, Arguments
 from .robot_arg import (

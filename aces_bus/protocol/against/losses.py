@@ -17,7 +17,7 @@ from construct import ConstructError
 from ...errors import AcesError
 from ..declare.framing import Framing
 from ..declare.message import Direction, Message
-from ..declare.packet import can_image, error_text
+from ..declare.packet import error_text
 from ..declare.place import SourceLine
 from ..declare.protocol import Variant
 from ..keys import EXTENDED, FD, REMOTE
@@ -186,16 +186,10 @@ def _differences(group: LostGroup, messages: Iterable[Message]) -> Iterator[str]
             if found and constant.value not in found:
                 values = ", ".join(f"{value:02X}" for value in sorted(found)[:4])
                 yield f"byte {constant.offset} is {values}, of {message.name} {constant.value:02X}"
-        image = can_image(
-            group.key & IDENTIFIER,
-            group.samples[0],
-            extended=bool(group.key & EXTENDED),
-            remote=bool(group.key & REMOTE),
-            fd=bool(group.key & FD),
-        )
+        data = group.samples[0]
         for head in message.heads:
-            if head.pattern is not None and message.outer(image[5:], group.key & IDENTIFIER) is None:
-                number = head.number(image[5:]) if len(image) >= 5 + head.offset + head.size else 0
+            if head.pattern is not None and message.outer(data, group.key & IDENTIFIER) is None:
+                number = head.number(data) if len(data) >= head.offset + head.size else 0
                 if head.pattern.match(number) is None:
                     yield f"{head.name or 'head'} is {number:#04x}"
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from construct import ConstError, Construct, ConstructError, Container, StreamError, stream_read_entire
 
 from ...errors import FieldError
-from ..keys import EXTENDED, REMOTE
+from ..keys import FD, key_of
 from .checks import Check
 from .fields import is_raw
 from .framing import Framing, Verdict
@@ -68,8 +68,23 @@ def can_image(
     identifier: int, data: bytes, *, extended: bool = False, remote: bool = False, fd: bool = False
 ) -> bytes:
     """The image of a CAN frame that `message.struct` parses."""
-    word = identifier | (EXTENDED if extended else 0) | (REMOTE if remote else 0)
-    return word.to_bytes(4, "big") + (bytes([FD_FLAG]) if fd else b"\0") + data
+    return key_image(key_of(identifier, extended=extended, remote=remote, fd=fd), data)
+
+
+def key_image(key: int, data: bytes) -> bytes:
+    """The image of a frame with this key, whose upper flags are those of `can_id`."""
+    return (key & ~FD).to_bytes(4, "big") + (bytes([FD_FLAG]) if key & FD else b"\0") + data
+
+
+def frame_image(frame: Any) -> bytes:
+    """The image of a frame, ours or python-can's."""
+    return can_image(
+        frame.arbitration_id,
+        bytes(frame.data),
+        extended=frame.is_extended_id,
+        remote=frame.is_remote_frame,
+        fd=frame.is_fd,
+    )
 
 
 class PacketStruct(Construct):

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from ..declare.framing import Framing, Judgement, Verdict
 from ..declare.message import Direction, Message
-from ..declare.packet import can_image
+from ..declare.packet import frame_image
 from ..declare.packet_rule import packet_frame
 from ..declare.protocol import Variant
 from ..declare.transport import Transport
@@ -159,13 +159,7 @@ class Tracer(Reference):
         if found.transport is not None:
             frame = packet_frame(found.packet, found.frame) if found.packet else found.frame
         data = bytes(frame.data)
-        image = can_image(
-            frame.arbitration_id,
-            data,
-            extended=frame.is_extended_id,
-            remote=frame.is_remote_frame,
-            fd=frame.is_fd,
-        )
+        image = frame_image(frame)
         if frame.is_error_frame or (found.transport is not None and not found.packet):
             return Attempt(number, (), (), (), found, number + 1, is_can=True, frame=frame, raw=data)
         contest = _Contest(self.templates)

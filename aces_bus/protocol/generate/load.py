@@ -20,9 +20,8 @@ from ...errors import AcesError
 from ..declare.delimited import degrees
 from ..declare.fields import FlagSet
 from ..declare.message import Message
-from ..declare.packet import can_image
+from ..declare.packet import key_image
 from ..declare.protocol import Variant
-from ..keys import EXTENDED, FD, REMOTE
 from ..plan import nodes as p
 from ..record import Part, Record, from_container, plain_value
 from .decode import CALLED, Decoder, ListDecoder
@@ -230,13 +229,7 @@ def _opaque(message: Message, variant: Variant, *, raw: bool) -> Decode:
         data: bytes, key: int, time: Any, channel: Any, raw_bytes: bytes, rx: Any, request: Any = None
     ) -> Any:
         if framing is None:
-            image = can_image(
-                key & 0x1FFF_FFFF,
-                data,
-                extended=bool(key & EXTENDED),
-                remote=bool(key & REMOTE),
-                fd=bool(key & FD),
-            )
+            image = key_image(key, data)
         else:
             # Stuffed packets come here without stuffing; construct wants what stood on the wire.
             image = raw_bytes

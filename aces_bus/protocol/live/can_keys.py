@@ -14,7 +14,7 @@ from construct import ConstructError
 
 from ...errors import AcesError
 from ..declare.message import Direction, Message
-from ..declare.packet import ContentError, LengthError, WrongCheckError, can_image
+from ..declare.packet import ContentError, LengthError, WrongCheckError, key_image
 from ..declare.protocol import Variant
 from ..declare.transport import Transport
 from ..keys import EXTENDED, FD, REMOTE, key_of
@@ -145,10 +145,7 @@ class CanDecider(Decider):
         if need:
             self.forget_need()
             return need
-        identifier = key & 0x1FFF_FFFF
-        image = can_image(
-            identifier, data, extended=bool(key & EXTENDED), remote=bool(key & REMOTE), fd=bool(key & FD)
-        )
+        image = key_image(key, data)
         for message in self.candidates(key, transport):
             try:
                 message.struct.parse(image, raw=True)

@@ -33,7 +33,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ...errors import CaptureError
-from ...frame_table import FrameTable, Ints
+from ...frame_table import FrameTable, Ints, joined_tables
 from ..base import CanRecording, keep_freed_memory
 from ..beginnings import BLF
 from ..inflate import inflate_whole
@@ -79,7 +79,7 @@ class BlfCapture(CanRecording):
 
     def _tables(self) -> Iterator[FrameTable]:
         keep_freed_memory()
-        return self._joined(self._piece_tables(), TABLE_ROWS)
+        return joined_tables(self._piece_tables(), TABLE_ROWS, is_live=self.live)
 
     def _piece_tables(self) -> Iterator[FrameTable]:
         stream = _Stream(self)

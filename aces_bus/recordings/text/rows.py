@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from ..._lazy import np
 from ...errors import CallerError, CaptureError
-from ...frame_table import NO_TIME, FrameTable
+from ...frame_table import NO_TIME, FrameTable, joined_tables
 from ...frames import Frame
 from ..base import REMOTE_AND_ERROR, CanRecording, printable_start
 from ..merge import merge_in_order
@@ -88,7 +88,7 @@ class LineCapture(CanRecording):
         self.is_known = True
 
     def _tables(self) -> Iterator[FrameTable]:
-        return self._joined(self._block_tables(), self._ROWS)
+        return joined_tables(self._block_tables(), self._ROWS, is_live=self.live)
 
     def _block_tables(self) -> Iterator[FrameTable]:
         for block in self._blocks():

@@ -21,7 +21,7 @@ from msgspec import Meta
 from aces_bus.device import Job, Poll, Signal, Steps
 from aces_bus.device.register_device import RegisterDevice
 from aces_bus.device.settings import settings_of
-from aces_bus.device.station import shown
+from aces_bus.device.station import credential_text
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 
 #: What addresses all servos of a line.
@@ -352,7 +352,7 @@ class ServoDevice(RegisterDevice):
             self.emit_event(
                 "two devices",
                 f"{self.malformed_in_a_row} malformed answers in a row: are there two servos with"
-                f" {shown(self.credentials)}?",
+                f" {credential_text(self.credentials)}?",
             )
 
     def is_followed(self, signal: Signal) -> bool:

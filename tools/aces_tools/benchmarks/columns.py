@@ -20,7 +20,7 @@ from typing import Any
 import can
 
 from aces_bus.export import open_export
-from aces_bus.frame_table import FrameTable
+from aces_bus.frame_table import FrameTable, joined_tables
 from aces_bus.protocol import CanScanner, Variant, load_protocol
 from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.exchange import load_database
@@ -161,20 +161,11 @@ def columns_of(subject: Subject, tables: Iterator[FrameTable] | list[FrameTable]
     """Every signal of every frame as a column; the number of values."""
     scanner = make_column_scanner([subject.variant])
     return sum(
-        len(column) for piece in pieces(tables) for table in scanner.feed(piece) for column in table.columns()
+        len(column)
+        for piece in joined_tables(tables, BATCH)
+        for table in scanner.feed(piece)
+        for column in table.columns()
     )
-
-
-def pieces(tables: Iterator[FrameTable] | list[FrameTable]) -> Iterator[FrameTable]:
-    """Tables put together until they are worth decoding."""
-    kept: list[FrameTable] = []
-    for table in tables:
-        kept.append(table)
-        if sum(map(len, kept)) >= BATCH:
-            yield FrameTable.concat(kept)
-            kept = []
-    if kept:
-        yield FrameTable.concat(kept)
 
 
 def _both(subject: Subject, rounds: int, c_rate: float | None) -> list[BenchRow]:
@@ -275,7 +266,7 @@ def _parquet(subject: Subject, rounds: int) -> list[BenchRow]:
         shutil.rmtree(out, ignore_errors=True)
         scanner = make_column_scanner([subject.variant])
         with open_recording(str(subject.log), link="can") as capture, open_export(str(out)) as export:
-            for piece in pieces(capture.tables()):
+            for piece in joined_tables(capture.tables(), BATCH):
                 export.write(scanner.feed(piece))
 
     contenders: dict[str, tuple[Callable[[], object], int]] = {"aces": (ours, subject.count)}
