@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from construct import Byte, Int16ul, Int32sl, Int32ul, Struct, this
+from construct import Byte, Int16ul, Int32ul, Struct, this
 
 from aces_bus.protocol import Fletcher, Protocol, Quantity
 
@@ -38,18 +38,6 @@ def poll(group: int, number: int, example: str) -> dict[str, Any]:
         "source": "pyubx2, poll messages",
         "examples": [(example, {})],
     }
-
-
-def degrees(scale: float) -> Quantity:
-    return Quantity(Int32sl, scale=scale, unit="°")
-
-
-def mm(field: Any = Int32sl) -> Quantity:
-    return Quantity(field, unit="mm")
-
-
-def mm_s(field: Any = Int32sl) -> Quantity:
-    return Quantity(field, unit="mm/s")
 
 
 ITOW = Quantity(Int32ul, unit="ms", doc="GPS time of week.")

@@ -2,11 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from construct import Array, Byte, Int8sl, Int16sl, Int16ul, Int32sl, Int32ul, Rebuild, Struct, len_, this
 
 from aces_bus.protocol import BitLayout, Enumeration, Flags, Quantity, Reserved, bits
 
-from .base import ITOW, degrees, mm, mm_s, packet, poll
+from .base import ITOW, packet, poll
+
+
+def _degrees(scale: float) -> Quantity:
+    return Quantity(Int32sl, scale=scale, unit="°")
+
+
+def mm(field: Any = Int32sl) -> Quantity:
+    return Quantity(field, unit="mm")
+
+
+def mm_s(field: Any = Int32sl) -> Quantity:
+    return Quantity(field, unit="mm/s")
+
 
 FIX = {"none": 0, "dead_reckoning": 1, "fix_2d": 2, "fix_3d": 3, "gnss_and_dead_reckoning": 4, "time_only": 5}
 
@@ -40,8 +55,8 @@ packet(
         ),
         "flags2" / Flags(Byte, confirmed_available=5, confirmed_date=6, confirmed_time=7),
         "satellites" / Byte,
-        "lon" / degrees(1e-7),
-        "lat" / degrees(1e-7),
+        "lon" / _degrees(1e-7),
+        "lat" / _degrees(1e-7),
         "height" / mm(),
         "height_msl" / mm(),
         "horizontal_accuracy" / mm(Int32ul),
@@ -50,7 +65,7 @@ packet(
         "velocity_east" / mm_s(),
         "velocity_down" / mm_s(),
         "ground_speed" / mm_s(),
-        "heading_of_motion" / degrees(1e-5),
+        "heading_of_motion" / _degrees(1e-5),
         "speed_accuracy" / mm_s(Int32ul),
         "heading_accuracy" / Quantity(Int32ul, scale=1e-5, unit="°"),
         "pdop" / Quantity(Int16ul, scale=0.01),
@@ -63,7 +78,7 @@ packet(
             "authenticated_message" / bits(1, at=14),
         ),
         "reserved0" / Reserved(4),
-        "heading_of_vehicle" / degrees(1e-5),
+        "heading_of_vehicle" / _degrees(1e-5),
         "magnetic_declination" / Quantity(Int16sl, scale=0.01, unit="°"),
         "magnetic_accuracy" / Quantity(Int16ul, scale=0.01, unit="°"),
     ),
@@ -153,7 +168,7 @@ packet(
         "itow" / ITOW,
         "position" / Array(3, Quantity(Int32sl, unit="cm", doc="North, east, down.")),
         "distance" / Quantity(Int32sl, unit="cm"),
-        "heading" / degrees(1e-5),
+        "heading" / _degrees(1e-5),
         "reserved1" / Reserved(4),
         "position_fine" / Array(3, Quantity(Int8sl, scale=0.1, unit="mm", doc="To be added to position.")),
         "distance_fine" / Quantity(Int8sl, scale=0.1, unit="mm"),
@@ -200,8 +215,8 @@ packet(
     match={"group": 0x01, "number": 0x02},
     payload=Struct(
         "itow" / ITOW,
-        "lon" / degrees(1e-7),
-        "lat" / degrees(1e-7),
+        "lon" / _degrees(1e-7),
+        "lat" / _degrees(1e-7),
         "height" / mm(),
         "height_msl" / mm(),
         "horizontal_accuracy" / mm(Int32ul),
@@ -227,7 +242,7 @@ packet(
         "velocity" / Array(3, Quantity(Int32sl, unit="cm/s", doc="North, east, down.")),
         "speed" / Quantity(Int32ul, unit="cm/s"),
         "ground_speed" / Quantity(Int32ul, unit="cm/s"),
-        "heading_of_motion" / degrees(1e-5),
+        "heading_of_motion" / _degrees(1e-5),
         "speed_accuracy" / Quantity(Int32ul, unit="cm/s"),
         "heading_accuracy" / Quantity(Int32ul, scale=1e-5, unit="°"),
     ),
