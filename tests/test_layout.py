@@ -35,6 +35,7 @@ FLOORS: dict[str, set[str]] = {
     "traffic": set(),  # frames counted by identifier
     "plain_text": set(),  # text of others, made harmless for terminals and sheets
     "loopback": set(),  # which addresses are of this machine
+    "tracebacks": set(),  # the line of a user's program that an exception came from
     "compiling": set(),  # what modules that may be compiled say of their classes
     "_lazy": set(),  # public names imported on use
     "plugins": set(),  # what installed packages bring
@@ -74,6 +75,7 @@ EVERYONE = {
     "frame_table",
     "traffic",
     "plain_text",
+    "tracebacks",
     "compiling",
     "_lazy",
     "plugins",

@@ -7,13 +7,14 @@
 from __future__ import annotations
 
 import sysconfig
-import traceback
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Protocol
 
 import msgspec
+
+from ..tracebacks import innermost_line, shown_path
 
 
 class EventLike(Protocol):
@@ -89,8 +90,8 @@ TEXT_LENGTH = 500
 def raised_text(error: BaseException) -> str:
     """What an exception says, and the innermost line of the user's own code that it came from: `… (walk.py:12)`."""
     text = f"{type(error).__name__}: {error}"[:TEXT_LENGTH]
-    own = [frame for frame in traceback.extract_tb(error.__traceback__) if not _is_library(frame.filename)]
-    return f"{text} ({_short(own[-1].filename)}:{own[-1].lineno})" if own else text
+    at = innermost_line(error, lambda file: not _is_library(file))
+    return f"{text} ({shown_path(at.filename)}:{at.lineno})" if at is not None else text
 
 
 @cache
@@ -99,14 +100,6 @@ def _is_library(file: str) -> bool:
     if file.startswith("<"):
         return not file.startswith(_TYPED)
     return any(Path(file).is_relative_to(folder) for folder in _LIBRARIES)
-
-
-def _short(file: str) -> str:
-    """A file's path from the current folder, if it is below it."""
-    try:
-        return str(Path(file).relative_to(Path.cwd()))
-    except (OSError, ValueError):
-        return file
 
 
 #: What code is called that is no file's and the user's all the same: equations, and what is typed into Python.

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import re
 import sys
-import traceback
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
 from ..errors import AcesError, CallerError, UnknownNameError
+from ..tracebacks import exception_text, innermost_line, shown_path
 from .declare.protocol import Protocol
 
 #: What was imported, by the path of its file.
@@ -65,7 +65,9 @@ def load_file(path: str) -> ModuleType:
         except SyntaxError as error:
             raise CallerError(f"{error.filename or path}:{error.lineno}: {error.msg}") from error
         except Exception as error:  # whatever the user's own program may raise
-            raise CallerError(f"{_where(error, path)}: {exception_text(error)}") from error
+            at = innermost_line(error, lambda name: Path(name).resolve() == file)
+            where = f"{path}:{at.lineno}" if at is not None else path
+            raise CallerError(f"{where}: {exception_text(error)}") from error
     return loaded[file]
 
 
@@ -98,31 +100,12 @@ def _imported(file: Path) -> ModuleType:
     return module
 
 
-def _where(error: Exception, path: str) -> str:
-    """The innermost line of the user's file in a traceback."""
-    own = Path(path).resolve()
-    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if Path(f.filename).resolve() == own]
-    return f"{path}:{lines[-1]}" if lines else path
-
-
 def line_in_loaded(error: Exception) -> str | None:
     """`file:line` in a file that was loaded, where an exception comes of that file and not of this package's own code."""
-    for frame in reversed(traceback.extract_tb(error.__traceback__)):
-        if Path(frame.filename) in loaded:
-            return f"{_short(Path(frame.filename))}:{frame.lineno}"
-        if _OURS.search(frame.filename):
-            break
-    return None
+    at = innermost_line(error, lambda file: Path(file) in loaded or _OURS.search(file))
+    if at is None or Path(at.filename) not in loaded:
+        return None
+    return f"{shown_path(at.filename)}:{at.lineno}"
 
 
-def _short(file: Path) -> Path:
-    """A file's path from the current folder, if it is below it."""
-    return file.relative_to(Path.cwd()) if file.is_relative_to(Path.cwd()) else file
-
-
-def exception_text(error: Exception) -> str:
-    """What an exception says, in one line."""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}"
-
-
-__all__ = ["exception_text", "line_in_loaded", "load_file", "protocol_of_file", "python_file"]
+__all__ = ["line_in_loaded", "load_file", "protocol_of_file", "python_file"]

@@ -8,10 +8,10 @@ A `TwinTrial` is a fresh twin in virtual time: as many as one likes, each the sa
 
 from __future__ import annotations
 
-import traceback
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from ..device import Device, Driver, Robot, Twin, load_driver
@@ -22,6 +22,7 @@ from ..hardware.simulated.serial_line import SimulatedSerialLine
 from ..robot.buses import wire_of
 from ..robot.rig import Rig, connect, simulate, spoken_on
 from ..runtime import VirtualClock
+from ..tracebacks import innermost_line
 from .device_tester import DeviceTester, Problem, SentStep, Tap
 
 #: How long a fresh device is listened to before anything is sent, so that it is known what it sends by itself (ns).
@@ -266,10 +267,10 @@ class TwinTrial:
 
 def _raised(error: Exception) -> Problem:
     """What a twin raised, and where in its own code."""
-    frames = traceback.extract_tb(error.__traceback__)
-    inner = [frame for frame in frames if "/aces_bus/" not in frame.filename.replace("\\", "/")]
-    last = (inner or frames)[-1]
-    place = f"{last.filename.replace(chr(92), '/').rpartition('/')[2]}:{last.lineno}"
+    own = innermost_line(error, lambda file: "aces_bus" not in Path(file).parts)
+    last = own or innermost_line(error, bool)
+    assert last is not None
+    place = f"{Path(last.filename).name}:{last.lineno}"
     return Problem(
         "raises", f"{type(error).__name__} in {last.name}", f"{place}: {type(error).__name__}: {error}"
     )

@@ -31,6 +31,7 @@ from ..errors import CallerError
 from ..protocol.declare.protocol import Protocol
 from ..protocol.files import python_file
 from ..protocol.live.scanner import load_protocol
+from ..tracebacks import shown_path
 from .bench import Bench
 from .drawing import scene_drawing
 from .fuzz import judged, shrink
@@ -152,7 +153,7 @@ def _protocol(spec: str | Path | Protocol, here: Path) -> tuple[Protocol, str]:
     """The protocol, and what the command line calls it."""
     if isinstance(spec, Protocol):
         place = Path(spec.place.file)
-        return spec, _shown(place) if place.is_file() else spec.name
+        return spec, shown_path(place.resolve()) if place.is_file() else spec.name
     text = str(spec)
     path, attribute = python_file(text)
     if not path:
@@ -160,16 +161,8 @@ def _protocol(spec: str | Path | Protocol, here: Path) -> tuple[Protocol, str]:
     file = next((p for p in (here / path, Path(path)) if p.is_file()), None)
     if file is None:
         raise CallerError(f"{path}: no such file, neither in {here} nor in the current folder")
-    text = _shown(file) + (f":{attribute}" if attribute else "")
+    text = shown_path(file.resolve()) + (f":{attribute}" if attribute else "")
     return load_protocol(text), text
-
-
-def _shown(file: Path) -> str:
-    """A file as it is named from the current folder."""
-    try:
-        return str(file.resolve().relative_to(Path.cwd()))
-    except ValueError:
-        return str(file)
 
 
 __all__ = ["LawCase", "failure_of", "law_tests"]

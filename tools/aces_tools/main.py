@@ -157,7 +157,11 @@ def _raised_by_user(error: Exception) -> str | None:
     """What a file that the user has named raised, with its line; None for an exception of our own."""
     files = sys.modules.get("aces_bus.protocol.files")
     place = files.line_in_loaded(error) if files is not None else None
-    return f"{place}: {files.exception_text(error)}" if files is not None and place is not None else None
+    if place is None:
+        return None
+    from aces_bus.tracebacks import exception_text
+
+    return f"{place}: {exception_text(error)}"
 
 
 def _run(arguments: list[str]) -> int:

@@ -41,7 +41,6 @@ import re
 import sys
 import textwrap
 import time
-import traceback
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -59,6 +58,7 @@ from aces_bus.protocol.files import load_file
 from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire, sort_key
 from aces_bus.protocol.lint.fields import Written
 from aces_bus.recordings import CanRecording, SerialRecording, open_recording
+from aces_bus.tracebacks import exception_text, innermost_line
 
 from ..console import counted, print_json, report_unreadable, say, say_note
 from ..options import COLOR, DIRECTION, FOR, JSON, Arguments, argument, duration_or_none, flag, several
@@ -299,9 +299,7 @@ def _of_error(error: AcesError) -> Finding | None:
     if isinstance(error, CallerError) and cause is not None and not isinstance(cause, AcesError):
         place_of = _innermost(cause)
         if place_of is not None:
-            return Finding(
-                "error", "python", place_of, f"{type(cause).__name__}: {' '.join(str(cause).split())}"
-            )
+            return Finding("error", "python", place_of, exception_text(cause))
     return None
 
 
@@ -318,14 +316,15 @@ def _innermost(error: BaseException) -> SourceLine | None:
         return SourceLine(error.filename, error.lineno or 1)
     own = str(Path(sys.modules["aces_bus"].__file__ or "").parent)
     library = str(Path(os.__file__).parent)
-    for one in reversed(traceback.extract_tb(error.__traceback__)):
-        is_foreign = one.filename.startswith((own, "<")) or (
-            one.filename.startswith(library) and "site-packages" not in one.filename
+
+    def is_users(file: str) -> bool:
+        is_foreign = file.startswith((own, "<")) or (file.startswith(library) and "site-packages" not in file)
+        return not (
+            is_foreign or f"{os.sep}construct{os.sep}" in file or Path(file).name == "protocols_arg.py"
         )
-        if not is_foreign and f"{os.sep}construct{os.sep}" not in one.filename:
-            if Path(one.filename).name != "protocols_arg.py":
-                return SourceLine(one.filename, one.lineno or 1)
-    return None
+
+    at = innermost_line(error, is_users)
+    return SourceLine(at.filename, at.lineno or 1) if at is not None else None
 
 
 # ---------------------------------------------------------------------- recordings
