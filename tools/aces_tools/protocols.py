@@ -33,6 +33,7 @@ from aces_bus.protocol import (
     list_protocols,
     make_scanner,
 )
+from aces_bus.protocol.exchange.read_once import problems_of
 from aces_bus.protocol.generate.decode import Decoder
 from aces_bus.protocol.generate.load import print_decoders
 from aces_bus.protocol.plan.flatten import flatten
@@ -41,7 +42,7 @@ from aces_bus.protocol.plan.scalars import NotFlat, scalar_of
 from .console import counted, print_json, say
 from .options import COLOR, JSON, Arguments, argument, flag
 from .output.columns import Page
-from .protocols_arg import named_protocol, problems_of
+from .protocols_arg import named_protocol
 
 ARGUMENTS: Arguments = (
     argument("protocol", nargs="?", metavar="NAME", help="as -p of 'aces decode'"),

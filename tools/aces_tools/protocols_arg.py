@@ -36,7 +36,8 @@ from typing import Any, NamedTuple
 
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Protocol, Variant, load_protocol
-from aces_bus.protocol.exchange import SUFFIXES, ImportedProtocol, ImportProblem, load_database
+from aces_bus.protocol.exchange import SUFFIXES, ImportedProtocol
+from aces_bus.protocol.exchange.read_once import known_database
 
 from .console import say_note
 
@@ -88,7 +89,7 @@ def named_protocol(text: str) -> Named:
     if found := _FILE.fullmatch(text):
         names = found["names"].split(":")[1:]
         if found["kind"].lower() != "py":
-            protocol = _of_database(found["path"])
+            protocol = known_database(found["path"], _say_problems)
             if len(names) > bool(protocol.dialects) or found["configuration"] is not None:
                 has = "no configurations" if protocol.dialects else "neither dialects nor configurations"
                 raise CallerError(f"-p {text}: {found['path']} has {has}")
@@ -122,34 +123,13 @@ def _installed(name: str) -> Protocol:
         raise
 
 
-# ---------------------------------------------------------------------- database files
+def _say_problems(imported: ImportedProtocol) -> None:
+    """Say on stderr what of a database could not be taken over; only the first process does."""
+    from multiprocessing import parent_process
 
-#: By path, time of change and size: what is named twice is read once, and complained about once.
-_databases: dict[tuple[str, int, int], ImportedProtocol] = {}
-
-
-def _of_database(path: str) -> Protocol:
-    """The protocol of a database file; what could not be taken over is said on stderr, once, by the first process."""
-    try:
-        status = os.stat(path)
-        known = (os.path.realpath(path), status.st_mtime_ns, status.st_size)
-    except (OSError, ValueError):
-        known = (path, 0, -1)  # loading says what is wrong
-    if known not in _databases:
-        imported = load_database(path)
-        if imported.problems:
-            from multiprocessing import parent_process
-
-            more = f" (all: aces protocols {path})" if len(imported.problems) > 1 else ""
-            if parent_process() is None:
-                say_note(imported.summary + more)
-        _databases[known] = imported
-    return _databases[known].protocol
-
-
-def problems_of(protocol: Protocol) -> list[ImportProblem]:
-    """What could not be taken over of the file that a protocol comes from; none when it comes from no such file."""
-    return [p for one in _databases.values() if one.protocol is protocol for p in one.problems]
+    if parent_process() is None:
+        more = f" (all: aces protocols {imported.path})" if len(imported.problems) > 1 else ""
+        say_note(imported.summary + more)
 
 
 # ---------------------------------------------------------------------- configuration files

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import typing
 import warnings
 from collections.abc import Callable, Sequence
@@ -174,27 +173,11 @@ def load_protocol(name: str) -> Protocol:
         return _adopted[name]
     from ..exchange import SUFFIXES
 
-    return _of_database(name) if name.lower().endswith(SUFFIXES) else PROTOCOLS.load(name)
+    if not name.lower().endswith(SUFFIXES):
+        return PROTOCOLS.load(name)
+    from ..exchange.read_once import known_database
 
-
-#: The protocols of databases, by path, time of change and size: a file is read once, and warned of once.
-_databases: dict[tuple[str, int, int], Protocol] = {}
-
-
-def _of_database(path: str) -> Protocol:
-    from ..exchange import load_database
-
-    try:
-        status = os.stat(path)
-        known = (os.path.realpath(path), status.st_mtime_ns, status.st_size)
-    except (OSError, ValueError):
-        known = (path, 0, -1)  # loading says what is wrong
-    if known not in _databases:
-        imported = load_database(path)
-        if imported.problems:
-            warnings.warn(imported.summary, stacklevel=3)
-        _databases[known] = imported.protocol
-    return _databases[known]
+    return known_database(name, lambda imported: warnings.warn(imported.summary, stacklevel=4))
 
 
 def adopt_protocol(path: str) -> str:

@@ -54,6 +54,7 @@ from aces_bus.plain_text import printable, printable_lines
 from aces_bus.protocol import Message, Protocol, Variant, list_protocols, load_protocol
 from aces_bus.protocol.against import Observation, RecordingCheck, suggest_examples
 from aces_bus.protocol.declare.place import SourceLine
+from aces_bus.protocol.exchange.read_once import problems_of
 from aces_bus.protocol.files import load_file
 from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire, sort_key
 from aces_bus.protocol.lint.fields import Written
@@ -63,7 +64,7 @@ from aces_bus.tracebacks import exception_text, innermost_line
 from ..console import counted, print_json, report_unreadable, say, say_note
 from ..options import COLOR, DIRECTION, FOR, JSON, Arguments, argument, duration_or_none, flag, several
 from ..output.columns import Page
-from ..protocols_arg import named_protocol, parse_protocols, problems_of
+from ..protocols_arg import named_protocol, parse_protocols
 
 if TYPE_CHECKING:
     from aces_bus.testing.fuzz import Failure, Fuzzer
