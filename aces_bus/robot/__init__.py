@@ -17,8 +17,9 @@ if TYPE_CHECKING:
         print_robot,
     )
     from .installed import check_robot, is_robot_path, list_robots, load_robot, robot_text
-    from .rig import Rig, Simulation, States, connect, simulate
+    from .rig import Rig, Simulation, connect, simulate
     from .runner import Ended, Runner
+    from .states import States
     from .worlds import Replay, run_real, run_replay, run_virtual
 
 __all__ = [
@@ -57,8 +58,9 @@ __getattr__, __dir__ = lazy_names(
         ".buses": "VirtualRobot gate_of open_gates port_for wire_of",
         ".file": "RobotError RobotFileProblem is_robot make_robot parse_robot print_robot",
         ".installed": "check_robot is_robot_path list_robots load_robot robot_text",
-        ".rig": "Rig Simulation States connect simulate",
+        ".rig": "Rig Simulation connect simulate",
         ".runner": "Ended Runner",
+        ".states": "States",
         ".worlds": "Replay run_real run_replay run_virtual",
     },
 )

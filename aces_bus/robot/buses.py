@@ -12,6 +12,7 @@ from typing import Any
 from ..device.coalesce import CoalescingRule
 from ..device.config import Bus, Robot
 from ..device.drivers import Driver, load_driver
+from ..device.events import EventLog
 from ..device.host import BUDGET
 from ..device.port import Port
 from ..errors import CallerError
@@ -199,7 +200,7 @@ class VirtualRobot:
         }
 
     def __getitem__(self, name: str) -> Any:
-        """The signal "RHY.position"."""
+        """The signal of this name ("RHY.position"); raises `UnknownNameError`."""
         return self.rig[name]
 
     @property
@@ -213,7 +214,7 @@ class VirtualRobot:
         return self.simulation.twins
 
     @property
-    def events(self) -> Any:
+    def events(self) -> EventLog:
         """What happened to devices."""
         return self.rig.events
 

@@ -15,7 +15,8 @@ from ..controller.events import raised_text
 from ..controller.guard import Trip
 from ..device import Device, Job
 from ..runtime import Loop, Tasks, ThreadTasks, VirtualTasks
-from .rig import Rig, States
+from .rig import Rig
+from .states import States
 
 
 class RunLogger(Protocol):

@@ -77,7 +77,7 @@ class RunFaults(RunBase):
             self._emit_all(ControlEvent(kind, now, source, raised_text(error)))
 
     def _emit_all(self, event: ControlEvent) -> None:
-        """What components tell reaches every supervisor, too."""
+        """Report to every supervisor, too, what a component reports."""
         self._note(event)
         self._handle(event)
 

@@ -160,7 +160,7 @@ class Runner(RunEnd):
         return supervisor
 
     def _listen(self, supervisor: Supervisor) -> None:
-        """What controller, guard and supervisor tell is among the events."""
+        """Have what controller, guard and supervisor report among the events."""
         for listeners in (
             getattr(supervisor.controller, "listeners", None),
             supervisor.guard.listeners,

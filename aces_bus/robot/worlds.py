@@ -124,7 +124,7 @@ class ReplayPort:
         self.note: Callable[[Any], None] | None = None
 
     def open(self, received: Callable[[Any, int], Any]) -> None:
-        """Begin to hear."""
+        """Start receiving."""
         self._received = received
 
     def on_event(self, handler: Callable[[str, str], Any]) -> None:
@@ -139,22 +139,22 @@ class ReplayPort:
         topic: object = None,
         report: Callable[[str, str], Any] | None = None,
     ) -> bool:
-        """Taken and dropped."""
+        """Count the packet and drop it."""
         self.swallowed += 1
         if report is not None:
             report("sent", "")
         return True
 
     def wire_ns(self, packet: Any) -> int:
-        """Nothing."""
+        """0: nothing is sent."""
         return 0
 
     def close(self) -> None:
-        """Hear no more."""
+        """Stop receiving."""
         self._received = None
 
     def give(self, packet: Any) -> None:
-        """A packet of the recording."""
+        """Hand over a packet of the recording."""
         if self.note is not None:
             self.note(packet)
         if self._received is not None:
@@ -162,7 +162,7 @@ class ReplayPort:
 
 
 class Replay:
-    """A robot whose buses are a recording. `is_over` when all of it has been heard.
+    """A robot whose buses are a recording. `is_over` when all of it was received.
 
     `frames` are a CAN recording's, in order; `channels` maps the recording's channel names to the robot's buses (default:
     the `channel` of each bus in the robot's file, or its name; the only bus takes all). Raises `CallerError` for a robot
@@ -176,15 +176,14 @@ class Replay:
         *,
         channels: Mapping[str, str] | None = None,
         clock: VirtualClock | None = None,
-        load: Any = None,
+        load: Load = load_driver,
     ) -> None:
         self.clock = clock if clock is not None else VirtualClock()
-        more = {} if load is None else {"load": load}
-        links = {name: robot.buses[name].link for name in spoken_on(robot, **more)}
+        links = {name: robot.buses[name].link for name in spoken_on(robot, load)}
         if set(links.values()) != {"can"}:
             raise CallerError(f"robot {robot.name} has buses that are not CAN; replays are of CAN recordings")
         self.ports = {name: ReplayPort(self.clock, name) for name in links}
-        self.rig: Rig = connect(robot, self.ports, **more)
+        self.rig: Rig = connect(robot, self.ports, load=load)
         for name, host in self.rig.hosts.items():
             host.rate_hz = (
                 None  # devices' first requests go nowhere either: nothing answers, so nothing is missed
