@@ -223,7 +223,7 @@ class LiveView:
         return len(self._channels) - 1
 
     def is_wanted(self, channel: int) -> bool:
-        """Whether somebody has subscribed to it."""
+        """Whether a client has subscribed to it."""
         return bool(self._channels[channel].has_sinks())
 
     def send(self, channel: int, instant: int, message: bytes) -> None:
@@ -441,7 +441,7 @@ class LiveStates:
         """Nothing has to be begun."""
 
     def step(self, now: int) -> None:
-        """Sample once, where somebody looks on."""
+        """Sample once, where a client looks on."""
         view = self.view
         if view.is_wanted(self._channel) or (self._links is not None and view.is_wanted(self._transforms)):
             view.put(self, (now + view.epoch_ns, [_number(read) for read in self._reads]))
@@ -578,7 +578,7 @@ class LiveBus:
         self._view.put(self, (packet, instant + self._view.epoch_ns, is_sent is self._is_host))
 
     def publish(self, items: Sequence[Any]) -> None:
-        """Decode, and send what somebody wants."""
+        """Decode, and send what clients have subscribed to."""
         found: list[Any] = []
         for packet, instant, is_to_device in items:
             found += self._decoded(packet, instant, is_to_device)

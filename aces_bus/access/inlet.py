@@ -34,14 +34,14 @@ Listener = Callable[[AccessEvent], None]
 
 
 class AccessEvents:
-    """The last events, and who wants to know. Telling never raises."""
+    """The last events, and listeners. Emitting one never raises."""
 
     def __init__(self) -> None:
         self.last: deque[AccessEvent] = deque(maxlen=64)
         self.listeners: list[Listener] = []
 
     def emit(self, event: AccessEvent) -> None:
-        """Keep it and tell all."""
+        """Keep an event and call all listeners with it."""
         self.last.append(event)
         for listener in list(self.listeners):
             try:
@@ -58,7 +58,7 @@ class Soon(Protocol):
         ...
 
     def call_soon(self, action: Callable[[], None]) -> None:
-        """Do it next, on the clock's thread."""
+        """Call it next, on the clock's thread."""
         ...
 
 

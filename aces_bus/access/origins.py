@@ -1,4 +1,4 @@
-"""The way to a WebSocket server: which browsers' pages may come, before the server hears of them.
+"""The way to a WebSocket server: which browsers' pages may come, before the server sees them.
 
 1. A page of any website may open a WebSocket to a program on its visitor's machine; what browsers add is where the page is
    from, its origin. Those that are not allowed are refused (403). Programs that are no browsers say none, and are let in.
@@ -89,7 +89,7 @@ class OriginGate:
         self._thread.start()
 
     def close(self) -> None:
-        """Let nobody in any more, and everybody go."""
+        """Refuse new connections, and end those that there are."""
         with self._lock:
             self._is_closed = True
         with suppress(OSError):

@@ -334,7 +334,7 @@ class RemoteStates(Mapping[str, State]):
                     state.take(UNKNOWN if value is None else value, instant)
 
     def _watch(self) -> None:
-        """Ask who publishes, and what; tell when nothing comes any more, and when it does again."""
+        """Ask who publishes, and what; report when nothing comes any more, and when it does again."""
         while not self._closing.is_set():
             if self._about is None or self._wants.is_set():
                 self._wants.clear()

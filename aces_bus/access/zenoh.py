@@ -122,7 +122,7 @@ def subscribe(declare: Callable[..., Any], key: str, take: Callable[[Any], None]
 
 
 def closed(session: Any, threads: list[threading.Thread]) -> None:
-    """Close a session, and let what hears it end: a thread inside the library must not outlive the interpreter."""
+    """Close a session, and let what receives from it end: a thread inside the library must not outlive the interpreter."""
     session.close()
     for thread in threads:
         if thread is not threading.current_thread():
@@ -296,7 +296,7 @@ class Publisher:
                 self._clock.call_soon(self.on_lost)
 
     def _answer_about(self, query: Any) -> None:
-        with suppress(Exception):  # whoever asked is gone
+        with suppress(Exception):  # the asker is gone
             query.reply(query.key_expr, self._about)
 
     def _set(self, sample: Any) -> None:

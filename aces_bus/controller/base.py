@@ -67,7 +67,7 @@ class ControllerLike(Protocol):
         ...
 
     def handle(self, event: EventLike) -> None:
-        """Something happened below."""
+        """Take an event from below."""
         ...
 
 

@@ -215,11 +215,11 @@ class _Line:
         before = self.given
         if takes is False:
             self.given = self.goal = None
-            self.hand_over(goal)  # who refuses it says why
+            self.hand_over(goal)  # what refuses it says why
             return True
         if before is None:
             if self.signal.name not in device.readable:
-                self.given = goal  # nothing tells where it is: the first one is believed
+                self.given = goal  # where it is cannot be known: the first one is believed
                 self.hand_over(goal)
                 return True
             present = self.signal.value
@@ -322,7 +322,7 @@ class _BusLines:
         host.before_set_points.append(self.step)
 
     def step(self, now: int) -> None:
-        """Once a tick."""
+        """Lead set-points on by a tick that begins `now` (ns)."""
         dt = min(now - self._last, self._most) / 1e9
         self._last = now
         if self.active:

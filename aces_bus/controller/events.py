@@ -1,6 +1,6 @@
 """Events: what a controller receives besides values, and what it reports: the upper end of the paper's shortcut.
 
-1. An event is a value; telling one never waits and never raises.
+1. An event is a value; emitting one never waits and never raises.
 2. Instants are integer ns of the clock that the runtime steps the controller with.
 """
 
@@ -18,7 +18,7 @@ from ..tracebacks import innermost_line, shown_path
 
 
 class EventLike(Protocol):
-    """What a handler may ask of an event, whoever made it."""
+    """What every event has, on all floors."""
 
     @property
     def kind(self) -> str:
@@ -57,7 +57,7 @@ class ControlEvent(msgspec.Struct, frozen=True):
         return f"{self.source}: {self.kind}" + (f": {self.detail}" if self.detail else "")
 
 
-#: Whoever wants to know.
+#: Called with each event.
 Listener = Callable[[ControlEvent], None]
 
 

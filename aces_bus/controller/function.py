@@ -71,7 +71,7 @@ class FunctionController(LawController):
         self.__doc__ = law.__doc__
 
     def __call__(self, *arguments: Any, **gains: Any) -> Mapping[str, float] | None:
-        """The function itself."""
+        """Call the function itself."""
         return self.law(*arguments, **gains)
 
     def set(self, **gains: float) -> None:

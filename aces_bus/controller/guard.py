@@ -76,7 +76,7 @@ class Clipped(msgspec.Struct):
 
     @property
     def total(self) -> int:
-        """All of them."""
+        """How often anything was limited or refused."""
         return self.position + self.rate + self.acceleration + self.not_finite
 
 

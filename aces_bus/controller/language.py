@@ -245,7 +245,7 @@ class _Printer:
     # ---- lines ----------------------------------------------------------------------------------------------------
 
     def line(self, node: ast.stmt) -> None:
-        """One equation."""
+        """Print one equation."""
         match node:
             case ast.Assign(targets=[ast.Name(id=name)], value=value):
                 text = self.expression(value)

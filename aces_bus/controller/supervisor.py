@@ -5,7 +5,7 @@
 2. An event counts when it is looked at: at once where the runner has it so (`attend`), else at the next step. The reason
    reaches the controller's own handler before that.
 3. An exception of the controller is an event too, "raised"; it never gets out of `step`. So is what the controller itself
-   tells, such as "failed".
+   reports, such as "failed".
 4. A controller that gives nothing for `dead_man_s` is taken for dead, unless it says that it has nothing to give
    (`is_idle`). Whatever stopped motion, it stays stopped until `release`.
 
@@ -121,7 +121,7 @@ class Supervisor:
         self.guard.release()
 
     def handle(self, event: EventLike) -> None:
-        """Something happened below; from any thread. The controller's own handler hears it at once."""
+        """Something happened below; from any thread. The controller's own handler gets it at once."""
         if len(self._events) < MOST_EVENTS:
             self._events.append(event)
         else:  # a flood: what would stop motion still does, the rest is counted
@@ -191,7 +191,7 @@ class Supervisor:
         )
 
     def emit_dead(self, now_ns: int, why: str) -> Mapping[str, float]:
-        """It is taken for dead: the fault "dead-man", told once until it gives set-points again."""
+        """It is taken for dead: the fault "dead-man", reported once until it gives set-points again."""
         self._alive = None
         event = ControlEvent("dead-man", now_ns, self.name, why)
         self.listeners.emit(event)

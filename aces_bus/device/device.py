@@ -592,7 +592,7 @@ class Device(EndpointMember):
         self.host.emit(kind, self.name, detail)
 
     def emit_alarms(self, now: Collection[str], before: Collection[str], who: str = "") -> None:
-        """Tell errors when one is new, and when all are over."""
+        """Report errors when one is new, and when all are over."""
         if set(now) - set(before):
             self.emit_event("alarm", f"{who}{', '.join(sorted(now))}")
         elif before and not now:

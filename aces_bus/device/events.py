@@ -30,7 +30,7 @@ Kind = Literal[
     "not stopped",  # has not stopped yet
     "overrun",  # a tick's packets did not fit into the tick
     "bug",  # a driver's own code raised
-    # of the bus, as gates and wires tell them
+    # of the bus, as gates and wires report them
     "opened",
     "lost",
     "reopened",
@@ -93,9 +93,9 @@ class EventLog:
         self._last: dict[tuple[str, str, str], int] = {}
 
     def emit(self, event: DeviceEvent) -> None:
-        """Count; keep and hand on, but the same of one device at most once a second, unless it tells of a change."""
+        """Count it, keep it and hand it on; the same of one device at most once a second, unless it is a change."""
         self.counts[event.kind, event.device] += 1
-        # Unknown devices have no name: their details tell them apart.
+        # Unknown devices have no name: their details distinguish them.
         who = event.device or event.detail if event.kind == "unknown device" else event.device
         key = (event.bus, event.kind, who)
         last = self._last.get(key)

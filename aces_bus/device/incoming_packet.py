@@ -1,4 +1,4 @@
-"""A packet for us, of several frames: its sender is let go on, asked again for what is missing, and told when all is there.
+"""A packet for us, of several frames: its sender gets go-aheads, questions for what is missing, and an acknowledgement.
 
 1. The scanner's own rule decides what makes a packet: what is acknowledged is a record, and what is none is given up.
 2. Silence after a question ends it. Where a part of what was asked for came, the rest is asked for again.

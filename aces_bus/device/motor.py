@@ -23,7 +23,7 @@ class JointChannel(Interface):
 
     @property
     def joint(self) -> Joint | None:
-        """What it moves."""
+        """The joint that it moves; None: none."""
         ...
 
     @property

@@ -172,7 +172,7 @@ class OutgoingPacket:
             self._finish()
 
     def _finish(self) -> None:
-        """No frame of it is left: tell its receiver where that is due, then let the next one go."""
+        """No frame of it is left: say so to its receiver where that is due, then let the next one go."""
         gone = partial(self._gone, self, self.fate == "sent")
         transport, given_up = self.transport, self._given_up
         if transport is not None and given_up is not None and self.has_begun:

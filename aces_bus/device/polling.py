@@ -112,7 +112,7 @@ class Polling:
     # ------------------------------------------------------------------ when
 
     def begin_tick(self, now: int) -> None:
-        """A tick begins."""
+        """Note when this tick ends, and until when it may poll."""
         host, line = self.host, self.host.line
         period = host.period_ns
         self._tick_end = now + period

@@ -171,7 +171,7 @@ class SingleMotor(MotorDevice[SingleAxis]):
 
     @abstractmethod
     def bring_up(self, job: Job) -> Steps:
-        """Steps that lead from off to being told to switch on: mode, limits, the set-point where it is."""
+        """Steps that lead from off to where it can be switched on: mode, limits, the set-point where it is."""
 
     @abstractmethod
     def stay(self) -> None:

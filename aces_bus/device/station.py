@@ -58,11 +58,11 @@ class EndpointMember:
         return True
 
     def receive(self, record: Any, instant: int) -> None:
-        """A record that is about it."""
+        """Take a record of this member."""
         raise NotImplementedError
 
     def received_by_others(self, record: Any, instant: int) -> bool:
-        """A record that is about nobody here; whether that was to be expected, as a heartbeat of the host."""
+        """Take a record of no member here; whether that was to be expected, as a heartbeat of the host."""
         return False
 
     def __repr__(self) -> str:

@@ -51,7 +51,7 @@ class Awaited:
                 self._notify()
 
     def fail(self, error: AcesError) -> None:
-        """It has failed."""
+        """It has failed with this error. What is over stays as it is."""
         if self.state == "waiting":
             self.state, self.error = "failed", error
             self._notify()

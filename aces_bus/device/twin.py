@@ -100,7 +100,7 @@ class Twin(EndpointMember):
     faults: ClassVar[Mapping[str, str]] = {}
     #: The amounts of these where none is said; 1 for others.
     amounts: ClassVar[Mapping[str, float]] = {}
-    #: From hearing a request to beginning the answer (ns).
+    #: From receiving a request to beginning the answer (ns).
     reply_delay_ns: int = 50_000
     attributes = EndpointMember.attributes | {
         *("twins", "world", "random", "active_faults", "is_powered", "requests", "replies"),
@@ -147,7 +147,7 @@ class Twin(EndpointMember):
     def not_understood(self, data: bytes, reason: str) -> None:
         """Bytes on a stream that are no request, from where they begin; only kinds that override this are given them."""
 
-    # ------------------------------------------------------------------ hearing and answering
+    # ------------------------------------------------------------------ receiving and answering
 
     @property
     def is_listening(self) -> bool:
@@ -264,12 +264,12 @@ class Twin(EndpointMember):
         self.is_powered = on
 
     def reboot(self) -> None:
-        """Off and on."""
+        """Switch it off and on."""
         self.power(False)
         self.power(True)
 
     def stop(self) -> None:
-        """End what repeats."""
+        """End its timers."""
         self._end_timers()
 
     def _end_timers(self) -> None:

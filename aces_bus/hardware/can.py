@@ -286,7 +286,7 @@ class CanGate(Gate[Frame]):
         self._emit("clock", f"the adapter's clock went back by {self._last_stamp - stamp:.6f} s")
 
     def _is_echo(self, frame: Frame) -> bool:
-        """Whether a backend that hears itself gives back what was sent; each frame once."""
+        """Whether a frame is one that was sent, given back by a backend that receives its own; each frame once."""
         try:
             self._echoes.remove((arbitration(frame), frame.data))
         except ValueError:
@@ -421,7 +421,7 @@ class CanGate(Gate[Frame]):
             raise
 
     def _give(self, message: Any) -> None:
-        """Send a message. A full queue of the system, which SocketCAN tells as a failure at once, is waited for."""
+        """Send a message. A full queue of the system, which SocketCAN reports as a failure at once, is waited for."""
         for left in reversed(range(FULL_TIMES)):
             try:
                 self._bus.send(message, timeout=1.0)

@@ -135,7 +135,7 @@ class Gate(SendingGate[Item]):
                 pass
 
     def _lose(self, error: BaseException | None) -> bool:
-        """The bus is gone: tell, and open it again, on the receive thread; False when the gate is to end."""
+        """The bus is gone: report it, and open it again, on the receive thread; False when the gate is to end."""
         self._gone(error)
         bus = self._found_again()
         if bus is None:
@@ -144,7 +144,7 @@ class Gate(SendingGate[Item]):
         return True
 
     def _gone(self, error: BaseException | None) -> None:
-        """The bus is gone: tell, and drop what waited for it."""
+        """The bus is gone: report it, and drop what waited for it."""
         self.state = "lost"
         why = "it does not answer any more" if error is None else f"{type(error).__name__}: {error}"
         self._emit("lost", why)

@@ -64,7 +64,7 @@ class SerialGate(Gate[bytes]):
         self.url, self.baud = url, baud
         self.half_duplex = half_duplex
         self.echo = half_duplex if echo is None else echo
-        #: Whether the adapter hears itself is found out with what is received first; what was received of that so far.
+        #: Whether the adapter receives what it sends shows in what is received first; what was received of that so far.
         self._is_unsure = half_duplex and echo is None
         self._held = bytearray()
         self._others = 0

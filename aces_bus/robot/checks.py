@@ -301,7 +301,7 @@ def addresses(protocol: Protocol) -> dict[str, AddressRange]:
         for head in message.heads:
             if head.pattern is not None:
                 captures += head.pattern.captures
-            elif head.name is not None and not head.is_text:  # letters number nobody
+            elif head.name is not None and not head.is_text:  # letters are no device's number
                 largest[head.name] = max(largest.get(head.name, 0), (1 << 8 * head.size) - 1)
         for capture in captures:
             captured.setdefault(capture.name, set()).update(capture.values)

@@ -252,7 +252,7 @@ class Simulation:
         return self
 
     def close(self) -> None:
-        """Take them off."""
+        """Take the twins off their buses."""
         for twins in self.buses.values():
             twins.close()
 

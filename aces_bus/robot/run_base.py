@@ -38,11 +38,11 @@ class RunLogger(Protocol):
         ...
 
     def bind(self, states: Mapping[str, Any]) -> None:
-        """Take them."""
+        """Take the states that it reads, by name."""
         ...
 
     def start(self, now: int) -> None:
-        """Begin."""
+        """Begin at an instant (ns)."""
         ...
 
     def step(self, now: int) -> None:

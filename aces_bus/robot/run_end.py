@@ -40,7 +40,7 @@ class Ended:
 
 
 class RunEnd(RunFaults):
-    """How it ends."""
+    """The end of a run: everything is stopped and closed, whatever ended it."""
 
     def stop(self, reason: str = "") -> Ended:
         """Stop motion, controllers, buses, logs; in this order, whatever fails on the way.
@@ -80,7 +80,7 @@ class RunEnd(RunFaults):
         return self.ended(reason)
 
     def ended(self, reason: str = "") -> Ended:
-        """How it ended."""
+        """How the run ended, as far as it has."""
         return Ended(
             reason or self._reason,
             self._reasons if self._tripped is None else self._tripped,

@@ -93,7 +93,7 @@ class TimeSeries(ABC):
     @property
     @abstractmethod
     def epoch(self) -> int:
-        """Grows whenever all was forgotten, so that whoever keeps sums of it begins anew."""
+        """Grows whenever all was forgotten, so that who keeps sums of it begins anew."""
 
     @abstractmethod
     def subscribe(self, listener: Listener) -> None:

@@ -279,7 +279,7 @@ class OneWay:
         return 0 if self.target is None else self.target.counters.sent
 
     def summary(self) -> str:
-        """One line."""
+        """What was forwarded, in one line."""
         unit = unit_of(self.source, self.target)
         parts = [f"{unit}={self.total}"]
         if self.target is None:

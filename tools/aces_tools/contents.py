@@ -201,7 +201,7 @@ class SerialContents:
         self.last_s: float | None = None
 
     def add(self, chunk: Chunk) -> None:
-        """More bytes."""
+        """Take more bytes."""
         data, time = chunk.data, chunk.time
         self.bytes += len(data)
         self.piece += data[: max(0, TRIED_BYTES - len(self.piece))]

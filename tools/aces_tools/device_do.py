@@ -118,7 +118,7 @@ class Doing:
     events: DeviceEventLines
 
     def wait(self, until: Any, duration: int) -> bool:
-        """Let time pass until that holds or Ctrl-C, telling what happens meanwhile; whether it holds."""
+        """Let time pass until that holds or Ctrl-C, reporting what happens meanwhile; whether it holds."""
         clock = self.live.clock
         end = clock.now() + duration
         while not until() and not self.patience.is_over and clock.now() < end:

@@ -256,7 +256,7 @@ class Tally:
 
     @property
     def rate(self) -> float:
-        """Examples a minute."""
+        """How many examples a minute."""
         return 60 * self.examples / self.seconds
 
     def coverage(self) -> Coverage:

@@ -62,7 +62,7 @@ class LiveFile(Protocol):
 
     @property
     def size(self) -> int:
-        """Bytes so far."""
+        """How many bytes the file has so far."""
         ...
 
     def close(self) -> None:
@@ -152,7 +152,7 @@ class DatabaseFile:
         self._rows += self._writer.rows(table)
 
     def settle(self) -> None:
-        """Rows need nothing."""
+        """Nothing to do: rows are whole."""
 
     def commit(self) -> None:
         rows, self._rows = self._rows, []
@@ -229,7 +229,7 @@ class LiveRecording:
 
     @property
     def size(self) -> int:
-        """Bytes so far."""
+        """How many bytes the file has so far."""
         return int(self._file.size)
 
     def write(self, item: Any) -> None:
@@ -307,7 +307,7 @@ class LiveTables:
 
     @property
     def size(self) -> int:
-        """Bytes so far."""
+        """How many bytes the file has so far."""
         return self._export.size
 
     def write(self, item: Sequence[Any]) -> None:

@@ -228,7 +228,7 @@ class Sending:
         return list(scanner.feed([packet]) if isinstance(packet, Frame) else scanner.datagram(packet))
 
     def writer(self) -> Any:
-        """What prints records."""
+        """What prints records in the format that was asked for."""
         if self.arguments.format == "jsonl":
             from .output.jsonl import JsonLines
 

@@ -127,7 +127,7 @@ class Log:
 
     @property
     def units(self) -> dict[str, str]:
-        """By column."""
+        """The units, by column."""
         return {column.name: column.unit for column in self.columns}
 
     def __len__(self) -> int:

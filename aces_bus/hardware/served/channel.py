@@ -166,7 +166,7 @@ class ServedChannel:
         own: bool = False,
         restart_ns: int | None = None,
     ) -> BusClient:
-        """A new member. `own`: it hears what it sends."""
+        """A new member. `own`: it receives what it sends."""
         member = BusClient(self, name, connection, fd=fd, own=own)
         if self.physics:
             node = self.wire.attach(
@@ -227,7 +227,7 @@ class ServedChannel:
 
     def _received(self, member: BusClient, frame: Frame, instant: int) -> None:
         last, when, one = self._last
-        if last is not frame or when != instant:  # packed once for all who hear it
+        if last is not frame or when != instant:  # packed once for all receivers
             one = frame_record(frame, instant + self._epoch_ns)
             self._last = (frame, instant, one)
         member.deliver(one)

@@ -55,7 +55,7 @@ class AsciiField(Field):
 
 
 class AsciiText(AsciiField):
-    """Any characters."""
+    """A text of any characters."""
 
 
 class AsciiNumber(AsciiField):

@@ -15,7 +15,7 @@ GivenUp = Literal["timed out", "overtaken", "busy", "contradiction", "asked too 
 
 
 class Steering(NamedTuple):
-    """What a receiver tells who sends it a packet whose first frame has `key`, and the bytes of `opening` at their places.
+    """What a receiver answers to a packet whose first frame has `key`, and the bytes of `opening` at their places.
 
     "on": send `frames` frames (0: all), `gap_ns` from the end of one to the next, from the one at place `start` on (0: from
     the one that is due). "wait": there will be another one. "stop": it does not take the packet, for a `reason`. "done": it

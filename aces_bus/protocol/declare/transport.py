@@ -380,7 +380,7 @@ class Transport:
         return None
 
     def steering(self, key: int, data: bytes) -> Steering | None:
-        """What a frame tells who sends; None of frames that steer nothing."""
+        """What a frame says to the sender of a packet; None of frames that steer nothing."""
         return None
 
     def frame(self, key: int, data: bytes) -> Frame:
@@ -388,7 +388,7 @@ class Transport:
         return Frame(key & 0x1FFF_FFFF, data, is_extended_id=bool(key & EXTENDED), is_fd=self.fd)
 
     def addressed(self, key: int, data: bytes) -> dict[str, int] | None:
-        """What the address in a frame captures beside its identifier; None where it is for nobody."""
+        """What the address in a frame captures beside its identifier; None where it is for no device."""
         return {}
 
     def is_for(

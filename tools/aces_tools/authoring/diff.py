@@ -49,7 +49,7 @@ class Changed:
 
 @dataclass
 class Difference:
-    """Everything that differs."""
+    """What differs between two specs, by message."""
 
     removed: list[str]
     added: list[str]

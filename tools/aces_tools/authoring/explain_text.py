@@ -25,7 +25,7 @@ NARROW = 24
 
 
 def attempt_lines(attempt: Attempt, width: int | None, paint: Paint) -> list[str]:
-    """One attempt."""
+    """The lines that explain one attempt."""
     found = attempt.found
     head = paint("source", attempt.label)
     if not attempt.is_can and attempt.run == 1 and len(attempt.raw) > 1:

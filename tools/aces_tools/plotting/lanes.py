@@ -141,7 +141,7 @@ class LanePicture:
         self._part(sides).add(table)
 
     def watch_messages(self, table: MessageTable, sides: str) -> None:
-        """Decoded messages."""
+        """Take decoded messages."""
         self._part(sides).signals.add(table)
 
     def save(self, path: str, found: RecordingComparison, names: Sequence[str]) -> int:

@@ -42,7 +42,7 @@ class PlotLine:
 
     @property
     def unit(self) -> str:
-        """Of the values."""
+        """The unit of its values."""
         return self.series.signal.kind.unit if self.series.signal.bit is None else ""
 
 
@@ -64,7 +64,7 @@ class PlotPanel:
 
     @property
     def lines(self) -> list[PlotLine]:
-        """All of them."""
+        """The lines of all axes."""
         return [line for axis in self.axes for line in axis]
 
 

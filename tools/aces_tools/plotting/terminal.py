@@ -282,7 +282,7 @@ class _Drawing:
         return self.paint(_colour(line, number), "".join(marks.tolist()).rstrip())
 
     def _canvas(self, panel: PlotPanel, place: int, rows: int) -> list[str]:
-        """Lines as braille."""
+        """The lines of one axis, drawn in braille."""
         lines = panel.axes[place]
         low, high = (
             (-0.5, len(panel.categories) - 0.5)

@@ -103,7 +103,7 @@ class Lines(Widget):
         return plain_text(self._lines)
 
     def show(self, lines: list[Line]) -> None:
-        """Show these."""
+        """Show these lines."""
         is_other = len(lines) != len(self._lines)
         self._lines = lines
         self.refresh(layout=is_other)
@@ -324,7 +324,7 @@ class LiveScreen(App[None]):
 
     @property
     def table(self) -> Table:
-        """The rows."""
+        """The table of rows."""
         return self.query_one(Table)
 
     # ------------------------------------------------------------------ one turn

@@ -151,7 +151,7 @@ def _if(wanted: object, text: str, style: str) -> Line:
 
 
 def plain_text(lines: Sequence[Line]) -> str:
-    """Lines without styles."""
+    """The text of lines, without styles."""
     return "\n".join("".join(span.text for span in line) for line in lines)
 
 

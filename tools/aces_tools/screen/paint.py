@@ -103,7 +103,7 @@ def milliseconds(seconds: float) -> str:
 
 
 def paint_bits(value: float) -> str:
-    """Bits a second."""
+    """A bit rate (bit/s) as text."""
     for unit, size in (("Mbit/s", 1e6), ("kbit/s", 1e3)):
         if value >= size:
             return f"{value / size:.3g} {unit}"
@@ -154,7 +154,7 @@ class Needs:
 
     @classmethod
     def of(cls, model: Model, rows: Iterable[RepeatedFrame]) -> Needs:
-        """Of these rows."""
+        """What these rows need."""
         channel, identifier, message, size, is_can = 4, 2, 7, 1, True
         channels: set[str] = set()
         for row in rows:
