@@ -269,19 +269,19 @@ def _times(
             delay = starts.get(request.after, 0) + max(request.delay_ns, assumptions.answer_ns)
         elif bus.one_by_one and last:
             after, delay = last, assumptions.latency_ns if longest >= 0 else 0
-        frames.append(RoundFrame(_message(bus, request, wires, delay), after))
+        frames.append(RoundFrame(_message(request, wires, delay), after))
         if bus.one_by_one and not request.after:
             last, longest = request.name, -1
         for answer in content:
             if answer.after == request.name:
                 delay = max(answer.delay_ns, assumptions.answer_ns)
-                frames.append(RoundFrame(_message(bus, answer, wires, delay), request.name))
+                frames.append(RoundFrame(_message(answer, wires, delay), request.name))
                 if bus.one_by_one and delay >= longest:
                     last, longest = answer.name, delay
     nodes = {one.node for one in alone}
     queues: dict[str, Queue] = {HOST: "fifo", **assumptions.queues}
     others = MessageSet(
-        tuple(_message(bus, one, wires, 0) for one in alone),
+        tuple(_message(one, wires, 0) for one in alone),
         bits_ns(1, bus.bitrate),
         {node: queue for node, queue in queues.items() if node in nodes},
         assumptions.errors if is_can else NO_ERRORS,
@@ -289,7 +289,7 @@ def _times(
     return round_times(frames, others, bus.tick_ns, queues=queues)
 
 
-def _message(bus: BusTraffic, sent: SentMessage, wires: Mapping[str, int], jitter_ns: int) -> BusMessage:
+def _message(sent: SentMessage, wires: Mapping[str, int], jitter_ns: int) -> BusMessage:
     priority = 0  # on a line who is first is first
     if sent.identifier is not None:
         priority = arbitration(Frame(sent.identifier, is_extended_id=sent.extended))

@@ -245,7 +245,7 @@ def _layout(fields: Sequence[FieldGuess], first: int, size: int, trailing: bool)
     lines = ["BitLayout(", f"    {size},"]
     # A selector comes before what it selects.
     for one in sorted(some, key=lambda one: one.kind != "multiplexer"):
-        lines += _commented(one, f'"{field_name(one)}" / {_field(one, first, is_big)},', fields)
+        lines += _commented(one, f'"{field_name(one)}" / {_field(one, first, is_big)},')
     if is_big:
         lines.append('    order="msb",')
     if trailing:
@@ -253,7 +253,7 @@ def _layout(fields: Sequence[FieldGuess], first: int, size: int, trailing: bool)
     return [*lines, ")"]
 
 
-def _commented(one: FieldGuess, code: str, fields: Sequence[FieldGuess] = ()) -> list[str]:
+def _commented(one: FieldGuess, code: str) -> list[str]:
     text = f"{one.evidence} ({one.confidence:.2f})"
     return [f"    {line}" for line in (*wrapped(plain(text), "# ", "# "), *wrapped(code, "", "    "))]
 

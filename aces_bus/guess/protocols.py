@@ -65,7 +65,7 @@ def recognised(frames: FrameTable) -> list[ProtocolGuess]:
         else {}
     )
     found = [
-        *_j1939(frames, rows),
+        *_j1939(rows),
         *_put_together(frames, rows),
         *_packets(frames, rows),
         *_canopen(frames, rows),
@@ -82,7 +82,7 @@ def group_of(key: int) -> int:
     return number if number >> 8 & 0xFF >= 0xF0 else number & ~0xFF
 
 
-def _j1939(frames: FrameTable, rows: dict[int, Array]) -> Iterator[ProtocolGuess]:
+def _j1939(rows: dict[int, Array]) -> Iterator[ProtocolGuess]:
     keys = [key for key in rows if key & EXTENDED and not key & (FD | REMOTE)]
     if len(keys) < ENOUGH:
         return

@@ -264,11 +264,6 @@ def new_can(identifier: int, data: bytes, extended: bool, remote: bool, fd: bool
     )
 
 
-def to_can(image: bytes) -> Any:
-    """The python-can message of a frame's image."""
-    return new_can(*can_parts(image))
-
-
 def can_parts(image: bytes) -> CanParts:
     """Identifier, data, whether the identifier has 29 bits, whether remote, whether CAN FD, of a frame's image."""
     word = int.from_bytes(image[:4], "big")

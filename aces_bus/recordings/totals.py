@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any
 
 import msgspec
@@ -85,11 +84,3 @@ class Totals(msgspec.Struct):
         if self.lines_unreadable:
             found.append(f"{self.lines_unreadable} unreadable line{'s' if self.lines_unreadable > 1 else ''}")
         return found
-
-
-def sum_totals(some: Iterable[Totals]) -> Totals:
-    """All of them together."""
-    total = Totals()
-    for one in some:
-        total.join(one)
-    return total

@@ -175,7 +175,7 @@ class CanContents:
             page.lines(
                 [f"and {counted(self.rows.beyond, 'frame')} of more than {len(self.rows)} identifiers"]
             )
-        _advise(page, self.name, "can", FrameTable.concat(self.piece) if self.piece else None)
+        _advise(page, self.name, FrameTable.concat(self.piece) if self.piece else None)
 
 
 def _cells(row: Row) -> tuple[str, ...]:
@@ -219,13 +219,13 @@ class SerialContents:
             page.lines([""])
             for place in range(0, min(len(self.piece), 64), 16):
                 page.lines([f"{place:8}  {bytes(self.piece[place : place + 16]).hex(' ').upper()}"])
-        _advise(page, self.name, "serial", bytes(self.piece) or None)
+        _advise(page, self.name, bytes(self.piece) or None)
 
 
 # ---------------------------------------------------------------------- which protocols fit
 
 
-def _advise(page: Page, name: str, link: str, piece: Any) -> None:
+def _advise(page: Page, name: str, piece: Any) -> None:
     """Say what to type next."""
     if piece is None:
         return

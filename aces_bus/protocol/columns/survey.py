@@ -105,7 +105,7 @@ class Survey(PacketHeaders):
                 rows = take_rows(rows, chosen) if rows is not None else None
         ends = starts + sizes
         if (starts[1:] < ends[:-1]).any():
-            chosen = _untangled(starts, ends, waits)
+            chosen = _untangled(starts, ends)
             starts, sizes, ends = starts[chosen], sizes[chosen], ends[chosen]
             rows = take_rows(rows, chosen) if rows is not None else None
         for wait in waits.tolist():
@@ -120,7 +120,7 @@ class Survey(PacketHeaders):
         return Decided(starts, sizes, *_outside(bad, starts, ends, stop), stop, rows)
 
 
-def _untangled(starts: Array, ends: Array, waits: Array) -> Array:
+def _untangled(starts: Array, ends: Array) -> Array:
     """The rule where candidates overlap: the lowest is accepted, what begins inside it is none. Which stay.
 
     What begins behind an incomplete candidate that no packet covers is not decided; it may stay, the caller leaves it out.

@@ -353,7 +353,7 @@ class _Group:
             offset, size, order = message.check_span
             self._lose(name, str(message.check.field), f"a check ({message.check.describe}): kept as raw")
             bits = whole_bits(offset, size, order)
-            self._place(str(message.check.field), bits, DbcSignal("", 0, 0, when=when), name)
+            self._place(str(message.check.field), bits, DbcSignal("", 0, 0, when=when))
         for counter in message.counters:
             self._lose(name, counter, "a rolling counter: a number like any other")
 
@@ -382,7 +382,7 @@ class _Group:
             case p.FromIdentifier():
                 if node.number is None:
                     return  # each identifier is a message
-                self._captured(leaf, node, base, name)
+                self._captured(leaf, node, base)
             case p.Rest():
                 return  # bits without a signal
             case p.FromRequest():
@@ -395,7 +395,7 @@ class _Group:
             for one in names:
                 self.named[one, leaf.path] = self.found[before].name
 
-    def _captured(self, leaf: p.NodePath, node: p.FromIdentifier, base: DbcSignal, name: str) -> None:
+    def _captured(self, leaf: p.NodePath, node: p.FromIdentifier, base: DbcSignal) -> None:
         bits = node.place
         part, constant = (bits[node.shift :], node.constant >> node.shift) if node.is_alone else (bits, 0)
         base.offset = -constant
@@ -403,7 +403,7 @@ class _Group:
         if (scale := node.scale) is not None:
             base.scale, base.offset = scale.scale, scale.offset - constant * scale.scale
         base.unit = clean_text(node.unit)
-        self._place(leaf.identifier, part, base, name)
+        self._place(leaf.identifier, part, base)
 
     def _scalar(self, leaf: p.NodePath, node: p.Scalar, base: DbcSignal, name: str, is_shared: bool) -> None:
         own = (
@@ -419,7 +419,7 @@ class _Group:
             self._lose(name, leaf.path, f"{node.kind}, kept as a raw number, low byte first")
             for index, start in enumerate(range(0, len(bits), WIDEST)):
                 part = own if len(bits) <= WIDEST else f"{own}_{index}"
-                self._place(part, bits[start : start + WIDEST], replace(base), name)
+                self._place(part, bits[start : start + WIDEST], replace(base))
             return
         if len(bits) > WIDEST:
             self._lose(name, leaf.path, f"a number of {len(bits)} bits: left out")
@@ -428,12 +428,12 @@ class _Group:
         if node.is_magnitude:
             self._lose(name, leaf.path, "sign and magnitude: kept as raw, the top bit is the sign")
         elif flags := node.flag_names:
-            self._flags(own, node, flags, base, name)
+            self._flags(own, node, flags, base)
             return
         elif not _is_run(bits):
             self._lose(name, leaf.path, "one number in several places: its pieces are kept as raw")
             for first, at, width in runs_of(bits):
-                self._place(f"{own}_bit{at}", range(first, first + width), replace(base), name)
+                self._place(f"{own}_bit{at}", range(first, first + width), replace(base))
             return
         elif node.kind == "float" and len(bits) not in (32, 64):
             self._lose(name, leaf.path, f"a float of {len(bits)} bits: kept as raw")
@@ -445,9 +445,9 @@ class _Group:
                 self._scaled(leaf, scale, base, name)
         if node.is_magnitude and not _is_run(bits):
             for first, at, width in runs_of(bits):
-                self._place(f"{own}_bit{at}", range(first, first + width), replace(base), name)
+                self._place(f"{own}_bit{at}", range(first, first + width), replace(base))
             return
-        self._place(own, bits, base, name)
+        self._place(own, bits, base)
 
     def _scaled(self, leaf: p.NodePath, scale: p.Scale, base: DbcSignal, name: str) -> None:
         base.scale, base.offset = scale.scale, scale.offset
@@ -465,17 +465,17 @@ class _Group:
         if scale.rounding != "nearest":
             self._lose(name, leaf.path, f"sent numbers are rounded ({scale.rounding}): not said")
 
-    def _flags(self, own: str, node: p.Scalar, flags: dict[int, str], base: DbcSignal, name: str) -> None:
+    def _flags(self, own: str, node: p.Scalar, flags: dict[int, str], base: DbcSignal) -> None:
         """A signal of one bit for each flag, and one for each run of bits without a name."""
         bits = node.place
         for bit, flag in flags.items():
-            self._place(f"{own}_{flag}", bits[bit : bit + 1], replace(base), name)
+            self._place(f"{own}_{flag}", bits[bit : bit + 1], replace(base))
         rest = [bit for bit in range(len(bits)) if bit not in flags]
         for first, _, width in runs_of(rest):
             for start, at, size in runs_of(bits[first : first + width]):
-                self._place(f"{own}_bit{first + at}", range(start, start + size), replace(base), name)
+                self._place(f"{own}_bit{first + at}", range(start, start + size), replace(base))
 
-    def _place(self, own: str, bits: Sequence[int], base: DbcSignal, name: str) -> None:
+    def _place(self, own: str, bits: Sequence[int], base: DbcSignal) -> None:
         found = runs_of(bits)
         base.name = dbc_name(own, self.taken)
         base.width = len(bits)

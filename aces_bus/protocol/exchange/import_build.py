@@ -248,14 +248,13 @@ class _Builder:
         by_name: dict[str, Any] = {}
         for signal in signals:
             by_name.setdefault(signal.name, signal)
-        raws: dict[str, list[int]] = {}
         for signal in _selectors_first(signals, by_name):
             line = self.lines(message, signal)
             try:
                 at = _place(signal, size)
                 field = _value(signal, at)
                 if signal.multiplexer_signal is not None:
-                    field = self._multiplexed(signal, field, by_name, names, raws)
+                    field = self._multiplexed(signal, field, by_name, names)
             except (_LeftOut, AcesError) as reason:
                 shown = f"signal {clean_text(message.name)}.{clean_text(signal.name)}"
                 self.problems.append(ImportProblem(line, f"{shown}: {without_place(reason)}: left out"))
@@ -287,7 +286,6 @@ class _Builder:
         field: c.Construct,
         by_name: Mapping[str, Any],
         names: Mapping[str, str],
-        raws: dict[str, list[int]],
     ) -> Multiplexed:
         selector = by_name.get(signal.multiplexer_signal)
         if selector is None or signal.multiplexer_signal not in names:

@@ -126,7 +126,7 @@ class Tracer(Reference):
         return Attempt(
             base + start,
             tuple(t.name for t in self.templates),
-            tuple(_completed(steps, found, lead)),
+            tuple(_completed(steps, found)),
             contest.rows(
                 found,
                 lambda t, index: t.cell(offsets[index], size if t is lead and size else sizes.get(t.framing)),
@@ -188,7 +188,7 @@ class Tracer(Reference):
         return Attempt(
             number,
             tuple(t.name for t in self.templates),
-            tuple(_completed(steps, found, lead)),
+            tuple(_completed(steps, found)),
             contest.rows(found, lambda t, index: frame_cell(t, parts[index])),
             found,
             number + 1,
@@ -301,7 +301,7 @@ def _readings(lead: Template, living: Sequence[Template], prefix: bytes) -> tupl
     return tuple(FieldRead(name, field, value, unit) for field, value, unit in found)
 
 
-def _completed(steps: list[Step], found: ReferenceItem, lead: Template) -> list[Step]:
+def _completed(steps: list[Step], found: ReferenceItem) -> list[Step]:
     """Fields that have no place of their own (texts, lists, stuffed bytes) are read when the packet is whole."""
     if found.fields is None or not steps:
         return steps

@@ -20,7 +20,7 @@ def check_framings(protocol: Protocol) -> Iterator[Finding]:
     for framing in protocol.framings:
         messages = [m for m in protocol.declared if m.framing is framing]
         yield from _sizes(framing)
-        yield from _gap(framing, messages)
+        yield from _gap(framing)
         if framing.check is not None:
             yield from _framing_check(framing, framing.check, messages)
         elif protocol.link != "can" and not any(m.check is not None for m in messages):
@@ -129,7 +129,7 @@ def _begins(message: Message, framing: Framing, plan: MessagePlan) -> Iterator[F
             )
 
 
-def _gap(framing: Framing, messages: list[Message]) -> Iterator[Finding]:
+def _gap(framing: Framing) -> Iterator[Finding]:
     if framing.gap is not None and framing.gap <= 0:
         yield _of(framing, "error", "gap", f"gap={framing.gap:g} s: a pause takes time")
     elif framing.gap is None and framing.protocol.link == "serial" and framing.fixed_size is None:
@@ -193,7 +193,7 @@ def _framing_check(framing: Framing, check: Check, messages: list[Message]) -> I
             "check-range",
             f"leaves out {_listed(left, longest)}: a fault there goes unseen",
         )
-    if not _elsewhere(check) and messages and all(_is_constant(m, spans, start, tail) for m in messages):
+    if not _elsewhere(check) and messages and all(_is_constant(m, spans, tail) for m in messages):
         yield finding("warning", "check-constant", "covers only bytes that never change, so it cannot fail")
 
 
@@ -207,7 +207,7 @@ def _likely_sizes(framing: Framing, messages: list[Message]) -> list[int]:
     return sorted(size for size in found if framing.min_size <= size <= framing.max_size)
 
 
-def _is_constant(message: Message, spans: dict[int, list[int]], start: int, tail: int) -> bool:
+def _is_constant(message: Message, spans: dict[int, list[int]], tail: int) -> bool:
     plan = message.plan
     if plan.lengths is None or len(plan.lengths) != 1:
         return False

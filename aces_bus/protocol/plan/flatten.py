@@ -254,7 +254,7 @@ class _Builder:
         if isinstance(con, c.Struct):
             self.fields = self._struct(con, self.message.name, top=True)
         elif isinstance(con, BitLayout):
-            self.fields = self._layout(con, self.message.name)
+            self.fields = self._layout(con)
         else:
             assert isinstance(con, d.Delimited)
             self._delimited(con)
@@ -358,7 +358,7 @@ class _Builder:
         if isinstance(body, c.Struct):
             return self._group(path, self._struct(body, path, top=False))
         if isinstance(body, BitLayout):
-            return self._group(path, self._layout(body, path))
+            return self._group(path, self._layout(body))
         if isinstance(body, c.Array) and isinstance(body.count, int):
             if body.count > 64:
                 raise NotFlat(f"an array of {body.count}")
@@ -377,7 +377,7 @@ class _Builder:
 
     def _items(self, items: Items, path: str) -> p.TaggedItems:
         """Tagged items up to the end."""
-        self._only_here(path)
+        self._only_here()
         kinds = [self._item_kind(items, kind, path) for kind in items.data]
         self.is_open = True
         return self._tagged(items, path, kinds)
@@ -440,7 +440,7 @@ class _Builder:
         return self._groups(items.subcon, number, path)
 
     def _groups(self, con: c.Construct, count: p.Scalar | None, path: str) -> p.Repeated:
-        self._only_here(path)
+        self._only_here()
         plan = self._alone(con, path)
         if plan.lengths is None or not plan.lengths[0]:
             raise NotFlat("repeated groups of no fixed size")
@@ -449,7 +449,7 @@ class _Builder:
         self.is_open = True
         return p.Repeated(self.offset, plan.lengths[0], plan, count)
 
-    def _only_here(self, path: str) -> None:
+    def _only_here(self) -> None:
         if self.is_open or self.outer is not None:
             raise NotFlat("a list of items that does not end the payload")
 
@@ -487,7 +487,7 @@ class _Builder:
         self._shapes[shape] = name
         return p.NestedRecord(name, tuple(fields))
 
-    def _layout(self, layout: BitLayout, path: str) -> list[p.PlanField]:
+    def _layout(self, layout: BitLayout) -> list[p.PlanField]:
         found: dict[str, list[p.Scalar]] = {}
         whens: dict[str, p.When | None] = {}
         docs: dict[str, str] = {}

@@ -67,7 +67,7 @@ from ..output.columns import Page
 from ..protocols_arg import named_protocol, parse_protocols
 
 if TYPE_CHECKING:
-    from aces_bus.testing.fuzz import Failure, Fuzzer
+    from aces_bus.testing.fuzz import Failure
 
 
 #: How long the laws are tried on a protocol, unless --for says otherwise.
@@ -473,7 +473,7 @@ def prove(protocol: Protocol, name: str, seconds: float) -> ProofResult:
                 fuzzer.run(1, number)
                 proved.scenes = fuzzer.examples
             for failure in fuzzer.failures:
-                _report(proved, fuzzer, failure, protocol, name)
+                _report(proved, failure, protocol, name)
         except UndrawableError as error:
             proved.findings.append(finding_of_error(error, protocol, "the laws could not be asked"))
     except Exception as error:  # whatever a spec makes generated code or the core raise
@@ -494,7 +494,7 @@ def example_numbers(benches: int) -> Iterator[int]:
         first += benches
 
 
-def _report(proved: ProofResult, fuzzer: Fuzzer, failure: Failure, protocol: Protocol, name: str) -> None:
+def _report(proved: ProofResult, failure: Failure, protocol: Protocol, name: str) -> None:
     from aces_bus.testing.drawing import scene_drawing
 
     message = next(

@@ -54,7 +54,7 @@ def _attempt(canvas: Canvas, attempt: Attempt, top: float) -> float:
     steps = attempt.steps[:COLUMNS]
     widths = [_width(index, step, attempt.rows) for index, step in enumerate(steps)]
     lefts = [NAME + sum(widths[:index]) for index in range(len(widths))]
-    top = _read(canvas, steps, lefts, widths, top)
+    top = _read(canvas, steps, lefts, top)
     for step, left, width in zip(steps, lefts, widths, strict=True):
         canvas.text(left + width / 2, top + 9, step.place, FAINT, size=SMALL, anchor="middle")
         canvas.box(left, top + 13, width, HIGH, PAPER, line=INK, weight=1.4)
@@ -82,9 +82,7 @@ def _width(index: int, step: Step, rows: Sequence[TemplateTrace]) -> float:
     return min(130.0, max(38.0, max(text_width(text, SMALL) for text in texts) + 10))
 
 
-def _read(
-    canvas: Canvas, steps: Sequence[Step], lefts: Sequence[float], widths: Sequence[float], top: float
-) -> float:
+def _read(canvas: Canvas, steps: Sequence[Step], lefts: Sequence[float], top: float) -> float:
     """What was read, each over the part that completes it; on as many lines as keep them apart."""
     ends: list[float] = []
     marks: list[tuple[int, float]] = []

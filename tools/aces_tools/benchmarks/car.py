@@ -33,13 +33,13 @@ def car_dbc(seed: int = 60) -> str:
         bit = 0
         if is_multiplexed:
             lines.append(
-                f' SG_ Mode{number:02} M : {_start(0, 8, is_big)}|8@{_order(is_big)}+ (1,0) [0|3] "" TESTER'
+                f' SG_ Mode{number:02} M : {_start(0, is_big)}|8@{_order(is_big)}+ (1,0) [0|3] "" TESTER'
             )
             for page in range(4):
                 for place in range(3):
                     at = 8 + 16 * place
                     lines.append(
-                        f" SG_ Page{page}Value{place}_{number:02} m{page} : {_start(at, 16, is_big)}|16@{_order(is_big)}"
+                        f" SG_ Page{page}Value{place}_{number:02} m{page} : {_start(at, is_big)}|16@{_order(is_big)}"
                         f'{rng.choice("+-")} ({rng.choice(("0.1", "0.01", "1"))},0) [0|0] "V" TESTER'
                     )
             lines.append("")
@@ -65,7 +65,7 @@ def car_dbc(seed: int = 60) -> str:
             )
             unit = rng.choice(("km/h", "rpm", "%", "degC", "Nm", "V")) if width > 4 else ""
             lines.append(
-                f" SG_ {name} : {_start(bit, width, is_big)}|{width}@{_order(is_big)}{sign} ({scale},{offset}) [0|0]"
+                f" SG_ {name} : {_start(bit, is_big)}|{width}@{_order(is_big)}{sign} ({scale},{offset}) [0|0]"
                 f' "{unit}" TESTER'
             )
             if width == 2:
@@ -80,7 +80,7 @@ def _order(is_big: bool) -> int:
     return 0 if is_big else 1
 
 
-def _start(bit: int, width: int, is_big: bool) -> int:
+def _start(bit: int, is_big: bool) -> int:
     """Where DBC says a signal starts: the lowest bit (Intel) or the highest one (Motorola), in its own numbering."""
     return bit if not is_big else 8 * (bit // 8) + 7 - bit % 8
 
