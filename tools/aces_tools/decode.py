@@ -327,7 +327,8 @@ class LiveDecoding(Decoding):
                 self._after(capture)
                 if self.is_done:
                     break
-            self._carried(scanner.close(), totals)
+            left = scanner.close()
+            self._take(left, map(_frame_of, left), totals)
         finally:
             totals.count(scanner.counts)
 
@@ -342,24 +343,13 @@ class LiveDecoding(Decoding):
             self._warn_of(scanner.contested, items)
         if self.absent:
             self._seen({str(frame.channel) for frame in frames})
-        if scanner.has_transports:
-            self._carried(items, totals)
-            return
-        passed = self._in_window(items)
-        if self.filter is not None:
-            matches = self.filter.matches
-            passed = [
-                ok and matches(frame) for ok, frame in zip(passed or repeat(True), frames, strict=False)
-            ]
-        self._explain_first(items, is_can=True)
-        self._emit(self._kept(items, passed, totals, is_can=True), totals, is_can=True)
+        self._take(items, map(_frame_of, items) if scanner.has_transports else frames, totals)
 
-    def _carried(self, items: list[Any], totals: Totals) -> None:
-        """Items of a scanner with transports: one may be of several frames, or of one that came earlier."""
+    def _take(self, items: list[Any], frames: Iterable[Frame], totals: Totals) -> None:
+        """Items of frames; with transports one item may be of several, or of one that came earlier."""
         passed = self._in_window(items)
         if self.filter is not None:
-            matches = self.filter.matches
-            seen = (matches(_frame_of(item)) for item in items)
+            seen = map(self.filter.matches, frames)
             passed = [ok and found for ok, found in zip(passed or repeat(True), seen, strict=False)]
         self._explain_first(items, is_can=True)
         self._emit(self._kept(items, passed, totals, is_can=True), totals, is_can=True)
