@@ -482,7 +482,7 @@ def test_over_names_messages() -> None:
     assert type(made.scanner().feed([Frame(1, b"\1\2")])[0]).__name__ == "First"
     made.message("Typing", id=2, overrides="Frist", payload=Struct("x" / Byte))
     with pytest.raises(
-        SpecError, match=r"test_declarations.py:\d+: Typing is over 'Frist', and no message has that name"
+        SpecError, match=r"test_declarations.py:\d+: Typing overrides 'Frist', and no message has that name"
     ):
         made.scanner()
     with pytest.raises(SpecError, match=r"overrides= names messages, as text; 3 does not"):
@@ -498,7 +498,7 @@ def test_over_goes_in_no_circle() -> None:
         SpecError, match=r"overrides= goes in a circle: 'C' is before 'B' .* which is before 'C'|circle"
     ):
         made.message("C", id=1, overrides="B", payload=Struct("x" / Byte))
-    with pytest.raises(SpecError, match=r"message 'D' cannot be over itself"):
+    with pytest.raises(SpecError, match=r"message 'D' cannot override itself"):
         made.message("D", id=1, overrides="D", payload=Struct("x" / Byte))
 
 

@@ -339,7 +339,7 @@ class Framing:
             )
         if not 0 < size.escape < 1 << 8 * length.size:
             raise SpecError(f"{self.place}: {length.name!r} is never {size.escape}")
-        wide = Head("wide_length", size.wide, self.head_end, wire.size, wire.order, False, False)
+        wide = Head("wide_length", size.wide, self.head_end, wire.size, wire.order, False)
         return replace(affine, escape=size.escape, wide=wide)
 
     def _trailed(self, trailer: Trailer) -> Affine:

@@ -26,7 +26,6 @@ class Head(msgspec.Struct, frozen=True):
     offset: int
     size: int
     order: Literal["little", "big"]
-    signed: bool
     is_text: bool
     pattern: IdPattern | None = None
 
@@ -110,6 +109,6 @@ def heads_of(struct: Struct | None, offset: int, place: SourceLine, what: str) -
             pattern = IdPattern(int.from_bytes(number, wire.order))
         elif is_text and not isinstance(body, Field) and name is None:
             raise SpecError(f"{place}: {what} bytes need a name")
-        found.append(Head(name, body, offset, wire.size, wire.order, wire.kind == "int", is_text, pattern))
+        found.append(Head(name, body, offset, wire.size, wire.order, is_text, pattern))
         offset += wire.size
     return tuple(found)

@@ -156,7 +156,7 @@ class Protocol:
         bytes are taken in both formats, classic and CAN FD, and sent as `fd` says. `direction`, `dialect`, `when`,
         `reply_to`, `after` (with `within` seconds) say what bytes cannot: see the architecture page. `overrides` names
         messages that this one takes precedence over. `examples` are worked ones, `(bytes, {field: value})`: see
-        `spec.examples`.
+        `declare.examples`.
         """
         place = caller(self._scope)
         if transport is not None:
@@ -241,7 +241,7 @@ class Protocol:
         """Raise `SpecError` when `overrides=` goes in a circle: no order of trial would be right."""
         reached, left = {made.name}, [made]
         if made.name in made.overrides:
-            raise SpecError(f"{made.place}: message {made.name!r} cannot be over itself")
+            raise SpecError(f"{made.place}: message {made.name!r} cannot override itself")
         while left:
             one = left.pop()
             for other in self.declared if one.overrides else ():
@@ -262,7 +262,7 @@ class Protocol:
             for name in message.overrides:
                 if name not in self.messages:
                     raise SpecError(
-                        f"{message.place}: {message.name} is over {name!r}, and no message has that name"
+                        f"{message.place}: {message.name} overrides {name!r}, and no message has that name"
                         f" (there are: {', '.join(self.messages)})"
                     )
 
