@@ -31,7 +31,7 @@ from typing import Any
 
 from ..errors import CallerError
 
-#: More text than anybody writes; parsing is quadratic in the worst case.
+#: More text than is ever written; parsing is quadratic in the worst case.
 LONGEST = 20_000
 
 

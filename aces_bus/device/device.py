@@ -1,7 +1,7 @@
 """A device: one node on a bus, as its driver knows it.
 
 1. Down: messages get the device's credentials. Up: only its own records arrive.
-2. SI outside, the sheet's units inside: conversions stand where a signal is declared, nowhere else.
+2. SI outside, the sheet's units inside: conversions are where a signal is declared, nowhere else.
 3. A driver waits for nothing: it asks, and goes on when the answer is there (`ask`, `job`).
 
 A driver is a subclass. The usual one declares what it polls and what its messages' fields mean:

@@ -32,7 +32,7 @@ class Meta(msgspec.Struct, frozen=True, gc=False):
 
     `time` is in seconds, as the capture or the adapter has it, None when unknown. `offset` and `size` are in bytes and
     only of streams; `identifier`, `extended` and `fd` only of CAN. `direction` is "to device", "from device" or None.
-    `raw` are the data bytes (CAN) or the packet as it stood on the wire (streams). Of a packet that a transport carried in
+    `raw` are the data bytes (CAN) or the packet as it was on the wire (streams). Of a packet that a transport carried in
     several frames, `raw` are its bytes, `time` is that of its last frame, `first_time` that of its first one, and `frames`
     are the data of each.
     """

@@ -36,7 +36,7 @@ def pieces_of(tables: Iterable[FrameTable], *, is_live: bool) -> Iterator[FrameT
 
 
 def frame_runs(tables: Iterable[FrameTable], size: int) -> Iterator[FrameTable]:
-    """Tables of `size` frames each, but for the last: the same ones for everybody who reads the recording, however its
+    """Tables of `size` frames each, but for the last: the same ones for all who read the recording, however its
     bytes come. Where reading stops with an error, what was read before comes first."""
     rest: FrameTable | None = None
     reading = CaptureReading(tables)

@@ -26,7 +26,7 @@ from aces_bus.protocol.plan import nodes as p
 
 _ASSIGNMENT = re.compile(r"\s*([A-Za-z_]\w*(?:\.\w+)*)\s*=(.*)", re.DOTALL)
 _OPENING, _CLOSING = "[{(", "]})"
-#: How deep lists and records may stand in each other.
+#: How deep lists and records may be nested.
 DEEPEST = 16
 
 

@@ -1,7 +1,7 @@
-"""What of a recording is no message: identifiers and opcodes that nobody declared, lengths and constants that differ, checks
+"""What of a recording is no message: undeclared identifiers and opcodes, lengths and constants that differ, checks
 that fail.
 
-1. What occurs once or twice may be noise or somebody else's: a note. What occurs again and again contradicts the spec.
+1. What occurs once or twice may be noise or another protocol's: a note. What occurs again and again contradicts the spec.
 2. Losses are grouped as they come, in a bounded number of groups, each with a few samples.
 """
 

@@ -2,7 +2,7 @@
 
 1. A packet is what the live decider makes of it: the first message, in order of trial, that accepts it.
 2. Messages that hang on requests, and the requests, are decided by the live decider itself, packet by packet, in order.
-3. Memory: packets stand in rows of 8, 16, 32, … bytes, so that a long one among short ones costs nothing.
+3. Memory: packets are in rows of 8, 16, 32, … bytes, so that a long one among short ones costs nothing.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ROWS = 1 << 24
 
 
 class Batch:
-    """Packets of one framing that stand in a buffer: where they start (int64, rising), how long they are, their instants.
+    """Packets of one framing in a buffer: where they start (int64, rising), how long they are, their instants.
 
     `offset` is the buffer's place in the stream. `times` are instants in seconds, and `when` says which of them each packet
     has (None: all the first). `ready` are their rows, where they have been made.

@@ -26,7 +26,7 @@ from .table import Array, MessageTable, lost_table, object_array, take_rows
 class Decided:
     """What a buffer is, up to `stop`; arrays are int64, positions in the buffer, rising.
 
-    Packets stand at `starts` and have `sizes` bytes; `rows`, where they had to be made, are `rows_of` them. At `bad` stand
+    Packets begin at `starts` and have `sizes` bytes; `rows`, where they had to be made, are `rows_of` them. At `bad` stand
     headers that are lost, each one byte, for the reason in `codes` (of `checks`); `bad_ends` is how far one had to
     look to know. Every other byte is skipped.
     """

@@ -133,11 +133,11 @@ class Check:
         )
 
     def encode(self, data: bytes) -> bytes:
-        """The bytes that stand in a packet whose covered bytes are `data`."""
+        """The check's bytes in a packet whose covered bytes are `data`."""
         return self.write(self.compute(data))
 
     def write(self, number: int) -> bytes:
-        """The bytes that stand in a packet whose check is `number`."""
+        """The check's bytes in a packet whose check is `number`."""
         if self.text is not None:
             return self.text.format(number).encode("ascii")
         return number.to_bytes(self.bytes, self.order)
@@ -400,7 +400,7 @@ class Sums:
         self._second: Any = []
 
     def fail(self, fresh: bytes, start: int) -> None:
-        """A direct check over the bytes `fresh`, which stand at `start`, has failed."""
+        """A direct check over the bytes `fresh`, which begin at `start`, has failed."""
         self.work += len(fresh)
         self._start, self.end = start, start + len(fresh)
         self._first, self._second = [0], [0]

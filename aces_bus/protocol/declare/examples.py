@@ -35,7 +35,7 @@ _LONGEST_ID = 3
 
 
 class ExampleFrame(msgspec.Struct, frozen=True):
-    """What stood on the wire: a packet, or with an identifier a CAN frame."""
+    """What was on the wire: a packet, or with an identifier a CAN frame."""
 
     data: bytes
     identifier: int | None = None

@@ -1,4 +1,4 @@
-"""How packets stand in a byte stream.
+"""How packets are laid out in a byte stream.
 
 A packet on the wire is  sync | header | payload | check | end,  and one of three things says where it ends:
 

@@ -1,7 +1,7 @@
 """Lists of tagged items: each has a tag that says what its data are, and most have a size.
 
 1. Every byte of the list is in exactly one item. One that cannot be read costs itself: its bytes stay, with the reason.
-2. The list takes all bytes that there are: nothing stands behind it in its payload.
+2. The list takes all bytes that there are: nothing comes behind it in its payload.
 3. An item that was read is built again as the same bytes, whatever was wrong with it.
 
 An item is a container of `kind` (the name, or the tag where it has none; None where the bytes are too few to say), `data`

@@ -108,7 +108,7 @@ class Protocol:
         return condition
 
     def framing(self, **declared: Any) -> Framing:
-        """Declare how packets stand in the stream; see `Framing` for the keywords."""
+        """Declare how packets are laid out in the stream; see `Framing` for the keywords."""
         if self.link == "can":
             raise SpecError(f"{caller()}: CAN frames need no framing")
         made = Framing(self, **declared)

@@ -1,8 +1,8 @@
 """Transfers with a tail byte: DroneCAN (UAVCAN v0) and Cyphal/CAN (UAVCAN v1).
 
 Facts: the last byte of each frame has start of transfer (bit 7), end of transfer (bit 6), a toggle (bit 5) and the
-transfer's number (bits 4–0). In v0 the toggle begins at 0 and a CRC-16/CCITT-FALSE stands in front of a transfer of several
-frames, little-endian, seeded by the type's signature; in v1 the toggle begins at 1, and the CRC stands behind, big-endian,
+transfer's number (bits 4–0). In v0 the toggle begins at 0 and a CRC-16/CCITT-FALSE is in front of a transfer of several
+frames, little-endian, seeded by the type's signature; in v1 the toggle begins at 1, and the CRC is behind, big-endian,
 without a seed (dronecan 1.0.27 `transport.py`; pycyphal 1.27.1 `transport/can/_session/`; Cyphal specification §4.2).
 Choice: the zeros that fill up a frame of CAN FD are part of the transfer and of its message, for nothing in it says how many
 they are. A spec ends with `Reserved(n)` where its fields alone are no length that there is.

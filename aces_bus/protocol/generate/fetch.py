@@ -192,7 +192,7 @@ class Fetch(FunctionSetup):
         return f"{self._table(f'_unpack_{self.plan.name}_{name}', made)}(data, {scalar.offset})[0]"
 
     def _scattered(self, scalar: p.Scalar) -> str:
-        """A float whose bits do not stand in whole bytes."""
+        """A float whose bits are not whole bytes."""
         size = len(scalar.bits) // 8
         helper = self._table(f"_float{8 * size}", f'Struct("<{p.FORMATS["float", size]}").unpack')
         return f'{helper}(({self.integer(scalar)}).to_bytes({size}, "little"))[0]'

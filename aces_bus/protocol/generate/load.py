@@ -231,7 +231,7 @@ def _opaque(message: Message, variant: Variant, *, raw: bool) -> Decode:
         if framing is None:
             image = key_image(key, data)
         else:
-            # Stuffed packets come here without stuffing; construct wants what stood on the wire.
+            # Stuffed packets come here without stuffing; construct wants what was on the wire.
             image = raw_bytes
         try:
             values = message.struct.parse(image, raw=raw, request=request)

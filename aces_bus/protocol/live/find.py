@@ -19,7 +19,7 @@ Array = npt.NDArray[Any]
 
 
 def number_at(data: Array, at: Array, size: int, order: str) -> Array:
-    """The unsigned numbers of `size` bytes that stand at `at`, as int64 (uint64 of 8 bytes)."""
+    """The unsigned numbers of `size` bytes at `at`, as int64 (uint64 of 8 bytes)."""
     if size == 1:
         return data.take(at)
     number = np.zeros(len(at), np.int64 if size < 8 else np.uint64)

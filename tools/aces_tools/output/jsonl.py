@@ -3,7 +3,7 @@
     {"source": "walk.log", "time": 1436509052.249713, "channel": "can0", "direction": null, "id": 99, "extended": false,
      "fd": false, "protocol": "hubo", "message": "Encoder", "fields": {"board": 3, "position": [120, -4]}}
 
-1. Keys stand in this order. Streams have "offset" and "size" instead of "id", "extended" and "fd".
+1. Keys are in this order. Streams have "offset" and "size" instead of "id", "extended" and "fd".
 2. "bus_direction" ("tx", "rx") is there only when the capture says it; "remote" only when it is true.
 3. What is not decoded has "message": null, then "reason" and "raw" instead of "fields".
 4. The fields of a record are printed by a function that is generated from its plan, all before them by `JsonLines`.
