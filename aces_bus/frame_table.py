@@ -212,7 +212,7 @@ class FrameTable:
 def rows_at(data: Ints, places: Ints) -> Ints:
     """Rows of data in another order; rows of eight bytes as words, which is much quicker."""
     if data.shape[1] == 8 and data.flags.c_contiguous:
-        words: Ints = data.view(np.uint64).ravel()[places]
+        words: Ints = data.view(np.uint64).ravel().take(places)
         return words.view(np.uint8).reshape(-1, 8)
     found: Ints = data[places]
     return found
