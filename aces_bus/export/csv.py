@@ -23,7 +23,6 @@ from ..protocol.columns.arrow import ArrowLayout, field_metadata
 from ..protocol.columns.layout import Block
 from ..protocol.declare.protocol import Variant
 from .base import Options
-from .files import ExportFile
 from .folder import Folder
 
 COLUMNS = "_columns"
@@ -42,7 +41,7 @@ class CsvExport(Folder):
     def _reserved(self) -> Sequence[str]:
         return [COLUMNS]
 
-    def _open(self, arrow: ArrowLayout, sink: ExportFile) -> Any:
+    def _open(self, arrow: ArrowLayout, stream: Any) -> Any:
         import pyarrow as pa
         import pyarrow.csv
 
@@ -59,9 +58,9 @@ class CsvExport(Folder):
                 for slot, type_ in zip(arrow.layout.slots, arrow.schema.types, strict=True)
             ]
         )
-        return pyarrow.csv.CSVWriter(sink, schema)
+        return pyarrow.csv.CSVWriter(stream, schema)
 
-    def _put(self, writer: Any, arrow: ArrowLayout, block: Block) -> None:
+    def _batch(self, arrow: ArrowLayout, block: Block) -> Any:
         import pyarrow as pa
 
         columns: list[Any] = []
@@ -78,7 +77,7 @@ class CsvExport(Folder):
             elif pa.types.is_string(column.type):
                 column = _guarded(column)
             columns.append(column)
-        writer.write_batch(pa.RecordBatch.from_arrays(columns, names=batch.schema.names))
+        return pa.RecordBatch.from_arrays(columns, names=batch.schema.names)
 
     def _finish(self) -> None:
         datasets = self._all()

@@ -16,6 +16,7 @@ import sqlite3
 from collections import OrderedDict
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
+from threading import Lock
 from typing import IO
 
 from ..errors import CallerError
@@ -186,12 +187,14 @@ def _remove(path: str) -> None:
 
 
 class FilePool:
-    """Files that are appended to, of which only the latest used are open. What is refused is said of `name`: they have
-    temporary names, which say nothing to a user."""
+    """Files that are appended to, by any thread, of which only the latest used are open. What is refused is said of `name`:
+    they have temporary names, which say nothing to a user."""
 
     def __init__(self, name: str) -> None:
         self._name = name
         self._open: OrderedDict[str, IO[bytes]] = OrderedDict()
+        self._lock = Lock()
+        self._is_abandoned = False
 
     def handle(self, path: str) -> IO[bytes]:
         """The file, open for appending."""
@@ -206,20 +209,21 @@ class FilePool:
         return found
 
     def write(self, path: str, data: bytes | memoryview) -> None:
-        """Append to a file."""
-        with telling(self._name):
-            self.handle(path).write(data)
+        """Append to a file; of an abandoned pool there are none: a library may write what it has left when it is freed."""
+        with telling(self._name), self._lock:
+            if not self._is_abandoned:
+                self.handle(path).write(data)
 
     def release(self, path: str) -> None:
         """Close one file."""
-        found = self._open.pop(path, None)
-        if found is not None:
-            with telling(self._name):
+        with telling(self._name), self._lock:
+            found = self._open.pop(path, None)
+            if found is not None:
                 found.close()
 
     def flush(self) -> None:
         """Hand to the system what was written."""
-        with telling(self._name):
+        with telling(self._name), self._lock:
             for file in self._open.values():
                 file.flush()
 
@@ -230,9 +234,11 @@ class FilePool:
 
     def abandon(self) -> None:
         """Close all files, whatever becomes of their bytes."""
-        while self._open:
-            with suppress(OSError):
-                self._open.popitem()[1].close()
+        with self._lock:
+            self._is_abandoned = True
+            while self._open:
+                with suppress(OSError):
+                    self._open.popitem()[1].close()
 
 
 class ExportFile(io.RawIOBase):

@@ -20,8 +20,8 @@ from typing import Any
 
 from ..errors import CallerError
 from ..protocol.columns.arrow import ArrowLayout, load_pyarrow
-from ..protocol.columns.layout import Block, DatasetColumn
-from .files import AppendFile, ExportFile
+from ..protocol.columns.layout import DatasetColumn
+from .files import AppendFile
 from .folder import Folder
 
 #: Rows of a group of a file made of a journal: what readers take at once.
@@ -53,13 +53,13 @@ class ParquetExport(Folder):
     format = "Parquet"
     suffix = ".parquet"
 
-    def _open(self, arrow: ArrowLayout, sink: ExportFile) -> Any:
+    def _open(self, arrow: ArrowLayout, stream: Any) -> Any:
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         slots = arrow.layout.slots
         return pq.ParquetWriter(
-            sink,
+            stream,
             arrow.schema,
             compression="zstd",
             use_dictionary=[slot.name for slot in slots if _is_repetitive(slot)],
@@ -68,8 +68,8 @@ class ParquetExport(Folder):
             memory_pool=pa.system_memory_pool(),
         )
 
-    def _put(self, writer: Any, arrow: ArrowLayout, block: Block) -> None:
-        writer.write_batch(arrow.batch(block), row_group_size=self.rows_at_once)
+    def _put(self, writer: Any, batch: Any) -> None:
+        writer.write_batch(batch, row_group_size=self.rows_at_once)
 
 
 def load_parquet() -> Any:

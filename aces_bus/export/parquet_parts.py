@@ -20,7 +20,7 @@ from ..protocol.columns.arrow import ArrowLayout
 from ..protocol.columns.layout import Block
 from ..protocol.declare.protocol import Variant
 from .base import ROWS, Dataset, Options
-from .files import ExportFile, telling
+from .files import telling
 from .folder import ArrowExport
 from .parquet import parquet_of_journal
 
@@ -46,11 +46,11 @@ class ParquetParts(ArrowExport):
             number = sum(name.startswith("part-") for name in os.listdir(folder))
         return os.path.join(folder, f"{_BEGINNING}{number:05}{_END}")
 
-    def _open(self, arrow: ArrowLayout, sink: ExportFile) -> Any:
+    def _open(self, arrow: ArrowLayout, stream: Any) -> Any:
         import pyarrow as pa
 
         options = pa.ipc.IpcWriteOptions(emit_dictionary_deltas=True)
-        return pa.ipc.new_stream(sink, arrow.schema, options=options)
+        return pa.ipc.new_stream(stream, arrow.schema, options=options)
 
     def _emit(self, dataset: Dataset, block: Block) -> None:
         super()._emit(dataset, block)
@@ -60,14 +60,18 @@ class ParquetParts(ArrowExport):
 
     def _end(self, dataset: Dataset) -> None:
         if dataset.name in self._writers:
-            path = self._writers[dataset.name][2]
+            path = self._writers[dataset.name][-1]
             super()._end(dataset)
+            self._behind.wait()
             self._waiting[dataset.name] = 0
             with telling(self.path):
                 _close_part(path)
 
     def _commit(self) -> None:
         super()._commit()
+        self._behind.wait()
+        for _, _, stream, _ in self._writers.values():
+            stream.flush()
         self._pool.flush()
 
 

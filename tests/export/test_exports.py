@@ -8,7 +8,9 @@ import csv
 import json
 import os
 import sqlite3
+from functools import partial
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import numpy as np
@@ -16,10 +18,11 @@ import pytest
 from construct import Byte, Float32l, GreedyBytes, Int16sl, Int32ul, Struct
 
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.export import Export, export_format, open_export
+from aces_bus.export import Export, export_format, folder, open_export
 from aces_bus.export import base as export_base
 from aces_bus.export import files as export_files
 from aces_bus.export.base import Naming
+from aces_bus.export.behind import UNDER_WAY, Behind
 from aces_bus.export.files import ExportFile, FilePool
 from aces_bus.export.open import FORMATS
 from aces_bus.export.sqlite import SqliteExport
@@ -300,6 +303,7 @@ def test_an_export_keeps_no_table_alive(tmp_path: Path) -> None:
 def test_many_messages_need_few_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """However many messages are being written, few files are open."""
     monkeypatch.setattr(export_files, "OPEN", 8)
+    monkeypatch.setattr(folder, "BUFFER", 1)
     wide = Protocol("wide", link="can")
     for number in range(60):
         wide.message(f"M{number}", id=number, payload=Struct("value" / Int32ul))
@@ -311,6 +315,7 @@ def test_many_messages_need_few_files(tmp_path: Path, monkeypatch: pytest.Monkey
         scanner = make_column_scanner([variant])
         for _ in range(2):
             export.write(scanner.feed(FrameTable.from_frames(frames)))
+            monkey._behind.wait()
             assert len(monkey._pool._open) == 8
     assert len(list((tmp_path / "out.parquet").iterdir())) == 60
     for number in (0, 7, 59):
@@ -328,6 +333,52 @@ def test_a_pool_reopens_what_it_closed(tmp_path: Path) -> None:
     pool.close()
     assert {path.read_bytes() for path in tmp_path.iterdir()} == {b"abc"}
     assert sinks[0].tell() == 3
+
+
+def test_an_abandoned_pool_writes_nothing(tmp_path: Path) -> None:
+    """What a library still writes when it is freed makes no file again that was removed."""
+    pool = FilePool("out")
+    sink = ExportFile(pool, str(tmp_path / "one"))
+    sink.write(b"a")
+    pool.abandon()
+    (tmp_path / "one").unlink()
+    assert sink.write(b"b") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_work_behind_is_in_order_for_each_file() -> None:
+    """Two threads; of each file one piece of work is done behind the other."""
+    behind, done = Behind(), dict[str, list[int]]()
+    for number in range(200):
+        name = f"file {number % 5}"
+        behind.do(name, partial(done.setdefault(name, []).append, number))
+    behind.wait()
+    behind.stop()
+    assert done == {f"file {first}": list(range(first, 200, 5)) for first in range(5)}
+
+
+def test_what_fails_behind_is_raised_by_the_next_call() -> None:
+    """By the next work, or where it is waited for; what waits then is left undone by `stop`."""
+    behind, done = Behind(), list[int]()
+    gate = Event()
+
+    def fail() -> None:
+        raise CallerError("out: cannot be written: disk full")
+
+    behind.do("a", fail)
+    with pytest.raises(CallerError, match="disk full"):
+        behind.wait()
+    behind.do("a", lambda: gate.wait(10))
+    behind.do("a", lambda: done.append(1))
+    gate.set()
+    behind.wait()
+    behind.stop()
+    assert done == [1]
+    for _ in range(UNDER_WAY):
+        behind.do("b", fail)
+    with pytest.raises(CallerError, match="disk full"):
+        behind.do("b", fail)
+    behind.stop()
 
 
 # ---------------------------------------------------------------------- all or nothing

@@ -13,7 +13,7 @@ import can
 import pytest
 
 from aces_tools.bus_arg import chosen_end
-from aces_tools.live import LivePatience
+from aces_tools.patience import Patience
 from tests.tools.live import WAIT_S, Node, Opened, interrupt
 
 Aces = Callable[..., Any]
@@ -185,7 +185,7 @@ def test_two_names_of_one_wire(
     """Where both ends receive the same frames nothing is forwarded: it would come back for ever."""
     one, two = nodes
 
-    def watched(patience: LivePatience, instant: int) -> bool:
+    def watched(patience: Patience, instant: int) -> bool:
         """The time in which both are watched is over when all frames have come."""
         until = time.monotonic() + WAIT_S
         while any(gate.counters.received < 5 for gate in opened.gates):
@@ -193,7 +193,7 @@ def test_two_names_of_one_wire(
             time.sleep(0.005)
         return True
 
-    monkeypatch.setattr(LivePatience, "wait_until", watched)
+    monkeypatch.setattr(Patience, "wait_until", watched)
 
     def work() -> None:
         both_open(opened)

@@ -383,11 +383,18 @@ def test_standard_input(arm: str, tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} >= {"o.npz"}
 
 
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("is_second", [False, True])
 def test_an_interrupted_file_is_not_written(
-    aces: Aces, arm: str, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_second: bool
+    aces: Aces,
+    arm: str,
+    log: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    is_second: bool,
+    end: signal.Signals,
 ) -> None:
-    """Ctrl-C on a file, and a second one anywhere: status 130, the summary of what was read, and what was there before."""
+    """Ctrl-C or SIGTERM on a file, also twice: status 130, the summary of what was read, and what was there before."""
     from aces_bus.recordings import CanRecording
 
     out = tmp_path / "out.npz"
@@ -396,7 +403,7 @@ def test_an_interrupted_file_is_not_written(
 
     def interrupted(self: CanRecording) -> Any:
         yield from whole(self)
-        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), end)
         time.sleep(0)
         if is_second:
             raise KeyboardInterrupt

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from aces_tools.console import Patience
+from aces_tools.patience import Patience
 
 
 class _Hasty(Patience):

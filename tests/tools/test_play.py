@@ -15,7 +15,7 @@ import can
 import pytest
 
 from aces_bus.hardware import BusEvent
-from aces_tools.live import LivePatience
+from aces_tools.patience import Patience
 from tests.tools.live import WAIT_S, Node, Opened, interrupt
 
 Aces = Callable[..., Any]
@@ -40,15 +40,15 @@ def recording(tmp_path: Path) -> Path:
 def due(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """The instants (ns) that were waited for; nothing is."""
     found: list[int] = []
-    original = LivePatience.wait_until
+    original = Patience.wait_until
 
-    def wait_until(patience: LivePatience, instant: int) -> bool:
+    def wait_until(patience: Patience, instant: int) -> bool:
         if instant - time.monotonic_ns() < 1_000_000:
             return original(patience, instant)
         found.append(instant)
         return True
 
-    monkeypatch.setattr(LivePatience, "wait_until", wait_until)
+    monkeypatch.setattr(Patience, "wait_until", wait_until)
     return found
 
 
@@ -299,7 +299,7 @@ def test_an_outage_is_said_and_not_made_up_for(
     def gone(*_: Any) -> Any:
         raise can.CanOperationError("unplugged")
 
-    def wait_until(patience: LivePatience, instant: int) -> bool:
+    def wait_until(patience: Patience, instant: int) -> bool:
         number, (gate,) = next(waits), opened.gates
         if number == 11:
             while gate.counters.sent < 10:
@@ -312,7 +312,7 @@ def test_an_outage_is_said_and_not_made_up_for(
             until("reopened")
         return True
 
-    monkeypatch.setattr(LivePatience, "wait_until", wait_until)
+    monkeypatch.setattr(Patience, "wait_until", wait_until)
     found = aces("play", path, *node.options, "--tx")
     assert found.status == 1
     assert [identifier for identifier, _ in sent(node)] == [*range(10), *range(20, 30)]

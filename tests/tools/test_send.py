@@ -14,8 +14,9 @@ import pytest
 
 from aces_bus.errors import AcesError, CallerError
 from aces_bus.frames import Frame
-from aces_tools.live import LivePatience, SendQueue
+from aces_tools.live import SendQueue
 from aces_tools.live_text import notation
+from aces_tools.patience import Patience
 from aces_tools.protocols_arg import parse_protocols
 from aces_tools.send import raw_packet
 from aces_tools.values import parse_fields
@@ -269,9 +270,9 @@ def test_deadlines_are_absolute(aces: Aces, node: Node, monkeypatch: pytest.Monk
     due: list[int] = []
     from aces_tools import send
 
-    original = LivePatience.wait_until
+    original = Patience.wait_until
 
-    def wait_until(patience: LivePatience, instant: int) -> bool:
+    def wait_until(patience: Patience, instant: int) -> bool:
         if instant < 10**12:  # a deadline of the test's clock
             due.append(instant - 1_000_000_000)
             now[0] = max(now[0], instant) + (25_000_000 if len(due) == 3 else 1_000_000)
@@ -289,7 +290,7 @@ def test_deadlines_are_absolute(aces: Aces, node: Node, monkeypatch: pytest.Monk
         def time_ns() -> int:
             return now[0]
 
-    monkeypatch.setattr(LivePatience, "wait_until", wait_until)
+    monkeypatch.setattr(Patience, "wait_until", wait_until)
     monkeypatch.setattr(send, "time", Clock)
     monkeypatch.setattr(SendQueue, "pending", property(lambda _: 0))
     found = aces("send", "123#00", *node.options, "--tx", "--every", "10ms", "--count", 6)

@@ -33,7 +33,7 @@ from aces_bus.recordings.where import Where
 from .bus_arg import ChosenBus, chosen_end
 from .console import say
 from .decoding import named_messages
-from .live import LINGER_S, STEP_S, BusEventLines, LivePatience, SendQueue, silence_s
+from .live import LINGER_S, BusEventLines, SendQueue, silence_s
 from .options import (
     DIRECTION,
     FILTER,
@@ -48,6 +48,7 @@ from .options import (
     flag,
 )
 from .output.shape import plans_of
+from .patience import STEP_S, Patience
 from .protocols_arg import parse_protocols
 
 if TYPE_CHECKING:
@@ -211,7 +212,7 @@ class OneWay:
         #: What ended it before the end.
         self.error: Exception | None = None
 
-    def run(self, patience: LivePatience) -> None:
+    def run(self, patience: Patience) -> None:
         """Until there is an end; a way that fails is the end of both."""
         try:
             while not patience.is_over and not self.inbox.is_closed:
@@ -340,7 +341,7 @@ class Bridge:
             ways.append(OneWay(f"{b.name} -> {a.name}", gates[1], gates[0] if tx else None, self.selection))
         back = gates[1].subscribe() if not is_both and a.kind == "can" else None
         events = [BusEventLines(gate) for gate in gates]
-        with LivePatience() as patience:
+        with Patience() as patience:
             try:
                 for end, gate in zip(self.ends, gates, strict=True):
                     end.start(gate)
@@ -361,7 +362,7 @@ class Bridge:
         return self.status
 
     def _forward(
-        self, ways: Sequence[OneWay], back: Any, events: Sequence[BusEventLines], patience: LivePatience
+        self, ways: Sequence[OneWay], back: Any, events: Sequence[BusEventLines], patience: Patience
     ) -> None:
         duration: int | None = self.arguments.duration
         until = None if duration is None else time.monotonic_ns() + duration
@@ -386,7 +387,7 @@ class Bridge:
         if self.arguments.tx:
             time.sleep(LINGER_S)
 
-    def _watched(self, ways: Sequence[OneWay], back: Any, patience: LivePatience) -> list[list[Any]]:
+    def _watched(self, ways: Sequence[OneWay], back: Any, patience: Patience) -> list[list[Any]]:
         """What comes before anything is forwarded; raises `CallerError` where both ends receive the same."""
         if self.ends[0].kind != "can":
             return [[] for _ in ways]

@@ -31,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 
 from .bus_arg import ChosenBus, can_options, chosen_bus
-from .console import ENDLESS, Patience, counted, print_json, say, say_note
+from .console import ENDLESS, counted, print_json, say, say_note
 from .options import (
     FOR,
     JSON,
@@ -44,6 +44,7 @@ from .options import (
     positive,
     several,
 )
+from .patience import Patience
 from .robot_arg import DRIVER_FILES
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Where output goes, and how a run ends early: a closed pipe, Ctrl-C.
+"""Where output goes, and what becomes of it when a pipe is closed or a disk is full.
 
 1. `main` imports this: nothing here may be slow to import.
 """
@@ -6,13 +6,10 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
-import threading
 import time
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import contextmanager, suppress
-from types import FrameType
 from typing import Any, BinaryIO, TypeVar
 
 from aces_bus.errors import CallerError
@@ -238,70 +235,6 @@ def wants_colour(chosen: bool | None, is_terminal: bool) -> bool:
     if chosen is not None:
         return chosen
     return is_terminal and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
-
-
-class Patience:
-    """While it is entered, Ctrl-C lets the work in hand be finished and ends the waiting for more.
-
-        with Patience() as patience:
-            for batch in patience.each(batches):
-                …                                  # never interrupted
-        patience.is_over                           # whether Ctrl-C ended it
-
-    A second Ctrl-C interrupts at once.
-    """
-
-    def __init__(self) -> None:
-        self.is_over = False
-        self._is_waiting = self._is_stopping = False
-        self._before: Any = None
-        self._is_ours = threading.current_thread() is threading.main_thread()
-
-    def __enter__(self) -> Patience:
-        if self._is_ours:
-            self._before = signal.signal(signal.SIGINT, self._interrupted)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._is_ours:
-            signal.signal(signal.SIGINT, self._before)
-
-    def _interrupted(self, number: int, frame: FrameType | None) -> None:
-        was_over, self.is_over = self.is_over, True
-        if self._is_waiting or (was_over and not self._is_stopping):
-            self._is_waiting = False
-            raise KeyboardInterrupt
-
-    @contextmanager
-    def stopping(self) -> Generator[None, None, None]:
-        """In here a second Ctrl-C interrupts nothing either: for what may move and is stopped at its end, within a bound."""
-        self._is_stopping = True
-        try:
-            yield
-        finally:
-            self._is_stopping = False
-
-    @contextmanager
-    def waiting(self) -> Generator[None, None, None]:
-        """Ctrl-C raises `KeyboardInterrupt` in here."""
-        self._is_waiting = True
-        try:
-            yield
-        finally:
-            self._is_waiting = False
-
-    def each(self, items: Iterable[T]) -> Iterator[T]:
-        """The items, until there are no more or Ctrl-C."""
-        iterator = iter(items)
-        while not self.is_over:
-            try:
-                with self.waiting():
-                    if self.is_over:  # a Ctrl-C between the two: nothing would end the waiting
-                        return
-                    item = next(iterator)
-            except (StopIteration, KeyboardInterrupt):
-                return
-            yield item
 
 
 # ---------------------------------------------------------------------- progress

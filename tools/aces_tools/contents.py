@@ -22,8 +22,9 @@ from aces_bus.recordings.filters import passing
 from aces_bus.recordings.pieces import open_any
 from aces_bus.traffic import BusIdentifier, FrameCount, IdentifierCounts
 
-from .console import Patience, abandon_stdout, counted, print_json, report_unreadable, say
+from .console import abandon_stdout, counted, print_json, report_unreadable, say
 from .output.columns import Page
+from .patience import Patience
 
 #: Options that need to know the messages.
 _NEED_A_PROTOCOL = (

@@ -35,8 +35,9 @@ from aces_bus.recordings.merge import Relabel, merge_by_time
 from aces_bus.recordings.window import TimeWindow
 from aces_bus.recordings.write import FORMATS, FormatOut, OpenWriter, open_writer, split_suffix, writer_format
 
-from .console import SHOWN, Patience, Progress, abandon_stdout, report_unreadable, say
+from .console import SHOWN, Progress, abandon_stdout, report_unreadable, say
 from .options import FILTER, FROM, MAP, STRICT, TO, Arguments, argument, flag
+from .patience import Patience
 
 #: Suffixes that promise no format: recordings of many programs have them.
 PLAIN = (".log", ".txt", ".bin", ".raw")
@@ -73,7 +74,7 @@ exit status:
   1    --strict, and anything was unreadable, no frame, or cannot be held by
        the output format
   2    a wrong call, or a file that cannot be read or written
-  130  after Ctrl-C
+  130  after Ctrl-C, SIGTERM or SIGHUP
 The output appears only when it is whole: an error, or Ctrl-C while a file is
 read, leaves what was there before.
 """

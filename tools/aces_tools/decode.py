@@ -33,7 +33,7 @@ from aces_bus.recordings import CanRecording, Link, Recording, SerialRecording
 from aces_bus.recordings.pieces import Direction, check_direction
 from aces_bus.recordings.totals import Totals
 
-from .console import Output, Patience, abandon_stdout, say_note, standard_input, terminal_width, wants_colour
+from .console import Output, abandon_stdout, say_note, standard_input, terminal_width, wants_colour
 from .decoding import Decoding, utf8
 from .options import (
     COLOR,
@@ -57,6 +57,7 @@ from .options import (
     several,
 )
 from .output import LIVE, Writer, line_format, table_format
+from .patience import Patience
 
 if TYPE_CHECKING:
     from aces_bus.recordings.where import Where
@@ -128,7 +129,7 @@ exit status:
   1    --strict, and anything was unknown, malformed, skipped, pending or
        unreadable
   2    a wrong call, or a file that cannot be read (the others are decoded)
-  130  after Ctrl-C
+  130  after Ctrl-C, SIGTERM or SIGHUP
 """
 
 

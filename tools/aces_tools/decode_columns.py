@@ -27,9 +27,10 @@ from aces_bus.recordings.selection import KeptFrames, RecordingSelection, part_o
 from aces_bus.recordings.totals import Totals
 from aces_bus.recordings.where import Rows, WhereColumns
 
-from .console import Patience, Progress, check_not_read, say, say_note
+from .console import Progress, check_not_read, say, say_note
 from .decoding import Decoding, utf8
 from .output.shape import Plans
+from .patience import Patience
 
 
 class TableDecoding(Decoding):

@@ -41,8 +41,9 @@ from aces_bus.recordings.pieces import make_can_scanner, pieces_of
 from aces_bus.recordings.selection import AdoptedPieces, part_of
 from aces_bus.recordings.totals import Totals
 
-from .console import SHOWN, Patience, say_note
+from .console import SHOWN, say_note
 from .decode_columns import ColumnDecoding
+from .patience import Patience
 
 #: Bytes of a log that are one piece, at most; each process gets as many. To begin and end the files of 60 messages takes as
 #: long as to decode 7 MB, so pieces are large; but what a process leaves to this one comes with its piece, all at once.

@@ -28,8 +28,9 @@ from aces_bus.recordings.pieces import CaptureReading, Direction, SerialWays, op
 from aces_bus.recordings.totals import Totals
 from aces_bus.recordings.window import TimeWindow
 
-from .console import Patience, abandon_stdout, report_unreadable, say, say_note
+from .console import abandon_stdout, report_unreadable, say, say_note
 from .output.shape import Plans, plans_of
+from .patience import Patience
 from .protocols_arg import parse_protocols
 
 #: Options that leave something out, by the names of their arguments.

@@ -35,8 +35,8 @@ from .console import say
 from .device_do import Doing, checked, signals_of
 from .device_text import parse_pairs
 from .devices import show_device, show_devices
-from .live import LivePatience
 from .options import ASK, EVERY, FOR, JSON, TX, Arguments, argument, flag
+from .patience import Patience
 from .robot_arg import ROBOT_OR_TWINS, chosen_pose, chosen_robot, open_robot
 
 #: The rate of the host where the robot's file says none (Hz).
@@ -102,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
         return 1
     passive = action in ("get", "watch") and not (arguments.ask or arguments.tx)
     with (
-        LivePatience() as patience,
+        Patience() as patience,
         open_robot(
             alone(robot, config.name),
             arguments,

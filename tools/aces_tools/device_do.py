@@ -21,8 +21,8 @@ from aces_bus.errors import CallerError, DeviceError, NotStoppedError, UnknownNa
 
 from .console import ENDLESS, StatusLine, print_json, say, say_note
 from .device_text import reading, result_lines, shown_value, value_for
-from .live import LivePatience
 from .output.shape import json_value
+from .patience import Patience
 
 if TYPE_CHECKING:
     from .live import DeviceEventLines
@@ -114,7 +114,7 @@ class Doing:
     #: The joint or sensor that is meant; None: the whole device.
     part: str | None
     arguments: Namespace
-    patience: LivePatience
+    patience: Patience
     events: DeviceEventLines
 
     def wait(self, until: Any, duration: int) -> bool:

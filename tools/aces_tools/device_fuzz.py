@@ -261,7 +261,7 @@ class Searching:
         from aces_bus.runtime import Loop
         from aces_bus.testing.device_live import LiveDeviceFuzzer
 
-        from .live import LivePatience
+        from .patience import Patience
         from .robot_arg import bus_options, check_channels
 
         arguments = self.arguments
@@ -269,7 +269,7 @@ class Searching:
         options = bus_options(robot, arguments)
         if arguments.tx:
             check_channels(robot, options)
-        with LivePatience() as patience, Loop() as loop:
+        with Patience() as patience, Loop() as loop:
             ports: Any = open_gates(robot, loop, options) if arguments.tx else None
             fuzzer = LiveDeviceFuzzer(
                 self.robot,

@@ -36,7 +36,6 @@ from aces_bus.recordings.where import WhereColumns
 from aces_bus.recordings.window import TimeWindow
 
 from .console import (
-    Patience,
     Progress,
     abandon_stdout,
     check_not_read,
@@ -63,6 +62,7 @@ from .options import (
 )
 from .output.columns import Page
 from .output.shape import plans_of
+from .patience import Patience
 from .protocols_arg import parse_protocols
 
 _KINDS = "\n".join(f"  {kind:<9} {words}" for kind, words in KINDS.items())

@@ -32,8 +32,8 @@ from aces_bus.protocol.files import python_file
 from aces_bus.protocol.live.scanner import adopt_protocol
 
 from .console import StatusLine, check_suffix, print_json, say, write_text
-from .live import LivePatience
 from .options import JSON, OUTPUT, PROTOCOL, Arguments
+from .patience import Patience
 from .robot_arg import (
     ROBOT_OR_TWINS,
     bus_options,
@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
     found: list[Any] = []
     is_whole = True
     with ExitStack() as stack:
-        patience = stack.enter_context(LivePatience())
+        patience = stack.enter_context(Patience())
         for name, host in _hosts(robot, arguments, stack).items():
             for driver in scanners:
                 if driver.protocol in host.variants and not patience.is_over:
@@ -211,7 +211,7 @@ def _scanners(robot: Robot) -> list[Driver]:
     return found
 
 
-def _scanned(name: str, host: Host, driver: Driver, patience: LivePatience) -> list[Any] | None:
+def _scanned(name: str, host: Host, driver: Driver, patience: Patience) -> list[Any] | None:
     """What a driver finds on a bus; None: it was interrupted, or failed."""
     scan = driver.scan
     assert scan is not None

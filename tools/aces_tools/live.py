@@ -1,13 +1,10 @@
-"""What the live commands share: ending well, events on stderr, absolute deadlines, frames with a time and a channel.
+"""What the live commands share: events on stderr, frames with a time and a channel, silence, frames to send.
 
-1. Ctrl-C, SIGTERM and SIGHUP end a command as if its time were up: what was received is shown and counted.
-2. Waiting is done in steps, so that a signal never waits long; the last step ends at the deadline.
-3. An event is said when it happens, but a flood of one kind is counted instead of printed.
+1. An event is said when it happens, but a flood of one kind is counted instead of printed.
 """
 
 from __future__ import annotations
 
-import signal
 import time
 from collections import deque
 from collections.abc import Collection, Mapping
@@ -17,7 +14,8 @@ import msgspec
 
 from aces_bus.frames import Frame
 
-from .console import Patience, say
+from .console import say
+from .patience import Patience
 
 if TYPE_CHECKING:
     from aces_bus.device import DeviceEvent, Robot
@@ -25,8 +23,6 @@ if TYPE_CHECKING:
     from aces_bus.robot import Rig
 
 
-#: Seconds after which a waiting command looks at other things than its bus.
-STEP_S = 0.1
 #: Seconds that a bus stays open after the last frame was handed over: an adapter may still hold it.
 LINGER_S = 0.05
 #: The shortest silence that is believed: USB adapters hand over bytes up to 16 ms late (s).
@@ -44,34 +40,6 @@ HINTS: Mapping[str, str] = {
     "bus-off": "the controller left the bus after too many errors; look at bit rate, wires and terminators",
     "duplicate reply": "`aces discover` shows which devices answer",
 }
-
-
-class LivePatience(Patience):
-    """Patience with everything that ends a live command: a second signal interrupts at once, but not in `stopping`."""
-
-    def __enter__(self) -> LivePatience:
-        super().__enter__()
-        self._others: dict[int, Any] = {}
-        if self._is_ours:
-            for name in ("SIGTERM", "SIGHUP"):
-                number = getattr(signal, name, None)
-                if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-                    self._others[number] = signal.signal(number, self._interrupted)
-        return self
-
-    def __exit__(self, *details: object) -> None:
-        for number, before in self._others.items():
-            signal.signal(number, before)
-        super().__exit__(*details)
-
-    def wait_until(self, instant: int) -> bool:
-        """Wait until `instant` (ns of the monotonic clock); False when the command has to end before."""
-        while not self.is_over:
-            left = instant - time.monotonic_ns()
-            if left <= 0:
-                return True
-            time.sleep(min(left / 1e9, STEP_S))
-        return False
 
 
 class BusEventLines:
@@ -173,7 +141,7 @@ class SendQueue:
         counters = self.gate.counters
         return self._queued - counters.sent - counters.not_sent
 
-    def drain(self, patience: LivePatience | None = None, most: int = 0, seconds: float = 2.0) -> bool:
+    def drain(self, patience: Patience | None = None, most: int = 0, seconds: float = 2.0) -> bool:
         """Wait until no more than `most` is pending; False when nothing has left for so long, or `patience` is over."""
         before, until = self.pending, time.monotonic() + seconds
         while (left := self.pending) > most:

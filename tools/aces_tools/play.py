@@ -26,7 +26,7 @@ from aces_bus.recordings import CanRecording, Chunk, SerialRecording, open_recor
 
 from .bus_arg import BUS_ARGUMENTS, CAN_OPTIONS, ChosenBus, chosen_bus
 from .console import ENDLESS, StatusLine, report_unreadable, say, say_note
-from .live import LINGER_S, BusEventLines, LivePatience, SendQueue
+from .live import LINGER_S, BusEventLines, SendQueue
 from .live_view import live_view
 from .options import (
     DIRECTION,
@@ -42,6 +42,7 @@ from .options import (
     argument,
     duration,
 )
+from .patience import Patience
 from .protocols_arg import parse_protocols
 
 if TYPE_CHECKING:
@@ -156,9 +157,7 @@ class Playing:
         is_serial = bool(self.variants) and all(variant.link != "can" for variant in self.variants)
         return open_recording(name, link="serial" if is_serial else None)
 
-    def _items(
-        self, capture: CanRecording | SerialRecording, patience: LivePatience
-    ) -> Iterator[Frame | Chunk]:
+    def _items(self, capture: CanRecording | SerialRecording, patience: Patience) -> Iterator[Frame | Chunk]:
         """What of a recording is to be sent; the rest is counted."""
         if isinstance(capture, CanRecording):
             for frames in patience.each(capture.batches(BATCH)):
@@ -189,7 +188,7 @@ class Playing:
 
     def show(self) -> int:
         """Say what would be sent, and send nothing."""
-        with LivePatience() as patience:
+        with Patience() as patience:
             for name in self.files:
                 try:
                     with self._open(name) as capture:
@@ -208,7 +207,7 @@ class Playing:
         self._summarise(0, 0)
         return self.status
 
-    def _describe(self, capture: CanRecording | SerialRecording, patience: LivePatience) -> None:
+    def _describe(self, capture: CanRecording | SerialRecording, patience: Patience) -> None:
         first = last = None
         self.seen.clear()
         self.channels.clear()
@@ -246,7 +245,7 @@ class Playing:
             name: bus.gate(listen_only=False, send_rate=self.arguments.rate)
             for name, bus in (self.buses if self.arguments.tx else {}).items()
         }
-        with LivePatience() as patience:
+        with Patience() as patience:
             try:
                 for name, gate in gates.items():
                     self.events.append(BusEventLines(gate))
@@ -291,7 +290,7 @@ class Playing:
         name = self.map.get(str(item.channel)) if isinstance(item, Frame) else None
         return self.outgoing[name if name is not None else self.bus.name]
 
-    def _play(self, patience: LivePatience) -> None:
+    def _play(self, patience: Patience) -> None:
         done = 0
         if not self.loops:
             say_note(ENDLESS)
@@ -315,7 +314,7 @@ class Playing:
             if self.total == before:
                 return  # nothing in them: for ever would be for nothing
 
-    def _file(self, capture: CanRecording | SerialRecording, patience: LivePatience) -> None:
+    def _file(self, capture: CanRecording | SerialRecording, patience: Patience) -> None:
         from aces_bus.hardware.replay import Pace
         from aces_bus.runtime import RealClock
 

@@ -17,7 +17,8 @@ from aces_bus.recordings.pieces import open_any
 from aces_bus.recordings.window import TimeWindow
 from aces_bus.traffic import BusIdentifier, identifier_groups
 
-from .console import Patience, Progress, check_not_read, counted, report_unreadable, say, say_note
+from .console import Progress, check_not_read, counted, report_unreadable, say, say_note
+from .patience import Patience
 from .plotting.bit_image import BitImage, BitImages
 from .plotting.bits import BitPicture, print_bits, save_bits
 from .plotting.identifiers import choose_identifiers, parse_identifiers

@@ -35,10 +35,11 @@ from aces_bus.recordings.text.rows import UnreadableRow
 
 from .bus_arg import BUS_ARGUMENTS, CAN_OPTIONS, ChosenBus, chosen_bus
 from .console import ENDLESS, Output, abandon_stdout, say, say_note, terminal_width, wants_colour
-from .live import LINGER_S, BusEventLines, LivePatience, SendQueue, received_frame
+from .live import LINGER_S, BusEventLines, SendQueue, received_frame
 from .live_text import CandumpLines, LiveText, Times, notation
 from .options import COLOR, COUNT, EVERY, FOR, PROTOCOL, RATE, TX, Arguments, argument, duration, flag
 from .output.shape import plans_of
+from .patience import Patience
 from .protocols_arg import parse_protocols
 from .registers import RegisterNotes, with_registers
 from .values import parse_fields
@@ -257,7 +258,7 @@ class Sending:
         outgoing = SendQueue(gate)
         self._session = self._handshakes(gate)
         status = 0
-        with LivePatience() as patience:
+        with Patience() as patience:
             self.bus.start(gate)
             try:
                 self._send(outgoing, patience, events, replies)
@@ -323,7 +324,7 @@ class Sending:
         return made
 
     def _send(
-        self, outgoing: SendQueue, patience: LivePatience, events: BusEventLines, replies: Replies | None
+        self, outgoing: SendQueue, patience: Patience, events: BusEventLines, replies: Replies | None
     ) -> None:
         packets = self.first
         if self.every is not None and self.count is None and self.until is None:
@@ -459,7 +460,7 @@ class Replies:
             self._scanner.sent(packet, now)
             self._registers.see(self._requests.datagram(packet))
 
-    def wait(self, patience: LivePatience) -> None:
+    def wait(self, patience: Patience) -> None:
         """Until the first reply, or until the time is up; of a broadcast all that come in time."""
         until = time.monotonic_ns() + self._wait_ns
         while not patience.is_over and (not self.count or self._is_broadcast):

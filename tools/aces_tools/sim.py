@@ -31,9 +31,9 @@ from typing import TYPE_CHECKING, Any
 from aces_bus.errors import CallerError, UnknownNameError
 
 from .console import ENDLESS, counted, print_json, say, say_note
-from .live import LivePatience
 from .live_view import live_view, show_bus, show_bus_event
 from .options import FOR, FOXGLOVE, FOXGLOVE_ORIGIN, JSON, SEED, Arguments, flag, several
+from .patience import Patience
 from .robot_arg import (
     POSE,
     ROBOT_AND_BUSES,
@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
     options = bus_options(robot, arguments)
 
     with ExitStack() as stack:
-        patience = stack.enter_context(LivePatience())
+        patience = stack.enter_context(Patience())
         pose = chosen_pose(robot, arguments.pose)
         view = stack.enter_context(live_view(arguments, f"{robot.name}, simulated"))
         stand = SimulatedRobot(robot, options, arguments.seed, stack, pose, view)

@@ -35,7 +35,7 @@ from .bus_arg import BUS, BUS_ARGUMENTS, ChosenBus, chosen_bus
 from .console import ENDLESS, Output, abandon_stdout, say, say_note, terminal_width, wants_colour
 from .decode import LiveDecoding
 from .decoding import utf8
-from .live import STEP_S, BusEventLines, LivePatience, losses, received_frame, silence_s
+from .live import BusEventLines, losses, received_frame, silence_s
 from .live_text import CandumpLines, LiveText, Times
 from .live_view import live_view, show_bus_event
 from .options import (
@@ -59,6 +59,7 @@ from .options import (
     flag,
 )
 from .output import Writer, line_format, live_kind
+from .patience import STEP_S, Patience
 from .protocols_arg import parse_protocols
 from .rotation import Rotation
 
@@ -232,7 +233,7 @@ class Sniffing(LiveDecoding):
             gate.on_event(lambda event: show_bus_event(view, event.bus, event.kind, event.detail))
             self.live = LiveRecords(view, self.variants[self.link], scanner=self.scanner)
             self.is_watched = True
-        with LivePatience() as patience:
+        with Patience() as patience:
             self.open(gate, recorder)
             if self.duration is None and self.count is None:
                 say_note(f"{self.name}: {ENDLESS}")
@@ -309,7 +310,7 @@ class Sniffing(LiveDecoding):
         return self.direction if self.direction != "both" else None
 
     def _listen(
-        self, inbox: Any, patience: LivePatience, events: BusEventLines, recorder: RecordingFile | None
+        self, inbox: Any, patience: Patience, events: BusEventLines, recorder: RecordingFile | None
     ) -> None:
         until = None if self.duration is None else time.monotonic_ns() + self.duration
         before = 0.0
@@ -524,7 +525,7 @@ def _run_on_screen(sniffing: Sniffing) -> int:
     gate = bus.gate(listen_only=True)
     events, recorder = BusEventLines(gate), sniffing.recorder()
     until = None if sniffing.duration is None else time.monotonic_ns() + sniffing.duration
-    with LivePatience() as patience:
+    with Patience() as patience:
 
         def is_over() -> bool:
             is_late = until is not None and time.monotonic_ns() >= until

@@ -73,6 +73,10 @@ class SlotBatch:
 
     @cached_property
     def _row(self) -> Array:
+        first, last = self.numbers[[0, -1]]
+        if last - first == len(self.numbers) - 1:  # they rise: none is left out
+            rising: Array = self.order + first
+            return rising
         return self._in_order(self.numbers)
 
     @cached_property
@@ -113,7 +117,7 @@ class SlotBatch:
         first = column[0]
         if first == column[-1] and (column == first).all():
             return np.broadcast_to(first, column.shape)
-        found: Array = column[self.order]
+        found: Array = column.take(self.order)  # a fifth quicker than an index
         return found
 
     def some(self, start: int, end: int, which: Array | None) -> Array:

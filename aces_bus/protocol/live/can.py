@@ -129,7 +129,10 @@ class CanScanner:
         return self._make_feed()(frames)
 
     def take(self, frame: Any, /) -> Any:
-        """The record of one usual frame, without a list around it; None: nothing was done with it, `feed` is to have it."""
+        """The record of one usual frame, without a list around it; None: nothing was done with it, `feed` is to have it.
+
+        Usual are 11-bit data frames whose identifier has come before.
+        """
         return self._make_take()(frame)
 
     def _make_take(self) -> Callable[[Any], Any]:

@@ -255,7 +255,7 @@ class CandumpColumns:
             word = window.word(layout.data_at + 8 * k)
             if cut:
                 word = word ^ _ZEROS
-                word &= _KEPT[k][digits]
+                word &= _KEPT[k].take(digits)
                 word ^= _ZEROS
             hexes[:, 1 + k] = word
         raw = _unhex(hexes, bad)
@@ -379,7 +379,8 @@ def _decimal(window: _Window, column: int, digits: int, zeros: int) -> Any:
         pair = digits > 1
         digits -= 2 if pair else 1
         table = _weighted(pair, digits + zeros)
-        value = table[window.pair(column) if pair else window.byte(column)]
+        # `take` is twice as fast as an index here: it makes places of small numbers at once.
+        value = table.take(window.pair(column) if pair else window.byte(column))
         out = value if isinstance(out, int) else np.add(out, value, out=out)
         column += 2
     return out

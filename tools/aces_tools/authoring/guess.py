@@ -46,7 +46,6 @@ from aces_bus.recordings import CanRecording
 from aces_bus.recordings.pieces import open_any
 
 from ..console import (
-    Patience,
     check_suffix,
     counted,
     print_json,
@@ -57,6 +56,7 @@ from ..console import (
 )
 from ..options import COLOR, JSON, OUTPUT, Arguments, argument, flag
 from ..output.columns import Page
+from ..patience import Patience
 
 #: Pairs and known protocols that are listed.
 LISTED = 20

@@ -25,8 +25,8 @@ from aces_bus.recordings import CanRecording, open_recording
 from aces_bus.robot import Ended, Runner, run_real, run_replay, run_virtual
 
 from ..console import abandon_stdout, say, say_note, terminal_width, wants_colour
-from ..live import LivePatience
 from ..live_view import live_view, show_bus, show_event
+from ..patience import Patience
 from ..robot_arg import NO_INTERFACE, bus_options, chosen_pose
 from .figures import USUAL, Figures, Watch, event_text
 from .loading import own_functions, reactions_of
@@ -64,7 +64,7 @@ class Session:
         self.arguments, self.robot, self.controllers = arguments, robot, list(controllers)
         self.loggers, self.rate_hz, self.duration = list(loggers), rate_hz, arguments.duration
         self.is_real = not (arguments.virtual or arguments.replay)
-        self.patience = LivePatience()
+        self.patience = Patience()
         self.said: dict[tuple[str, str], int] = {}
         self._live: Any = None
         self._next = 0
