@@ -319,12 +319,12 @@ class Host(BusEndpoint[Device]):
         return self.rules.get(message) or device.rules.get(message)
 
     def packet_of(self, out: OutgoingMessage) -> Any:
-        """The packet of set-points that are about to be sent; None where a value does not fit, which is reported."""
+        """The packet of set-points that are about to be sent; None where it cannot be made, which is reported."""
         device: Device = out.device
         try:
             packet = self.packet(device, out.message, out.fields)
         except AcesError as error:  # the others go out
-            self.emit("limited", device.name, str(error))
+            self.emit("not sent", device.name, str(error))
             return None
         self.counts.set_points += 1
         device.is_driven = not self.passive

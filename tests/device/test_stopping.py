@@ -138,10 +138,11 @@ def test_one_answer_does_not_confirm_two_devices(robot: VirtualRobot, is_deaf: b
     """Two devices have answered as one: the stop is repeated for its time and named, whatever one of them says then."""
     second = simulate(robot_of(ROBOT), robot.ports("second"), load=load)
     second.buses["line"].remove("B")
-    second.twins["A"].reply_delay_ns += 3_000_000  # frames that begin together would destroy each other
+    other: Any = second.twins["A"]
+    other.reply_delay_ns += 3_000_000  # frames that begin together would destroy each other
     with second:
         robot.advance(0.2)
-        second.twins["A"].is_powered = not is_deaf  # turns on, and receives nothing
+        other.is_powered = not is_deaf  # turns on, and receives nothing
         robot.advance(2.0)
         assert "two devices with node 0x01" in robot.events.of("two devices")[0].detail
         began = robot.clock.now()
@@ -151,7 +152,7 @@ def test_one_answer_does_not_confirm_two_devices(robot: VirtualRobot, is_deaf: b
         why = "two devices answer as node 0x01: one that is off says nothing of the other"
         assert failed.value.devices == {"A": why}
         assert (robot.twins["A"].left, robot.twins["B"].left) == (0, 0)
-        assert bool(second.twins["A"].left) is is_deaf
+        assert bool(other.left) is is_deaf
 
 
 @pytest.mark.parametrize(("every_s", "gap_s", "is_double"), [(None, 0.6, False), (1.0, 1.0, True)])
