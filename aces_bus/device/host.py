@@ -85,6 +85,8 @@ class Host(BusEndpoint[Device]):
         #: Whether it has a rate, and asks; how long a tick is (ns; 0: it has none).
         self.is_ticked = rate_hz is not None and not passive
         self.period_ns = round(1e9 / rate_hz) if rate_hz is not None and not passive else 0
+        #: When it was opened (ns).
+        self.opened_at = 0
         self._tick_at = 0
         self._next_tick: Timer | None = None
         self._woken = False
@@ -229,6 +231,7 @@ class Host(BusEndpoint[Device]):
 
     def open(self) -> None:
         """Start receiving and, with a rate, ticking. Each device's `start` is called; nothing of both when it is passive."""
+        self.opened_at = self.clock.now()
         super().open()
         if self.passive:  # no period either: nothing ticks
             return

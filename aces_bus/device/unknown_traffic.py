@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 #: So many second answers within so long (ns), or within so many rounds of polls, are another device's: a receiver gets a
 #: frame twice now and then (an error in its last bit).
 DUPLICATES, DUPLICATES_NS, DUPLICATES_ROUNDS = 3, 1_000_000_000, 5
+#: What comes so soon (ns) after the bus was opened may answer the program before: it waited for somebody to acknowledge it.
+OPENING_NS = 100_000_000
 #: What noise makes of packets, and a late answer that meets the next request or whose end comes after its time.
 GARBLED = frozenset(("malformed: checksum", "malformed: incomplete"))
 #: At most so many unknown devices are reported one by one; a bus may claim millions.
@@ -71,6 +73,8 @@ class UnknownTraffic:
     def duplicate(self, device: Device, detail: str, instant: int) -> None:
         """A second answer to one request: once it is a fault of the bus, again and again a second device."""
         self.host.emit("duplicate reply", device.name, detail)
+        if instant - self.host.opened_at < OPENING_NS:
+            return
         device.duplicates = came = [*device.duplicates, instant][-DUPLICATES:]
         tick_s = self.host.period_ns / 1e9
         round_s = min((poll.every_s or tick_s for poll in device.polls), default=0.0)

@@ -155,6 +155,18 @@ def test_one_answer_does_not_confirm_two_devices(robot: VirtualRobot, is_deaf: b
         assert bool(other.left) is is_deaf
 
 
+def test_answers_to_the_program_before_are_none_of_a_second_device() -> None:
+    """A board that nobody has acknowledged repeats its answers until somebody is there, and that is at the opening."""
+    with VirtualRobot(robot_of(ROBOT), load=load, rate_hz=100) as robot:
+        for _ in range(5):
+            robot.twins["A"].answer(None)  # type: ignore[attr-defined]
+        robot.advance(0.05)
+        assert robot.events.count("duplicate reply", "A") > 3
+        robot.advance(0.1)
+        assert robot.events.count("two devices") == 0
+        wait_stopped(stop(robot))
+
+
 @pytest.mark.parametrize(("every_s", "gap_s", "is_double"), [(None, 0.6, False), (1.0, 1.0, True)])
 def test_second_answers_now_and_then_are_none_of_a_second_device(
     every_s: float | None, gap_s: float, is_double: bool
