@@ -159,7 +159,7 @@ def test_answers_to_the_program_before_are_none_of_a_second_device() -> None:
     """A board that nobody has acknowledged repeats its answers until somebody is there, and that is at the opening."""
     with VirtualRobot(robot_of(ROBOT), load=load, rate_hz=100) as robot:
         for _ in range(5):
-            robot.twins["A"].answer(None)  # type: ignore[attr-defined]
+            robot.twins["A"].answer(None)
         robot.advance(0.05)
         assert robot.events.count("duplicate reply", "A") > 3
         robot.advance(0.1)
