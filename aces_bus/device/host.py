@@ -19,7 +19,7 @@ from typing import Any
 from ..errors import AcesError, CallerError, DeviceError, NoReplyError
 from ..protocol import Unknown as UnknownRecord
 from ..protocol import Variant
-from ..runtime import Timer
+from ..runtime import Loop, Timer
 from .carried_port import CarriedPort
 from .coalesce import CoalescingRule, OutgoingMessage
 from .config import DeviceConfig, Robot
@@ -43,6 +43,8 @@ LISTENS = "this bus is only listened to"
 #: What happens to a bus that nothing reaches then, and after which it does again.
 OUTAGES = frozenset(("lost", "bus-off"))
 OUTAGES_OVER = frozenset(("reopened", "recovered", "error-active", "error-passive"))
+#: Answers of a tick are received together as far as they come within this share of it.
+GATHERED_SHARE = 10
 #: The share of a tick that polls may fill by default.
 BUDGET = 0.9
 
@@ -88,6 +90,7 @@ class Host(BusEndpoint[Device]):
         #: When it was opened (ns).
         self.opened_at = 0
         self._tick_at = 0
+        self._loop = self.clock if isinstance(self.clock, Loop) else None
         self._next_tick: Timer | None = None
         self._woken = False
         #: Who speaks on a half-duplex line; None: both sides may speak at once.
@@ -243,6 +246,8 @@ class Host(BusEndpoint[Device]):
     def _begin_ticks(self) -> None:
         """The first tick: however late it is, while other buses are opened, none is left out."""
         self._tick_at = self.clock.now()
+        if self._loop is not None:
+            self._loop.gather(self.period_ns // GATHERED_SHARE)
         self._tick()
 
     def close(self) -> None:
@@ -371,6 +376,8 @@ class Host(BusEndpoint[Device]):
         """Send a ticket's packet, now; it is over when that has left, or is answered."""
         ticket.tries += 1
         ticket.sent_at = now
+        if self._loop is not None:
+            self._loop.hurry(now + ticket.timeout_ns)
         if ticket.reply:
             # What is not answered in time is asked again: it must not leave later than that.
             self.transmit(
