@@ -305,6 +305,11 @@ class Guard:
         """The same for all states of which something was changed."""
         return {line.name: line.clipped for line in self._lines.values() if line.clipped.total}
 
+    @property
+    def bounds(self) -> dict[str, Bounds]:
+        """What the set-points of each state may be."""
+        return {x.name: Bounds(x.lower, x.upper, x.rate, x.acceleration) for x in self._lines.values()}
+
     def forget(self) -> None:
         """Begin anew: the next set-points start from the present values. A trip stays."""
         for line in self._lines.values():

@@ -20,7 +20,6 @@ and overrides `setup`, `received`, `check` or adds methods where that is not eno
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
@@ -41,8 +40,6 @@ if TYPE_CHECKING:
     from .host import Host
 
 
-#: So many second answers in a short time are another device's.
-DUPLICATES = 3
 #: Methods of `Device` that may be actions, too.
 ACTIONS = frozenset({"stop_motion"})
 
@@ -80,7 +77,7 @@ class Device(EndpointMember):
             "missing_since",
         ),
         *("missed_at", "awaiting", "answered", "timed_out", "second_answers", "epoch", "duplicates"),
-        "takes_set_points",
+        *("takes_set_points", "is_double"),
     }
 
     def __init_subclass__(cls) -> None:
@@ -109,7 +106,9 @@ class Device(EndpointMember):
         self.misses = 0
         self.missing_since = self.missed_at = 0
         #: When second answers to one request came lately (ns); the host's.
-        self.duplicates: deque[int] = deque(maxlen=DUPLICATES)
+        self.duplicates: list[int] = []
+        #: Whether `two devices` was reported of it: from then on one may answer for both.
+        self.is_double = False
         #: Tickets that wait for an answer, oldest first; the host's.
         self.awaiting: list[Ticket] = []
         #: When each kind of answer was last had.
@@ -589,6 +588,7 @@ class Device(EndpointMember):
 
     def emit_event(self, kind: Kind, detail: str = "") -> None:
         """Report an event of this device."""
+        self.is_double |= kind == "two devices"
         self.host.emit(kind, self.name, detail)
 
     def emit_alarms(self, now: Collection[str], before: Collection[str], who: str = "") -> None:

@@ -26,7 +26,7 @@ Kind = Literal[
     "limited",  # a set-point was beyond its limits, or further away than one tick leads
     "refused",  # set-points are not taken any more: again and again they were no numbers
     "following error",  # a joint is not where it was sent
-    "not sent",  # the bus does not take packets, or packets did not leave in time
+    "not sent",  # a packet cannot be made, the bus does not take it, or it did not leave in time
     "not stopped",  # has not stopped yet
     "overrun",  # a tick's packets did not fit into the tick
     "bug",  # a driver's own code raised

@@ -19,7 +19,7 @@ from typing import Any
 from ..errors import AcesError, CallerError, DeviceError, NoReplyError
 from ..protocol import Unknown as UnknownRecord
 from ..protocol import Variant
-from ..runtime import Timer
+from ..runtime import Loop, Timer
 from .carried_port import CarriedPort
 from .coalesce import CoalescingRule, OutgoingMessage
 from .config import DeviceConfig, Robot
@@ -43,6 +43,8 @@ LISTENS = "this bus is only listened to"
 #: What happens to a bus that nothing reaches then, and after which it does again.
 OUTAGES = frozenset(("lost", "bus-off"))
 OUTAGES_OVER = frozenset(("reopened", "recovered", "error-active", "error-passive"))
+#: Answers of a tick are received together as far as they come within this share of it.
+GATHERED_SHARE = 10
 #: The share of a tick that polls may fill by default.
 BUDGET = 0.9
 
@@ -85,7 +87,10 @@ class Host(BusEndpoint[Device]):
         #: Whether it has a rate, and asks; how long a tick is (ns; 0: it has none).
         self.is_ticked = rate_hz is not None and not passive
         self.period_ns = round(1e9 / rate_hz) if rate_hz is not None and not passive else 0
+        #: When it was opened (ns).
+        self.opened_at = 0
         self._tick_at = 0
+        self._loop = self.clock if isinstance(self.clock, Loop) else None
         self._next_tick: Timer | None = None
         self._woken = False
         #: Who speaks on a half-duplex line; None: both sides may speak at once.
@@ -229,6 +234,7 @@ class Host(BusEndpoint[Device]):
 
     def open(self) -> None:
         """Start receiving and, with a rate, ticking. Each device's `start` is called; nothing of both when it is passive."""
+        self.opened_at = self.clock.now()
         super().open()
         if self.passive:  # no period either: nothing ticks
             return
@@ -240,6 +246,8 @@ class Host(BusEndpoint[Device]):
     def _begin_ticks(self) -> None:
         """The first tick: however late it is, while other buses are opened, none is left out."""
         self._tick_at = self.clock.now()
+        if self._loop is not None:
+            self._loop.gather(self.period_ns // GATHERED_SHARE)
         self._tick()
 
     def close(self) -> None:
@@ -319,12 +327,12 @@ class Host(BusEndpoint[Device]):
         return self.rules.get(message) or device.rules.get(message)
 
     def packet_of(self, out: OutgoingMessage) -> Any:
-        """The packet of set-points that are about to be sent; None where a value does not fit, which is reported."""
+        """The packet of set-points that are about to be sent; None where it cannot be made, which is reported."""
         device: Device = out.device
         try:
             packet = self.packet(device, out.message, out.fields)
         except AcesError as error:  # the others go out
-            self.emit("limited", device.name, str(error))
+            self.emit("not sent", device.name, str(error))
             return None
         self.counts.set_points += 1
         device.is_driven = not self.passive
@@ -368,6 +376,8 @@ class Host(BusEndpoint[Device]):
         """Send a ticket's packet, now; it is over when that has left, or is answered."""
         ticket.tries += 1
         ticket.sent_at = now
+        if self._loop is not None:
+            self._loop.hurry(now + ticket.timeout_ns)
         if ticket.reply:
             # What is not answered in time is asked again: it must not leave later than that.
             self.transmit(

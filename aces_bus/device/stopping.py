@@ -2,6 +2,7 @@
 
 1. Every device is sent its stop before anything is waited for; one driver's fault does not delay the others.
 2. A stop counts when its packets have left; where the device can be asked whether it has stopped, when it has said so.
+   Where two devices were seen to answer as one, an answer says nothing of the other, which may not receive any more.
 3. It has an end: who has not stopped within `STOP_NS` is named, with the reason.
 """
 
@@ -13,6 +14,7 @@ from typing import Any
 from ..errors import AcesError, DeviceError, NotStoppedError
 from ..runtime import EventClock
 from .device import Device
+from .station import credential_text
 from .ticket import Awaited, Job, Steps
 
 #: Seconds that a program waits for all of it.
@@ -101,8 +103,11 @@ class _Stop:
         while True:
             try:
                 yield from self._over(ticket, "it has not stopped yet")
-                if device.last_received is not None:
-                    yield from self._over(device.confirm_stopped(), "it does not say whether it has stopped")
+                asked = device.confirm_stopped() if device.last_received is not None else None
+                yield from self._over(asked, "it does not say whether it has stopped")
+                if device.is_double and (ticket is not None or asked is not None):
+                    who = credential_text(device.credentials) or device.name
+                    raise DeviceError(f"two devices answer as {who}: one that is off says nothing of the other")
                 device.is_driven = False
                 return
             except AcesError as error:

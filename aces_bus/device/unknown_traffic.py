@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from ..protocol import Unknown as UnknownRecord
-from .device import DUPLICATES, Device
+from .device import Device
 from .events import Kind
 from .half_duplex import HalfDuplexLine
 from .station import credential_text
@@ -20,8 +20,11 @@ from .station import credential_text
 if TYPE_CHECKING:
     from .host import Host
 
-#: Second answers that come within so long (ns) are not a receiver's, who may get a frame twice (an error in its last bit).
-DUPLICATES_NS = 1_000_000_000
+#: So many second answers within so long (ns), or within so many rounds of polls, are another device's: a receiver gets a
+#: frame twice now and then (an error in its last bit).
+DUPLICATES, DUPLICATES_NS, DUPLICATES_ROUNDS = 3, 1_000_000_000, 5
+#: What comes so soon (ns) after the bus was opened may answer the program before: it waited for somebody to acknowledge it.
+OPENING_NS = 100_000_000
 #: What noise makes of packets, and a late answer that meets the next request or whose end comes after its time.
 GARBLED = frozenset(("malformed: checksum", "malformed: incomplete"))
 #: At most so many unknown devices are reported one by one; a bus may claim millions.
@@ -70,11 +73,19 @@ class UnknownTraffic:
     def duplicate(self, device: Device, detail: str, instant: int) -> None:
         """A second answer to one request: once it is a fault of the bus, again and again a second device."""
         self.host.emit("duplicate reply", device.name, detail)
-        device.duplicates.append(instant)
-        if len(device.duplicates) == DUPLICATES and instant - device.duplicates[0] < DUPLICATES_NS:
-            device.duplicates.clear()
+        if instant - self.host.opened_at < OPENING_NS:
+            return
+        device.duplicates = came = [*device.duplicates, instant][-DUPLICATES:]
+        tick_s = self.host.period_ns / 1e9
+        round_s = min((poll.every_s or tick_s for poll in device.polls), default=0.0)
+        lately = instant - max(DUPLICATES_NS, round(DUPLICATES_ROUNDS * round_s * 1e9))
+        if len(came) == DUPLICATES and came[0] > lately:
+            device.duplicates = []
             who = credential_text(device.credentials)
-            self.host.emit("two devices", device.name, f"{detail}; are there two devices with {who}?")
+            device.emit_event(
+                "two devices",
+                f"{detail}; are there two devices with {who}, or does another program ask it, too?",
+            )
 
     def _suspect(self, unknown: UnknownRecord, line: HalfDuplexLine | None) -> Device | None:
         """The device that may have sent it: by its identifier, or the one that has the line."""

@@ -118,6 +118,7 @@ class CanGate(Gate[Frame]):
         self.linger_ns = LINGER_NS if kinds.isdisjoint(PROMPT) else 0
         self._is_of_datagrams = not kinds.isdisjoint(DATAGRAMS)
         self._quick = self._read if isinstance(self._read, (SocketcanReader, ServedReader)) else None
+        self._gathers = self._quick is not None
         self._has_file = self._quick is not None or not kinds.isdisjoint(BY_FILE)
         self._hollow = self._strange = 0
         return bus
@@ -212,13 +213,18 @@ class CanGate(Gate[Frame]):
                 if frame is not None:
                     batch.append(Received(frame, now))
         else:
+            # What has waited came when its stamps say, reckoned from when the first of it was there.
+            since = self._loop.waited_since if self._loop is not None else 0
+            first, came = found[0].timestamp if found else None, now
             for frame in found:
                 stamp, last = frame.timestamp, self._last_stamp
                 if stamp is not None:
                     if last is not None and stamp < last:
                         self._went_back(stamp)
                     self._last_stamp = stamp
-                batch.append(Received(frame, now))
+                    if since and first is not None:
+                        came = min(max(since + round((stamp - first) * 1e9), since), now)
+                batch.append(Received(frame, came))
             # Nearly always: there was something, and nothing else has happened.
             if error is None and 0 < len(found) < TURN_BATCH and quick.changes == self._changes:
                 self.counters.received += len(batch)

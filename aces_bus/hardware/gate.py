@@ -190,7 +190,7 @@ class Gate(SendingGate[Item]):
             self._thread(self._receive, "receive")
         else:
             self._watched(bus)
-            loop.watch(self._file, self._readable)
+            loop.watch(self._file, self._readable, gathers=self._gathers)
         if self.listen_only:
             return
         self._is_sending_here = self._file is not None and self._can_put_together()

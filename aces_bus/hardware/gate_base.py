@@ -89,6 +89,8 @@ class GateBase(ABC, Generic[Item]):
         self._received: Callable[[list[Received[Item]]], Any] | None = None
         self._file: int | None = None
         self._is_sending_here = self._is_flush_planned = False
+        #: Whether what arrives may wait for more there: where each packet says itself when it came.
+        self._gathers = False
 
     # ------------------------------------------------------------------ what a kind of bus does
 

@@ -5,6 +5,8 @@
 2. Nothing on it may wait. What an action raises is reported and does not end it.
 3. `call_soon` is for other threads; everything else may be called from them too, and is handed over by it.
 4. A turn is bounded: what is due and does not fit into `TURN_NS` is left to the next turn, behind the files, and counted.
+5. Where that was said (`gather`), a file that `gathers` is read together with what comes in the next moment: each wake-up
+   finds cold caches. It is read before anything that is due is done, and at once while an answer is waited for (`hurry`).
 
 A turn: what other threads have handed over, what is due, the ends of the turn (what was gathered for a bus leaves
 together), then a wait for the first file that has something, the next instant, or another thread. `select` waits in
@@ -33,6 +35,8 @@ Action = Callable[[], object]
 
 #: How long a turn may take (ns) before files are served again: a tenth of the tick of a robot at 500 Hz.
 TURN_NS = 200_000
+#: The longest that anything is gathered (ns).
+GATHER_NS = 500_000
 #: Files that `select` takes have numbers below this.
 MOST_FILES = 1000
 
@@ -69,6 +73,12 @@ class Loop(RealClock):
         self._soon: deque[Action] = deque()
         self._ends: list[Action] = []
         self._readers: dict[int, Action] = {}
+        #: Files that gather; those that do so now, with the instant since which they have something; when these are read.
+        self._gathering: set[int] = set()
+        self._held: dict[int, tuple[int, Action]] = {}
+        self._gather_ns = self._hurried_until = self._read_at = 0
+        #: The instant (ns) since which what is being read has waited; 0: it has not.
+        self.waited_since = 0
         self._waker: socket.socket | None = None
         #: Whether another thread has to wake it.
         self._is_asleep = False
@@ -152,16 +162,30 @@ class Loop(RealClock):
         """Whether a file of this number can be served."""
         return 0 <= number < MOST_FILES
 
-    def watch(self, number: int, readable: Action) -> None:
-        """Call `readable` whenever the file of this number has something to read."""
+    def watch(self, number: int, readable: Action, *, gathers: bool = False) -> None:
+        """Call `readable` whenever the file of this number has something to read; see `gather` for one that `gathers`."""
         if self._thread is None or self.is_own_thread:
             self._readers[number] = readable
+            if gathers:
+                self._gathering.add(number)
         else:
-            self.call_soon(lambda: self.watch(number, readable))
+            self.call_soon(lambda: self.watch(number, readable, gathers=gathers))
 
     def unwatch(self, number: int) -> None:
         """Serve the file no more: before it is closed, on the loop's own thread (`call`)."""
         self._readers.pop(number, None)
+        self._held.pop(number, None)
+        self._gathering.discard(number)
+
+    def gather(self, most_ns: int) -> None:
+        """From now on read files that gather once in so long (ns) at most; of several that are said the shortest counts."""
+        self._gather_ns = min(most_ns, self._gather_ns or GATHER_NS)
+
+    def hurry(self, until: int) -> None:
+        """Read all files at once until this instant (ns): an answer is waited for."""
+        self._read_at = 0
+        if until > self._hurried_until:
+            self._hurried_until = until
 
     # ------------------------------------------------------------------ running
 
@@ -202,16 +226,22 @@ class Loop(RealClock):
         self.own_thread = threading.get_ident()
         self.watch(woken.fileno(), lambda: woken.recv(4096))
         soon, events, readers, select = self._soon, self._events, self._readers, self._select
+        held, gathering = self._held, self._gathering
         monotonic_ns, do = self._monotonic_ns, self._do
         try:
             while not self._stopping:
                 now = monotonic_ns()
+                if held and (now >= self._read_at or (events and events[0][0] <= now)):
+                    self._read_held()
                 if soon or self._ends or (events and events[0][0] <= now):
                     self._turn(now)
                     now = monotonic_ns()
                 while events and events[0][2].__class__ is Timer and events[0][2].action is None:
                     heapq.heappop(events)  # taken back: no reason to wake up
                 left = max(0, events[0][0] - now) / 1e9 if events else None
+                if held:
+                    rest = max(0, self._read_at - now) / 1e9
+                    left = rest if left is None or rest < left else left
                 self._is_asleep = True
                 if soon or self._stopping:  # handed over before that was seen
                     left = 0
@@ -222,14 +252,36 @@ class Loop(RealClock):
                     self._serve_closed()
                     continue
                 self._is_asleep = False
+                may_wait = readable and self._gather_ns and self._may_wait(now := monotonic_ns())
                 for number in readable:
                     action = readers.get(number)
                     if action is not None:
-                        do(action)
+                        if may_wait and number in gathering:
+                            if not held:
+                                self._read_at = now + self._gather_ns
+                            held[number] = now, readers.pop(number)
+                        else:
+                            do(action)
         finally:
             woken.close()
             assert self._waker is not None
             self._waker.close()
+
+    def _may_wait(self, now: int) -> bool:
+        """Whether nobody waits for an answer, and nothing is due before what comes now is read."""
+        events = self._events
+        return now >= self._hurried_until and not (events and events[0][0] <= now + self._gather_ns)
+
+    def _read_held(self) -> None:
+        """Read what has gathered."""
+        held = self._held
+        while held:
+            number = next(iter(held))
+            since, action = held.pop(number)
+            self._readers[number] = action
+            self.waited_since = since
+            self._do(action)
+        self.waited_since = 0
 
     def _turn(self, now: int) -> None:
         """What was handed over, what is due, and the ends."""

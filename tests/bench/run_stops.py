@@ -50,9 +50,7 @@ def alarm(run: Runner) -> None:
 def virtual(is_fault: bool) -> tuple[float, float]:
     """One stop: seconds to the last board, and until all is confirmed."""
     robot = load_robot("hubo2plus")
-    run = run_virtual(
-        robot, [Pose(robot, 1 if is_fault else RATE_HZ)], rate_hz=RATE_HZ, transmit=True, reactions=CALM
-    )
+    run = run_virtual(robot, [Pose(robot, 1 if is_fault else RATE_HZ)], rate_hz=RATE_HZ, reactions=CALM)
     off_at: dict[str, int] = {}
     with run:
         run.do("enable")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -320,15 +321,32 @@ def test_unknown_devices_and_packets_are_named() -> None:
 
 
 def test_an_impossible_set_point_stops_nothing() -> None:
-    """A value that its field cannot hold is told; other devices' set-points go out."""
+    """A value that its field cannot hold is reported as not sent; other devices' set-points go out."""
     with made() as robot:
         robot.devices["A"].want("Set", "left", 1 << 20)
         robot.devices["A"].want("Set", "right", 1)
         robot["B.left"].set(1.0)
         robot["B.right"].set(1.0)
         robot.advance(0.02)
-        assert robot.events.count("limited", "A") >= 1
+        assert robot.events.count("limited") == 0
+        assert "1048576" in robot.events.of("not sent")[0].detail
         assert robot.twins["B"].left == 10
+
+
+def test_a_message_without_one_of_its_fields_is_not_sent() -> None:
+    """A rule that leaves a field out is reported by message and field, as not sent; nothing has been limited."""
+
+    def forgetful(wants: Sequence[Setpoint]) -> Iterator[OutgoingMessage]:
+        yield OutgoingMessage(wants[0].device, "Set", {"left": 10}, wants)
+
+    with made(rules={"Set": forgetful}) as robot:
+        robot["A.left"].set(1.0)
+        robot["A.right"].set(1.0)
+        robot.advance(0.02)
+        assert robot.events.count("limited") == 0
+        (first,) = robot.events.of("not sent")
+        assert (first.device, first.detail) == ("A", "Set: no value given for right")
+        assert robot.twins["A"].left == 0
 
 
 def test_hold_and_drop() -> None:

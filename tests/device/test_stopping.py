@@ -6,13 +6,14 @@ from typing import Any, ClassVar
 
 import pytest
 
-from aces_bus.device import Driver, Job, Steps, Ticket, stop_devices, wait_stopped
+from aces_bus.device import Driver, Job, Poll, Steps, Ticket, stop_devices, wait_stopped
 from aces_bus.device.motor import MotorDevice, age_on_bus
+from aces_bus.device.stopping import STOP_NS
 from aces_bus.device.ticket import Awaited
 from aces_bus.errors import DeviceError, NotStoppedError
 from aces_bus.frames import Frame
 from aces_bus.hardware import ListeningNode
-from aces_bus.robot import Rig, VirtualRobot, connect
+from aces_bus.robot import Rig, VirtualRobot, connect, simulate
 from tests.device.fan import ROBOT, Fan, FanTwin, fan, robot_of
 
 SET = 0x111
@@ -132,6 +133,64 @@ def test_a_status_that_came_late_says_how_old_it_is(robot: VirtualRobot) -> None
         MotorDevice.confirm_off(board, lambda: asked, lambda: ["LHP"]).wait()
 
 
+@pytest.mark.parametrize("is_deaf", [True, False])
+def test_one_answer_does_not_confirm_two_devices(robot: VirtualRobot, is_deaf: bool) -> None:
+    """Two devices have answered as one: the stop is repeated for its time and named, whatever one of them says then."""
+    second = simulate(robot_of(ROBOT), robot.ports("second"), load=load)
+    second.buses["line"].remove("B")
+    other: Any = second.twins["A"]
+    other.reply_delay_ns += 3_000_000  # frames that begin together would destroy each other
+    with second:
+        robot.advance(0.2)
+        other.is_powered = not is_deaf  # turns on, and receives nothing
+        robot.advance(2.0)
+        assert "two devices with node 0x01" in robot.events.of("two devices")[0].detail
+        began = robot.clock.now()
+        with pytest.raises(NotStoppedError) as failed:
+            wait_stopped(stop(robot))
+        assert robot.clock.now() - began == pytest.approx(STOP_NS, rel=0.05)
+        why = "two devices answer as node 0x01: one that is off says nothing of the other"
+        assert failed.value.devices == {"A": why}
+        assert (robot.twins["A"].left, robot.twins["B"].left) == (0, 0)
+        assert bool(other.left) is is_deaf
+
+
+def test_answers_to_the_program_before_are_none_of_a_second_device() -> None:
+    """A board that nobody has acknowledged repeats its answers until somebody is there, and that is at the opening."""
+    with VirtualRobot(robot_of(ROBOT), load=load, rate_hz=100) as robot:
+        for _ in range(5):
+            robot.twins["A"].answer(None)
+        robot.advance(0.05)
+        assert robot.events.count("duplicate reply", "A") > 3
+        robot.advance(0.1)
+        assert robot.events.count("two devices") == 0
+        wait_stopped(stop(robot))
+
+
+@pytest.mark.parametrize(("every_s", "gap_s", "is_double"), [(None, 0.6, False), (1.0, 1.0, True)])
+def test_second_answers_now_and_then_are_none_of_a_second_device(
+    every_s: float | None, gap_s: float, is_double: bool
+) -> None:
+    """A frame that a receiver gets twice now and then stops nothing; three of five rounds are two devices', however slow."""
+
+    class Slow(Asked):
+        polls = (Poll("Ask", reply="State", every_s=every_s),)
+
+    slow = Driver("fan", Slow, FanTwin, ROBOT, doc="", source="invented for tests")
+    with VirtualRobot(robot_of(ROBOT), load=lambda name: slow, rate_hz=100) as robot:
+        robot.advance(1.0)
+        for _ in range(4):
+            robot.twins["A"].fault("twice")
+            robot.advance(gap_s if every_s else 0.01)
+            robot.twins["A"].fault("twice", on=False)
+            robot.advance(0 if every_s else gap_s)
+        assert robot.events.count("duplicate reply", "A") >= 3
+        assert robot.events.count("two devices") == is_double
+        stopping = stop(robot)
+        robot.advance(2.5)
+        assert (stopping.error is not None) is is_double
+
+
 def test_a_driver_that_raises_stops_nobody_else_s_stop(
     robot: VirtualRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -191,7 +250,9 @@ rigs: list[Rig] = []
 @pytest.mark.parametrize("drives", [True, False])
 def test_a_rig_stops_what_it_drove_when_it_is_left(drives: bool) -> None:
     """A program that ends, or raises, within `with connect(…)` leaves nothing moving; one that only looked sends nothing."""
-    with VirtualRobot(robot_of(ROBOT), load=load, rate_hz=100) as world:
+    with VirtualRobot(
+        robot_of(ROBOT), load=load
+    ) as world:  # whose own rig does not ask: two that ask see two answers
         recorder = ListeningNode(world.wires["line"])
         with pytest.raises(ZeroDivisionError):
             left(world, drives=drives, error=ZeroDivisionError())

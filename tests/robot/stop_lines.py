@@ -190,7 +190,9 @@ Act = tuple[int, str, int, Any]
 
 
 class Stopped(NamedTuple):
-    """How a schedule ended: the run, who is still on, and when each device was confirmed (ns after the first stop)."""
+    """How a schedule ended: the run, who is still on or may be, as two were seen to answer as one, and when each device was
+    confirmed (ns after the first stop).
+    """
 
     ended: Ended
     still_on: set[str]
@@ -291,7 +293,7 @@ class Lines:
         began = clock.now()
         joints = next(iter(self.twins.values())).world.joints
         here = {f"D{n}": joints[f"J{n}"].position(began) if f"J{n}" in joints else 0.0 for n in (1, 2, 3)}
-        still_on: set[str] = set()
+        still_on = {name for name, device in run.rig.devices.items() if device.is_double}
 
         def look() -> None:  # before the twins are switched off
             for name, twin in self.twins.items():

@@ -20,6 +20,7 @@ from tests.robot.walking import (
     hubo_leg,
     mini_leg,
     motors_are_off,
+    second_of,
     stopped_in_time,
     walk_into,
 )
@@ -70,11 +71,29 @@ def test_a_board_that_reboots() -> None:
 
 
 def test_two_boards_of_one_number() -> None:
-    """A second board of the same number is plugged in: two answers, named, and motion stops."""
-    ended, walk, look, _ = walk_into(lambda run: run.world.twins["JMC3"].fault("twice"))
+    """A second board of the same number is plugged in: two answers, named, and motion stops; neither is known to be off."""
+    ended, walk, look, run = walk_into(lambda run: run.world.twins["JMC3"].fault("twice"))
     event = stopped_in_time("two devices", ended, walk, look)
     assert event.source == "JMC3"
     assert "two devices" in event.detail
+    assert ended.not_stopped.keys() == {"JMC3"}
+    assert "two devices answer as board 0x03" in ended.not_stopped["JMC3"]
+    assert motors_are_off(run)
+
+
+def test_one_of_two_boards_of_one_number_does_not_receive_any_more() -> None:
+    """It moves on, and the other one says that it is off: the stop counts as not confirmed, for both were seen before."""
+    seconds: list[Any] = []
+
+    def second(run: Runner) -> None:
+        seconds.append(second_of(run.world, "JMC3"))
+        run.clock.call_in(100 * MS, lambda: seconds[0].fault("can_error"))
+
+    ended, walk, _, run = walk_into(second, reactions={"two devices": IGNORE})
+    assert (walk.kinds().count("two devices"), ended.tripped) == (1, {})
+    assert ended.not_stopped.keys() == {"JMC3"}
+    assert motors_are_off(run)
+    assert all(channel.control_on for channel in seconds[0].channels)
 
 
 def test_a_saturated_force_sensor() -> None:
@@ -208,11 +227,14 @@ def test_a_blocked_joint() -> None:
 
 
 def test_a_board_with_anothers_number() -> None:
-    """A board that answers with its neighbour's number makes two of one: motion stops, and the board itself is unknown."""
+    """A board that answers with its neighbour's number makes two of one: motion stops, and neither is known to be off."""
     ended, walk, look, run = walk_into(lambda run: run.world.twins["JMC1"].fault("wrong_number"))
     event = stopped_in_time("two devices", ended, walk, look)
     assert event.source == "JMC2"
-    assert list(ended.not_stopped) == ["JMC1"]  # it was switched off, and cannot say so
+    assert ended.not_stopped.keys() == {
+        "JMC1",
+        "JMC2",
+    }  # both are, but JMC1 cannot say so, and may speak for JMC2
     assert motors_are_off(run)
 
 

@@ -18,7 +18,7 @@ from aces_bus.errors import AcesError
 from aces_bus.robot import Runner, connect, open_gates
 from aces_bus.runtime import Loop
 from tests.robot.served_twins import PATIENCE_S, Twins
-from tests.robot.test_served_stops import BOARDS, Leg, run_on
+from tests.robot.test_served_stops import BOARDS, Leg, give_time, run_on
 from tests.robot.test_served_stops import patience as patience
 from tests.robot.test_served_stops import shared as shared
 from tests.robot.test_served_stops import twins as twins
@@ -34,11 +34,14 @@ from tests.robot.walking import hubo_leg
         ("wrong_check", "", ""),
     ],
 )
-def test_a_board_that_misbehaves(twins: Twins, fault: str, kind: str, said: str) -> None:
+def test_a_board_that_misbehaves(
+    twins: Twins, fault: str, kind: str, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two boards of one number, and one that answers with another's, are said by name, and all is switched off.
 
     A fault that Hubo's answers cannot have, for they carry no check, changes nothing.
     """
+    give_time(monkeypatch, 4)
     reactions = {kind: stop()} if kind else {}
     ended, run = run_on(
         twins,
@@ -52,9 +55,25 @@ def test_a_board_that_misbehaves(twins: Twins, fault: str, kind: str, said: str)
         assert f"{kind}: " in ended.tripped["leg"]
         assert said in ended.tripped["leg"]
         assert twins.wait_for("off", BOARDS)
+        assert "JMC1" in ended.not_stopped
     else:
         assert ended.tripped == {}
     assert run.rig.hosts["lower"].counts.received
+
+
+@pytest.mark.slow
+def test_one_of_two_boards_does_not_answer_any_more(twins: Twins, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It may not receive either, and move on: that the other one says that it is off confirms no stop."""
+    give_time(monkeypatch, 4)
+
+    def one_is_left(run: Runner) -> bool:
+        is_seen = run.rig.devices["JMC1"].is_double
+        return is_seen and bool(twins("fault", "JMC1", "twice", False))
+
+    ended, _ = run_on(twins, [Leg()], {}, lambda: twins("fault", "JMC1", "twice", True), enough=one_is_left)
+    assert ended.tripped == {}
+    assert "two devices answer as board 0x01" in ended.not_stopped["JMC1"]
+    assert twins.wait_for("off", BOARDS)
 
 
 @pytest.mark.slow

@@ -490,6 +490,10 @@ ROWS = {
         "faults:test_two_boards_of_one_number",
         "served faults:test_a_board_that_misbehaves",
     ],
+    "one of them does not receive any more": [
+        "faults:test_one_of_two_boards_of_one_number_does_not_receive_any_more",
+        "served faults:test_one_of_two_boards_does_not_answer_any_more",
+    ],
     "a board answers with another's number": [
         "faults:test_a_board_with_anothers_number",
         "served faults:test_a_board_that_misbehaves",

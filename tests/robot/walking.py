@@ -14,7 +14,7 @@ from aces_bus import load_robot
 from aces_bus.controller import Controller
 from aces_bus.controller.base import known_value
 from aces_bus.device import Robot
-from aces_bus.robot import Ended, Runner, VirtualRobot, run_virtual
+from aces_bus.robot import Ended, Runner, VirtualRobot, run_virtual, simulate
 
 MS = 1_000_000
 CYCLE = 10 * MS
@@ -111,6 +111,19 @@ def walk_into(
         run.clock.call_in(FAULT_AT, lambda: fault(run))
         ended = run.run(seconds)
     return ended, walk, look, run
+
+
+def second_of(world: VirtualRobot, name: str) -> Any:
+    """A second board of this number, which is on, with a cable of its own."""
+    made = simulate(world.robot, world.ports("second"))
+    for other in [one for one in made.buses["lower"].members if one != name]:
+        made.buses["lower"].remove(other)
+    board: Any = made.twins[name]
+    board.reply_delay_ns += 3 * MS  # frames that begin together would destroy each other
+    for channel in board.channels:
+        channel.switch(world.clock.now(), driver=True, control=True)
+    made.open()
+    return board
 
 
 def motors_are_off(run: Runner) -> bool:

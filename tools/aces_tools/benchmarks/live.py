@@ -15,7 +15,7 @@ from typing import Any
 import can
 from construct import Array, Compiled, Int16sl, Int32sl, Struct
 
-from aces_bus.protocol import BitLayout, Enumeration, IdField, Protocol, Quantity, bits
+from aces_bus.protocol import BitLayout, CanScanner, Enumeration, IdField, Protocol, Quantity, bits
 from aces_bus.protocol.generate.load import decoders_of
 from aces_protocols.robotis.spec import robotis
 
@@ -134,7 +134,7 @@ def can_rows(
         )
         for n, frame in enumerate(frames)
     ]
-    scanner = protocol.scanner()
+    scanner = CanScanner([protocol.variant()])
 
     def bare() -> None:
         for data, _, _, unpack in work:

@@ -145,23 +145,26 @@ class _PlayedTime:
         began = time.thread_time_ns()
         for bus in self.buses:
             self._take(bus)
-        due = [bus for bus in self.buses if bus.due]
-        first = min(due, key=lambda bus: bus.due[0][0], default=None)
-        is_written = False
-        if left != 0:
-            until = None if left is None else self.instant + round(left * 1e9)
-            if first is not None and (until is None or first.due[0][0] <= until):
-                instant, _, packet = heapq.heappop(first.due)
-                self.instant = max(self.instant, instant)
-                assert first.client is not None
-                first.client.send(packet)
-                is_written = True
-            elif until is not None:
-                self.instant = until
-        # A thread that receives wakes the loop when it has.
-        patience = (
-            PATIENCE_S if is_written and self.threads else None if left is None and first is None else 0
-        )
+        until = None if left is None else self.instant + round(left * 1e9)
+        while True:
+            due = [bus for bus in self.buses if bus.due]
+            first = min(due, key=lambda bus: bus.due[0][0], default=None)
+            is_written = False
+            if left != 0:
+                if first is not None and (until is None or first.due[0][0] <= until):
+                    instant, _, packet = heapq.heappop(first.due)
+                    self.instant = max(self.instant, instant)
+                    assert first.client is not None
+                    first.client.send(packet)
+                    is_written = True
+                elif until is not None:
+                    self.instant = until
+            # A thread that receives wakes the loop when it has.
+            patience = (
+                PATIENCE_S if is_written and self.threads else None if left is None and first is None else 0
+            )
+            if not is_written or self.threads or select.select(readers, (), (), 0)[0]:
+                break  # else the loop does not wait for this file, and sleeps on
         self.cost_ns += time.thread_time_ns() - began
         return select.select(readers, (), (), patience)
 

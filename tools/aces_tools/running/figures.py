@@ -11,6 +11,8 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import Any
 
+from aces_bus.controller import Bounds, Clipped
+from aces_bus.device import Joint
 from aces_bus.frames import Frame
 from aces_bus.hardware.simulated.bus import SimulatedBus
 from aces_bus.robot import Runner
@@ -21,6 +23,8 @@ USUAL = frozenset({"opened", "closed", "error-active", "clipped"})
 #: The longest classic frame: what a bus's load is estimated by where it is not measured.
 LONGEST = Frame(0, bytes(8))
 KEPT_EVENTS = 5
+#: A joint of which one set-point in so many is changed is led by its limits; so many of them are named.
+CLIPPED_SHARE, MOST_CLIPPED = 10, 3
 #: Between two looks at the jitter (ns).
 JITTER_EVERY = 2_000_000_000
 
@@ -95,6 +99,34 @@ class Figures:
     def unknown(self) -> list[str]:
         """States without a fresh value."""
         return [state.name for state in self.states if not state.is_fresh]
+
+
+def often_clipped(runner: Runner) -> str:
+    """The joints that are led by their limits rather than by their controllers, most of all first; "" without any."""
+    cycles = {task.name: task.ticks for task in runner.tasks.tasks}
+    often: dict[str, int] = {}
+    for supervisor in runner.supervisors:
+        steps, bounds = cycles[supervisor.name], supervisor.guard.bounds
+        for name, clips in supervisor.guard.clips.items():
+            changed = max(clips.position, clips.rate, clips.acceleration)  # one set-point may be in each
+            if changed * CLIPPED_SHARE > steps:
+                state = runner.states[name]
+                joint = runner.rig.robot.joints.get(state.name.partition(".")[0])
+                why = _limit(clips, bounds[name], state.unit or "", joint)
+                often[f"{name} {changed} times in {steps} cycles ({why})"] = changed
+    texts = sorted(often, key=lambda text: -often[text])
+    more = len(texts) - MOST_CLIPPED
+    return ", ".join(texts[:MOST_CLIPPED]) + (f", and {more} more" if more > 0 else "")
+
+
+def _limit(clips: Clipped, bounds: Bounds, unit: str, joint: Joint | None) -> str:
+    """The limit that changed most set-points."""
+    if clips.position >= max(clips.rate, clips.acceleration):
+        return f"limits {bounds.lower:g} … {bounds.upper:g} {unit}"
+    if clips.acceleration > clips.rate:
+        return f"at most {bounds.acceleration:g} {unit}/s²"
+    is_usual = joint is not None and joint.max_speed is joint.nominal_speed is None
+    return f"at most {bounds.rate:g} {unit}/s{', as its file states no max_speed' if is_usual else ''}"
 
 
 class Watch:

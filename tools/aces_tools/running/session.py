@@ -28,7 +28,7 @@ from ..console import abandon_stdout, say, say_note, terminal_width, wants_colou
 from ..live_view import live_view, show_bus, show_event
 from ..patience import Patience
 from ..robot_arg import NO_INTERFACE, bus_options, chosen_pose
-from .figures import USUAL, Figures, Watch, event_text
+from .figures import USUAL, Figures, Watch, event_text, often_clipped
 from .loading import own_functions, reactions_of
 from .panel import panel, plain_line, to_rich
 
@@ -353,6 +353,8 @@ class Session:
                 say(f"{logger.path} is not whole: {logger.failure}; {logger}")
             else:
                 say_note(str(logger))
+        if often := often_clipped(runner):
+            say(f"clipped again and again: {often}")
         clips = sum(c.total for s in runner.supervisors for c in s.guard.clips.values())
         counts = {
             "cycles": sum(task.ticks for task in tasks),
