@@ -107,7 +107,9 @@ class _Stop:
                 yield from self._over(asked, "it does not say whether it has stopped")
                 if device.is_double and (ticket is not None or asked is not None):
                     who = credential_text(device.credentials) or device.name
-                    raise DeviceError(f"two devices answer as {who}: one that is off says nothing of the other")
+                    raise DeviceError(
+                        f"two devices answer as {who}: one that is off says nothing of the other"
+                    )
                 device.is_driven = False
                 return
             except AcesError as error:
