@@ -19,7 +19,7 @@ from construct import ConstructError
 from ..errors import AcesError
 from .declare.ambiguity import needing_context, ordered, request_names
 from .declare.framing import Framing, Verdict
-from .declare.message import Direction, Message, Request
+from .declare.message import REQUESTS, Direction, Message, Request
 from .declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, frame_image
 from .declare.packet_rule import DecidedFrames, PacketRule, packet_image
 from .declare.protocol import Variant
@@ -65,13 +65,15 @@ class PastRequest:
 
 class RequestRule:
     """Which request a reply answers: the latest of the same channel that agrees in all fields that both have, is not used
-    up and not too old. A mode stays; what was asked of everyone, each device answers once."""
+    up, not too old and among the last `REQUESTS`. A mode stays; what was asked of everyone, each device answers once."""
 
     def __init__(
         self, messages: Sequence[Message], contextual: frozenset[str], broadcast: Mapping[str, int]
     ) -> None:
         self.broadcast = broadcast
         self.requests, self.answers = request_names(messages, contextual)
+        #: All requests in order, and those that are not used up.
+        self.passed: list[PastRequest] = []
         self.open: list[PastRequest] = []
         #: By message, what it may hang on: the request, whether it is a mode, and the fields that both have.
         self.links: dict[str, list[tuple[Request, bool, list[str]]]] = {}
@@ -82,6 +84,11 @@ class RequestRule:
                 for one, is_mode in [*((one, False) for one in message.reply_to), *modes]
                 if one.message.name in self.requests
             ]
+
+    def note(self, past: PastRequest) -> None:
+        """A request was received or sent."""
+        self.passed.append(past)
+        self.open.append(past)
 
     def of(
         self, fitting: Sequence[tuple[Message, Mapping[str, Any]]], channel: Any, time: float | None
@@ -132,7 +139,18 @@ class RequestRule:
         own, everyone = _those(shared, values), _those(shared, {**values, **self.broadcast})
         if _those(shared, past.values) not in (own, everyone) or own in past.answered:
             return False
+        if not self.is_remembered(past, shared):
+            return False
         return None in (message.within, past.time, time) or time - past.time <= message.within  # type: ignore[operator]
+
+    def is_remembered(self, past: PastRequest, shared: Sequence[str]) -> bool:
+        """Whether it is among the last `REQUESTS` of its kind and channel that are as it is in the `shared` fields."""
+        asked, later = _those(shared, past.values), 0
+        for one in reversed(self.passed):
+            if one is past or later >= REQUESTS:
+                break
+            later += (one.name, one.channel, _those(shared, one.values)) == (past.name, past.channel, asked)
+        return later < REQUESTS
 
     def needs(self, messages: Sequence[Message]) -> str:
         """The reason for messages whose request was not there."""
@@ -264,7 +282,7 @@ class Reference:
             if message.name in context.answers:
                 context.of([(message, values)], channel, time)
             if message.name in context.requests:
-                context.open.append(PastRequest(message.name, channel, time, values))
+                context.note(PastRequest(message.name, channel, time, values))
         return "", message, message.struct.parse(image, raw=self.raw, request=request)
 
     def sent_frame(self, frame: Any) -> None:
@@ -294,7 +312,7 @@ class Reference:
                         values = message.struct.parse(image, raw=True)
                     except (ConstructError, AcesError):
                         continue
-                    context.open.append(PastRequest(message.name, channel, time, values))
+                    context.note(PastRequest(message.name, channel, time, values))
                     return
 
     # ------------------------------------------------------------------ frames

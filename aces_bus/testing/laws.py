@@ -269,8 +269,14 @@ def _no_frame_overlooked(trial: Trial) -> None:
 def _no_packet_overlooked(trial: Trial) -> None:
     """Where all frames of a packet follow one another, with none of another packet of its session between, it is found.
 
-    Looked for by the frames that its transport makes of what was drawn.
+    Looked for by the frames that its transport makes of what was drawn. Where it is also a message that overrides its own,
+    it is found as that one.
     """
+    overriding: dict[str, set[str]] = {}
+    for _, message in cast(trial.bench.wire, trial.direction).messages:
+        for name in message.overrides:
+            overriding.setdefault(name, set()).add(message.name)
+    found = {item.message for item in trial.scanned}
     for packet in trial.sample(trial.scene.packets):
         if packet.message.transport is None or packet.message.reply_to or packet.message.after:
             continue
@@ -286,9 +292,9 @@ def _no_packet_overlooked(trial: Trial) -> None:
         slow = packet.message.transport.timeout_s
         if any(None not in (a, b) and b - a > slow for a, b in pairwise(times)):
             continue
-        if not any(
-            f.is_remote_frame or f.is_extended_id != packet.message.extended for f in mine
-        ) and not any(item.message == packet.message.name for item in trial.scanned):
+        if any(f.is_remote_frame or f.is_extended_id != packet.message.extended for f in mine):
+            continue
+        if found.isdisjoint({packet.message.name, *overriding.get(packet.message.name, ())}):
             trial.fail(
                 4, f"{packet.message.name} {packet.image[5:].hex()} was not found in {len(wire)} frames"
             )

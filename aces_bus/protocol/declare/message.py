@@ -55,6 +55,10 @@ class ConfigurationCondition(msgspec.Struct, frozen=True):
         return (self.key, self.capture) == (other.key, other.capture) and not self.values & other.values
 
 
+#: So many requests of a kind and device are remembered, answered or not: a reply to an earlier one is unknown.
+REQUESTS = 8
+
+
 class Request(msgspec.Struct, frozen=True):
     """A message, perhaps with values that its fields must have: what `reply_to` and `after` refer to."""
 

@@ -2,7 +2,7 @@
 
 1. The context of a reply is the latest request that fits it: same channel, equal shared captures, not consumed, not
    older than `within`. A mode (`after`) is the latest request of its kind, and is never consumed.
-2. Memory is bounded: the last `DEPTH` requests of a kind and device, and the `DEVICES` devices asked last.
+2. Memory is bounded: the last `REQUESTS` requests of a kind and device, and the `DEVICES` devices asked last.
 """
 
 from __future__ import annotations
@@ -13,9 +13,8 @@ from typing import Any
 
 from ...compiling import mypyc_attr
 from ..declare.ambiguity import request_names
-from ..declare.message import Message, Request
+from ..declare.message import REQUESTS, Message, Request
 
-DEPTH = 8
 DEVICES = 65536
 
 
@@ -120,8 +119,8 @@ class Context:
                     if len(seen) > DEVICES:
                         del seen[next(iter(seen))]
                 entries.append(entry)
-                if len(entries) > DEPTH:
-                    del entries[:-DEPTH]
+                if len(entries) > REQUESTS:
+                    del entries[:-REQUESTS]
 
         return note
 
