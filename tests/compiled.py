@@ -26,18 +26,29 @@ SOURCE_ROOTS = (".", "protocols", "devices", "tools")
 #: What is compiled: what a frame in virtual time passes through. Classes that others inherit from say so by `mypyc_attr`.
 MODULES = (
     "aces_bus/runtime/virtual.py",
+    "aces_bus/runtime/clock.py",
     "aces_bus/hardware/simulated/frame_time.py",
     "aces_bus/hardware/simulated/bus.py",
-    "aces_bus/protocol/live/context.py",
     "aces_bus/protocol/live/decide.py",
-    "aces_bus/device/station.py",
+    "aces_bus/protocol/live/context.py",
     "aces_bus/device/ticket.py",
     "aces_bus/device/host.py",
-    "aces_bus/device/gathering.py",
-    "aces_bus/device/polling.py",
+    "aces_bus/device/twin.py",
     "aces_bus/device/unanswered.py",
-    "devices/aces_devices/joint_model.py",
+    "aces_bus/device/poll.py",
+    "aces_bus/device/polling.py",
+    "aces_bus/device/signals.py",
+    "aces_bus/device/motor.py",
+    "aces_bus/device/station.py",
+    "aces_bus/device/device.py",
+    "aces_bus/device/gathering.py",
+    "aces_bus/device/declared.py",
+    "aces_bus/controller/door.py",
+    "aces_bus/controller/guard.py",
     "devices/aces_devices/hubo_motor/channel.py",
+    "devices/aces_devices/joint_model.py",
+    "devices/aces_devices/hubo_motor/board.py",
+    "devices/aces_devices/hubo_sensors/body.py",
 )
 
 
@@ -54,7 +65,16 @@ def copy_sources() -> None:
 
 
 COMPILE = """
-import sys
+import inspect, sys
+
+class Signature(inspect.Signature):  # of `help`: mypyc 2.4 has **fields for positional where a float has a default
+    def __init__(self, parameters=None, **more):
+        try:
+            super().__init__(parameters, **more)
+        except ValueError:
+            super().__init__(parameters, __validate_parameters__=False)
+
+inspect.Signature = Signature
 from mypyc.build import mypycify
 from setuptools import Distribution
 from setuptools.command.build_ext import build_ext

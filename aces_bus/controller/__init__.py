@@ -12,7 +12,7 @@ from .cartesian import CartesianPath
 from .equation import Equations
 from .events import ControlEvent, EventLike
 from .function import FunctionController, controller
-from .guard import Bounds, Clipped, Guard, Trip, bounds_of
+from .guard import Bounds, Guard, bounds_of
 from .language import EquationError
 from .machine import MachineError, Phase, StateMachine, Transition
 from .motion import Motion, Trajectory, sampled
@@ -21,6 +21,7 @@ from .pid import PID, PIDController
 from .player import Player
 from .reactions import DEFAULT_REACTIONS, IGNORE, Reaction, degrade, parse_reactions, stop
 from .supervisor import Supervisor
+from .trip import Clipped, Trip
 from .via import Limits, ViaPath
 
 __all__ = [

@@ -24,10 +24,11 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from ..device.signals import UNKNOWN
+from ..device.reading import UNKNOWN
 from ..device.stopping import stop_devices
 from ..errors import AcesError, CallerError
-from .guard import NOT_FINITE_TRIPS, USUAL_SPEED, Bounds, Clipped
+from .guard import NOT_FINITE_TRIPS, USUAL_SPEED, Bounds
+from .trip import Clipped
 
 if TYPE_CHECKING:
     from ..device.config import Joint, Robot
@@ -119,8 +120,9 @@ class _Line:
         self.counts = Clipped()
         self.in_a_row = 0
         #: Where it is to go, and what left last; None: nothing is wanted, nothing has left since it began anew.
-        self.goal: float | None = None
-        self.given: float | None = None
+        #: Numbers of whatever type they were given in.
+        self.goal: Any = None
+        self.given: Any = None
         #: What left and where it was then, with the instants (ns), as far back as rule 4 looks.
         self.recent: deque[tuple[int, float, Any]] = deque()
         self.begin_anew()
@@ -438,17 +440,20 @@ class Door:
     def goal(self, name: str) -> float | None:
         """Where a signal is on its way to; None: nowhere, what was wanted has left."""
         line = self._line(name)
-        return line.goal if line in line.active else None
+        return float(line.goal) if line in line.active and line.goal is not None else None
 
     @property
     def goals(self) -> dict[str, float]:
         """The signals that are on their way, and where to."""
         lines = self._lines.items()
-        return {name: line.goal for name, line in lines if line.goal is not None and line in line.active}
+        return {
+            name: float(line.goal) for name, line in lines if line.goal is not None and line in line.active
+        }
 
     def given(self, name: str) -> float | None:
         """The last set-point that left; None: none since its device began anew."""
-        return self._line(name).given
+        given = self._line(name).given
+        return None if given is None else float(given)
 
     # ------------------------------------------------------------------ trips
 

@@ -23,20 +23,17 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal, Protocol
-
-import msgspec
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from ..errors import CallerError
 from ..state.errors import raise_first
 from .base import NOTHING, StateLike, known_value
 from .events import ControlEvent, Listeners
+from .trip import ACTIONS, Action, Clipped, Trip
 
 if TYPE_CHECKING:
     from ..device.config import Robot
 
-Action = Literal["hold", "zero duty", "disable"]
-ACTIONS: tuple[Action, ...] = ("hold", "zero duty", "disable")
 #: A state that is clipped for long is reported so often.
 REPORT_EVERY_NS = 1_000_000_000
 #: Trips that are kept for a cycle.
@@ -64,29 +61,6 @@ class Bounds:
             raise CallerError(
                 f"{self}: lower must not be above upper, and rate and acceleration must be above 0"
             )
-
-
-class Clipped(msgspec.Struct):
-    """How many set-points of a state were changed, by reason; `not_finite` were not taken at all."""
-
-    position: int = 0
-    rate: int = 0
-    acceleration: int = 0
-    not_finite: int = 0
-
-    @property
-    def total(self) -> int:
-        """How often anything was limited or refused."""
-        return self.position + self.rate + self.acceleration + self.not_finite
-
-
-class Trip(msgspec.Struct, frozen=True):
-    """Motion was stopped: when (ns), how, why, and whether it takes `release` to go on."""
-
-    instant: int
-    action: Action
-    reason: str
-    latched: bool = True
 
 
 class SetpointDoor(Protocol):
@@ -349,7 +323,8 @@ class Guard:
         self._last = now
         lines = self._by_name
         out: dict[str, float] = {}
-        for name, wanted in setpoints.items():
+        anything: Mapping[str, Any] = setpoints  # a controller may give anything
+        for name, wanted in anything.items():
             line = lines.get(name)
             if line is None:
                 line = self._unknown_line(name)

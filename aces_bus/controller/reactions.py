@@ -13,7 +13,7 @@ from typing import Literal
 
 from ..errors import CallerError, UnknownNameError
 from .events import EventLike
-from .guard import ACTIONS, Action
+from .trip import ACTIONS, Action
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,8 @@ from .host import Host
 from .motor import MotorDevice
 from .packet_sender import PacketSender
 from .port import Port
-from .signals import UNKNOWN, Reading, Signal
+from .reading import UNKNOWN, Reading
+from .signals import Signal
 from .single_motor import JointScale, SingleMotor
 from .stopping import stop_devices, wait_stopped
 from .ticket import Job, Steps, Ticket, together

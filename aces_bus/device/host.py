@@ -224,7 +224,7 @@ class Host(BusEndpoint[Device]):
                 " takes in all"
             )
         for device in self.members.values():
-            every_s = max(tick_s, min((poll.every_s or tick_s for poll in device.polls), default=tick_s))
+            every_s = max(tick_s, min((poll.every_s or tick_s for poll in device.all_polls), default=tick_s))
             if device.fed_within_s is not None and every_s >= device.fed_within_s:
                 raise CallerError(
                     f"{device.name}: it would be sent something every {every_s:g} s, and stops by itself after"

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Generic, TypeVar
 from typing import Protocol as Interface
 
+from ..compiling import mypyc_attr
 from ..errors import DeviceError, UnknownNameError
 from ..protocol import Record
 from ..runtime import Clock
@@ -56,6 +57,7 @@ def age_on_bus(record: Any, clock: Clock) -> float | None:
     return float(age) if 0.0 <= age < OTHER_CLOCK_S else None
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class MotorDevice(Device, Generic[A]):
     """A device with `axes`, which `setup` makes."""
 
@@ -70,7 +72,7 @@ class MotorDevice(Device, Generic[A]):
             return [axis for axis in self.axes if axis.joint is not None] or self.axes
         for axis in self.axes:
             names = () if axis.joint is None else (axis.joint.name, *axis.joint.aliases)
-            if joint in (*names, axis.name, str(axis.channel)):
+            if joint in names or joint in (axis.name, str(axis.channel)):
                 return [axis]
         raise UnknownNameError(f"joint of {self.name}", joint, [axis.name for axis in self.axes])
 

@@ -53,7 +53,7 @@ class Polling:
     def add(self, member: Device) -> None:
         """Ask a device what it declares. Raises `CallerError` and `UnknownNameError` where it cannot be asked."""
         host = self.host
-        for poll in member.polls:
+        for poll in member.all_polls:
             for name in poll.replies:
                 if name not in member.variant.protocol.messages:
                     raise UnknownNameError(

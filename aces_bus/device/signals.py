@@ -8,40 +8,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final
-
-import msgspec
+from typing import Any
 
 from ..errors import CallerError
 from ..runtime import Clock
-
-
-class UnknownType:
-    """The type of `UNKNOWN`. It is false, and equal to itself only."""
-
-    def __bool__(self) -> bool:
-        return False
-
-    def __repr__(self) -> str:
-        return "UNKNOWN"
-
-    def __reduce__(self) -> str:
-        return "UNKNOWN"
-
-
-#: The value of a quantity before one was received, and when the last one is stale.
-UNKNOWN: Final = UnknownType()
+from .reading import UNKNOWN, Reading
 
 Listener = Callable[[Any, int], None]
-
-
-class Reading(msgspec.Struct, frozen=True):
-    """What is known of a quantity: its last value, the instant (ns) it was measured at, how old that is now."""
-
-    value: Any
-    instant: int | None
-    age_ns: int | None
-    is_stale: bool
 
 
 class Signal:

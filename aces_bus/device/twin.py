@@ -23,6 +23,7 @@ from typing import Protocol as Interface
 
 import msgspec
 
+from ..compiling import mypyc_attr
 from ..errors import CallerError, FieldError, UnknownNameError
 from ..frames import FD_LENGTHS
 from ..protocol import Protocol, StreamScanner, Variant
@@ -92,6 +93,7 @@ FAULTS: Mapping[str, str] = {
 AMOUNTS: Mapping[str, float] = {"late": 0.05, "wrong_number": -1, "loses": 3}
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class Twin(EndpointMember):
     """One simulated device. `faults` (class) are the ways in which this kind misbehaves beyond `FAULTS`."""
 
@@ -102,13 +104,14 @@ class Twin(EndpointMember):
     amounts: ClassVar[Mapping[str, float]] = {}
     #: From receiving a request to beginning the answer (ns).
     reply_delay_ns: int = 50_000
-    attributes = EndpointMember.attributes | {
+    attributes: ClassVar = EndpointMember.attributes | {
         *("twins", "world", "random", "active_faults", "is_powered", "requests", "replies"),
     }
     _hearing: ClassVar[Mapping[str, str]] = {}
 
     def __init_subclass__(cls) -> None:
-        super().__init_subclass__()
+        above: Any = super(Twin, cls)  # noqa: UP008  # mypyc 2.4 takes `cls` for an instance in `super().…`
+        above.__init_subclass__()
         found = dict(cls._hearing)
         for name, method in vars(cls).items():
             for message in getattr(method, "_hears", ()):
@@ -169,7 +172,8 @@ class Twin(EndpointMember):
         """Send a message of the device, by default `reply_delay_ns` from now; credentials are added."""
         if not self.is_powered:
             return
-        delay = self.reply_delay_ns if delay_ns is None else delay_ns
+        twin: Any = self  # a subclass may have its delay in its body, where compiled code does not look
+        delay: int = twin.reply_delay_ns if delay_ns is None else delay_ns
         faults = self.active_faults
         if not faults:
             packet = self.twins.packet(self, message, fields)
@@ -278,6 +282,7 @@ class Twin(EndpointMember):
         self._timers.clear()
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class Twins(BusEndpoint[Twin]):
     """The simulated devices of one bus: they share its port, as boards share a backplane.
 

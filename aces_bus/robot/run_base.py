@@ -12,7 +12,7 @@ from typing import Any, Literal, Protocol
 
 from ..controller import ControlEvent, Supervisor
 from ..controller.events import raised_text
-from ..controller.guard import Trip
+from ..controller.trip import Trip
 from ..device import Device, Job
 from ..runtime import Loop, Tasks, ThreadTasks, VirtualTasks
 from .rig import Rig

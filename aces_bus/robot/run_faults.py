@@ -13,7 +13,7 @@ from collections.abc import Collection
 
 from ..controller import ControlEvent, Supervisor
 from ..controller.events import EventLike, raised_text
-from ..controller.guard import Trip
+from ..controller.trip import Trip
 from ..device import Device, DeviceEvent, Job, stop_devices
 from ..errors import NotStoppedError, UnknownNameError
 from ..runtime import Task

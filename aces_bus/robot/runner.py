@@ -25,7 +25,8 @@ from ..controller import (
     parse_reactions,
 )
 from ..controller.events import EventLike, Listeners
-from ..controller.guard import Action, Bounds
+from ..controller.guard import Bounds
+from ..controller.trip import Action
 from ..device import Device
 from ..errors import AcesError, CallerError, NotStoppedError, UnknownNameError
 from ..runtime import Task, Tasks, ThreadTasks, VirtualClock

@@ -13,6 +13,8 @@ import time
 from collections.abc import Callable
 from typing import Protocol, TypeVar
 
+from ..compiling import mypyc_attr
+
 T = TypeVar("T")
 
 
@@ -30,6 +32,7 @@ class Clock(Protocol):
         ...
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class RealClock:
     """The monotonic clock of this machine.
 

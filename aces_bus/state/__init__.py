@@ -6,7 +6,7 @@ a second before; `power = torque * omega` is a quantity like any other. See docs
 
 from __future__ import annotations
 
-from ..device.signals import UNKNOWN, Reading
+from ..device.reading import UNKNOWN, Reading
 from .declaration import SampleCounts, SignalSource
 from .derived import Derived, derived
 from .design import butterworth, iir, notch

@@ -16,7 +16,7 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from ..device.signals import UNKNOWN
+from ..device.reading import UNKNOWN
 from ..runtime import Clock, RealClock
 from . import units
 from .errors import StateError

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from ..device.signals import UNKNOWN
+from ..device.reading import UNKNOWN
 from .errors import StateError
 from .polynomial import value_at
 

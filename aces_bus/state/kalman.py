@@ -15,7 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-from ..device.signals import UNKNOWN
+from ..device.reading import UNKNOWN
 from .errors import StateError, raise_first
 from .estimators import Estimation
 from .filters import AnyRate

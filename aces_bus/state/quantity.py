@@ -21,7 +21,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING, Any
 
-from ..device.signals import UNKNOWN, Reading
+from ..device.reading import UNKNOWN, Reading
 from ..runtime import Clock
 from .errors import StateError
 

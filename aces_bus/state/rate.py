@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from ..device.signals import UNKNOWN
+from ..device.reading import UNKNOWN
 from . import units
 from .derived import Derived
 from .errors import StateError

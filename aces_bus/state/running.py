@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
 
-from ..device.signals import UNKNOWN
+from ..device.reading import UNKNOWN
 from . import units
 from .declaration import checked_seconds
 from .errors import StateError, raise_first

@@ -21,7 +21,7 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from typing import Any
 
-from ..device.signals import UNKNOWN
+from ..device.reading import UNKNOWN
 from ..runtime import Clock, RealClock
 from .declaration import (
     Interpolation,

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ..device.signals import UNKNOWN
+from ..device.reading import UNKNOWN
 from .errors import StateError, raise_first
 from .quantity import TimeSeries
 from .state import State

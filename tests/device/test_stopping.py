@@ -19,7 +19,7 @@ from tests.device.fan import ROBOT, Fan, FanTwin, fan, robot_of
 SET = 0x111
 
 
-class Asked(Fan):
+class Asked(Fan, MotorDevice[Any]):  # pyright: ignore[reportIncompatibleVariableOverride]  # a fan says less of them
     """A fan that can be asked whether it stands still, and is told so before all else."""
 
     actions: ClassVar = {"off": "stop both"}

@@ -91,7 +91,12 @@ def test_it_reads_what_the_twin_sends() -> None:
         twin: Any = world.twins["GNSS"]
         twin.feed = in_circle(20.0, 60.0)
         sent: list[bytes] = []
-        twin.twins.send = lambda packet: sent.append(bytes(packet))
+
+        def noted(packet: bytes) -> bool:
+            sent.append(bytes(packet))
+            return True
+
+        twin.twins.port.send = noted
         world.advance(3.0)
         twin.fault("no_fix")
         world.advance(1.0)

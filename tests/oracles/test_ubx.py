@@ -84,13 +84,14 @@ def test_it_reads_what_the_twin_sends_and_the_twin_what_it_asks() -> None:
         twin: Any = world.twins["GNSS"]
         twin.feed = in_circle(20.0, 60.0)
         sent: list[bytes] = []
-        send = twin.twins.send
+        port = twin.twins.port
+        send = port.send
 
-        def noted(packet: bytes) -> None:
+        def noted(packet: bytes) -> bool:
             sent.append(packet)
-            send(packet)
+            return bool(send(packet))
 
-        twin.twins.send = noted
+        port.send = noted
         world.advance(0.1)
         line = world.rig.hosts["gnss"].port
         asked = ["NAV-PVT", "NAV-STATUS", "NAV-SAT", "NAV-DOP", "NAV-POSLLH", "NAV-VELNED", "NAV-TIMEUTC"]

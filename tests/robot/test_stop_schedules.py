@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from aces_bus import load_robot
 from aces_bus.controller import ControlEvent, Controller, parse_reactions
-from aces_bus.controller.guard import Action
+from aces_bus.controller.trip import Action
 from aces_bus.device import Robot
 from aces_bus.errors import CallerError
 from aces_bus.hardware import ListeningNode

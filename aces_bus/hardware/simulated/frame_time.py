@@ -14,7 +14,6 @@ times differ from a controller's by less than a bit.
 
 from __future__ import annotations
 
-from array import array
 from functools import cache
 from struct import Struct
 from typing import NamedTuple
@@ -73,7 +72,9 @@ def classic_bits(frame: Frame) -> int:
         key, size = key | _REMOTE, min(frame.dlc or 0, 15)
     else:
         size = len(data)
-    state, bits, check = _HEADS.get(key << 4 | size) or _classic_head(key << 4 | size)
+    state, bits, check, known = _HEADS.get(key << 4 | size) or _classic_head(key << 4 | size)
+    if size <= _SHORT and data in known:
+        return known[data]
     single, double, last, crc = _tables()
     if len(data) & 1:
         number = data[0]
@@ -83,9 +84,13 @@ def classic_bits(frame: Frame) -> int:
         data = data[1:]
     for pair in _PAIRS[len(data) >> 1](data):
         found = double[state << 16 | pair]
-        state, bits = found >> 3, bits + (found & 7)
+        state = found >> 3
+        bits += found & 7
         check = crc[check << 1 ^ pair]
-    return bits + (last[state << 15 | check] & 7)
+    bits += last[state << 15 | check] & 7
+    if size <= _SHORT and len(known) < _KEPT_SHORT:
+        known[frame.data] = bits
+    return bits
 
 
 def longest_bits(
@@ -113,12 +118,14 @@ def longest_bits(
 _EXTENDED, _REMOTE = 1 << 29, 1 << 30
 #: Of so many headers is remembered what `_classic_head` gives.
 _KEPT = 1 << 12
-_HEADS: dict[int, tuple[int, int, int]] = {}
+#: Of frames with so few bytes, as requests have that are sent again and again, so many are remembered for each header.
+_SHORT, _KEPT_SHORT = 3, 16
+_HEADS: dict[int, tuple[int, int, int, dict[bytes, int]]] = {}
 
 
-def _classic_head(head: int) -> tuple[int, int, int]:
-    """The stuffing state behind a header, the bits of all but stuff bits behind it, the header's CRC; `head` is the key and
-    four bits of length."""
+def _classic_head(head: int) -> tuple[int, int, int, dict[bytes, int]]:
+    """The stuffing state behind a header, the bits of all but stuff bits behind it, the header's CRC, and what is remembered
+    of short frames; `head` is the key and four bits of length."""
     key, code = head >> 4, head & 15
     remote = key >= _REMOTE
     word, width = _head(key & _EXTENDED - 1, bool(key & _EXTENDED), remote, code)
@@ -128,7 +135,9 @@ def _classic_head(head: int) -> tuple[int, int, int]:
         check = crc[check >> 7 ^ number] ^ check << 8 & 0x7FFF
     if len(_HEADS) >= _KEPT:
         _HEADS.clear()
-    _HEADS[head] = found = state, width + count + (0 if remote else 8 * code) + 15 + TRAILER, check
+    bits = width + count + (0 if remote else 8 * code) + 15 + TRAILER
+    known: dict[bytes, int] = {}
+    _HEADS[head] = found = state, bits, check, known
     return found
 
 
@@ -223,7 +232,7 @@ def _wide(first: int, second: int) -> bytes:
 
 
 @cache
-def _tables() -> tuple[bytes, bytes, bytes, array[int]]:
+def _tables() -> tuple[bytes, bytes, bytes, list[int]]:
     """What eight bits, sixteen, and a CRC of fifteen make of a stuffing state, and `_crc15`."""
     return _table(8), _wide(8, 8), _wide(8, 7), _crc15()
 
@@ -264,9 +273,9 @@ def _ends_full(word: int, width: int) -> int:
 
 
 @cache
-def _crc15() -> array[int]:
+def _crc15() -> list[int]:
     """What 16 bits make of a CRC of 0 (CRC-15: x¹⁵ + x¹⁴ + x¹⁰ + x⁸ + x⁷ + x⁴ + x³ + 1, ISO 11898-1:2015, 10.4.2.6)."""
-    table, step = array("H", (0,)), 1 << 14
+    table, step = [0], 1 << 14
     for _ in range(16):
         step = (step << 1 ^ (0x4599 if step & 0x4000 else 0)) & 0x7FFF
         table.extend([entry ^ step for entry in table])

@@ -121,7 +121,8 @@ class _Encoder(FunctionSetup):
     def _number(self, pattern: IdPattern) -> str:
         parts = [f"{pattern.constant:#x}"]
         for capture in pattern.captures:
-            to_raw = partial(capture.to_raw, path=capture.name)
+            # A device's number, again and again.
+            to_raw = lru_cache(maxsize=256, typed=True)(partial(capture.to_raw, path=capture.name))
             called, _ = self.names.bind(f"capture_{self.plan.name}_{capture.name}", to_raw)
             raw = f'{called}(fields["{capture.name}"])'
             parts.append(f"({raw} << {capture.shift})" if capture.shift else raw)

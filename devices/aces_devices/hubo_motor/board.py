@@ -16,6 +16,7 @@ from collections.abc import Callable, Collection, Mapping
 from math import pi, tau
 from typing import Any, ClassVar
 
+from aces_bus.compiling import mypyc_attr
 from aces_bus.device import Joint, MotorDevice, Poll, Signal
 from aces_bus.device.settings import settings_of
 from aces_bus.errors import CallerError, DeviceError
@@ -45,6 +46,7 @@ _SEARCH_STATUS: Mapping[str, str] = {
 }
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class MotorAxis:
     """A channel. `joint` None: the robot's file has none; the channel only has a place in its board's frames."""
 
@@ -78,8 +80,8 @@ class MotorAxis:
         #: The last encoder count, and when it was received (ns).
         self.count: int | None = None
         self.instant = 0
-        #: The set-point in counts, and where a filter is to bring it (None: no filter).
-        self.reference: int | None = None
+        #: The set-point in counts (of a neck rad, of a finger A), and where a filter is to bring it (None: no filter).
+        self.reference: Any = None
         self.goal: float | None = None
         #: Whether it was homed by the last status.
         self.was_homed = False
@@ -124,10 +126,11 @@ class MotorAxis:
         return None if found is None else found.value
 
 
+@mypyc_attr(allow_interpreted_subclasses=True)
 class MotorBoard(MotorDevice[MotorAxis]):
     """One board, without what can be done with it."""
 
-    protocol = hubo
+    protocol: ClassVar = hubo
     streams: ClassVar[Collection[str]] = (
         "Reference",
         "Reference3D08",

@@ -12,6 +12,7 @@ searched clockwise. Raw counts grow counter-clockwise.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from aces_bus.device import Joint
@@ -25,6 +26,8 @@ BEYOND, RANGE = 0.1, 3.0
 HOMING_SPEED = 0.05
 #: Home flags that say how far a search is; 6 is in the facts, the others are this twin's.
 SEARCHING, INDEXING, RETURNING, HOMED = 1, 4, 5, 6
+#: Half and whole range of encoder replies of two bytes.
+_HALF, _WORD = 0x8000, 0x10000
 
 
 @dataclass
@@ -389,6 +392,14 @@ class MotorChannel:
             "limit_switch": self.at_switch,
         }
         return [name for name, is_on in flags.items() if is_on]
+
+
+def counts_of(
+    channels: Iterable[MotorChannel], now: int, frozen: Mapping[int, int], is_short: bool
+) -> list[int]:
+    """What the encoders of channels say, some `frozen` by a fault; where `is_short`, as 16 bits, which run around."""
+    counts = [frozen.get(channel.number, channel.count(now)) for channel in channels]
+    return [(count + _HALF) % _WORD - _HALF for count in counts] if is_short else counts
 
 
 #: Faults that set an error bit as long as they last, beside what else they do.

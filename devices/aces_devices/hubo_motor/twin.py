@@ -16,14 +16,12 @@ from typing import Any, ClassVar
 from aces_bus.device import Joint, Twin, on
 from aces_protocols.hubo.spec import hubo
 
-from .channel import MotorChannel
+from .channel import MotorChannel, counts_of
 from .parameters import BOARD_BLOCKS, WRITES, block_fields, board_defaults, selector
 from .shapes import shape_of
 
 #: What selector asks for which block of which channel.
 _BLOCKS = {selector(channel, block): (channel, block) for channel in range(5) for block in range(1, 7)}
-#: Largest counts of encoder replies of two bytes.
-_HALF, _WORD = 0x8000, 0x10000
 
 
 class _Place:
@@ -131,12 +129,7 @@ class HuboMotorTwin(Twin):
 
     def _counts(self, channels: list[MotorChannel]) -> list[int]:
         """What the encoders say; on a board of 16 bits they run around."""
-        now, found = self.clock.now(), list[int]()
-        for channel in channels:
-            count = channel.count(now)
-            count = self._frozen.get(channel.number, count)
-            found.append((count + _HALF) % _WORD - _HALF if self._is_short else count)
-        return found
+        return counts_of(channels, self.clock.now(), self._frozen, self._is_short)
 
     @on("SendEncoder", "SendEncoderD08")
     def send_encoder(self, request: Any) -> None:
@@ -323,7 +316,7 @@ class HuboMotorTwin(Twin):
             )
             if new != channel.mode:
                 channel.mode = new
-                channel.reference = 0 if new == "current" else channel.count(now)
+                channel.reference = 0.0 if new == "current" else float(channel.count(now))
                 channel.apply(now)
 
     @on("SwitchingMode", "CurrentLimit")

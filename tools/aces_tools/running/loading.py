@@ -22,10 +22,10 @@ from aces_bus.controller import (
     parse_reactions,
     read_trajectory,
 )
-from aces_bus.controller.guard import Action
 from aces_bus.controller.log import Logger
 from aces_bus.controller.motion_file import MOST_RAD
 from aces_bus.controller.reactions import ACTION_OF
+from aces_bus.controller.trip import Action
 from aces_bus.device import Robot
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.protocol.files import load_file

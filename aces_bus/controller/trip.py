@@ -1,0 +1,33 @@
+"""What a guard says: that motion was stopped and how, and how many set-points it changed."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+Action = Literal["hold", "zero duty", "disable"]
+ACTIONS: tuple[Action, ...] = ("hold", "zero duty", "disable")
+
+
+class Clipped(msgspec.Struct):
+    """How many set-points of a state were changed, by reason; `not_finite` were not taken at all."""
+
+    position: int = 0
+    rate: int = 0
+    acceleration: int = 0
+    not_finite: int = 0
+
+    @property
+    def total(self) -> int:
+        """How often anything was limited or refused."""
+        return self.position + self.rate + self.acceleration + self.not_finite
+
+
+class Trip(msgspec.Struct, frozen=True):
+    """Motion was stopped: when (ns), how, why, and whether it takes `release` to go on."""
+
+    instant: int
+    action: Action
+    reason: str
+    latched: bool = True
