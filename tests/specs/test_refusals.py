@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import re
+import shutil
+import sys
 from pathlib import Path
 
 import pytest
@@ -15,16 +17,24 @@ SHIPPED = FOLDER.parents[1] / "protocols" / "aces_protocols"
 
 
 def declare(spec: str, word: str, instead: str, where: Path) -> None:
-    """Run a spec's source with one word changed."""
+    """Run a spec with one word of its source changed, in whichever of its files it is."""
+    package = where / f"{spec}_without"
     file = FOLDER / f"{spec}.py"
-    source = (file if file.exists() else SHIPPED / spec / "spec.py").read_text(encoding="utf-8")
-    assert word in source
-    path = where / f"{spec}_without.py"
-    path.write_text(source.replace(word, instead, 1), encoding="utf-8")
-    found = importlib.util.spec_from_file_location(path.stem, path)
-    assert found is not None
-    assert found.loader is not None
-    found.loader.exec_module(importlib.util.module_from_spec(found))
+    if file.exists():
+        package.mkdir()
+        shutil.copy(file, package / "spec.py")
+    else:
+        shutil.copytree(SHIPPED / spec, package)
+    sources = {path: path.read_text(encoding="utf-8") for path in package.glob("*.py")}
+    changed = next(path for path, source in sources.items() if word in source)
+    changed.write_text(sources[changed].replace(word, instead, 1), encoding="utf-8")
+    try:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.syspath_prepend(where)
+            importlib.import_module(f"{package.name}.spec")
+    finally:
+        for name in [one for one in sys.modules if one.partition(".")[0] == package.name]:
+            del sys.modules[name]
 
 
 @pytest.mark.parametrize(
@@ -91,7 +101,7 @@ def test_a_missing_word_is_found(spec: str, word: str, instead: str, message: st
         declare(spec, word, instead, tmp_path)
     text = str(caught.value)
     assert re.search(message, text, re.DOTALL), text
-    assert re.match(r".*_without\.py:\d+: ", text)
+    assert re.match(r".*_without.\w+\.py:\d+: ", text)
 
 
 def test_an_unchanged_spec_is_declared_again(tmp_path: Path) -> None:
