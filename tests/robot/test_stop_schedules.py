@@ -207,7 +207,9 @@ def test_after_a_stop_all_is_off_or_named(
     ended = run.stop()
     assert run.clock.now() - stopped_at <= WITHIN_NS
     still_on = {
-        name for name, twin in run.world.twins.items() if any(channel.control_on for channel in twin.channels)
+        name
+        for name, twin in run.world.twins.items()
+        if twin.is_powered and any(channel.control_on for channel in twin.channels)
     }
     assert still_on | doubles <= set(ended.not_stopped)
     assert watcher.beyond() == []
