@@ -26,7 +26,7 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 TWICE = $(1) || { echo "once more, in 10 s" >&2; sleep 10; $(1); }
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-slow test-oracles test-lerobot test-long test-steady constraints test-socketcan docs first-hour soak stops teleoperation budget compiled test-compiled check lint types mypy pyright pristine format bench bench-framings guess-score golden clean fleet
+.PHONY: help venv demo prove test test-slow test-real test-leaks mutants test-oracles test-lerobot test-long test-steady constraints test-socketcan docs first-hour soak stops teleoperation budget compiled test-compiled check lint types mypy pyright pristine format bench bench-framings guess-score golden clean fleet
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 12
@@ -96,6 +96,19 @@ test: $(VENV)/.dev ## run the tests but the slow ones (about three minutes on tw
 test-slow: $(VENV)/.dev ## the tests that take over half a second each: programs beside one another, long simulated runs
 	$(PYTEST) -m slow $(ARGS)
 
+test-leaks: export ACES_COLLECT := 1
+test-leaks: $(VENV)/.dev ## the quick tests, each of which fails if it leaves a socket, a file or a thread behind (minutes)
+	$(PYTEST) -m "not slow" $(ARGS)
+
+# How long the whole robot runs in real time, in seconds, and how many ends of each kind there are.
+test-real: export ACES_REAL_SECONDS ?= 20
+test-real: export ACES_STOPS ?= 3
+test-real: $(VENV)/.dev ## stops and a whole robot in real time: programs, signals, threads, sockets (a minute)
+	HYPOTHESIS_PROFILE=long $(BIN)/python -m pytest -q -m long tests/tools/test_stops.py tests/robot/test_real_time.py $(ARGS)
+
+mutants: $(VENV)/.dev ## plant faults and name those that no test notices; ARGS="--since main", ARGS="--area stops --count 60"
+	$(BIN)/python -m tests.mutants $(ARGS)
+
 test-oracles: $(VENV)/.oracles ## vendors' own programs and peer libraries against our specs and twins
 	$(PYTEST) tests/oracles tests/fleet/test_fleet_stores.py $(ARGS)
 
@@ -115,7 +128,7 @@ test-lerobot: $(LEROBOT)/.python ## LeRobot's own bus class with the twins of an
 test-long: $(VENV)/.dev ## run the tests with ACES_EXAMPLES (2000) examples per property, drawn anew; SEED=N draws them again
 	HYPOTHESIS_PROFILE=long ACES_EXAMPLES=$(ACES_EXAMPLES) $(PYTEST) --hypothesis-seed=$(SEED) $(ARGS)
 
-test-steady: $(VENV)/.dev ## run the tests RUNS (20) times under other hash seeds, every third beside a busy machine
+test-steady: $(VENV)/.dev ## run the tests RUNS (20) times under other hash seeds and gc thresholds, every third beside a busy machine
 	$(BIN)/python tests/steady.py --runs $(RUNS) --jobs $(JOBS) -- $(ARGS)
 
 first-hour: ## what the first three pages say, typed in a fresh environment, and compared (minutes: it installs)
@@ -175,13 +188,16 @@ format: $(VENV)/.dev ## let ruff rewrite the sources
 	$(BIN)/ruff format
 
 bench: $(VENV)/.bench ## measure beside the peers, on this machine
-	$(BIN)/aces bench live $(ARGS)
+	$(BIN)/python -m tests.bench live $(ARGS)
 
 bench-framings: $(VENV)/.bench ## UBX, MAVLink and NMEA beside their usual libraries
 	$(BIN)/python -m tests.bench.framings
 
 guess-score: $(VENV)/.dev ## precision and recall of `aces spec guess` where the spec is known, beside READ (some minutes)
 	$(BIN)/python -m tests.bench.guess $(ARGS)
+
+prove: $(VENV)/.dev ## prove all shipped protocols and write their badges (under ten minutes on two cores)
+	$(BIN)/python -m aces_lab.prove.shipped $(ARGS)
 
 golden: $(VENV)/.dev ## write the golden files anew; read the diff before you commit it
 	$(BIN)/python -m pytest tests -q --update-golden $(ARGS)

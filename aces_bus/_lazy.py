@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 def lazy_names(
     package: str, places: Mapping[str, str]
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """The `__getattr__` and `__dir__` of `package`; `places` maps modules to their names, with blanks between."""
+    """Return the `__getattr__` and `__dir__` of `package`; `places` maps modules to their names, with blanks between."""
     home = {name: module for module, names in places.items() for name in names.split()}
 
     def get(name: str) -> Any:

@@ -38,7 +38,7 @@ NAMED = 5
 
 
 def first_names(names: Iterable[str]) -> str:
-    """The first names of many, and how many more there are.
+    """Return the first names of many, and how many more there are.
 
     >>> first_names("abcdefgh"), first_names("ab"), first_names("")
     ('a, b, c, d, e and 3 more', 'a, b', 'none')

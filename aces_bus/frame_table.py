@@ -47,7 +47,7 @@ class Channels:
             self.number(name)
 
     def number(self, name: str | None) -> int:
-        """The number of a name, a new one when it is new. Past 65,535 names all share the last number, named "…"."""
+        """Return the number of a name, a new one when it is new. Past 65,535 names all share the last number, named "…"."""
         found = self._numbers.get(name)
         if found is None:
             if len(self.names) >= 0xFFFF:
@@ -96,7 +96,7 @@ class FrameTable:
 
     @classmethod
     def empty(cls, channels: Channels | None = None) -> FrameTable:
-        """A table without frames."""
+        """Return a table without frames."""
         return cls.from_frames((), channels)
 
     @classmethod
@@ -123,7 +123,7 @@ class FrameTable:
         )
 
     def frames(self) -> list[Frame]:
-        """The frames as objects; seconds are the float nearest to the instant."""
+        """Return the frames as objects; seconds are the float nearest to the instant."""
         names = self.channels.names
         width = self.data.shape[1]
         raw = self.data.tobytes()
@@ -180,7 +180,7 @@ class FrameTable:
         return iter(self.frames())
 
     def take(self, rows: Any) -> FrameTable:
-        """The frames at `rows`: an index array, a boolean array or a slice."""
+        """Return the frames at `rows`: an index array, a boolean array or a slice."""
         return FrameTable(
             self.time[rows],
             self.channel[rows],

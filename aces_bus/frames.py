@@ -62,7 +62,7 @@ class Frame(msgspec.Struct, frozen=True, gc=False):
 def message_to_frame(
     message: Any, timestamp: float | None = None, channel: str | None = None, is_rx: bool | None = None
 ) -> Frame:
-    """The frame that a python-can message (or another frame) carries; time, channel and direction are the arguments.
+    """Return the frame that a python-can message (or another frame) carries; time, channel and direction are the arguments.
 
     Raises `CallerError` for a message that cannot exist on a bus.
     """

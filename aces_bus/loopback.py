@@ -6,7 +6,7 @@ import ipaddress
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address is of this machine alone. Of names `localhost` is: others mean what a name server says.
+    """Return whether an address is of this machine alone. Of names `localhost` is: others mean what a name server says.
 
     >>> [is_loopback(host) for host in ("localhost", "127.8.9.1", "::1", "0.0.0.0", "127.evil.example.com")]
     [True, True, True, False, False]

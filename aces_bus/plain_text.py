@@ -25,12 +25,12 @@ def printable(text: str) -> str:
 
 
 def printable_lines(text: str) -> str:
-    """The same for a text of several lines, which stay lines."""
+    """Return the same for a text of several lines, which stay lines."""
     return "\n".join(map(printable, text.split("\n")))
 
 
 def without_controls(text: str) -> str:
-    """The same for texts that are compared: spaces of every kind stay, and whatever else is no control character."""
+    """Return the same for texts that are compared: spaces of every kind stay, and whatever else is no control character."""
     if text.isprintable():
         return text
     return "".join(_spelt_out(c) if unicodedata.category(c)[0] == "C" else c for c in text)
@@ -79,12 +79,12 @@ codecs.register_error(LOOKALIKES, _lookalikes)
 
 
 def cell_text(text: str) -> str:
-    """A text as a cell of a spreadsheet: with an apostrophe in front where it would be taken for a formula."""
+    """Return a text as a cell of a spreadsheet: with an apostrophe in front where it would be taken for a formula."""
     return f"'{text}" if _FORMULA.match(text) and not _NUMBER.match(text) else text
 
 
 def text_of_cell(cell: str) -> str:
-    """The text that `cell_text` made a cell of."""
+    """Return the text that `cell_text` made a cell of."""
     return cell[1:] if cell.startswith("'") and cell_text(cell[1:]) == cell else cell
 
 

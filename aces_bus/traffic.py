@@ -50,13 +50,13 @@ class BusIdentifier(NamedTuple):
         return f"{self.number:0{8 if self.is_extended else 3}X}"
 
     def __str__(self) -> str:
-        """The digits, and what is unusual."""
+        """Return the digits, and what is unusual."""
         marks = (("remote", self.key & KEY_REMOTE), ("FD", self.key & KEY_FD), ("error", self.is_error))
         return " ".join([self.digits, *(mark for mark, is_set in marks if is_set)])
 
 
 def rows_of_each(values: Ints) -> list[Ints]:
-    """Where each distinct value is: arrays of places in their order, those of the lowest value first."""
+    """Return where each distinct value is: arrays of places in their order, those of the lowest value first."""
     if not len(values):
         return []
     values = values - values.min()
@@ -67,7 +67,7 @@ def rows_of_each(values: Ints) -> list[Ints]:
 
 
 def identifier_groups(table: FrameTable) -> list[tuple[BusIdentifier, Ints]]:
-    """The rows of each identifier of a table, in order."""
+    """Return the rows of each identifier of a table, in order."""
     is_error = (table.flags & ERROR != 0).astype(np.uint64)
     slots = is_error << np.uint64(48) | table.channel.astype(np.uint64) << np.uint64(32) | table.key
     groups = rows_of_each(slots)
@@ -127,7 +127,7 @@ class GapCounts:
         return None if found is None else found[0]
 
     def differs_by(self, other: GapCounts) -> float:
-        """The largest difference of the two distributions' cumulative shares; 0 where it may be chance."""
+        """Return the largest difference of the two distributions' cumulative shares; 0 where it may be chance."""
         if not self.count or not other.count:
             return 0.0
         mine, theirs = (np.cumsum(one._counts) / one.count for one in (self, other))
@@ -207,7 +207,7 @@ class IdentifierCounts(dict[BusIdentifier, C], Generic[C]):
         self.frames = self.beyond = 0
 
     def groups(self, table: FrameTable) -> Iterator[tuple[C, Ints]]:
-        """The count of each identifier of a table, and the rows that it gets."""
+        """Yield the count of each identifier of a table, and the rows that it gets."""
         self.frames += len(table)
         for identifier, rows in identifier_groups(table):
             found = self.get(identifier)

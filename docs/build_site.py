@@ -26,7 +26,9 @@ from typing import Any
 from aces_bus.protocol import list_protocols, load_protocol
 from aces_bus.protocol.draw import picture_svg
 from aces_bus.protocol.exchange.export_markdown import print_markdown
-from aces_tools.main import ACTIONS, VERBS, parser_of
+from aces_tools.main import parser_of
+from aces_tools.proofs import badge_text, read_badges
+from aces_tools.verbs import summary_of, verbs
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Rooms of the reference: packages whose `__all__` users import from.
@@ -63,6 +65,7 @@ CONTENTS: dict[str, list[str]] = {
         "language",
         "transports",
         "checking",
+        "proofs",
         "fuzzing",
         "guessing",
         "exporting",
@@ -75,13 +78,14 @@ CONTENTS: dict[str, list[str]] = {
         "states",
         "controllers",
         "running",
+        "estop",
         "logging",
         "foxglove",
         "device-fuzzing",
     ],
     "Catalogue": ["catalogue/protocols", "catalogue/devices"],
     "Reference": ["commands/index", "api/index", "performance"],
-    "Inside": ["architecture", "contributing", "pages"],
+    "Inside": ["architecture", "moved", "contributing", "pages"],
 }
 _LINK = re.compile(r"(\[(?:[^\[\]]|\[[^\]]*\])*\])\((?!https?:|mailto:)([^)#\s]*)(#[^)\s]*)?\)")
 _FENCE = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)
@@ -207,7 +211,8 @@ class Site:
                 flags=re.MULTILINE | re.DOTALL,
             )
         body = re.sub(r"^#(?=#* )", "##", text.partition("\n")[2], flags=re.MULTILINE)
-        return f"\n\n## The messages of `{variant.name}`\n{body}"
+        proofs = f"Proofs: {badge_text(protocol)}.\n" if name in read_badges() else ""
+        return f"\n\n## The messages of `{variant.name}`\n\n{proofs}{body}"
 
     def catalogue(self) -> None:
         """The pages that list protocols and devices."""
@@ -223,14 +228,12 @@ class Site:
 
     def commands(self) -> None:
         """The help text of each verb."""
-        names = [
-            f"{verb} {action}" if action else verb for verb in VERBS for action in (ACTIONS.get(verb) or [""])
-        ]
+        names = list(verbs())
         os.environ["COLUMNS"] = "88"
         for name in names:
             help_text = parser_of(name).format_help()
             self.write(f"commands/{name.replace(' ', '-')}", f"# aces {name}\n\n```text\n{help_text}```\n")
-        rows = [f"| [`aces {name}`]({name.replace(' ', '-')}.md) | {_purpose(name)} |" for name in names]
+        rows = [f"| [`aces {name}`]({name.replace(' ', '-')}.md) | {summary_of(name)} |" for name in names]
         text = ["# Commands", "", "| command | what for |", "| --- | --- |", *rows, ""]
         self.write(
             "commands/index", "\n".join(text) + _toctree("", [name.replace(" ", "-") for name in names], True)
@@ -289,11 +292,6 @@ def _toctree(caption: str, pages: list[str], is_hidden: bool = False) -> str:
 def _way(place: str, target: str) -> str:
     """The relative way from one page to another."""
     return PurePosixPath(os.path.relpath(target, PurePosixPath(place).parent).replace(os.sep, "/")).as_posix()
-
-
-def _purpose(name: str) -> str:
-    verb, _, action = name.partition(" ")
-    return (ACTIONS[verb][action] if action else VERBS[verb])[1]
 
 
 # ---------------------------------------------------------------------- names in Python

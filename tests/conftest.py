@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests import kept
+from tests import kept, leaks
 
 ROOT = Path(__file__).resolve().parent.parent
 GOLDEN = ROOT / "tests" / "golden"
@@ -67,6 +67,29 @@ collect_ignore = [
 ]
 collect_ignore_glob = ["golden/*", "data/*"]
 
+#: Cases that take over half a second, of tests whose other cases are quick: `make test-slow` runs these.
+SLOW_CASES = frozenset(
+    {
+        "test_behind_junk_without_ff[adc/minihubo_adc_part1.bin]",
+        "test_a_whole_recording_behind_junk[1-adc/minihubo_adc_part1.bin]",
+        "test_a_planted_fault_is_found_small_and_again[IsOneTooMuch-can]",
+        "test_a_planted_fault_is_found_small_and_again[Overflows-can]",
+        "test_a_flood_of_frames_costs_in_proportion[hubo:D08@hubo2plus-any]",
+        "test_a_flood_of_frames_costs_in_proportion[hubo:D08@hubo2plus-to_device]",
+        "test_a_garbled_request_does_not_make_a_twin_deaf[qik]",
+        "test_a_hostile_stream_reads_the_same_as_columns[pololu_qik-both]",
+        "test_cantools_decodes_what_we_decode[hubo:D08@hubo2]",
+        "test_every_kind_of_framing_and_check[ubx]",
+        "test_every_truncation[pcapng]",
+        "test_recordings_of_others[mip-imu.part.bin-1328-24]",
+        "test_scanners_and_encoders_agree_with_the_examples[hubo]",
+        "test_scenes_are_mostly_readable_and_never_only_that[pololu_qik]",
+        "test_signals_that_change_have_lanes[png]",
+        "test_they_move_and_stop[feetech]",
+        "test_what_broke_a_twin_once[odrive-SetNodeId]",
+    }
+)
+
 Golden = Callable[[str, str], None]
 
 
@@ -78,13 +101,19 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
+    if leaks.IS_CHECKED:
+        config.addinivalue_line("filterwarnings", "error::ResourceWarning")
     # What a shell starts in the background ignores Ctrl-C, and so would every program that a test starts and interrupts.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.name in SLOW_CASES:
+            item.add_marker("slow")
     if PROFILE != "long":
         skip = pytest.mark.skip(reason="takes minutes: HYPOTHESIS_PROFILE=long, or `make test-long`")
         for item in items:
@@ -97,9 +126,29 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_collection_finish() -> None:
-    # What is imported and collected stays to the end: looking through it again and again for garbage costs much time.
+    # What is imported and collected stays to the end: looking through it again and again for garbage costs much time. So
+    # does looking after each 700 new objects, as Python does by itself: an eighth of all processor time.
     gc.collect()
     gc.freeze()
+    gc.set_threshold(int(os.environ.get("ACES_GC", "20000")), 20, 50)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, Any, Any]:
+    """With ACES_COLLECT, a test fails that leaves something open: `make test-leaks`."""
+    if not leaks.IS_CHECKED:
+        return (yield)
+    with leaks.watched(item):
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item: pytest.Item) -> Generator[None, Any, Any]:
+    """Judge what the test has left, once its fixtures are gone."""
+    result = yield
+    if leaks.IS_CHECKED:
+        leaks.check(item)
+    return result
 
 
 @pytest.hookimpl(wrapper=True)

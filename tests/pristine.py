@@ -23,7 +23,13 @@ from typing import Any, NoReturn
 
 ROOT = Path(__file__).resolve().parent.parent
 #: What a user imports, said here again so that a package dropped from pyproject.toml is missed.
-PACKAGES = ("aces_bus", "protocols/aces_protocols", "devices/aces_devices", "tools/aces_tools")
+PACKAGES = (
+    "aces_bus",
+    "protocols/aces_protocols",
+    "devices/aces_devices",
+    "tools/aces_tools",
+    "tools/aces_lab",
+)
 SHIPPED = {".py", ".pyi", ".typed", ".toml"}
 #: What it puts where shells and man look.
 INSTALLED = {

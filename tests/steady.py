@@ -1,13 +1,15 @@
 """`make test-steady`: the same tests give the same counts, whatever the hash seed and however busy the machine is.
 
-1. Each run has a PYTHONHASHSEED of its own; every third runs beside two busy loops.
-2. A line a run: hash seed, load, seconds, counts. The end is status 1 when a run failed or counted otherwise than the first.
+1. Each run has a PYTHONHASHSEED and a threshold of the garbage collector of its own; every third runs beside two busy loops.
+2. A line a run: hash seed, threshold, load, seconds, counts. The end is status 1 when a run failed or counted otherwise than
+   the first.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import random
 import re
 import subprocess
 import sys
@@ -28,14 +30,19 @@ def counts_of(output: str) -> dict[str, int]:
     return {}
 
 
+def threshold_of(seed: int) -> int:
+    """Return how many new objects start a collection in this run: few, or very many, so that it happens elsewhere."""
+    return round(10 ** random.Random(seed).uniform(2.5, 5))
+
+
 def run(seed: int, busy: bool, command: list[str]) -> tuple[int, str]:
-    """Status and output of the tests under a hash seed, beside two busy loops or alone."""
+    """Status and output of the tests under a hash seed and its threshold, beside two busy loops or alone."""
     loops = [subprocess.Popen([sys.executable, "-c", BUSY]) for _ in range(2 if busy else 0)]
     try:
         done = subprocess.run(
             command,
             cwd=ROOT,
-            env={**os.environ, "PYTHONHASHSEED": str(seed)},
+            env={**os.environ, "PYTHONHASHSEED": str(seed), "ACES_GC": str(threshold_of(seed))},
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
@@ -78,7 +85,7 @@ def main() -> int:
         bad += not is_good
         said = ", ".join(f"{number} {what}" for what, number in counts.items()) or "no counts"
         seconds = time.monotonic() - began
-        load = "beside two busy loops" if busy else "alone"
+        load = f"gc threshold {threshold_of(number)}, {'beside two busy loops' if busy else 'alone'}"
         print(
             f"hash seed {number:2}, {load}: {said} in {seconds:.0f} s{'' if is_good else '  <-- differs'}",
             flush=True,

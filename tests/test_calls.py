@@ -166,7 +166,7 @@ def test_calls_raise_errors_of_ours(
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # what this machine serves is nobody's business here
 
     @settings(
-        max_examples=max(6, settings().max_examples // 10),
+        max_examples=max(4, settings().max_examples // 10),
         suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
     )
     @given(arguments)
@@ -214,7 +214,7 @@ def test_methods_raise_errors_of_ours(kind: Any, made_of: Arguments, name: str, 
     """A method takes values of the annotated types, or refuses them with an `AcesError`."""
 
     @settings(
-        max_examples=max(6, settings().max_examples // 10),
+        max_examples=max(4, settings().max_examples // 10),
         suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
     )
     @given(made_of, arguments)

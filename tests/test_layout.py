@@ -25,6 +25,7 @@ PACKAGES: dict[str, tuple[Path, set[str]]] = {
     "aces_protocols": (ROOT / "protocols" / "aces_protocols", {"aces_bus"}),
     "aces_devices": (ROOT / "devices" / "aces_devices", {"aces_bus", "aces_protocols"}),
     "aces_tools": (ROOT / "tools" / "aces_tools", {"aces_bus", "aces_protocols", "aces_devices"}),
+    "aces_lab": (ROOT / "tools" / "aces_lab", {"aces_bus", "aces_protocols", "aces_devices", "aces_tools"}),
 }
 
 #: What a floor of the core may import of the core, beside itself and what everyone may: errors and frames.
@@ -42,18 +43,14 @@ FLOORS: dict[str, set[str]] = {
     "runtime": set(),
     "protocol": set(),  # no I/O, no clock, no device
     "recordings": {"protocol"},
-    "guess": {"protocol"},  # drafts of specs out of recordings
-    "compare": {"protocol", "recordings"},  # what differs between two recordings
     "export": {"protocol"},  # tables on disk, whole or kill-safe
-    "fleet": {"protocol", "recordings", "export"},  # many recordings, many machines
     "hardware": {"runtime", "recordings"},  # replays recordings; knows no protocol
     "device": {"runtime", "protocol"},  # one node, whatever the bus
     "state": {"runtime", "device"},
     "kinematics": set(),  # bodies as chains; numbers only
     # touches no frame and no byte; its logs are written by export's durable writers
     "controller": {"runtime", "device", "state", "recordings", "export", "kinematics"},
-    # states for other programs, and all that happens for who looks on: as messages (export), as transforms (kinematics)
-    "access": {"runtime", "protocol", "device", "state", "export", "kinematics"},
+    "access": {"runtime", "device", "state"},  # states for other programs, by datagrams
     "robot": {
         "runtime",
         "protocol",
@@ -64,8 +61,6 @@ FLOORS: dict[str, set[str]] = {
         "recordings",
         "kinematics",
     },  # floors put together
-    # whether buses carry what a robot sends: measured on virtual robots
-    "budget": {"runtime", "protocol", "hardware", "device", "robot"},
     "testing": {"runtime", "protocol", "recordings", "hardware", "device", "state", "controller", "robot"},
 }
 EVERYONE = {

@@ -30,6 +30,7 @@ ROOT = Path(__file__).resolve().parent.parent
 #: Public names that more than one module defines, with the reason.
 TWICE: dict[str, str] = {
     "decode": "a recording's, and a fleet's",
+    "is_wanted": "each module that adds options to a verb has one",
     "run": "each verb of the command line has one",
 }
 

@@ -136,7 +136,7 @@ class Inlet:
                 self._refuse(name, str(error))
 
     def _writer(self, name: str) -> Callable[[float], None]:
-        """What takes this writer's set-points of a state."""
+        """Return what takes this writer's set-points of a state."""
         found = self._writers.get(name)
         if found is None:
             state = self.states[name]

@@ -198,7 +198,7 @@ class UdpStates:
 
 
 def _value(state: Any) -> float:
-    """Its newest value; NaN where that is not known."""
+    """Return its newest value; NaN where that is not known."""
     try:
         value = float(state[0])
     except Exception:  # UNKNOWN, or a derived quantity's own

@@ -28,7 +28,7 @@ class StateLike(Protocol):
     """What a controller needs of a state."""
 
     def __getitem__(self, when: float, /) -> float:
-        """The value `when` seconds from now: 0 the newest, -0.5 half a second ago."""
+        """Return the value `when` seconds from now: 0 the newest, -0.5 half a second ago."""
         ...
 
 
@@ -63,7 +63,7 @@ class ControllerLike(Protocol):
         ...
 
     def step(self, now_ns: int) -> Mapping[str, float]:
-        """The set-points of this cycle, by state."""
+        """Return the set-points of this cycle, by state."""
         ...
 
     def handle(self, event: EventLike) -> None:
@@ -72,14 +72,14 @@ class ControllerLike(Protocol):
 
 
 def checked_rate(rate_hz: float, owner: str) -> float:
-    """The rate, if it is one; the paper's own tests go to 10 kHz."""
+    """Return the rate, if it is one; the paper's own tests go to 10 kHz."""
     if not (math.isfinite(rate_hz) and 0 < rate_hz <= 1e6):
         raise CallerError(f"{owner}: rate_hz = {rate_hz!r} is not a rate (0 < rate_hz ≤ 1e6)")
     return float(rate_hz)
 
 
 def known_value(state: StateLike | None) -> float | None:
-    """A state's newest value; None while it is unknown, however the state says so."""
+    """Return a state's newest value; None while it is unknown, however the state says so."""
     if state is None:
         return None
     try:
@@ -126,7 +126,7 @@ class Controller:
         self.bound = {name: states[name] for name in self.states}
 
     def unknown_states(self) -> list[str]:
-        """Those of its states that have no value yet."""
+        """Return those of its states that have no value yet."""
         return [name for name in self.states if known_value(self.bound.get(name)) is None]
 
     def start(self, now: int) -> None:
@@ -139,7 +139,7 @@ class Controller:
         self.started_ns = None
 
     def step(self, now_ns: int) -> Mapping[str, float]:
-        """The set-points of this cycle, by state."""
+        """Return the set-points of this cycle, by state."""
         raise NotImplementedError(f"{type(self).__name__} has no step(now_ns)")
 
     @property
@@ -201,7 +201,7 @@ class LawController(Controller):
         self._last, self._ready, self._has_given = None, False, False
 
     def step(self, now_ns: int) -> Mapping[str, float]:
-        """The set-points of the law; nothing while a state that it reads is unknown."""
+        """Return the set-points of the law; nothing while a state that it reads is unknown."""
         if not self._ready:
             self.waiting = ", ".join(self.unknown_states())
             if self.waiting:
@@ -222,7 +222,7 @@ class LawController(Controller):
         return setpoints or NOTHING
 
     def _excuses(self, error: Exception) -> bool:
-        """Whether what a law raised only says that something is not known: `waiting` then has it.
+        """Return whether what a law raised only says that something is not known: `waiting` then has it.
 
         A number that is unknown cannot be computed with (TypeError); a history that is still too short is an error of the
         state, and excused until the first set-points, unless waiting does not help. All else is the law's own fault.

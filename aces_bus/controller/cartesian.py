@@ -120,7 +120,7 @@ class CartesianPath(Controller):
         self.mode, self.reason = "running", ""
 
     def goals(self, seconds: float) -> list[Goal]:
-        """Where the tips are to be, `seconds` after the start."""
+        """Return where the tips are to be, `seconds` after the start."""
         values = self.motion.at(seconds)
         out: list[Goal] = []
         for tip in self.tips:
@@ -139,7 +139,7 @@ class CartesianPath(Controller):
     def _turned(
         self, at_start: Floats, columns: Sequence[int | None], values: Sequence[float]
     ) -> Floats | None:
-        """A tip's orientation where the motion has one."""
+        """Return a tip's orientation where the motion has one."""
         if all(column is None for column in columns):
             return None
         usual = (0.0, 0.0, 0.0) if self.relative else roll_pitch_yaw(at_start)
@@ -150,7 +150,7 @@ class CartesianPath(Controller):
         return rotation @ at_start if self.relative else rotation
 
     def solve(self, seconds: float) -> Solution:
-        """The angles for an instant of the path, near the last ones; raises nothing, says how good they are."""
+        """Return the angles for an instant of the path, near the last ones; raises nothing, says how good they are."""
         return solve(
             self.body,
             self.goals(seconds),
@@ -163,7 +163,7 @@ class CartesianPath(Controller):
         )
 
     def advance(self, seconds: float) -> dict[str, float] | None:
-        """The set-points for an instant of the path; None when it fails (`reason`)."""
+        """Return the set-points for an instant of the path; None when it fails (`reason`)."""
         found = self.solve(seconds)
         self.solution, self.error = found, (found.position_error, found.rotation_error)
         if found.position_error > self.tolerance_m or found.rotation_error > self.tolerance_rad:
@@ -186,7 +186,7 @@ class CartesianPath(Controller):
         return {joint: found.angles[joint] for joint in self.writes}
 
     def step(self, now_ns: int) -> Mapping[str, float]:
-        """The set-points of this cycle; the last ones again when the path is at its end or has failed."""
+        """Return the set-points of this cycle; the last ones again when the path is at its end or has failed."""
         if self.mode == "waiting":
             present = {joint: known_value(self.bound.get(joint)) for joint in self.states}
             self.waiting = ", ".join(joint for joint, value in present.items() if value is None)
@@ -233,7 +233,7 @@ class CartesianPath(Controller):
         return self._given
 
     def to_trajectory(self, angles: Mapping[str, float], *, rate_hz: float | None = None) -> Trajectory:
-        """The whole path at once, as joint angles, from a start; `CallerError` with the instant where it fails.
+        """Return the whole path at once, as joint angles, from a start; `CallerError` with the instant where it fails.
 
         It begins with the path's first row; a `Player` approaches that.
         """

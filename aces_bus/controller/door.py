@@ -6,11 +6,16 @@
    outside of its limits is led inside by the same rule.
 3. While it is not known where a joint is, or its device has a hold-off, goals wait. A device that drops its set-points (a
    stop, a reboot, enabling) drops the goals too: the next begins where the joint is then.
-4. A joint that does not follow, and a signal whose set-points are not finite again and again, trip. What a controller
+4. A joint with limits is watched by what is measured of it, whatever it is commanded by (`travel`).
+5. A joint whose driver knows that it is not homed takes no set-points, unless its file or the run says otherwise
+   (`takes_unhomed`): where it says it is, it is not.
+6. A joint that does not follow, and a signal whose set-points are not finite again and again, trip. What a controller
    owns is stopped by its supervisor, which gets the event; any other device is stopped here, and refuses until `release`.
-5. All of it runs on the clock's thread, in the ticks of the buses.
+7. All of it runs on the clock's thread, in the ticks of the buses.
+8. While the door is barred (an e-stop) nothing leaves, and nothing is released. `scale` (reduced speed) multiplies every
+   limit of speed: the rate at which positions are led, and set-points of speeds, those that have left included.
 
-Theory of rule 4: where a joint lags (a filter, a slow loop), it is where it was sent a moment ago. So the error is the
+Theory of rule 6: where a joint lags (a filter, a slow loop), it is where it was sent a moment ago. So the error is the
 distance to the nearest set-point of the last `time_s`, not to the newest: a lag shorter than that is none. A joint that
 takes its own time on a long way (a servo with a speed of its own) comes nearer meanwhile; one that is held up does not.
 """
@@ -28,6 +33,7 @@ from ..device.reading import UNKNOWN
 from ..device.stopping import stop_devices
 from ..errors import AcesError, CallerError
 from .guard import NOT_FINITE_TRIPS, USUAL_SPEED, Bounds
+from .travel import Travel, is_push
 from .trip import Clipped
 
 if TYPE_CHECKING:
@@ -51,6 +57,9 @@ PROGRESS = 0.1
 #: The largest number that is one: a signal without limits has these.
 LARGEST = sys.float_info.max
 _INFINITY = math.inf
+#: Units of signals that are speeds.
+SPEEDS = ("rad/s", "m/s")
+NOT_HOMED = "is not homed, so that it is not known where it is: home it first, or say --unhomed (needs_homing = false)"
 
 
 @dataclass(frozen=True)
@@ -92,8 +101,10 @@ class _Line:
         "door",
         "epoch",
         "following",
+        "full_rate",
         "given",
         "goal",
+        "homed",
         "in_a_row",
         "is_led",
         "is_supervised",
@@ -103,6 +114,7 @@ class _Line:
         "rate",
         "recent",
         "signal",
+        "travel",
         "tripped",
         "upper",
         "utmost",
@@ -112,7 +124,9 @@ class _Line:
         self.door, self.device, self.signal, self.active = door, device, signal, active
         self.bounds = door.bounds.get(signal.name) or _usual_bounds(signal)
         self.is_ticked = device.host.is_ticked
-        self.limit_rate(self.bounds.rate)
+        #: Its rate (unit/s) where speed is not reduced.
+        self.full_rate = self.bounds.rate
+        self.scale()
         self.following = door.following.get(signal.name)
         self.owner, self.is_supervised = "", False
         #: Why no set-points are taken; "" while they are.
@@ -123,23 +137,33 @@ class _Line:
         #: Numbers of whatever type they were given in.
         self.goal: Any = None
         self.given: Any = None
-        #: What left and where it was then, with the instants (ns), as far back as rule 4 looks.
+        #: Whether its joint is homed, where that is needed and its driver knows it.
+        self.homed: Signal | None = None
+        #: What may push its joint on, where the joint has limits and this signal pushes it.
+        self.travel: Travel | None = None
+        #: What left and where it was then, with the instants (ns), as far back as rule 6 looks.
         self.recent: deque[tuple[int, float, Any]] = deque()
         self.begin_anew()
 
-    def limit_rate(self, rate: float) -> None:
-        """Lead it no faster (unit/s)."""
-        self.rate, self.utmost = rate, rate * (1 + 1e-9)  # a hair more is rounding
-        self.is_led = rate < _INFINITY
+    def scale(self) -> None:
+        """Lead it no faster than its full rate, times the door's scale."""
+        self.rate = self.full_rate * self.door.scale
+        self.utmost = self.rate * (1 + 1e-9)  # a hair more is rounding
+        self.is_led = self.rate < _INFINITY
 
     def begin_anew(self) -> None:
         """Nothing is wanted; the next set-point begins where the joint is, within the limits of then."""
         self.goal = self.given = None
         self.epoch = self.device.epoch
         self.recent.clear()
+        self.know_limits()
+
+    def know_limits(self) -> None:
+        """Take the limits of its set-points, as the file and the device state them; those of a speed are scaled."""
         low, high = self.signal.lower, self.signal.upper
-        self.lower = max(self.bounds.lower, -LARGEST if low is None else low)
-        self.upper = min(self.bounds.upper, LARGEST if high is None else high)
+        scale = self.door.scale if self.signal.unit in SPEEDS else 1.0
+        self.lower = max(self.bounds.lower, -LARGEST if low is None else low) * scale
+        self.upper = min(self.bounds.upper, LARGEST if high is None else high) * scale
 
     # ------------------------------------------------------------------ what is wanted
 
@@ -149,7 +173,13 @@ class _Line:
             raise CallerError(
                 f"{self.signal.name}: {self.owner} gives its set-points; nothing else can while it does"
             )
+        if self._is_unhomed():
+            raise CallerError(f"{self.signal.name}: {NOT_HOMED}")
         self.give(value)
+
+    def _is_unhomed(self) -> bool:
+        """Return whether its joint is known not to be homed, and has to be."""
+        return self.homed is not None and self.homed.last is False and not self.door.takes_unhomed
 
     def give(self, value: Any) -> None:
         """A set-point of the owner. Raises `CallerError` for what is no finite number, and after a trip."""
@@ -161,6 +191,11 @@ class _Line:
             return
         if not is_within or self.tripped or self.epoch != device.epoch:
             value = self._limited(value)
+        if self.homed is not None and self._is_unhomed():
+            device.emit_event("not homed", f"{self.signal.name}: {NOT_HOMED}")
+            return
+        if self.travel is not None:
+            value = self._pushed(value, self.travel)
         self.in_a_row = 0
         if self.is_led:
             self.goal = value
@@ -172,7 +207,7 @@ class _Line:
             self.hand_over(value)
 
     def _limited(self, value: Any) -> Any:
-        """What is wanted instead; raises where nothing can be."""
+        """Return what is wanted instead; raises where nothing can be."""
         if self.tripped:
             raise CallerError(
                 f"{self.signal.name}: {self.tripped}; it takes no set-points until it is released"
@@ -186,7 +221,42 @@ class _Line:
         self.counts.position += 1
         if self.signal.limit is not None:
             value = self.signal.limit(self.signal, value)  # which reports it
-        return min(max(value, self.lower), self.upper)
+        limited = min(max(value, self.lower), self.upper)
+        if limited != value and self.door.scale < 1.0:
+            self.device.emit_event(
+                "limited",
+                f"{self.signal.name}: {value:g} is beyond the reduced {limited:g} {self.signal.unit}",
+            )
+        return limited
+
+    def slow_down(self) -> None:
+        """The limits are others: a speed that has left, or is on its way, is held to them."""
+        self.scale()
+        if self.epoch != self.device.epoch:
+            return
+        self.know_limits()
+        given, goal = self.given, self.goal
+        if goal is not None and not self.lower <= goal <= self.upper:
+            self.goal = min(max(goal, self.lower), self.upper)
+        if given is not None and not self.lower <= given <= self.upper and self.device.takes(self.signal):
+            self.given = min(max(given, self.lower), self.upper)
+            self.hand_over(self.given)
+            self.device.host.wake()
+
+    def _pushed(self, value: float, travel: Travel) -> float:
+        """As much of a speed or push as its joint's limits allow where it is."""
+        allowed = travel.allowed(self.signal, value)
+        if allowed != value:
+            self.counts.position += 1
+        if allowed and not self.is_ticked:
+            self.device.host.wake()
+        return allowed
+
+    def refuse_more(self, reason: str) -> None:
+        """Take no set-points until `Door.release`; stop its device."""
+        self.tripped = reason
+        self.begin_anew()
+        self.door.stop(self.device)
 
     def _give_other(self, value: Any) -> None:
         """A name or a switch is the driver's affair, for a signal that is no quantity."""
@@ -218,6 +288,15 @@ class _Line:
         if takes is False:
             self.given = self.goal = None
             self.hand_over(goal)  # what refuses it says why
+            return True
+        if self.homed is not None and self.homed.last is UNKNOWN and not self.door.takes_unhomed:
+            device.emit_event("limited", f"{self.signal.name}: waits until it is known whether it is homed")
+            if not self.is_ticked:
+                device.refresh(self.homed.name)
+            return False
+        if self.homed is not None and self._is_unhomed():  # since the goal was given
+            device.emit_event("not homed", f"{self.signal.name}: {NOT_HOMED}")
+            self.goal = None
             return True
         if before is None:
             if self.signal.name not in device.readable:
@@ -295,14 +374,12 @@ class _Line:
 
     def _trip(self, kind: Any, reason: str) -> None:
         if not self.is_supervised:
-            self.tripped = reason
-            self.begin_anew()
-            self.door.stop(self.device)
+            self.refuse_more(reason)
         self.device.emit_event(kind, reason)
 
 
 def _usual_bounds(signal: Signal) -> Bounds:
-    """Those of a signal for which no file states any: a position is led."""
+    """Return those of a signal for which no file states any: a position is led."""
     is_position = signal.name.endswith(".position")
     return Bounds(rate=USUAL_SPEED.get(signal.unit, _INFINITY) if is_position else _INFINITY)
 
@@ -314,6 +391,7 @@ class _BusLines:
         self.host = host
         self.active: dict[_Line, None] = {}
         self.watched: list[_Line] = []
+        self.travels: list[Travel] = []
         self._is_ticked = host.is_ticked
         self._period = round(1e9 / host.rate_hz) if host.is_ticked and host.rate_hz else PERIOD_NS
         #: A tick that is late may make up for itself, not for a pause.
@@ -330,9 +408,11 @@ class _BusLines:
         if self.active:
             if dt > 0.0:
                 self._lead(dt)
-            if self.active and not self._is_ticked and not self._is_woken:
-                self._is_woken = True
-                self.host.clock.call_in(self._period, self._again)
+        for travel in self.travels:
+            travel.look(now)
+        if not (self._is_ticked or self._is_woken) and (self.active or self._ask_where()):
+            self._is_woken = True
+            self.host.clock.call_in(self._period, self._again)
         if now >= self._look_at:
             self._look_at = now + LOOK_NS
             for line in self.watched:
@@ -356,8 +436,15 @@ class _BusLines:
             if not line.step(dt):
                 self.active[line] = None
 
+    def _ask_where(self) -> bool:
+        """Have a bus without ticks ask where joints are that are pushed; whether there are some."""
+        pushed = [travel for travel in self.travels if travel.is_pushed]
+        for travel in pushed:
+            travel.device.refresh(f"{travel.name}.position")
+        return bool(pushed)
+
     def _again(self) -> None:
-        """A bus without ticks has goals that it is on the way to."""
+        """A bus without ticks has goals that it is on the way to, or joints that are pushed."""
         self._is_woken = False
         self.host.wake()
 
@@ -365,7 +452,8 @@ class _BusLines:
 class Door:
     """The set-points of a rig's devices; `Rig.door` is it. Signals and states lead here by themselves.
 
-    `bounds` and `following` are by the whole name of a signal, `whole` makes that of any name.
+    `bounds` and `following` are by the whole name of a signal, `travel` by the name of a joint, `whole` makes the whole name
+    of any.
     """
 
     def __init__(
@@ -375,9 +463,19 @@ class Door:
         bounds: Mapping[str, Bounds],
         following: Mapping[str, Following],
         whole: Callable[[str], str],
+        travel: Mapping[str, Bounds] | None = None,
     ) -> None:
         self.clock, self.bounds, self.following, self.whole = clock, bounds, following, whole
+        #: Why nothing leaves at all; "" while it may.
+        self.barred = ""
+        #: What every limit of speed is multiplied with.
+        self.scale = 1.0
+        #: Called with each change of who gives what, and of limits: what changed, its device, in words.
+        self.noted: Callable[[str, Device, str], None] = lambda what, device, detail: None
+        #: Whether joints take set-points that are known not to be homed.
+        self.takes_unhomed = False
         self._lines: dict[str, _Line] = {}
+        self._travels: list[Travel] = []
         buses: dict[Host, _BusLines] = {}
         for device in devices:
             bus = buses.get(device.host)
@@ -390,6 +488,36 @@ class Door:
                 signal.door = line.set
                 if line.following is not None and name in device.readable:
                     bus.watched.append(line)
+            for joint in device.joints:
+                self._need_home(joint, device)
+                limits = (travel or {}).get(joint.name)
+                if limits is not None and f"{joint.name}.position" in device.readable:
+                    bus.travels.append(self._watch(joint, device, limits))
+
+    def _need_home(self, joint: Joint, device: Device) -> None:
+        """Have a joint that must be homed, and whose driver knows whether it is, take no set-points before."""
+        homed = device.signals.get(f"{joint.name}.homed")
+        if joint.needs_homing and homed is not None:
+            for name in device.signals:
+                if name in self._lines and name.partition(".")[0] == joint.name:
+                    self._lines[name].homed = homed
+
+    @property
+    def unhomed(self) -> list[str]:
+        """The joints that take no set-points, as they are not homed or it is not known yet whether they are."""
+        lines = self._lines.values()
+        found = [line.homed.name for line in lines if line.homed is not None and line.homed.last is not True]
+        return sorted({name.partition(".")[0] for name in found})
+
+    def _watch(self, joint: Joint, device: Device, limits: Bounds) -> Travel:
+        """Watch a joint by what is measured of it."""
+        lines = [line for name, line in self._lines.items() if name.partition(".")[0] == joint.name]
+        made = Travel(joint.name, device, limits, lines, "m" if joint.type == "prismatic" else "rad")
+        self._travels.append(made)
+        for line in lines:
+            if is_push(line.signal):
+                line.travel = made
+        return made
 
     def _line(self, name: str) -> _Line:
         whole = self.whole(name)
@@ -409,13 +537,18 @@ class Door:
             raise CallerError(
                 f"{line.signal.name}: {line.owner} and {owner} both give its set-points; one of them must not"
             )
+        if line.owner != owner:
+            self.noted("owner", line.device, f"{line.signal.name}: {owner}")
         line.owner, line.is_supervised = owner, is_supervised
+        if is_supervised:
+            line.tripped = ""  # its supervisor's affair
 
     def give_up(self, owner: str) -> None:
         """What `owner` owned is free again."""
         for line in self._lines.values():
             if line.owner == owner:
-                line.owner, line.is_supervised = "", False
+                self.noted("owner", line.device, f"{line.signal.name}: nobody")
+                line.owner, line.is_supervised, line.tripped = "", False, self.barred
 
     @property
     def owners(self) -> dict[str, str]:
@@ -423,7 +556,7 @@ class Door:
         return {name: line.owner for name, line in self._lines.items() if line.owner}
 
     def writer(self, name: str) -> Callable[[Any], None]:
-        """What the owner of a signal calls with its set-points; it raises as `Signal.set`."""
+        """Return what the owner of a signal calls with its set-points; it raises as `Signal.set`."""
         return self._line(name).give
 
     # ------------------------------------------------------------------ how
@@ -431,14 +564,26 @@ class Door:
     def pace(self, name: str, rate: float) -> None:
         """Lead this signal no faster than `rate` (unit/s) from now on."""
         line = self._line(name)
-        line.limit_rate(min(line.rate, rate))
+        if rate < line.full_rate:
+            line.full_rate = rate
+            line.scale()
+            self.noted("limits", line.device, f"{line.signal.name}: at most {rate:g} {line.signal.unit}/s")
+
+    def reduce(self, scale: float) -> None:
+        """Multiply every limit of speed with this from now on: 1 is full speed."""
+        if scale != self.scale:
+            self.scale = scale
+            for line in self._lines.values():
+                line.slow_down()
+            for travel in self._travels:
+                travel.speed = travel.bounds.rate * scale
 
     def counts(self, name: str) -> Clipped:
-        """What was changed of a signal's set-points, and how many were refused."""
+        """Return what was changed of a signal's set-points, and how many were refused."""
         return self._line(name).counts
 
     def goal(self, name: str) -> float | None:
-        """Where a signal is on its way to; None: nowhere, what was wanted has left."""
+        """Return where a signal is on its way to; None: nowhere, what was wanted has left."""
         line = self._line(name)
         return float(line.goal) if line in line.active and line.goal is not None else None
 
@@ -451,7 +596,7 @@ class Door:
         }
 
     def given(self, name: str) -> float | None:
-        """The last set-point that left; None: none since its device began anew."""
+        """Return the last set-point that left; None: none since its device began anew."""
         given = self._line(name).given
         return None if given is None else float(given)
 
@@ -462,8 +607,25 @@ class Door:
         """The signals that take no set-points, with why."""
         return {name: line.tripped for name, line in self._lines.items() if line.tripped}
 
+    def bar(self, reason: str) -> None:
+        """Let nothing leave from now on, until `barred` is empty again and it has been released; goals are dropped."""
+        self.barred = reason
+        self.trip(reason)
+
+    def trip(self, reason: str) -> None:
+        """Drop all goals; signals without a supervisor take no set-points until `release`."""
+        for line in self._lines.values():
+            line.begin_anew()
+            if not line.is_supervised:
+                line.tripped = reason
+
     def release(self) -> None:
-        """Take set-points again, once the cause has been looked into; each begins where its joint is."""
+        """Take set-points again, once the cause has been looked into; each begins where its joint is.
+
+        Raises `CallerError` while the door is barred.
+        """
+        if self.barred:
+            raise CallerError(f"nothing can be released: {self.barred}")
         for line in self._lines.values():
             if line.tripped:
                 line.tripped, line.in_a_row = "", 0

@@ -45,7 +45,8 @@ class ControlEvent(msgspec.Struct, frozen=True):
     """Something that a controller, a guard or a supervisor has to say.
 
     `kind` is one of "trip" (motion was stopped), "recovered", "degraded", "raised" (a controller's exception), "clipped",
-    "not finite", "late" (set-points came again after a trip), "failed" (a player or a path cannot go on).
+    "not finite", "unnamed" (a state that was given is not any more), "late" (set-points came again after a trip), "let go"
+    (an end that holds stops what would not stay), "failed" (a player or a path cannot go on).
     """
 
     kind: str
@@ -88,7 +89,7 @@ TEXT_LENGTH = 500
 
 
 def raised_text(error: BaseException) -> str:
-    """What an exception says, and the innermost line of the user's own code that it came from: `… (walk.py:12)`."""
+    """Return what an exception says, and the innermost line of the user's own code that it came from: `… (walk.py:12)`."""
     text = f"{type(error).__name__}: {error}"[:TEXT_LENGTH]
     at = innermost_line(error, lambda file: not _is_library(file))
     return f"{text} ({shown_path(at.filename)}:{at.lineno})" if at is not None else text
@@ -96,7 +97,7 @@ def raised_text(error: BaseException) -> str:
 
 @cache
 def _is_library(file: str) -> bool:
-    """Whether a file is this package's, Python's or an installed one's."""
+    """Return whether a file is this package's, Python's or an installed one's."""
     if file.startswith("<"):
         return not file.startswith(_TYPED)
     return any(Path(file).is_relative_to(folder) for folder in _LIBRARIES)

@@ -9,7 +9,9 @@
 4. When no set-points come for `dead_man_s`, or `trip` is called, the declared action follows: "hold" (come to a stand
    within the limits, and stay), "zero duty" or "disable" (no set-points any more; who drives the devices reads `tripped`
    and acts). The dead-man's hold ends with the next set-points; every other trip is latched until `release`.
-5. Nothing here waits or raises for a value.
+5. A state that is not given for `unnamed_s`, while others are, stands still, and is reported once ("unnamed"): a speed, a
+   torque, a current and a duty become 0, a position stays.
+6. Nothing here waits or raises for a value.
 
 Theory. With velocities in units of a·dt, stopping from w takes whole steps: the largest w that still stops within the
 distance m (in units of a·dt²) is m/(n+1) + n/2 with n the largest whole number of n(n+1)/2 ≤ m. That bounds the velocity
@@ -44,17 +46,23 @@ NOT_FINITE_TRIPS = 5
 MOST_LINES = 10_000
 #: How fast (unit/s) a position is led for which no file states a speed, by its unit: no joint jumps within a frame.
 USUAL_SPEED = {"rad": 1.0, "m": 0.1}
+#: What pushes a joint on, or turns it: the last part of a state's name. At rest it is 0.
+PUSHES = frozenset(("velocity", "torque", "current", "duty"))
 _INFINITY = math.inf
 
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a state's set-points may be: unit, unit/s, unit/s². Infinity says "not limited"."""
+    """What a state's set-points may be: unit, unit/s, unit/s². Infinity says "not limited".
+
+    `rest` is the set-point at which it stands still; None: any, as of a position.
+    """
 
     lower: float = -math.inf
     upper: float = math.inf
     rate: float = math.inf
     acceleration: float = math.inf
+    rest: float | None = None
 
     def __post_init__(self) -> None:
         if not (self.lower <= self.upper and self.rate > 0 and self.acceleration > 0):
@@ -77,7 +85,7 @@ class SetpointDoor(Protocol):
 
 
 def _reach(distance: float, quantum: float) -> float:
-    """The largest step towards something `distance` away that can still stop there; `quantum` is a·dt²."""
+    """Return the largest step towards something `distance` away that can still stop there; `quantum` is a·dt²."""
     if distance <= 0.0:
         return 0.0
     m = distance / quantum
@@ -94,10 +102,13 @@ class _Line:
         "clipped",
         "given",
         "in_a_row",
+        "is_unnamed",
         "lower",
         "name",
+        "named_ns",
         "rate",
         "reported_ns",
+        "rest",
         "step",
         "upper",
         "utmost",
@@ -114,9 +125,12 @@ class _Line:
         self.clipped = Clipped()
         self.in_a_row = 0  # not finite
         self.reported_ns = -REPORT_EVERY_NS
+        self.rest = bounds.rest
+        #: When it was given last (ns), and whether it has been missed since.
+        self.named_ns, self.is_unnamed = 0, False
 
     def pass_on(self, wanted: float, dt: float) -> float:
-        """The set-point that leaves, `dt` seconds after the last."""
+        """Return the set-point that leaves, `dt` seconds after the last."""
         before = self.given
         # Nearly every set-point: as asked, far enough from the limits to stop.
         if before is not None and self.lower <= wanted <= self.upper:
@@ -194,6 +208,12 @@ class _Line:
         before = self.given
         if before is None:
             return None
+        if self.rest is not None:
+            way = self.rest - before
+            most = self.rate * dt
+            given = self.rest if abs(way) <= most else before + math.copysign(most, way)
+            self.step, self.given, self.asked = 0.0, given, given
+            return given
         most = self.acceleration * dt
         speed = self.step
         speed = 0.0 if abs(speed) <= most else speed - math.copysign(most, speed)
@@ -218,7 +238,7 @@ class Guard:
     `apply(now, setpoints)` when there are some, `tick(now)` when there are none; both give what may go down. `states` of
     the same names, where bound, say where the first set-point starts from; without them the first is believed.
     States without bounds are refused and counted (`refused`), unless `unlisted="pass"`; finite they must be in any case.
-    `dead_man_s` None: no dead-man.
+    `dead_man_s` None: no dead-man. `unnamed_s`: how long a state may be left out before it stands still; None: for ever.
     """
 
     def __init__(
@@ -229,6 +249,7 @@ class Guard:
         dead_man_s: float | None = 0.1,
         action: Action = "hold",
         unlisted: Literal["refuse", "pass"] = "refuse",
+        unnamed_s: float | None = None,
         name: str = "guard",
     ) -> None:
         raise_first(
@@ -250,6 +271,7 @@ class Guard:
         #: Who decides what the fault "not finite" leads to; None: it trips.
         self.fault: Callable[[ControlEvent], None] | None = None
         self._dead_man = None if dead_man_s is None else round(dead_man_s * 1e9)
+        self._unnamed = None if unnamed_s is None else round(unnamed_s * 1e9)
         self._lines = {one: _Line(one, limit) for one, limit in bounds.items()}
         self._states: Mapping[str, StateLike] = {}
         self._door: SetpointDoor | None = None
@@ -271,7 +293,7 @@ class Guard:
             self._by_signal = {self._door.whole(name): line for name, line in self._lines.items()}
 
     def clipped(self, state: str) -> Clipped:
-        """What was changed of a state's set-points."""
+        """Return what was changed of a state's set-points."""
         return self._by_name[state].clipped if state in self._by_name else Clipped()
 
     @property
@@ -282,7 +304,8 @@ class Guard:
     @property
     def bounds(self) -> dict[str, Bounds]:
         """What the set-points of each state may be."""
-        return {x.name: Bounds(x.lower, x.upper, x.rate, x.acceleration) for x in self._lines.values()}
+        lines = self._lines.values()
+        return {x.name: Bounds(x.lower, x.upper, x.rate, x.acceleration, x.rest) for x in lines}
 
     def forget(self) -> None:
         """Begin anew: the next set-points start from the present values. A trip stays."""
@@ -338,14 +361,35 @@ class Guard:
                 self._refuse(line, now)
                 continue
             line.in_a_row = 0
+            line.named_ns = now
             if line.given is None:
                 self._anchor(line)
             out[name] = given = line.pass_on(wanted, dt)
             if given != wanted:
                 self._emit(line, now, "clipped")
+        if self._unnamed is not None and len(out) < len(self._lines):
+            self._still_unnamed(now, dt, out, self._unnamed)
         if out or self._received is None:  # what is no number feeds no dead-man
             self._received = now
         return self.tick(now) if self._pending else out
+
+    def _still_unnamed(self, now: int, dt: float, out: dict[str, float], limit: int) -> None:
+        """Lead the states that were given once, and have not been for long, to where they stand still."""
+        for line in self._lines.values():
+            before = line.given
+            if before is None or now - line.named_ns <= limit:
+                line.is_unnamed = False
+                continue
+            if not line.is_unnamed:
+                line.is_unnamed = True
+                so_long = f"no set-point for {(now - line.named_ns) / 1e6:.0f} ms while others come"
+                event = ControlEvent("unnamed", now, self.name, f"{line.name}: {so_long}; it stands still")
+                self.listeners.emit(event)
+                if self.fault is not None:
+                    self.fault(event)
+            given = line.stand(dt)
+            if given is not None and given != before:
+                out[line.name] = given
 
     def _refuse(self, line: _Line, now: int) -> None:
         """What is no finite number does not leave, and stops motion when there is nothing else."""
@@ -360,7 +404,7 @@ class Guard:
                 self.fault(ControlEvent("not finite", now, self.name, why))
 
     def tick(self, now: int) -> Mapping[str, float]:
-        """A cycle without set-points: whether the dead-man acts, and what goes down if it holds."""
+        """Return a cycle without set-points: whether the dead-man acts, and what goes down if it holds."""
         if self._pending:
             self._obey(now)
         if self.tripped is None:
@@ -407,7 +451,8 @@ class Guard:
             self._by_name[name] = line
             return line
         if self.unlisted == "pass" and len(self._lines) < MOST_LINES:
-            line = self._by_name[name] = self._by_signal[whole] = self._lines[name] = _Line(name, Bounds())
+            bounds = Bounds(rest=0.0 if whole.rpartition(".")[2] in PUSHES else None)
+            line = self._by_name[name] = self._by_signal[whole] = self._lines[name] = _Line(name, bounds)
             return line
         if name in self.refused or len(self.refused) < MOST_LINES:
             self.refused[name] = self.refused.get(name, 0) + 1
@@ -462,13 +507,13 @@ def bounds_of(robot: Robot, *, nominal: bool = False, acceleration: bool = False
                 speed = USUAL_SPEED["m" if joint.type == "prismatic" else "rad"]
             out[joint.name] = Bounds(lower, upper, speed, change if acceleration else math.inf)
         elif joint.command == "speed":
-            out[joint.name] = Bounds(-speed, speed, change if acceleration else math.inf)
+            out[joint.name] = Bounds(-speed, speed, change if acceleration else math.inf, rest=0.0)
         else:
             most = (joint.max_current if joint.command == "current" else joint.max_duty) or math.inf
-            out[joint.name] = Bounds(-most, most)
+            out[joint.name] = Bounds(-most, most, rest=0.0)
     return out
 
 
 def _first(*known: float | None) -> float:
-    """The first that is known; infinity when none is."""
+    """Return the first that is known; infinity when none is."""
     return next((one for one in known if one is not None), math.inf)

@@ -112,20 +112,20 @@ class Scope:
                 raise EquationError(f"{self.owner}: {name!r} is both a parameter and memory")
 
     def is_state(self, name: str) -> bool:
-        """Whether there may be a state of that name."""
+        """Return whether there may be a state of that name."""
         return name in self.states if self.states is not None else True
 
     def read(self, name: str) -> str:
-        """How the printed code calls a state that is read."""
+        """Return how the printed code calls a state that is read."""
         return self.used.setdefault(name, f"S{len(self.used)}")
 
     def derive(self, name: str, method: str) -> str:
-        """The same for what a method of the state gives."""
+        """Return the same for what a method of the state gives."""
         self.read(name)
         return self.derived.setdefault((name, method), f"Q{len(self.derived)}")
 
     def names(self) -> str:
-        """What there is, for people."""
+        """Return what there is, for people."""
         parts = [
             ("states", self.states if self.states is not None else self.used),
             ("parameters", self.parameters),
@@ -154,7 +154,7 @@ class _Printer:
     # ---- expressions ----------------------------------------------------------------------------------------------
 
     def expression(self, node: ast.expr) -> str:
-        """The Python text of an expression."""
+        """Return the Python text of an expression."""
         match node:
             case ast.Constant(value=bool(value)):
                 return str(value)
@@ -193,7 +193,7 @@ class _Printer:
                 raise self.fail(node, f"{ast.unparse(node)[:40]!r} is not part of an equation")
 
     def name(self, node: ast.AST, name: str) -> str:
-        """A name on a right side."""
+        """Return a name on a right side."""
         if name in self.locals:
             return f"v_{name}"
         if name in TIMES:
@@ -207,7 +207,7 @@ class _Printer:
         raise self.fail(node, f"nothing is called {name!r} here (a state's value is written {name}[0])")
 
     def state(self, node: ast.expr) -> str:
-        """The state in front of an index, as its name or as theta["its name"]."""
+        """Return the state in front of an index, as its name or as theta["its name"]."""
         match node:
             case ast.Name(id=name) if name not in RESERVED and name not in self.locals:
                 pass
@@ -224,7 +224,7 @@ class _Printer:
         return name
 
     def quantity(self, node: ast.expr) -> str:
-        """What can be read at a time: a state, d(state) or integral(state)."""
+        """Return what can be read at a time: a state, d(state) or integral(state)."""
         match node:
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]) if name in OF_A_STATE:
                 if len(arguments) != 1:
@@ -300,7 +300,7 @@ def _parsed(scope: Scope, place: str, text: str, mode: str) -> ast.AST:
 
 
 def flush(text: str) -> str:
-    """The lines without what they begin with: nothing nests in equations, so indentation says nothing."""
+    """Return the lines without what they begin with: nothing nests in equations, so indentation says nothing."""
     return "\n".join(line.strip() for line in text.splitlines())
 
 
@@ -364,7 +364,7 @@ class Program:
             raise EquationError(f"{scope.owner}: its equations are nested too deeply") from None
 
     def bind(self, states: Mapping[str, Any], memory: object) -> dict[str, Compiled]:
-        """The functions; `states` has every used one, `memory` the parameters and memory as attributes."""
+        """Return the functions; `states` has every used one, `memory` the parameters and memory as attributes."""
         quantities = [states[name] for name in self.scope.used]
         for name, method in self.scope.derived:
             if not hasattr(states[name], method):
@@ -385,5 +385,5 @@ class Program:
 
 
 def as_states(states: Iterable[str] | None) -> tuple[str, ...] | None:
-    """The states that were declared; None leaves it to the equations."""
+    """Return the states that were declared; None leaves it to the equations."""
     return None if states is None else tuple(dict.fromkeys(states))

@@ -173,11 +173,11 @@ class StateMachine(LawController):
     # ---- the table as a picture ------------------------------------------------------------------------------------
 
     def mermaid(self) -> str:
-        """The table as a Mermaid state diagram."""
+        """Return the table as a Mermaid state diagram."""
         return mermaid(self.phases, self.table)
 
     def dot(self) -> str:
-        """The table as a Graphviz graph."""
+        """Return the table as a Graphviz graph."""
         return dot(self.name, self.phases, self.table)
 
     # ---- operations -------------------------------------------------------------------------------------------------
@@ -322,7 +322,7 @@ def _joined(
 
 
 def table_faults(phases: Sequence[Phase], table: Sequence[Transition]) -> list[str]:
-    """What is wrong with a table, one line each."""
+    """Return what is wrong with a table, one line each."""
     names = [phase.name for phase in phases]
     final = {phase.name for phase in phases if phase.final}
     if not names:
@@ -375,7 +375,7 @@ def _expanded(phases: Sequence[Phase], table: Sequence[Transition]) -> list[tupl
 
 
 def mermaid(phases: Sequence[Phase], table: Sequence[Transition]) -> str:
-    """A Mermaid state diagram."""
+    """Return a Mermaid state diagram."""
     lines = ["stateDiagram-v2"]
     ids: dict[str, str] = {}
     for phase in phases:
@@ -393,7 +393,7 @@ def mermaid(phases: Sequence[Phase], table: Sequence[Transition]) -> str:
 
 
 def dot(name: str, phases: Sequence[Phase], table: Sequence[Transition]) -> str:
-    """A Graphviz graph."""
+    """Return a Graphviz graph."""
     lines = [f'digraph "{_quoted(name)}" {{', "    start [shape=point];"]
     for phase in phases:
         shape = "doublecircle" if phase.final else "ellipse"

@@ -44,7 +44,7 @@ class Motion(Protocol):
         ...
 
     def at(self, seconds: float) -> list[float]:
-        """The values `seconds` after the start."""
+        """Return the values `seconds` after the start."""
         ...
 
 
@@ -122,7 +122,7 @@ class Trajectory:
         return 1.0 / self.rate_hz
 
     def at(self, seconds: float) -> list[float]:
-        """The values `seconds` after the first row, interpolated."""
+        """Return the values `seconds` after the first row, interpolated."""
         position = seconds * self.rate_hz
         # A nanosecond of a 200 Hz cycle is 2e-7 of a row: what is that near a row is the row. NaN is before the start.
         if not position > NEAR:
@@ -178,7 +178,7 @@ class Trajectory:
         return Trajectory(**arguments)
 
     def interpolated(self, interpolation: Interpolation) -> Trajectory:
-        """The same rows, joined another way."""
+        """Return the same rows, joined another way."""
         return self._with(interpolation=interpolation)
 
     def renamed(self, names: Mapping[str, str]) -> Trajectory:
@@ -191,7 +191,7 @@ class Trajectory:
         return self._with(names=wanted, rows=self.rows[:, [self.names.index(one) for one in wanted]])
 
     def _known(self, names: Iterable[str]) -> list[str]:
-        """The names as a list; raises `UnknownNameError` for one that is no column."""
+        """Return the names as a list; raises `UnknownNameError` for one that is no column."""
         wanted = list(names)
         for one in wanted:
             if one not in self.names:
@@ -199,7 +199,7 @@ class Trajectory:
         return wanted
 
     def without(self, names: Iterable[str]) -> Trajectory:
-        """All columns but these."""
+        """Return all columns but these."""
         gone = set(names)
         return self.only([one for one in self.names if one not in gone])
 
@@ -224,12 +224,14 @@ class Trajectory:
         return self._with(names=names, rows=self.rows * [-1.0 if one in signs else 1.0 for one in names])
 
     def resampled(self, rate_hz: float) -> Trajectory:
-        """The motion at another rate, by its own interpolation; the last row is kept if it falls on the new grid."""
+        """Return the motion at another rate, by its own interpolation; the last row is kept if it falls on the new grid."""
         count = math.floor(self.duration_s * rate_hz + 1e-6) + 1
         return self._with(rows=[self.at(n / rate_hz) for n in range(count)], rate_hz=rate_hz)
 
     def rates(self) -> Floats:
-        """The largest velocity, acceleration and jerk of each column: array (3, names), per s, s², s³, from differences."""
+        """Return the largest velocity, acceleration and jerk of each column: array (3, names), per s, s², s³, from
+        differences.
+        """
         out = np.zeros((3, len(self.names)))
         steps: Floats = np.asarray(self.rows)
         for order in range(3):
@@ -259,5 +261,5 @@ def smooth_step(u: float) -> float:
 
 
 def interpolate(low: Sequence[float], high: Sequence[float], part: float) -> list[float]:
-    """The values `part` (0 … 1) of the way."""
+    """Return the values `part` (0 … 1) of the way."""
     return [a + (b - a) * part for a, b in zip(low, high, strict=True)]

@@ -44,7 +44,7 @@ class TrajectoryError(CallerError):
 
 
 def rate_in_name(name: str) -> float | None:
-    """The rate that a file's name says: 100hz.txt, walk_50Hz_deg.txt.
+    """Return the rate that a file's name says: 100hz.txt, walk_50Hz_deg.txt.
 
     >>> rate_in_name("handwave_100hz_deg.txt"), rate_in_name("test9.txt")
     (100.0, None)
@@ -80,7 +80,7 @@ def read_trajectory(
 
 
 def _names(text: NumberText, number: int, tokens: list[bytes]) -> list[str]:
-    """The line of names."""
+    """Return the line of names."""
     if any(NUMBER.fullmatch(token) for token in tokens):
         shown = b" ".join(tokens[:6]).decode("ascii", "replace")
         raise text.fault(number, f"names and numbers in one line: {shown!r}")

@@ -32,7 +32,7 @@ class NumberText:
     is_finite: bool = False
 
     def fault(self, line: int, said: str) -> CallerError:
-        """The error about a line."""
+        """Return the error about a line."""
         return self.error(f"{self.where}:{line}: {said}")
 
     def check(self, line: int, *faults: tuple[bool, str]) -> None:
@@ -52,7 +52,7 @@ class NumberText:
                 yield number, text, line.endswith(b"\n")
 
     def values(self, line: int, cells: Sequence[bytes]) -> list[float]:
-        """The numbers in the cells of a line."""
+        """Return the numbers in the cells of a line."""
         try:
             values = [float(cell) for cell in cells]
         except ValueError:

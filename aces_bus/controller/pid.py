@@ -132,7 +132,9 @@ class PID:
         self.kp, self.ki, self.kd = kp, ki, kd
 
     def update(self, measurement: float, dt: float) -> float:
-        """The output for a measurement `dt` seconds after the last; dt ≤ 0 changes nothing but the proportional part."""
+        """Return the output for a measurement `dt` seconds after the last; dt ≤ 0 changes nothing but the proportional
+        part.
+        """
         setpoint = self.setpoint
         error = setpoint - measurement
         if error - error != 0.0:  # NaN or infinite: rule 4
@@ -200,7 +202,7 @@ class PIDController(Controller):
         self._last = None
 
     def step(self, now_ns: int) -> Mapping[str, float]:
-        """The output of this cycle."""
+        """Return the output of this cycle."""
         y = known_value(self._y)
         if y is None:
             if self._last is not None:

@@ -113,7 +113,7 @@ class Player(Controller):
         return names
 
     def _longest_gap(self) -> int:
-        """The time between two steps (ns) that is no gap."""
+        """Return the time between two steps (ns) that is no gap."""
         return round(max(self._largest_gap_s, 2 / self.rate_hz) * 1e9)
 
     def _rewind(self) -> None:
@@ -181,7 +181,7 @@ class Player(Controller):
         self._wish = "run" if self.autorun else None
 
     def step(self, now_ns: int) -> Mapping[str, float]:
-        """The set-points of this cycle."""
+        """Return the set-points of this cycle."""
         if self._stepped is not None and not 0 <= now_ns - self._stepped <= self._gap_ns:
             self._skip(now_ns)
         self._stepped = now_ns
@@ -323,7 +323,7 @@ class Player(Controller):
         return values
 
     def _play_row(self) -> list[float]:
-        """A counted row: by rows, not by the clock."""
+        """Return a counted row: by rows, not by the clock."""
         if self._begun:
             self._at_s = min(self._at_s + self.motion.row_s, self.motion.duration_s)
         self._begun = True

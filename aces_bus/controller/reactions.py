@@ -64,7 +64,11 @@ HARMLESS = (
     "limited",
     "clipped",
     "late",
+    "unnamed",
     "recovered",
+    "estop clear",
+    "reduced",
+    "full speed",
 )
 DEFAULT_REACTIONS: Mapping[str, Reaction | tuple[Reaction, ...]] = {
     **dict.fromkeys(HARMLESS, IGNORE),
@@ -72,7 +76,7 @@ DEFAULT_REACTIONS: Mapping[str, Reaction | tuple[Reaction, ...]] = {
 }
 
 #: Kinds of faults of controllers and logs; those of devices and buses are `aces_bus.device.events.Kind`.
-CONTROL_KINDS = ("raised", "failed", "dead-man", "not finite", "log-failed", "log-dropped")
+CONTROL_KINDS = ("raised", "failed", "dead-man", "unnamed", "not finite", "log-failed", "log-dropped")
 #: The ways to stop motion, by their words.
 ACTION_OF: Mapping[str, Action] = {one: one for one in ACTIONS}
 #: Words for reactions.

@@ -144,7 +144,7 @@ class Supervisor:
     # ------------------------------------------------------------------ the halves of a step
 
     def compute(self, now_ns: int) -> Mapping[str, float]:
-        """The set-points that the controller wants; what it raises is an event. On the controller's own thread."""
+        """Return the set-points that the controller wants; what it raises is an event. On the controller's own thread."""
         while self._to_do:
             do, event = self._to_do.popleft()
             try:
@@ -181,7 +181,9 @@ class Supervisor:
         return self.guard.tick(now_ns)
 
     def is_overdue(self, now_ns: int, since: int | None = None) -> bool:
-        """Whether it has been quiet for longer than its dead-man allows, `since` an instant or the last set-points."""
+        """Return whether it has been quiet for longer than its dead-man allows, `since` an instant or the last
+        set-points.
+        """
         quiet_since = self._alive if since is None else since
         return (
             self.dead_man_ns is not None

@@ -130,7 +130,7 @@ class ViaPath:
         return least[0], least[1], least[2]
 
     def _segment(self, i: int) -> float:
-        """The least duration of segment i."""
+        """Return the least duration of segment i."""
         velocity, acceleration, jerk = self._straight_limits(i)
         if math.isinf(velocity):
             return self.row_s  # nothing moves
@@ -195,7 +195,7 @@ class ViaPath:
         self._print()
 
     def _print(self) -> float:
-        """The polynomials for the present times; the factor by which the times must grow."""
+        """Return the polynomials for the present times; the factor by which the times must grow."""
         velocities, self._polynomials, stretch = self._velocities(), [], 0.0
         limits = np.array([(one.velocity, one.acceleration, one.jerk) for one in self.limits]).T
         for i in range(len(self.points) - 1):
@@ -224,7 +224,7 @@ class ViaPath:
         return stretch or 1.0
 
     def at(self, seconds: float) -> list[float]:
-        """The values `seconds` after the first point."""
+        """Return the values `seconds` after the first point."""
         if not seconds > 0.0:  # NaN, too
             return self.points[0].tolist()  # type: ignore[no-any-return]
         if seconds >= self.times[-1]:
@@ -245,7 +245,7 @@ def _limit(limits: Mapping[str, Limits], name: str) -> Limits:
 
 
 def _peak(coefficients: Floats, duration: float) -> float:
-    """The largest magnitude of a polynomial (lowest power first) on 0 … duration."""
+    """Return the largest magnitude of a polynomial (lowest power first) on 0 … duration."""
     ends = [0.0, duration]
     slope = (coefficients[1:] * np.arange(1, len(coefficients)))[::-1]
     scale = float(np.abs(slope).max(initial=0.0))

@@ -13,6 +13,7 @@ from .device import Device
 from .drivers import Driver, list_drivers, load_driver, use_driver_file
 from .events import DeviceEvent, EventLog
 from .host import Host
+from .host_loss import HostLoss
 from .motor import MotorDevice
 from .packet_sender import PacketSender
 from .port import Port
@@ -37,6 +38,7 @@ __all__ = [
     "Gains",
     "Home",
     "Host",
+    "HostLoss",
     "Job",
     "Joint",
     "JointModel",

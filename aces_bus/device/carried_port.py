@@ -62,7 +62,7 @@ class CarriedPort(UpperPort):
         self.port.open(steer)
 
     def wire_ns(self, packet: Any) -> int:
-        """How long a frame, or all frames of a packet, occupy the bus (ns)."""
+        """Return how long a frame, or all frames of a packet, occupy the bus (ns)."""
         return sum(map(self.port.wire_ns, packet)) if isinstance(packet, tuple) else self.port.wire_ns(packet)
 
     def close(self) -> None:
@@ -114,7 +114,7 @@ class CarriedPort(UpperPort):
         return made.go_on() if len(waiting) == 1 else True
 
     def may_begin(self, frames: Sequence[Frame]) -> bool:
-        """Whether the first of these frames begins a packet, as their transport sees it."""
+        """Return whether the first of these frames begins a packet, as their transport sees it."""
         key = _key(frames[0])
         transport = self._transport_of(key)
         return transport is None or transport.part(key, frames[0].data).role in ("first", "single")

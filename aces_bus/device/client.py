@@ -132,7 +132,7 @@ class Client:
                 self._kept.extend(self._scanner.feed(self.bus.read(min(waiting, PIECE))))
 
     def _received(self, timeout: float) -> list[Record]:
-        """What comes next, within `timeout` s; an empty list when nothing does."""
+        """Return what comes next, within `timeout` s; an empty list when nothing does."""
         ends = time.monotonic() + timeout
         while (left := ends - time.monotonic()) > 0:
             if self.variant.link == "can":
@@ -146,7 +146,9 @@ class Client:
         return []
 
     def _agrees(self, record: Record, asked: Record | None) -> bool:
-        """Whether a record has the request's values of what both have outside their payload: board, servo, register."""
+        """Return whether a record has the request's values of what both have outside their payload: board, servo,
+        register.
+        """
         if asked is None:
             return True
         messages = self.variant.messages

@@ -12,7 +12,7 @@ a field's type says what may stand there, and describes it for complaints.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -50,6 +50,10 @@ Matrix = Annotated[
     tuple[tuple[float, ...], ...],
     Meta(min_length=1, max_length=16, description="rows of numbers, [[…], […]]"),
 ]
+Value = Annotated[
+    bool | int | float | Annotated[str, Meta(max_length=100)],
+    Meta(description="true, false, a number or a text in quotes"),
+]
 Flag = Annotated[bool, Meta(description="true or false")]
 Credentials = Annotated[
     dict[str, Count],
@@ -73,6 +77,7 @@ class Bus(msgspec.Struct, frozen=True, kw_only=True):
     protocol: Name
     dialect: Name | None = None
     bitrate: Positive | None = None  # bit/s, CAN
+    data_bitrate: Positive | None = None  # bit/s, of the data of CAN FD frames that switch
     baud: Positive | None = None  # serial
     half_duplex: Flag | None = None  # serial; None: as its protocol is
     interface: Text | None = None
@@ -122,7 +127,7 @@ BUSES = 50
 
 
 def priority_of(config: Bus | DeviceConfig) -> int:
-    """The stated priority, or `BUSES`."""
+    """Return the stated priority, or `BUSES`."""
     return BUSES if config.priority is None else config.priority
 
 
@@ -140,6 +145,57 @@ class Compliance(msgspec.Struct, frozen=True, kw_only=True):
     kp: Number | None = None
     kd: Number | None = None
     max_pwm: Annotated[float, Meta(ge=0, le=100, description="a number from 0 to 100 (%)")] | None = None
+
+
+class Input(msgspec.Struct, frozen=True, kw_only=True):
+    """What is read before motion is allowed: a signal, a field of a message, or a key of the keyboard.
+
+    `clear` is the value at which nothing stands in the way (of a key: the key that clears it), or `pressed` the one at
+    which something does: of signals and messages exactly one of both. `bit` looks at one bit of a number. A value older
+    than `stale_after_s`, or none, counts as pressed.
+    """
+
+    name: str = ""
+    signal: Name | None = None  # "PLC.estop"
+    bus: Name | None = None
+    message: Name | None = None  # "Button.pressed", on `bus`
+    protocol: Name | None = None  # of the message, where it is not the bus's
+    credentials: Credentials = msgspec.field(default_factory=dict[str, int])
+    key: Name | None = None
+    bit: (
+        Annotated[int, Meta(ge=0, le=63, description="a whole number from 0 (the lowest bit) to 63")] | None
+    ) = None
+    clear: Value | None = None
+    pressed: Value | None = None
+    stale_after_s: Seconds = 0.5
+    doc: Text | None = None
+    source: Text | None = None
+
+
+class Reduced(msgspec.Struct, frozen=True, kw_only=True):
+    """Reduced speed: `scale` times every speed limit, while `active`, or while `input` is not clear."""
+
+    scale: Annotated[float, Meta(gt=0, le=1, description="a number above 0, up to 1")]
+    active: Flag = False
+    input: Input | None = None
+    doc: Text | None = None
+    source: Text | None = None
+
+
+class Park(msgspec.Struct, frozen=True, kw_only=True):
+    """Where to park: a `pose` (joint → rad, m), at `speed` (rad/s, m/s) at most.
+
+    A joint is parked while it is `within` so far (rad, m) of its target.
+    """
+
+    pose: Annotated[
+        Mapping[str, float],
+        Meta(min_length=1, description="a table of joints and angles, such as { RHP = 0.0 }"),
+    ]
+    speed: Annotated[float, Meta(gt=0, description="a number above 0 (rad/s)")] = 0.2
+    within: Annotated[float, Meta(gt=0, description="a number above 0 (rad)")] = 0.1
+    doc: Text | None = None
+    source: Text | None = None
 
 
 class Home(msgspec.Struct, frozen=True, kw_only=True):
@@ -195,6 +251,8 @@ class Joint(msgspec.Struct, frozen=True, kw_only=True):
     gains: Gains | None = None
     compliance: Compliance | None = None
     home: Home | None = None
+    brake: Input | None = None  # what says that its brake is as it has to be before it is enabled
+    needs_homing: Flag = True  # whether a joint that its driver knows is not homed is refused set-points
     motor: Count | None = None  # the maker's number of the motor
     aliases: Names = ()
     active: Flag = True
@@ -313,28 +371,50 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
     ] = {}
     states: Mapping[str, StateConfig] = msgspec.field(default_factory=dict[str, StateConfig])
     controllers: Mapping[str, ControllerConfig] = msgspec.field(default_factory=dict[str, ControllerConfig])
+    estop: Mapping[str, Input] = msgspec.field(default_factory=dict[str, Input])
+    reduced: Reduced | None = None
+    park: Park | None = None
 
     def joint(self, name: str) -> Joint:
-        """The joint of this name or alias; raises `UnknownNameError`."""
+        """Return the joint of this name or alias; raises `UnknownNameError`."""
         found = self.joints.get(name) or next((j for j in self.joints.values() if name in j.aliases), None)
         if found is None:
             raise UnknownNameError(f"joint of {self.name}", name, self.joints)
         return found
 
     def joints_of(self, device: str) -> tuple[Joint, ...]:
-        """The joints of a device, by channel."""
+        """Return the joints of a device, by channel."""
         return tuple(sorted((j for j in self.joints.values() if j.device == device), key=lambda j: j.channel))
 
     def sensors_of(self, device: str) -> tuple[Sensor, ...]:
-        """The sensors of a device."""
+        """Return the sensors of a device."""
         return tuple(sensor for sensor in self.sensors.values() if sensor.device == device)
 
+    @property
+    def inputs(self) -> dict[tuple[str, ...], Input]:
+        """All inputs that allow motion, by their place in the file: of e-stops, brakes and the reduced speed."""
+        found: dict[tuple[str, ...], Input] = {("estop", name): one for name, one in self.estop.items()}
+        for name, joint in self.joints.items():
+            if joint.brake is not None and joint.active:
+                found["joints", name, "brake"] = joint.brake
+        if self.reduced is not None and self.reduced.input is not None:
+            found["reduced", "input"] = self.reduced.input
+        return found
+
+    def input_device(self, name: str) -> str:
+        """Return the device that gives a signal of this name; "" where no device, joint or sensor is called so."""
+        owner = name.partition(".")[0]
+        parts: tuple[Joint | Sensor, ...] = (*self.joints.values(), *self.sensors.values())
+        found = next((part.device for part in parts if owner == part.name or owner in part.aliases), owner)
+        return found if found in self.devices else ""
+
     def devices_on(self, bus: str) -> tuple[DeviceConfig, ...]:
-        """The devices of a bus."""
+        """Return the devices of a bus."""
         return tuple(device for device in self.devices.values() if device.bus == bus)
 
     def part(self, *names: str) -> Robot:
-        """The robot with nothing active but these: names of buses, devices, joints (with their whole board) or sensors.
+        """Return the robot with nothing active but these: names of buses, devices, joints (with their whole board) or
+        sensors.
 
         What is inactive in the file stays so. Raises `UnknownNameError`.
         """
@@ -349,6 +429,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
                 known = (*self.buses, *self.devices, *self.joints, *self.sensors)
                 raise UnknownNameError(f"bus, device, joint or sensor of {self.name}", name, known)
             there |= of or {name}
+        there |= _watched(self, there)
         replace = msgspec.structs.replace
         return replace(
             self,
@@ -381,7 +462,9 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         return {protocol: tuple(dialects) for protocol, dialects in found.items()}
 
     def dialect(self, protocol: str) -> str | None:
-        """The dialect of a protocol on this robot; None: its default. Raises `CallerError` where there are several."""
+        """Return the dialect of a protocol on this robot; None: its default. Raises `CallerError` where there are
+        several.
+        """
         dialects = self.protocols.get(protocol, (None,))
         if len(dialects) > 1:
             named = ", ".join(dialect or "the default" for dialect in dialects)
@@ -389,7 +472,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         return next(iter(dialects), None)
 
     def tables(self, protocol: Protocol) -> dict[str, dict[int, int | str]]:
-        """The configuration tables of a protocol, as `protocol.variant(dialect, tables)` takes them.
+        """Return the configuration tables of a protocol, as `protocol.variant(dialect, tables)` takes them.
 
         Each device that has a table's number among its credentials gives one entry: its `kind`, or its number of
         channels. Inactive devices too: what they send can be decoded. Raises `CallerError` when no bus speaks the protocol.
@@ -417,15 +500,33 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
                     yield device, table, number, entry
 
 
+def _watched(robot: Robot, devices: Collection[str]) -> set[str]:
+    """Return the devices that give the inputs without which these devices are not enabled."""
+    found: set[str] = set()
+    for (section, name, *_), one in robot.inputs.items():
+        if section == "joints" and robot.joints[name].device not in devices:
+            continue
+        if one.signal is not None:
+            found.add(robot.input_device(one.signal))
+        elif one.bus is not None:  # its bus is there as long as one of its devices is
+            on_bus = [device.name for device in robot.devices_on(one.bus) if device.active]
+            found.update(on_bus[:0] if found.union(devices).intersection(on_bus) else on_bus[:1])
+    return found - {""}
+
+
 def tables_of(protocol: Protocol) -> list[tuple[str, str]]:
-    """The configuration tables that a protocol's messages depend on, each with the field that it maps."""
+    """Return the configuration tables that a protocol's messages depend on, each with the field that it maps."""
     found = {(condition.key, condition.capture): None for m in protocol.declared for condition in m.when}
     return list(found)
 
 
 def alone(robot: Robot, name: str) -> Robot:
-    """The robot with this device only: nothing is sent to others. Raises `UnknownNameError`."""
+    """Return the robot with this device only: nothing is sent to others, but to those that give its e-stop inputs.
+
+    Raises `UnknownNameError`.
+    """
     if name not in robot.devices:
         raise UnknownNameError(f"device of {robot.name}", name, robot.devices)
-    devices = {n: replace(c, active=c.active and n == name) for n, c in robot.devices.items()}
+    there = {name} | _watched(robot, {name})
+    devices = {n: replace(c, active=c.active and n in there) for n, c in robot.devices.items()}
     return replace(robot, devices=devices)

@@ -56,7 +56,7 @@ signal = SignalSpec
 
 
 def same(value: Any) -> Any:
-    """A number in the sheet's unit that is SI already."""
+    """Return a number in the sheet's unit that is SI already."""
     return value
 
 
@@ -67,7 +67,7 @@ def slot_of(path: str) -> tuple[str, str, int | None]:
 
 
 def field_reader(path: str, to_si: Callable[[Any], Any]) -> Callable[[Any], Any]:
-    """The value at `position.1` of a record, converted; None where the record has none."""
+    """Return the value at `position.1` of a record, converted; None where the record has none."""
     name, _, index = path.partition(".")
     if not index:
         if to_si is same:

@@ -23,15 +23,17 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..compiling import mypyc_attr
-from ..errors import CallerError, UnknownNameError
+from ..errors import CallerError, DeviceError, UnknownNameError
 from ..protocol import Protocol, Variant
 from ..runtime import Timer
 from .coalesce import CoalescingRule, Setpoint
 from .config import DeviceConfig, Robot
 from .declared import Poll, SignalSpec, field_reader, same, slot_of
+from .host_loss import HostLoss, Outcome
 from .signals import Signal
 from .station import EndpointMember, refuse_shadowing
 from .ticket import Awaited, Job, Steps, Ticket
@@ -39,6 +41,17 @@ from .ticket import Awaited, Job, Steps, Ticket
 if TYPE_CHECKING:
     from .events import Kind
     from .host import Host
+
+
+def _free(action: str) -> str:
+    """Nothing stands in the way of any action."""
+    return ""
+
+
+def _refused(error: DeviceError, job: Job) -> Steps:
+    """Steps of a job that may not begin."""
+    raise error
+    yield
 
 
 #: Methods of `Device` that may be actions, too.
@@ -66,11 +79,13 @@ class Device(EndpointMember):
     asking: ClassVar[Collection[str]] = ()
     silent_after: ClassVar[int] = 3
     one_at_a_time: ClassVar[bool] = False
+    #: What such a device does by itself when its host is gone.
+    when_host_is_lost: ClassVar[HostLoss] = HostLoss("unknown", "its driver does not say")
     stale_s: ClassVar[float] = 0.1
     attributes: ClassVar = EndpointMember.attributes | {
         *("host", "signals", "readable", "last_received", "is_silent", "is_driven", "misses"),
         *("missing_since", "missed_at", "awaiting", "answered", "timed_out", "second_answers"),
-        *("epoch", "duplicates", "takes_set_points", "is_double"),
+        *("epoch", "duplicates", "takes_set_points", "is_double", "interlock"),
     }
 
     def __init_subclass__(cls) -> None:
@@ -101,7 +116,7 @@ class Device(EndpointMember):
         self.missing_since = self.missed_at = 0
         #: When second answers to one request came lately (ns); the host's.
         self.duplicates: list[int] = []
-        #: Whether `two devices` was reported of it: from then on one may answer for both.
+        #: Whether two devices were seen to answer as it (`report_double`): one may answer for both.
         self.is_double = False
         #: Tickets that wait for an answer, oldest first; the host's.
         self.awaiting: list[Ticket] = []
@@ -125,6 +140,8 @@ class Device(EndpointMember):
         self._dirty: set[str] = set()
         self._held: dict[str, int] = {}
         self._led: list[Job] = []
+        #: Says why a job that enables or moves it may not begin now; "" where it may. A robot's e-stop sets it.
+        self.interlock: Callable[[str], str] = _free
         #: What is waited for: looked at whenever it has said something.
         self._until_so: list[tuple[Callable[[], bool], Awaited, Timer]] = []
         for spec in self.provides:
@@ -141,17 +158,17 @@ class Device(EndpointMember):
         """A record of this device, after its declared signals were updated."""
 
     def default_of(self, message: str, path: str) -> Any:
-        """The value for a set-point that was not given yet; None: wait for it."""
+        """Return the value for a set-point that was not given yet; None: wait for it."""
         return None
 
     def packet_together(self, devices: Sequence[Device], poll: Poll) -> Any:
-        """The packet that asks these devices what `poll` asks one of them; for drivers whose polls say `together`."""
+        """Return the packet that asks these devices what `poll` asks one of them; for drivers whose polls say `together`."""
         raise NotImplementedError(
             f"{type(self).__name__} asks several devices by {poll.together}, and does not say how"
         )
 
     def start(self) -> Any:
-        """What to do when the bus has been opened: tickets, jobs; nothing by default. It must not move anything."""
+        """Return what to do when the bus has been opened: tickets, jobs; nothing by default. It must not move anything."""
         return None
 
     def stop_motion(self) -> Any:
@@ -165,14 +182,37 @@ class Device(EndpointMember):
         """
         return None
 
+    def assume_driven(self) -> None:
+        """Take it that another program has set all that this driver can: the next `stop_motion` stops that."""
+        self.is_driven = True
+
     @property
-    def alone_s(self) -> float | None:
-        """Seconds for which it goes on without its host, which it watches; None: for ever, as far as is known."""
-        return None
+    def stop_leaves(self) -> Outcome:
+        """What `stop_motion` leaves of its joints."""
+        return "unknown"
+
+    @property
+    def host_loss(self) -> HostLoss:
+        """What it does when its host is gone, as it is set up here: `when_host_is_lost`, unless its settings change that."""
+        return type(self).when_host_is_lost
+
+    @property
+    def lets_go(self) -> str:
+        """Why its joints would not stay where they are after this program has ended; "" where they stay."""
+        loss = self.host_loss
+        stays = loss.does == "holds" or (
+            loss.does == "goes on" and all(joint.command == "position" for joint in self.joints)
+        )
+        return "" if stays else str(loss)
 
     @property
     def fed_within_s(self) -> float | None:
         """Seconds within which it has to be sent something, for it stops by itself otherwise; None: however little."""
+        return None
+
+    @property
+    def sends_every_s(self) -> float | None:
+        """How often it sends by itself, unasked (s): it is silent after `silent_after` times that; None: only when asked."""
         return None
 
     def malformed(self, reason: str, instant: int) -> None:
@@ -185,13 +225,17 @@ class Device(EndpointMember):
         """A request was not answered."""
 
     def takes(self, signal: Signal) -> bool | None:
-        """Whether a set-point of this signal would leave now; False: it is refused; None: it waits for a hold-off to end."""
+        """Return whether a set-point of this signal would leave now; False: it is refused; None: it waits for a
+        hold-off to end.
+        """
         if not self.takes_set_points:
             return False
         return None if self._held and self.is_held else True
 
     def is_followed(self, signal: Signal) -> bool:
-        """Whether the joint is meant to be where this signal is set to: not while it is off, or gives way on purpose."""
+        """Return whether the joint is meant to be where this signal is set to: not while it is off, or gives way on
+        purpose.
+        """
         return self.is_driven and self.takes(signal) is True
 
     # ------------------------------------------------------------------ signals
@@ -231,7 +275,7 @@ class Device(EndpointMember):
         doc: str = "",
         source: str = "",
     ) -> Signal:
-        """A new signal, `OWNER.name`; the owner is a joint's or sensor's name, by default the device's.
+        """Return a new signal, `OWNER.name`; the owner is a joint's or sensor's name, by default the device's.
 
         `of` are the fields that give it ("Encoder.position.1"), `set` is the field that sets it, or `setter` a function;
         `to_si` and `from_si` convert. `read_from`: the messages from which the driver itself updates it. Values that are set
@@ -305,8 +349,14 @@ class Device(EndpointMember):
             if periods:
                 made.stale_after_ns = round(max(self.stale_s, 5 * min(periods)) * 1e9)
 
+    def names_of(self, signal: Signal) -> list[str]:
+        """Return the names that a signal may read, of values and flags of its messages; none where it has no such names."""
+        messages = [name for name, reads in self._updates.items() if any(one is signal for _, one in reads)]
+        fields = [field for name in messages for field in self.variant[name].plan.fields]
+        return [name for field in fields for name in field.node.known_names or ()]
+
     def polls_of(self, name: str) -> list[Poll]:
-        """The polls whose answers give the signal of this whole name; none where it comes by itself."""
+        """Return the polls whose answers give the signal of this whole name; none where it comes by itself."""
         messages = self._sources.get(name, frozenset[str]())
         return [poll for poll in self.all_polls if not messages.isdisjoint(poll.replies)]
 
@@ -359,7 +409,7 @@ class Device(EndpointMember):
         self.host.retime(self, poll, slower)
 
     def __getitem__(self, name: str) -> Signal:
-        """The signal of this name, with or without its owner where that is clear; raises `UnknownNameError`."""
+        """Return the signal of this name, with or without its owner where that is clear; raises `UnknownNameError`."""
         found = self.signals.get(name) or self.signals.get(f"{self.name}.{name}")
         if found is None:
             near = [one for whole, one in self.signals.items() if whole.partition(".")[2] == name]
@@ -441,7 +491,7 @@ class Device(EndpointMember):
         return any(until > now for until in self._held.values())
 
     def due_messages(self, now: int) -> list[str]:
-        """The messages whose set-points are to be sent in this tick."""
+        """Return the messages whose set-points are to be sent in this tick."""
         if not self._given or now < self._due:
             return []
         if self._every:
@@ -460,15 +510,17 @@ class Device(EndpointMember):
         return out
 
     def wants(self, now: int) -> list[Setpoint]:
-        """The same, set-point by set-point, for rules; a driver that overrides it has more than it was given."""
+        """Return the same, set-point by set-point, for rules; a driver that overrides it has more than it was given."""
         return [one for message in self.due_messages(now) for one in self.setpoints_of(message)]
 
     def setpoints_of(self, message: str) -> list[Setpoint]:
-        """All that was given of a message."""
+        """Return all that was given of a message."""
         return [Setpoint(self, message, path, value) for path, value in self._given[message].items()]
 
     def gathered(self, message: str, wants: Sequence[Setpoint]) -> dict[str, Any] | None:
-        """The fields of a message from what is wanted, what was given before and defaults; None: something is missing."""
+        """Return the fields of a message from what is wanted, what was given before and defaults; None: something is
+        missing.
+        """
         given = self._given.get(message, {})
         if wants:
             given = {**given, **{want.path: want.value for want in wants}}
@@ -497,7 +549,7 @@ class Device(EndpointMember):
         return self.completed(message, fields)
 
     def waited_for(self) -> list[str]:
-        """The set-points ("Set.right") that are missing, and without which others that were given do not go out."""
+        """Return the set-points ("Set.right") that are missing, and without which others that were given do not go out."""
         return [
             f"{message}.{path}"
             for message, given in self._given.items()
@@ -506,7 +558,7 @@ class Device(EndpointMember):
         ]
 
     def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
-        """What else a message of set-points needs: constant fields, the slot of a channel that is not there."""
+        """Return what else a message of set-points needs: constant fields, the slot of a channel that is not there."""
         return fields
 
     def ask(
@@ -567,9 +619,15 @@ class Device(EndpointMember):
         """Begin something that takes several steps; see `Job`."""
         return Job(self.clock, f"{self.name} {name}", steps)
 
-    def lead(self, name: str, steps: Callable[[Job], Steps]) -> Job:
-        """Begin a job that a stop must end: one that enables, moves or changes something in several steps."""
-        made = self.job(name, steps)
+    def lead(self, name: str, steps: Callable[[Job], Steps], *, moves: bool = True) -> Job:
+        """Begin a job that a stop must end: one that enables, moves or changes something in several steps.
+
+        It fails at once while the robot's e-stop forbids motion, unless it never `moves` anything.
+        """
+        why = self.interlock(name) if moves else ""
+        refused = DeviceError(f"{self.name}: {name} is refused: {why}")
+        made = self.job(name, partial(_refused, refused) if why else steps)
+        self.host.events.act(name, self.name, why and f"refused: {why}")
         self._led = [job for job in self._led if not job.is_over] + [made]
         return made
 
@@ -581,8 +639,12 @@ class Device(EndpointMember):
 
     def emit_event(self, kind: Kind, detail: str = "") -> None:
         """Report an event of this device."""
-        self.is_double |= kind == "two devices"
         self.host.emit(kind, self.name, detail)
+
+    def report_double(self, detail: str) -> None:
+        """Report that two devices seem to answer as this one: from now on no answer confirms a stop."""
+        self.is_double = True
+        self.emit_event("two devices", detail)
 
     def emit_alarms(self, now: Collection[str], before: Collection[str], who: str = "") -> None:
         """Report errors when one is new, and when all are over."""

@@ -8,6 +8,7 @@ from importlib.metadata import EntryPoint
 
 from ..errors import CallerError, SpecError
 from ..plugins import Plugins
+from ..protocol.declare.protocol import Protocol
 from ..protocol.files import load_file
 from ..protocol.live.scanner import PROTOCOLS
 from .device import Device
@@ -54,22 +55,24 @@ DRIVERS = Plugins("aces_bus.devices", "driver", Driver)
 
 
 def list_drivers() -> dict[str, EntryPoint]:
-    """The installed drivers, by name, without importing them. Raises `SpecError` when two packages claim a name."""
+    """Return the installed drivers, by name, without importing them. Raises `SpecError` when two packages claim a name."""
     return DRIVERS.points()
 
 
 def load_driver(name: str) -> Driver:
-    """The installed driver `name`; raises `UnknownNameError` with the names that exist."""
+    """Return the installed driver `name`; raises `UnknownNameError` with the names that exist."""
     return DRIVERS.load(name)
 
 
 def use_driver_file(path: str) -> list[Driver]:
     """Run a Python file, and have its drivers and their protocols under their names in this program, as if installed.
 
-    Raises `CallerError` for a file that cannot be run or has no driver, `SpecError` for a name that is another's.
+    A file may have protocols alone: a robot's file may name it then, wherever it is. Raises `CallerError` for a file that
+    cannot be run or has neither, `SpecError` for a name that is another's.
     """
-    found = {name: item for name, item in vars(load_file(path)).items() if isinstance(item, Driver)}
-    if not found:
+    items = vars(load_file(path))
+    found = {name: item for name, item in items.items() if isinstance(item, Driver)}
+    if not found and not any(isinstance(item, Protocol) for item in items.values()):
         raise CallerError(f"{path}: declares no driver at its top level: NAME = Driver(…)")
     for name, driver in found.items():
         own = driver.device.protocol

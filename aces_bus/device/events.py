@@ -26,10 +26,18 @@ Kind = Literal[
     "limited",  # a set-point was beyond its limits, or further away than one tick leads
     "refused",  # set-points are not taken any more: again and again they were no numbers
     "following error",  # a joint is not where it was sent
+    "past limit",  # a joint is measured past the limits of its file
+    "not homed",  # a joint was given a set-point before its zero is known
+    "too fast",  # a joint is measured faster than its file allows
     "not sent",  # a packet cannot be made, the bus does not take it, or it did not leave in time
     "not stopped",  # has not stopped yet
+    "stop asked",  # another program asked for a stop of all that is driven
     "overrun",  # a tick's packets did not fit into the tick
     "bug",  # a driver's own code raised
+    "estop",  # an e-stop input is pressed, or cannot be read
+    "estop clear",
+    "reduced",  # limits of speed are reduced
+    "full speed",
     # of the bus, as gates and wires report them
     "opened",
     "lost",
@@ -72,7 +80,8 @@ REPEAT_NS = 1_000_000_000
 #: Reports of a change: each one is given to handlers.
 REPORTED_ALWAYS = frozenset(
     (
-        *("silent", "answers", "alarm", "alarm over", "rebooted"),
+        *("silent", "answers", "alarm", "alarm over", "rebooted", "stop asked", "past limit", "too fast"),
+        *("estop", "estop clear", "reduced", "full speed"),
         *("opened", "lost", "reopened", "closed", "error-active", "error-passive", "bus-off", "recovered"),
     )
 )
@@ -81,12 +90,16 @@ MOST_KEYS = 10_000
 
 
 class EventLog:
-    """Handlers, counts a kind and device, and the last events. What a handler raises is kept in `failures`."""
+    """Handlers, counts a kind and device, and the last events. What a handler raises is kept in `failures`.
+
+    `acts` are called with what is done on purpose (enable, stop, another owner): what, the device, in words.
+    """
 
     def __init__(self, keep: int = 1024) -> None:
         if keep < 0:
             raise CallerError(f"keep is a number of events, not {keep!r}")
         self.handlers: list[Callable[[DeviceEvent], None]] = []
+        self.acts: list[Callable[[str, str, str], None]] = []
         self.last: deque[DeviceEvent] = deque(maxlen=keep)
         self.counts: Counter[tuple[str, str]] = Counter()
         self.failures: deque[BaseException] = deque(maxlen=16)
@@ -111,10 +124,18 @@ class EventLog:
             except Exception as error:  # a user's code: it must not stop the bus
                 self.failures.append(error)
 
+    def act(self, what: str, device: str, detail: str = "") -> None:
+        """Say that something is done to a device on purpose."""
+        for handler in self.acts:
+            try:
+                handler(what, device, detail)
+            except Exception as error:
+                self.failures.append(error)
+
     def count(self, kind: str, device: str | None = None) -> int:
-        """How many events of a kind there were, of one device or of all."""
+        """Return how many events of a kind there were, of one device or of all."""
         return sum(n for (k, d), n in self.counts.items() if k == kind and device in (None, d))
 
     def of(self, kind: str) -> list[DeviceEvent]:
-        """The last events of a kind."""
+        """Return the last events of a kind."""
         return [event for event in self.last if event.kind == kind]

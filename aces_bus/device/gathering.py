@@ -14,7 +14,7 @@ _Wanted = dict[str, tuple[CoalescingRule | None, list[Device], list[Setpoint]]]
 
 
 def gathered(devices: Iterable[Device], rule_of: RuleOf, now: int) -> Iterator[OutgoingMessage]:
-    """What the devices want at the instant `now` (ns) and has not been sent yet."""
+    """Yield what the devices want at the instant `now` (ns) and has not been sent yet."""
     wanted: _Wanted = {}
 
     def group(message: str, device: Device) -> tuple[CoalescingRule | None, list[Device], list[Setpoint]]:

@@ -95,7 +95,7 @@ class HalfDuplexLine:
             _fail_overtaken(one)
 
     def _without(self, device: Device) -> Iterator[OutgoingMessage]:
-        """What set-points have still to say, but for those of a device."""
+        """Yield what set-points have still to say, but for those of a device."""
         for out in self._set_points:
             left = [one for one in out.carries if one.device is not device]
             if out.device is not device and len(left) == len(out.carries):

@@ -31,6 +31,7 @@ from .half_duplex import HalfDuplexLine
 from .poll import HostCounts, PollSlot
 from .polling import Polling
 from .port import Left, Port
+from .silence import SilenceWatch
 from .station import BusEndpoint
 from .ticket import Steps, Ticket
 from .unanswered import Unanswered
@@ -84,6 +85,9 @@ class Host(BusEndpoint[Device]):
         self.unknown_handlers = self.unknown_traffic.handlers
         #: Called in each tick, and when set-points were given without one, before these are gathered.
         self.before_set_points: list[Callable[[int], None]] = []
+        #: Called when it has been opened, and when it has been closed.
+        self.when_open: list[Callable[[], None]] = []
+        self.when_closed: list[Callable[[], None]] = []
         #: Whether it has a rate, and asks; how long a tick is (ns; 0: it has none).
         self.is_ticked = rate_hz is not None and not passive
         self.period_ns = round(1e9 / rate_hz) if rate_hz is not None and not passive else 0
@@ -99,6 +103,7 @@ class Host(BusEndpoint[Device]):
         self.outage = ""
         port.on_event(self._bus_event)
         self.polling, self.unanswered = Polling(self), Unanswered(self)
+        self._silences = SilenceWatch(self)
         #: Called with each record of a device, its message's name and the instant: who asked for it gets it.
         self.answered = self.unanswered.answered
         #: Called with each packet that was sent, as replies may hang on it.
@@ -143,7 +148,7 @@ class Host(BusEndpoint[Device]):
             self.polling.refresh(device, polls)
 
     def probe(self, protocol: str, **credentials: int) -> Device:
-        """A bare device with these credentials, to ask whether anybody is there; `remove` it by its name afterwards.
+        """Return a bare device with these credentials, to ask whether anybody is there; `remove` it by its name afterwards.
 
         Its polls and signals are none: `ask` is all that it is for. Raises `CallerError` when nothing here speaks the
         protocol.
@@ -232,14 +237,20 @@ class Host(BusEndpoint[Device]):
                     " watchdog in the robot's file"
                 )
 
-    def open(self) -> None:
-        """Start receiving and, with a rate, ticking. Each device's `start` is called; nothing of both when it is passive."""
+    def open(self, *, is_started: bool = True) -> None:
+        """Start receiving and, with a rate, ticking. Each device's `start` is called; nothing of both when it is passive.
+
+        `is_started` False sends nothing by itself: a stop is the first that leaves.
+        """
         self.opened_at = self.clock.now()
         super().open()
-        if self.passive:  # no period either: nothing ticks
+        for begin in self.when_open:
+            begin()
+        if self.passive or not is_started:  # no period either: nothing ticks
             return
         for device in self.members.values():
             device.start()
+        self._silences.begin()
         if self.period_ns:
             self._next_tick = self.clock.call_at(self.clock.now(), self._begin_ticks)
 
@@ -255,7 +266,10 @@ class Host(BusEndpoint[Device]):
         if self._next_tick is not None:
             self._next_tick.cancel()
             self._next_tick = None
+        self._silences.end()
         super().close()
+        for end in self.when_closed:
+            end()
 
     def _tick(self) -> None:
         self.tick()
@@ -306,6 +320,11 @@ class Host(BusEndpoint[Device]):
         if not self.passive:
             self.polling.ask_all()
 
+    def send_set_points(self) -> None:
+        """Send what is wanted now, and not with the next tick: at an end."""
+        if not self.passive and self._is_open:
+            self._send_set_points(self.clock.now())
+
     def _send_set_points(self, now: int) -> int:
         """Send what is wanted; how long it occupies the bus (ns). On a line it has to wait for its turn."""
         for step in self.before_set_points:
@@ -319,15 +338,15 @@ class Host(BusEndpoint[Device]):
         return used
 
     def set_points(self, now: int) -> Iterator[OutgoingMessage]:
-        """What is wanted and not sent yet, as few messages as the rules make of it."""
+        """Return what is wanted and not sent yet, as few messages as the rules make of it."""
         return gathered(self.members.values(), self.rule_of, now)
 
     def rule_of(self, message: str, device: Device) -> CoalescingRule | None:
-        """The rule that makes few messages of a device's set-points; None: it has a message of its own."""
+        """Return the rule that makes few messages of a device's set-points; None: it has a message of its own."""
         return self.rules.get(message) or device.rules.get(message)
 
     def packet_of(self, out: OutgoingMessage) -> Any:
-        """The packet of set-points that are about to be sent; None where it cannot be made, which is reported."""
+        """Return the packet of set-points that are about to be sent; None where it cannot be made, which is reported."""
         device: Device = out.device
         try:
             packet = self.packet(device, out.message, out.fields)

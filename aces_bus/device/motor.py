@@ -16,6 +16,7 @@ from ..protocol import Record
 from ..runtime import Clock
 from .config import Joint
 from .device import Device
+from .host_loss import Outcome
 from .ticket import Awaited, Job, Steps
 
 
@@ -45,7 +46,8 @@ LATE_S, OTHER_CLOCK_S = 0.05, 60.0
 
 
 def age_on_bus(record: Any, clock: Clock) -> float | None:
-    """How long ago (s) a record was on its bus, by the adapter's time stamp; None where that is no time of this machine.
+    """Return how long ago (s) a record was on its bus, by the adapter's time stamp; None where that is no time of this
+    machine.
 
     What was read just now may have waited in an adapter, a server or a socket before. SocketCAN's stamps, and those of
     served buses, are seconds since 1970.
@@ -63,8 +65,14 @@ class MotorDevice(Device, Generic[A]):
 
     axes: list[A]
 
+    @property
+    def stop_leaves(self) -> Outcome:
+        """Free: it is switched off, unless a driver says otherwise."""
+        return "limp"
+
     def axes_of(self, joint: str | None) -> list[A]:
-        """The axis of a joint by name, alias or channel number; None: all that have a joint (all, where none has one).
+        """Return the axis of a joint by name, alias or channel number; None: all that have a joint (all, where none
+        has one).
 
         Raises `UnknownNameError`.
         """
@@ -103,7 +111,7 @@ class MotorDevice(Device, Generic[A]):
 
     @staticmethod
     def in_turn(job: Job, axes: Sequence[A]) -> Iterator[A]:
-        """The axes one by one: the job's text is the name, its progress how many are done."""
+        """Yield the axes one by one: the job's text is the name, its progress how many are done."""
         for number, axis in enumerate(axes):
             job.text = axis.name
             yield axis

@@ -79,7 +79,7 @@ class Polling:
         self._has_priorities = len({slot.priority for slot in self.slots}) > 1
 
     def _noting(self, packet: Any) -> Callable[[], None]:
-        """What is called when a packet was sent, as replies may hang on it."""
+        """Return what is called when a packet was sent, as replies may hang on it."""
         host = self.host
         if not isinstance(host.scanner, CanScanner) or isinstance(packet, tuple):
             return lambda: host.note(packet)
@@ -179,7 +179,7 @@ class Polling:
         host.emit("overrun", "", f"{sum(due)} polls did not fit into a tick of {host.period_ns / 1e6:g} ms")
 
     def _is_overdue(self, slot: PollSlot, ticket: Ticket, now: int) -> bool:
-        """Whether what was asked is to be asked again in this tick, as there is no answer."""
+        """Return whether what was asked is to be asked again in this tick, as there is no answer."""
         period = self.host.period_ns
         if ticket.tries > ASKED_AGAIN or not period or ticket.device.is_silent or slot.common:
             return False  # what asks everybody would be answered by all, and those who had answered would seem to be two

@@ -62,7 +62,7 @@ class Port(Protocol):
         ...
 
     def wire_ns(self, packet: Any, /) -> int:
-        """How long a packet occupies the bus (ns)."""
+        """Return how long a packet occupies the bus (ns)."""
         ...
 
     def close(self) -> None:

@@ -52,7 +52,7 @@ class RegisterCodec:
         self._values: dict[int, Any] = {}
 
     def value(self, raw: int) -> Any:
-        """The value of a raw number, in the sheet's unit."""
+        """Return the value of a raw number, in the sheet's unit."""
         found = self._values.get(raw)
         if found is None:
             if len(self._values) > 4096:
@@ -61,7 +61,7 @@ class RegisterCodec:
         return found
 
     def raw(self, value: Any, *, is_raw: bool = False) -> int:
-        """The raw number of a value; raises `FieldError` when it does not fit."""
+        """Return the raw number of a value; raises `FieldError` when it does not fit."""
         (number,) = self.unpack_from(self.register.encode(value, raw=is_raw), 0)
         return number
 
@@ -148,14 +148,14 @@ class RegisterDevice(Device):
     # ------------------------------------------------------------------ declaring
 
     def codec(self, name: str) -> RegisterCodec:
-        """A register's codec; raises `UnknownNameError`."""
+        """Return a register's codec; raises `UnknownNameError`."""
         found = self.codecs.get(name)
         if found is None:
             raise UnknownNameError(f"register of {self.name}", name, self.codecs)
         return found
 
     def poll(self, first: str, last: str | None = None, **options: Any) -> Poll:
-        """A poll that reads the registers from `first` to `last`; options are those of `Poll`."""
+        """Return a poll that reads the registers from `first` to `last`; options are those of `Poll`."""
         span, fields = self._span(first, last or first)
         message = self._read_message
         self._spans[self.host.packet(self, message, fields)] = span
@@ -183,7 +183,7 @@ class RegisterDevice(Device):
         setter: Callable[[Any], None] | None = None,
         **options: Any,
     ) -> Signal:
-        """A signal that is read from the register `of` and set through the register `set`.
+        """Return a signal that is read from the register `of` and set through the register `set`.
 
         `to_si` takes the raw number (by default its value × `scale`), `to_raw` gives it. Set-points of all devices go out in
         one packet. Other options are those of `add_signal`. Raises `UnknownNameError` for an unknown register.
@@ -209,7 +209,7 @@ class RegisterDevice(Device):
         return signal
 
     def polls_of(self, name: str) -> list[Poll]:
-        """The polls that read the signal's register."""
+        """Return the polls that read the signal's register."""
         codec = self._registers.get(name)
         return (
             []
@@ -247,7 +247,7 @@ class RegisterDevice(Device):
         return self.job(f"read {name}", steps)
 
     def read_all(self, *, raw: bool = False) -> Job:
-        """The whole table, in one request: name → value."""
+        """Return the whole table, in one request: name → value."""
         ordered = sorted(self.codecs.values(), key=lambda codec: codec.address)
         return self.read(ordered[0].name, ordered[-1].name, raw=raw)
 
@@ -306,7 +306,9 @@ class RegisterDevice(Device):
         self.written(codec.name, number)
 
     def _own_span(self, codec: RegisterCodec) -> tuple[RegisterSpan, dict[str, int]]:
-        """What reads a register, as long as no poll where there is more beside it: no late answer is taken for its own."""
+        """Return what reads a register, as long as no poll where there is more beside it: no late answer is taken for
+        its own.
+        """
         taken = {poll.fields.get("count") for poll in self.polls}
         begins = {one.address: one for one in self.codecs.values()}
         count = codec.size
@@ -339,7 +341,7 @@ class RegisterDevice(Device):
             signal.update(to_si(number), self.clock.now())
 
     def cached(self, name: str, *, raw: bool = False) -> Any:
-        """The last value received of a register, however old; None when it never was."""
+        """Return the last value received of a register, however old; None when it never was."""
         codec = self.codec(name)
         found = self.known.get(name)
         return None if found is None else found[0] if raw else codec.value(found[0])
@@ -443,7 +445,7 @@ class RegisterDevice(Device):
             self.epoch += 1
 
     def wants(self, now: int) -> list[Setpoint]:
-        """What is to be sent in this tick."""
+        """Return what is to be sent in this tick."""
         out = super().wants(now) if self._given else []
         goals = self.goals
         if not goals:
@@ -463,7 +465,7 @@ class RegisterDevice(Device):
     def _ask(
         self, message: str, span: RegisterSpan | None, confirms: bool = False, /, **fields: Any
     ) -> Ticket:
-        """A request; what it is answered with is remembered by its packet. `confirms` as of `ask`."""
+        """Return a request; what it is answered with is remembered by its packet. `confirms` as of `ask`."""
         if span is not None:
             self._spans[self.host.packet(self, message, fields)] = span
         return self.ask(

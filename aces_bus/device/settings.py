@@ -36,7 +36,9 @@ def _text(annotation: Any) -> str:
 
 
 def settings_of(who: str, kind: type[S], given: Mapping[str, Any]) -> S:
-    """The settings of one device. Raises `UnknownNameError` for an unknown key, `CallerError` for a value that cannot be."""
+    """Return the settings of one device. Raises `UnknownNameError` for an unknown key, `CallerError` for a value that
+    cannot be.
+    """
     known = _fields(kind)
     values: dict[str, Any] = {}
     for key, value in given.items():

@@ -40,41 +40,41 @@ class JointScale:
 
     @classmethod
     def of(cls, joint: Joint | None, per_rad: float = 1.0) -> JointScale:
-        """The scale of a joint, as its file says; without a joint the motor's own."""
+        """Return the scale of a joint, as its file says; without a joint the motor's own."""
         if joint is None:
             return cls(per_rad)
         return cls(per_rad, joint.ratio or 1.0, joint.direction, joint.zero or 0.0)
 
     def angle(self, raw: float) -> float:
-        """The joint's position (rad)."""
+        """Return the joint's position (rad)."""
         return self.direction * (raw / (self.per_rad * self.ratio) - self.zero) + 0.0  # no -0
 
     def raw_angle(self, position: float) -> float:
-        """What the motor calls a position of its joint (rad)."""
+        """Return what the motor calls a position of its joint (rad)."""
         return (self.direction * position + self.zero) * self.ratio * self.per_rad
 
     def speed(self, raw: float) -> float:
-        """The joint's velocity (rad/s)."""
+        """Return the joint's velocity (rad/s)."""
         return self.direction * raw / (self.per_rad * self.ratio) + 0.0
 
     def raw_speed(self, velocity: float) -> float:
-        """What the motor calls a velocity of its joint (rad/s)."""
+        """Return what the motor calls a velocity of its joint (rad/s)."""
         return self.direction * velocity * self.ratio * self.per_rad
 
     def torque(self, raw: float) -> float:
-        """The torque at the joint (N·m) of one at the motor."""
+        """Return the torque at the joint (N·m) of one at the motor."""
         return self.direction * raw * self.ratio + 0.0
 
     def raw_torque(self, torque: float) -> float:
-        """The torque at the motor (N·m) of one at the joint."""
+        """Return the torque at the motor (N·m) of one at the joint."""
         return self.direction * torque / self.ratio
 
     def gain(self, raw: float) -> float:
-        """A stiffness or damping at the joint (N·m/rad, N·m·s/rad) of one at the motor."""
+        """Return a stiffness or damping at the joint (N·m/rad, N·m·s/rad) of one at the motor."""
         return raw * self.ratio**2
 
     def raw_gain(self, gain: float) -> float:
-        """A stiffness or damping at the motor (N·m/rad, N·m·s/rad) of one at the joint."""
+        """Return a stiffness or damping at the motor (N·m/rad, N·m·s/rad) of one at the joint."""
         return gain / self.ratio**2
 
 
@@ -99,7 +99,6 @@ class SingleMotor(MotorDevice[SingleAxis]):
     motor_actions: ClassVar[Mapping[str, str]] = {
         "enable": "switch it on; it holds where it is",
         "disable": "switch it off; it gives way",
-        "stop_motion": "switch it off at once",
         "set_mode": "another mode, while it is off",
     }
 
@@ -141,7 +140,7 @@ class SingleMotor(MotorDevice[SingleAxis]):
             raise CallerError(f"{self.name}: no mode {mode!r} (there are: {', '.join(self.modes)})")
 
     def add_motor_signal(self, name: str, *, from_si: Callable[[Any], Any] = float, **more: Any) -> Signal:
-        """A signal of the joint; it can be set in the modes that name it. Arguments as those of `add_signal`."""
+        """Return a signal of the joint; it can be set in the modes that name it. Arguments as those of `add_signal`."""
         self._given_as[name] = from_si
         can_be_set = any(name in fields for fields in self.modes.values())
         made = self.add_signal(
@@ -160,7 +159,7 @@ class SingleMotor(MotorDevice[SingleAxis]):
         self.want(message, field, self.raw_of(name, value))
 
     def raw_of(self, name: str, value: Any) -> Any:
-        """A set-point of a motor signal in the motor's own numbers."""
+        """Return a set-point of a motor signal in the motor's own numbers."""
         return self._given_as[name](value)
 
     def takes(self, signal: Signal) -> bool | None:

@@ -165,7 +165,7 @@ class BusEndpoint(Generic[M]):
         self._routes.clear()
 
     def _route(self, record: Any) -> _Route[M]:
-        """Which members a record of this type can address."""
+        """Return which members a record of this type can address."""
         kind = type(record)
         protocol = protocol_name_of(kind)
         members = [m for m in self.members.values() if m.variant.name == protocol]
@@ -186,7 +186,7 @@ class BusEndpoint(Generic[M]):
         return chosen, table, self.variants[protocol].protocol.broadcast.get(chosen)
 
     def meant_by(self, record: Any) -> Collection[M]:
-        """The members that a record is about."""
+        """Return the members that a record is about."""
         route = self._routes.get(type(record))
         if route is None:
             route = self._routes[type(record)] = self._route(record)
@@ -237,7 +237,7 @@ class BusEndpoint(Generic[M]):
             self.port.close()
 
     def _is_carried_to_us(self, key: int, data: bytes) -> bool:
-        """Whether the packet that a frame begins is for a member here: it is answered with a go-ahead."""
+        """Return whether the packet that a frame begins is for a member here: it is answered with a go-ahead."""
         other: Literal["to device", "from device"] = (
             "to device" if self.direction == "from device" else "from device"
         )
@@ -254,7 +254,9 @@ class BusEndpoint(Generic[M]):
         return False
 
     def _receiver(self) -> Callable[[Any, int], None]:
-        """What is called with each frame of a CAN bus: as `_received` and `deliver`, with what it touches in local names."""
+        """Return what is called with each frame of a CAN bus: as `_received` and `deliver`, with what it touches in
+        local names.
+        """
         scanner, feed, routes, deliver = self.scanner, self._feed, self._routes, self.deliver
         take: Callable[[Any], Any] = lambda frame: None  # noqa: E731
         if isinstance(scanner, CanScanner) and feed is scanner.feed:
@@ -320,7 +322,7 @@ class BusEndpoint(Generic[M]):
         """A record of a device that is not here."""
 
     def packet(self, member: M, message: str, fields: Mapping[str, Any]) -> Any:
-        """The frame or packet of a member's message: its credentials are added.
+        """Return the frame or packet of a member's message: its credentials are added.
 
         Raises `UnknownNameError` and `FieldError` as encoders do.
         """
@@ -333,10 +335,10 @@ class BusEndpoint(Generic[M]):
 
 
 def tags_of(member: EndpointMember, message: Message) -> dict[str, int]:
-    """The credentials that a message has fields for."""
+    """Return the credentials that a message has fields for."""
     return {name: value for name, value in member.credentials.items() if name in message.fields}
 
 
 def agrees(credentials: Mapping[str, int], record: Any) -> bool:
-    """Whether every credential that a record has is this one's."""
+    """Return whether every credential that a record has is this one's."""
     return all(getattr(record, name, number) == number for name, number in credentials.items())

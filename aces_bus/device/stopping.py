@@ -15,7 +15,7 @@ from ..errors import AcesError, DeviceError, NotStoppedError
 from ..runtime import EventClock
 from .device import Device
 from .station import credential_text
-from .ticket import Awaited, Job, Steps
+from .ticket import Awaited, Job, Steps, Ticket
 
 #: Seconds that a program waits for all of it.
 PATIENCE_S = 3.0
@@ -23,13 +23,16 @@ PATIENCE_S = 3.0
 STOP_NS, PAUSE_NS, ATTEMPT_NS = 1_500_000_000, 20_000_000, 500_000_000
 
 
-def stop_devices(clock: EventClock, name: str, devices: Iterable[Device]) -> Job:
+def stop_devices(clock: EventClock, name: str, devices: Iterable[Device], *, is_foreign: bool = False) -> Job:
     """Stop what moves. The job fails with `NotStoppedError`; to be called on the clock's thread.
 
-    Devices that have never answered are sent their stop, and not asked whether they have stopped.
+    Devices that have never answered are sent their stop, and not asked whether they have stopped. `is_foreign`: another
+    program has driven them. Then each is asked, and one that acknowledges nothing is named as not confirmed.
     """
     part_of = {device.name: device for device in devices}
-    jobs = {device.name: _Stop(device).begin() for device in part_of.values()}
+    for device in part_of.values():
+        device.host.events.act("stop", device.name)
+    jobs = {device.name: _Stop(device, is_foreign).begin() for device in part_of.values()}
 
     def steps(job: Job) -> Steps:
         failed: dict[str, str] = {}
@@ -37,12 +40,18 @@ def stop_devices(clock: EventClock, name: str, devices: Iterable[Device]) -> Job
             try:
                 yield part
             except AcesError as error:
+                part_of[who].host.events.act("not stopped", who, str(error))
                 failed[who] = f"{_outage(part_of[who])}{error}{_last_received(part_of[who])}"
             job.progress = (number + 1) / len(jobs)
         if failed:
             raise NotStoppedError(failed)
 
     return Job(clock, f"{name} stop", steps)
+
+
+def can_be_stopped(device: Device) -> bool:
+    """Return whether a stop is for this device: it moves joints, or its driver can stop something."""
+    return bool(device.joints) or type(device).stop_motion is not Device.stop_motion
 
 
 def wait_stopped(stopping: Job, timeout_s: float = PATIENCE_S) -> None:
@@ -80,14 +89,25 @@ def _last_received(device: Device) -> str:
     return f"; last received {age / 1e9:.1f} s ago" if age is not None and age > PAUSE_NS * 5 else ""
 
 
+class _Unconfirmed(DeviceError):
+    """A device says nothing, however often it is asked."""
+
+
+def _acknowledges(ticket: Any) -> bool:
+    """Return whether the end of a stop's ticket or job means that the device has answered it."""
+    return isinstance(ticket, Awaited) and not (isinstance(ticket, Ticket) and not ticket.reply)
+
+
 class _Stop:
     """The stop of one device."""
 
-    def __init__(self, device: Device) -> None:
-        self.device, self.clock = device, device.clock
+    def __init__(self, device: Device, is_foreign: bool) -> None:
+        self.device, self.clock, self.is_foreign = device, device.clock, is_foreign
+        if is_foreign:
+            device.assume_driven()
 
     def begin(self) -> Job:
-        """The first attempt at once, the rest as a job."""
+        """Return the first attempt at once, the rest as a job."""
         end = self.clock.now() + STOP_NS
         ticket = self._send()
         return Job(self.clock, f"{self.device.name} stop", lambda job: self._steps(ticket, end))
@@ -103,15 +123,22 @@ class _Stop:
         while True:
             try:
                 yield from self._over(ticket, "it has not stopped yet")
-                asked = device.confirm_stopped() if device.last_received is not None else None
+                is_asked = self.is_foreign or device.last_received is not None
+                asked = device.confirm_stopped() if is_asked else None
                 yield from self._over(asked, "it does not say whether it has stopped")
                 if device.is_double and (ticket is not None or asked is not None):
                     who = credential_text(device.credentials) or device.name
                     raise DeviceError(
                         f"two devices answer as {who}: one that is off says nothing of the other"
                     )
+                is_moving = ticket is not None or bool(device.joints)
+                if self.is_foreign and is_moving and asked is None and not _acknowledges(ticket):
+                    sent = "it was sent its stop, and" if ticket is not None else "nothing stops it:"
+                    raise _Unconfirmed(f"{sent} it does not say whether it has stopped")
                 device.is_driven = False
                 return
+            except _Unconfirmed:
+                raise
             except AcesError as error:
                 if self.clock.now() + PAUSE_NS >= end:
                     raise

@@ -192,7 +192,7 @@ class Job(Awaited):
 
 
 def together(clock: EventClock, name: str, parts: list[Any]) -> Job:
-    """A job that is done when all tickets and jobs are; fails with the first error, after all are over."""
+    """Return a job that is done when all tickets and jobs are; fails with the first error, after all are over."""
 
     def steps(job: Job) -> Steps:
         failed: AcesError | None = None

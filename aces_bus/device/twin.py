@@ -42,7 +42,7 @@ class JointModel(Interface):
     """A simulated joint, as other twins see it (a foot's force sensor asks for the ankle's angle)."""
 
     def position(self, now: int) -> float:
-        """Where it is at the instant `now` (ns): rad, or m."""
+        """Return where it is at the instant `now` (ns): rad, or m."""
         ...
 
 
@@ -55,15 +55,17 @@ class World:
     joints: dict[str, JointModel] = field(default_factory=dict[str, JointModel])
     #: Where joints are at first, by name (rad, m), as far as that was said.
     pose: Mapping[str, float] = field(default_factory=dict[str, float])
+    #: Whether joints are homed at first; else as after power-up.
+    homed: bool = True
     #: What else twins have in common (a body's pose, a battery), by a name that its maker chooses.
     shared: dict[str, Any] = field(default_factory=dict[str, Any])
 
     def random(self, name: str) -> random.Random:
-        """A random generator for each twin: one twin more or less does not change what another draws."""
+        """Return a random generator for each twin: one twin more or less does not change what another draws."""
         return random.Random(f"{self.seed} {name}")
 
     def start_of(self, joint: str, usual: float = 0.0) -> float:
-        """Where a joint is at first: as was said, or as usual."""
+        """Return where a joint is at first: as was said, or as usual."""
         return self.pose.get(joint, usual)
 
 
@@ -210,7 +212,7 @@ class Twin(EndpointMember):
         self.twins.send(packet)
 
     def _misnumbered(self, message: str, fields: dict[str, Any], number: int) -> Any:
-        """An answer with the number said, else with the next one that this robot knows, else with the one before."""
+        """Return an answer with the number said, else with the next one that this robot knows, else with the one before."""
         known = set(self.variant[message].fields)
         mine = {k: v for k, v in self.credentials.items() if k in known}
         if number >= 0:
@@ -346,7 +348,7 @@ class Twins(BusEndpoint[Twin]):
 
 
 def _shorter(packet: Any) -> Any:
-    """A frame or packet that is a byte short; a CAN FD frame of more than 8 has the next length that there is.
+    """Return a frame or packet that is a byte short; a CAN FD frame of more than 8 has the next length that there is.
 
     Of a transport's frames the last one has a byte: how many of its bytes are only filling is not known here.
     """
@@ -359,7 +361,7 @@ def _shorter(packet: Any) -> Any:
 
 
 def with_data(packet: Any, change: Callable[[bytes], bytes]) -> Any:
-    """A frame or packet with other data bytes; of the frames of a transport, the last one."""
+    """Return a frame or packet with other data bytes; of the frames of a transport, the last one."""
     if isinstance(packet, tuple):
         return (*packet[:-1], with_data(packet[-1], change))
     if isinstance(packet, (bytes, bytearray)):

@@ -28,6 +28,8 @@ DUPLICATE_REPLY_NS = 20_000_000
 LATE_REPLY_NS = 500_000_000
 #: Held up itself for so long (ns), this machine receives what has come meanwhile before a device counts as missing.
 HELD_UP_NS, LISTEN_NS = 5_000_000, 10_000_000
+#: It waits for that as long as it was held up, at most so long (ns).
+MOST_LISTEN_NS = 100_000_000
 
 
 class Unanswered:
@@ -94,7 +96,10 @@ class Unanswered:
         timer = self._timer
         if timer is not None and now - timer.instant > HELD_UP_NS and not self._is_hearing:
             self._is_hearing = True  # never in virtual time: it is not held up
-            self._timer = self.clock.call_in(LISTEN_NS, self._expire)
+            held_up = (
+                now - timer.instant
+            )  # whatever held this program up may hold up a server or a simulation, too
+            self._timer = self.clock.call_in(max(LISTEN_NS, min(held_up, MOST_LISTEN_NS)), self._expire)
             return
         self._is_hearing = False
         deadlines = self._deadlines
@@ -116,7 +121,7 @@ class Unanswered:
 
     @staticmethod
     def _is_waiting(ticket: Ticket, deadline: int) -> bool:
-        """Whether it waits for an answer until then: a poll may have been answered and asked anew."""
+        """Return whether it waits for an answer until then: a poll may have been answered and asked anew."""
         return ticket.deadline == deadline and ticket in ticket.device.awaiting
 
     def _end_incomplete(self, now: int) -> None:
@@ -147,6 +152,8 @@ class Unanswered:
         if ticket.poll is not None:
             ticket.poll.waiting = None
         self._count_miss(device, ticket, now)
+        if ticket.poll is not None and host.period_ns and not device.is_silent:
+            ticket.poll.due = now  # at once, not after its period: three in a row are silence
         if line is not None and device.is_silent and ticket.poll is not None:
             ask_less(host.slots, ticket, now)
         if ticket.poll is None:

@@ -77,18 +77,17 @@ class UnknownTraffic:
             return
         device.duplicates = came = [*device.duplicates, instant][-DUPLICATES:]
         tick_s = self.host.period_ns / 1e9
-        round_s = min((poll.every_s or tick_s for poll in device.polls), default=0.0)
+        round_s = min((poll.every_s or tick_s for poll in device.all_polls), default=0.0)
         lately = instant - max(DUPLICATES_NS, round(DUPLICATES_ROUNDS * round_s * 1e9))
         if len(came) == DUPLICATES and came[0] > lately:
             device.duplicates = []
             who = credential_text(device.credentials)
-            device.emit_event(
-                "two devices",
-                f"{detail}; are there two devices with {who}, or does another program ask it, too?",
+            device.report_double(
+                f"{detail}; are there two devices with {who}, or does another program ask it, too?"
             )
 
     def _suspect(self, unknown: UnknownRecord, line: HalfDuplexLine | None) -> Device | None:
-        """The device that may have sent it: by its identifier, or the one that has the line."""
+        """Return the device that may have sent it: by its identifier, or the one that has the line."""
         identifier = unknown.meta.identifier
         if identifier is None:
             return line.speaker if line is not None else None

@@ -61,7 +61,7 @@ class Naming:
         self._taken = {name.casefold() for name in reserved}
 
     def name(self, protocol: str, message: str) -> str:
-        """The name for a new dataset."""
+        """Return the name for a new dataset."""
         if not message:
             return unique_name(LOST, self._taken)
         owners = self._owners.setdefault(message.casefold(), set())
@@ -71,7 +71,7 @@ class Naming:
 
 
 def unique_name(wanted: str, taken: set[str]) -> str:
-    """The name, with a number behind it where it is taken already (case does not count); it is taken then."""
+    """Return the name, with a number behind it where it is taken already (case does not count); it is taken then."""
     name, number = wanted, 2
     while name.casefold() in taken:
         name = f"{wanted}.{number}"
@@ -81,7 +81,7 @@ def unique_name(wanted: str, taken: set[str]) -> str:
 
 
 def safe_name(name: str) -> str:
-    """A name that every file system takes."""
+    """Return a name that every file system takes."""
     name = _ODD.sub("_", name)[:LONGEST].strip(".") or "_"
     return f"_{name}" if _DEVICES.fullmatch(name) else name
 
@@ -146,7 +146,7 @@ class Datasets:
         ]
 
     def plain(self, slot: DatasetColumn, values: Any, absent: Any) -> list[Any]:
-        """The values of a column of a block: labels as texts, None where there is none."""
+        """Return the values of a column of a block: labels as texts, None where there is none."""
         plain: list[Any] = values.tolist()
         if slot.holds == "label":
             names = self.sources.names if slot.role == "source" else self.labels.names
@@ -165,7 +165,7 @@ class Datasets:
                 self.absolute = is_absolute(table.time)
 
     def dataset(self, table: MessageTable, columns: Mapping[str, list[str]]) -> Dataset:
-        """The dataset of a table, begun where there is none; `columns` as of `Export.write`."""
+        """Return the dataset of a table, begun where there is none; `columns` as of `Export.write`."""
         some = self._datasets.setdefault((table.protocol, table.message), [])
         for dataset in some:
             if dataset.layout.fits(table):

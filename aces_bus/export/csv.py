@@ -100,7 +100,7 @@ class CsvExport(Folder):
 
 
 def _guarded(texts: Any) -> Any:
-    """A column of texts with an apostrophe before what would be taken for a formula."""
+    """Return a column of texts with an apostrophe before what would be taken for a formula."""
     import pyarrow.compute as pc
 
     begins = pc.match_substring_regex(texts, FORMULA)

@@ -170,7 +170,7 @@ def size_on_disk(path: str) -> int:
 
 
 def _is_table(entry: os.DirEntry[str]) -> bool:
-    """A file, or a folder of the parts that several processes have written."""
+    """Return a file, or a folder of the parts that several processes have written."""
     if entry.is_file(follow_symlinks=False):
         return True
     return entry.is_dir(follow_symlinks=False) and all(
@@ -197,7 +197,7 @@ class FilePool:
         self._is_abandoned = False
 
     def handle(self, path: str) -> IO[bytes]:
-        """The file, open for appending."""
+        """Return the file, open for appending."""
         found = self._open.get(path)
         if found is not None:
             self._open.move_to_end(path)

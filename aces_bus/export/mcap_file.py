@@ -32,13 +32,13 @@ def _record(opcode: int, content: bytes) -> bytes:
 
 
 def _text(value: str | bytes) -> bytes:
-    """A string, or bytes, with its length in front."""
+    """Return a string, or bytes, with its length in front."""
     data = value.encode() if isinstance(value, str) else value
     return struct.pack("<I", len(data)) + data
 
 
 def _packer() -> tuple[str, Callable[[bytes], bytes]]:
-    """The name of the compression, and the function that does it."""
+    """Return the name of the compression, and the function that does it."""
     try:
         import zstandard
     except ImportError:
@@ -176,7 +176,7 @@ class Fields:
         return self.data[self.at - size : self.at]
 
     def text(self) -> str:
-        """A string."""
+        """Return a string."""
         return bytes(self.bytes()).decode("utf-8", "replace")
 
 
@@ -225,7 +225,7 @@ class McapReader:
 
 
 def _unpacked(chunk: Fields) -> bytes:
-    """The records in a chunk."""
+    """Return the records in a chunk."""
     _, _, size, crc = chunk.take("QQQI")
     kind, packed = chunk.text(), bytes(chunk.bytes("Q"))
     if size > MOST_BYTES:

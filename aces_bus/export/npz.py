@@ -160,7 +160,7 @@ def _encoded(value: Any) -> bytes:
 
 
 def unpack(arrays: Mapping[str, Any], name: str, *, text: bool = False) -> list[Any]:
-    """A column of bytes of an `.npz` as a list, of texts with `text`; None where absent.
+    """Return a column of bytes of an `.npz` as a list, of texts with `text`; None where absent.
 
     >>> import numpy as np
     >>> unpack({"M/x": np.frombuffer(b"abcd", np.uint8), "M/x/ends": np.array([1, 4])}, "M/x")

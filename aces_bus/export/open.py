@@ -48,17 +48,25 @@ SUFFIXES: Mapping[str, str] = {
 
 
 def export_format(path: str | os.PathLike[str]) -> str | None:
-    """The format that a path asks for, None when it asks for none of these.
+    """Return the format that a path asks for, None when it asks for none of these.
 
-    >>> export_format("walk.parquet"), export_format("walk.csv/"), export_format("walk.csv")
-    ('parquet', 'csv', None)
+    >>> export_format("walk.parquet"), export_format("walk.csv/"), export_format("walk.csv"), export_format("walk/")
+    ('parquet', 'csv', None, 'parquet')
     """
     text = os.fspath(path)
     stem = text.rstrip("/" + os.sep)
     suffix = os.path.splitext(stem)[1].lower()
+    if _is_plain_folder(text):
+        return "parquet"
     if suffix == ".csv" and stem != text:
         return "csv"
     return SUFFIXES.get(suffix)
+
+
+def _is_plain_folder(text: str) -> bool:
+    """Return whether a path names a folder, and no format: such a folder is of Parquet files."""
+    stem = text.rstrip("/" + os.sep)
+    return not os.path.splitext(stem)[1] and bool(stem) and (stem != text or os.path.isdir(text))
 
 
 def open_export(
@@ -72,13 +80,13 @@ def open_export(
     sources: bool = False,
     live: bool = False,
 ) -> Export:
-    """An export into a file or folder, which is at `path` when it is closed.
+    """Return an export into a file or folder, which is at `path` when it is closed.
 
     `format` is one of "parquet", "arrow", "feather", "csv", "npz", "sqlite", "mcap"; by default the suffix says it.
     `variants` are the protocols that tables come from: they say what is in columns of Python objects (without them such
     values are JSON texts), and which names need the protocol in front. `only` is a single message: Parquet, Arrow and
-    CSV then write a file instead of a folder. `names` writes enumerations as names, `float32` physical values in half
-    the size, `sources` a column with the name of the capture.
+    CSV then write a file instead of a folder, unless the path is one (`walk/`). `names` writes enumerations as names,
+    `float32` physical values in half the size, `sources` a column with the name of the capture.
 
     With `live` the export grows at `path`, where nothing may be yet, and each `commit` makes what was written safe from a
     kill: for what does not end. "parquet" is then a folder of parts for each message (see `parquet_parts`), "sqlite" and
@@ -105,5 +113,7 @@ def open_export(
 
     module, name = GROWING[chosen] if live else FORMATS[chosen]
     kind: type[Export] = getattr(import_module(f".{module}", __package__), name)
+    if _is_plain_folder(text):
+        only = None  # a folder, also of one message
     options = Options(names=names, float32=float32, only=only, sources=sources, live=live)
     return kind(text.rstrip("/" + os.sep) or text, options, variants)

@@ -40,7 +40,7 @@ _ENCODINGS = {"rising": "DELTA_BINARY_PACKED", "float": "BYTE_STREAM_SPLIT"}
 
 
 def _kind(slot: DatasetColumn) -> str | None:
-    """Which encoding of its own a column has."""
+    """Return which encoding of its own a column has."""
     if slot.role in ("time", "offset"):
         return "rising"
     is_float = slot.holds == "number" and slot.dtype.kind == "f"
@@ -81,7 +81,7 @@ def load_parquet() -> Any:
 
 
 def journal_of(path: str) -> str:
-    """The path of the journal of a Parquet file that is not closed."""
+    """Return the path of the journal of a Parquet file that is not closed."""
     return path + ".journal"
 
 
@@ -113,7 +113,7 @@ class ParquetJournal:
 
 @contextlib.contextmanager
 def opened_journal(path: str) -> Generator[Any]:
-    """A reader of record batches; raises `CallerError` for what is no journal."""
+    """Yield a reader of record batches; raises `CallerError` for what is no journal."""
     pa = load_parquet()
     try:
         with open(path, "rb") as file:
@@ -123,7 +123,7 @@ def opened_journal(path: str) -> Generator[Any]:
 
 
 def journal_batches(reader: Any) -> Iterator[Any]:
-    """The batches of a journal, up to where it was cut."""
+    """Yield the batches of a journal, up to where it was cut."""
     pa = load_parquet()
     with contextlib.suppress(StopIteration, EOFError, pa.ArrowException, OSError):
         while True:

@@ -39,7 +39,7 @@ class ParquetParts(ArrowExport):
         super().__init__(path, options, variants)
 
     def _file(self, dataset: Dataset) -> str:
-        """The journal of the next part."""
+        """Return the journal of the next part."""
         folder = os.path.join(self.place, f"{dataset.name}.parquet") if self.makes_folder else self.place
         with telling(self.path):
             os.makedirs(folder, exist_ok=True)

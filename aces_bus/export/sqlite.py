@@ -216,7 +216,7 @@ def _column_names(slots: Sequence[DatasetColumn]) -> list[str]:
 
 
 def sql_name(name: str) -> str:
-    """A name as SQL has it."""
+    """Return a name as SQL has it."""
     return '"' + name.replace('"', '""').replace("\0", "") + '"'
 
 

@@ -70,7 +70,7 @@ class TableTopics:
         columns: Mapping[str, list[str]] | None = None,
         is_wanted: Callable[[int], bool] | None = None,
     ) -> list[TopicMessage]:
-        """The messages of tables (none of them empty), in the order of the capture; of channels that are wanted."""
+        """Return the messages of tables (none of them empty), in the order of the capture; of channels that are wanted."""
         texts: list[bytes] = []
         times: list[int] = []
         rows: list[int] = []
@@ -135,7 +135,7 @@ def _is_list(tree: Tree) -> bool:
 
 
 def _joined(tree: Tree, n: int) -> list[Any]:
-    """The columns of a tree as one value a row: dicts, and lists where the steps are numbers."""
+    """Return the columns of a tree as one value a row: dicts, and lists where the steps are numbers."""
     if not tree:
         return [{} for _ in range(n)]
     columns = [_joined(one, n) if isinstance(one, dict) else one for one in tree.values()]
@@ -207,7 +207,7 @@ def _leaf(slot: DatasetColumn, *, names: bool) -> _Leaf:
 
 
 def states_schema(units: Mapping[str, str]) -> bytes:
-    """The schema of rows of states: unit ("" where there is none) by name."""
+    """Return the schema of rows of states: unit ("" where there is none) by name."""
     properties: dict[str, dict[str, str]] = {}
     for name, unit in units.items():
         properties[name] = {"type": "number", **({"unit": unit, "description": f"in {unit}"} if unit else {})}

@@ -54,7 +54,7 @@ GREETING_S = 3.0
 
 
 def quiet_options(interface: str) -> Mapping[str, Any]:
-    """The keywords with which a backend only listens; none where it has none."""
+    """Return the keywords with which a backend only listens; none where it has none."""
     return QUIET.get(interface, {})
 
 
@@ -95,7 +95,7 @@ Read = Callable[[float], Any]
 
 
 def reader_of(bus: Any) -> Read:
-    """A function that gives the next message, or frame, within some seconds; or None.
+    """Return a function that gives the next message, or frame, within some seconds; or None.
 
     It may have `take_dropped` (how many frames the system dropped since the last call), `state` (the controller's) and
     `overflows` (how often the adapter said that it lost frames).
@@ -121,7 +121,7 @@ class ServedReader:
         self.offer: Callable[[Sequence[Frame]], int] = bus.offer
         self.push: Callable[[], bool] = bus.push
         self.hold_little: Callable[[], None] = bus.hold_little
-        self.fileno: Callable[[], int] = bus.fileno
+        self.fileno: Callable[[], int] = bus.socket_fileno
         self.take_dropped: Callable[[], int] = bus.take_dropped
 
     @property
@@ -137,7 +137,7 @@ class ServedReader:
         return "error-active" if state == "recovered" else state
 
     def __call__(self, timeout: float) -> Any:
-        """The next message within some seconds."""
+        """Return the next message within some seconds."""
         return self._bus.recv(timeout)
 
 
@@ -151,11 +151,11 @@ class SocketcandReader:
         self._recv, self._socket = bus.recv, sock
 
     def fileno(self) -> int:
-        """The socket's file."""
+        """Return the socket's file."""
         return self._socket.fileno()
 
     def __call__(self, timeout: float) -> Any:
-        """The next message within some seconds. Raises `EOFError` when the server has hung up."""
+        """Return the next message within some seconds. Raises `EOFError` when the server has hung up."""
         message = self._recv(0)
         if message is not None or not timeout:
             return message
@@ -225,7 +225,7 @@ class SocketcanReader:
         return self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
 
     def fileno(self) -> int:
-        """The socket's file."""
+        """Return the socket's file."""
         return self._socket.fileno()
 
     def frames(self, most: int) -> list[Frame]:
@@ -253,7 +253,7 @@ class SocketcanReader:
         return True
 
     def __call__(self, timeout: float) -> Frame | None:
-        """The next frame within some seconds. Raises `OSError` when the interface goes down or away."""
+        """Return the next frame within some seconds. Raises `OSError` when the interface goes down or away."""
         while True:
             try:
                 raw, beside, flags, address = self._socket.recvmsg(_FD_SIZE, _ANCILLARY, _DONT_WAIT)
@@ -322,13 +322,13 @@ class SocketcanReader:
             self.state = "error-active"
 
     def take_dropped(self) -> int:
-        """How many frames the kernel has dropped since the last call."""
+        """Return how many frames the kernel has dropped since the last call."""
         found, self._dropped = self._dropped, 0
         return found
 
 
 def _system_frame(frame: Frame) -> bytes:
-    """A frame as the system's `struct can_frame`, or `canfd_frame`."""
+    """Return a frame as the system's `struct can_frame`, or `canfd_frame`."""
     word = (
         frame.arbitration_id
         | (_EXTENDED if frame.is_extended_id else 0)

@@ -160,7 +160,7 @@ class CanGate(Gate[Frame]):
                 self._look_at_state()
 
     def _hand_over(self, message: Any) -> Exception | None:
-        """A frame and all that wait behind it; what reading them raised."""
+        """Return a frame and all that wait behind it; what reading them raised."""
         batch: list[Received[Frame]] = []
         failed: Exception | None = None
         for left in reversed(range(BATCH)):
@@ -292,7 +292,7 @@ class CanGate(Gate[Frame]):
         self._emit("clock", f"the adapter's clock went back by {self._last_stamp - stamp:.6f} s")
 
     def _is_echo(self, frame: Frame) -> bool:
-        """Whether a frame is one that was sent, given back by a backend that receives its own; each frame once."""
+        """Return whether a frame is one that was sent, given back by a backend that receives its own; each frame once."""
         try:
             self._echoes.remove((arbitration(frame), frame.data))
         except ValueError:
@@ -326,7 +326,7 @@ class CanGate(Gate[Frame]):
             self._emit(state)  # type: ignore[arg-type]
 
     def _is_end(self, error: BaseException) -> bool:
-        """Whether an exception says that the bus is gone, and not only that something was not understood."""
+        """Return whether an exception says that the bus is gone, and not only that something was not understood."""
         import can
 
         cause = error.__cause__  # python-can wraps everything: slcan's reading of a byte that is no text, too

@@ -109,6 +109,8 @@ class Gate(SendingGate[Item]):
             raise CallerError(f"{self.name}: this gate was started before; make another")
         if self.lock is not None:
             self.lock.take()
+            if self._loop is not None:
+                self.lock.listen(self._loop)
         try:
             self._bus = self._opened()
         except BaseException:

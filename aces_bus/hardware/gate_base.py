@@ -29,7 +29,7 @@ class ContentFilter(Protocol[Filtered]):
     """What a reader wants: a `CanFilter` for frames."""
 
     def matches(self, content: Filtered, /) -> bool:
-        """Whether the reader wants this."""
+        """Return whether the reader wants this."""
         ...
 
 
@@ -111,30 +111,30 @@ class GateBase(ABC, Generic[Item]):
         """Give a packet to the bus, on the transmit thread; raises what the backend raises."""
 
     def _priority_of(self, packet: Any, /) -> int:
-        """What goes first of what is given together: the lowest."""
+        """Return what goes first of what is given together: the lowest."""
         return 0
 
     @abstractmethod
     def _name_of(self, packet: Any, /) -> str:
-        """What a packet is called in events."""
+        """Return what a packet is called in events."""
 
     def _leaves_at(self) -> int:
-        """The instant (ns) from which the next packet may be given to the bus."""
+        """Return the instant (ns) from which the next packet may be given to the bus."""
         return 0
 
     def _file_of(self, bus: Any) -> int | None:
-        """The file of a bus that a loop can wait for; None: it takes a thread to receive."""
+        """Return the file of a bus that a loop can wait for; None: it takes a thread to receive."""
         return None
 
     def _watched(self, bus: Any) -> None:
         """A loop waits for its file from now on: it must never block."""
 
     def _read_now(self) -> list[Received[Item]]:
-        """What its file has, without waiting; raises what says that the bus is gone."""
+        """Return what its file has, without waiting; raises what says that the bus is gone."""
         raise NotImplementedError
 
     def _can_put_together(self) -> bool:
-        """Whether the bus takes packets at once, on a loop: `_put_together`."""
+        """Return whether the bus takes packets at once, on a loop: `_put_together`."""
         return False
 
     def _put_together(self, packets: list[Any], /) -> tuple[int, Exception | None]:
@@ -149,12 +149,12 @@ class GateBase(ABC, Generic[Item]):
         """Look, now and then, at what the bus says of itself."""
 
     def _still_held(self) -> int:
-        """How much the backend itself says that it still holds."""
+        """Return how much the backend itself says that it still holds."""
         return 0
 
     @staticmethod
     def _describe(bus: Any) -> str:
-        """What an event says of an open bus."""
+        """Return what an event says of an open bus."""
         return str(getattr(bus, "channel_info", "") or getattr(bus, "name", "") or "")
 
     # ------------------------------------------------------------------ who wants to know
@@ -162,7 +162,9 @@ class GateBase(ABC, Generic[Item]):
     def subscribe(
         self, *, limit: int = LIMIT, filter: ContentFilter[Item] | None = None
     ) -> Inbox[Received[Item]]:
-        """A queue of what arrives from now on, at most `limit` items of those that `filter` matches; `close` it to leave."""
+        """Return a queue of what arrives from now on, at most `limit` items of those that `filter` matches; `close` it
+        to leave.
+        """
         wanted = None if filter is None else lambda item: filter.matches(item.content)
         inbox: Inbox[Received[Item]] = Inbox(limit, wanted, self._leave, self._overflowed)
         with self._lock:

@@ -3,6 +3,7 @@
 1. It is advisory: it binds those who take it, whatever user they run as. Who only listens takes none.
 2. The system holds it: it is gone when its program is, kill -9 included. What is left of it is a file that says nothing.
 3. A refusal names the program that has the lock, and its process.
+4. A stop takes no lock: who has it can be asked to stop (`bell`), and is passed over where it does not answer.
 
 The lock is `flock(2)` on a file in a folder of the temporary files that all users share, named after the bus's channel.
 Where there is no `flock` (Windows) there is no lock.
@@ -15,11 +16,16 @@ import os
 import stat
 import sys
 import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from urllib.parse import quote
 
 from ..errors import CallerError
 from ..plain_text import printable
+from ..runtime import Loop
+from .bell import Ringing, StopBell, StopRequest
 from .served.address import is_served, parse_address
 
 try:
@@ -36,7 +42,11 @@ class BusLock:
 
     def __init__(self, channel: str, name: str) -> None:
         self.channel, self.name = _whole(channel), name
+        #: Called on the loop's thread with a request of another program to stop what is driven here.
+        self.on_stop: Callable[[StopRequest], None] | None = None
         self._file: int | None = None
+        self._bell: StopBell | None = None
+        self._loop: Loop | None = None
 
     def take(self) -> None:
         """Take it. Raises `CallerError` with the program that has it, or where the lock's file cannot be had."""
@@ -54,14 +64,43 @@ class BusLock:
             os.close(file)
             raise CallerError(
                 f"bus {self.name} ({self.channel}) is driven by {holder}: two programs cannot drive it; end that one, or"
-                " only listen (without --ask and --tx; in Python passive=True)"
+                " only listen (without --ask and --tx; in Python passive=True). `aces stop` stops what it drives"
             ) from None
         os.ftruncate(file, 0)
-        os.write(file, f"{_program()} (pid {os.getpid()})".encode())
+        os.write(file, program_name().encode())
         self._file = file
+        with suppress(OSError):
+            self._bell = StopBell(_bell_path(self.channel))
+
+    def listen(self, loop: Loop) -> None:
+        """Have `on_stop` called with the requests of other programs, before anything that is late on the loop."""
+        if self._bell is not None:
+            self._loop = loop
+            loop.watch(self._bell.fileno(), self._rung, is_first=True)
+
+    def _rung(self) -> None:
+        for request in self._bell.read() if self._bell is not None else ():
+            if self.on_stop is None:
+                request.answer(devices=[])  # nothing is driven here
+            else:
+                self.on_stop(request)
+
+    def ring(self) -> Ringing | None:
+        """Ask the program that has this lock to stop what it drives; None where no program can be asked."""
+        try:
+            return Ringing(_bell_path(self.channel), program_name())
+        except OSError:
+            return None
 
     def release(self) -> None:
         """Let others have it."""
+        if self._bell is not None:
+            bell, self._bell = self._bell, None
+            loop, self._loop = self._loop, None
+            if loop is not None:
+                with suppress(CallerError):  # the loop has ended
+                    loop.call(partial(loop.unwatch, bell.fileno()))
+            bell.close()
         if self._file is not None:
             os.ftruncate(self._file, 0)
             os.close(self._file)
@@ -69,7 +108,7 @@ class BusLock:
 
 
 def lock_folder() -> Path:
-    """The folder of all users' locks, made where it is not there. Raises `CallerError` where it cannot be used."""
+    """Return the folder of all users' locks, made where it is not there. Raises `CallerError` where it cannot be used."""
     folder = Path(tempfile.gettempdir(), "aces-locks")
     try:
         folder.mkdir(exist_ok=True)
@@ -84,7 +123,9 @@ def lock_folder() -> Path:
 
 
 def _opened(path: Path) -> int:
-    """The lock's file; one that is there is not created, which Linux refuses for a file of another user in such a folder."""
+    """Return the lock's file; one that is there is not created, which Linux refuses for a file of another user in such
+    a folder.
+    """
     try:
         return os.open(path, os.O_RDWR | os.O_NOFOLLOW)
     except FileNotFoundError:
@@ -108,7 +149,14 @@ def _file_name(channel: str) -> str:
     return name
 
 
-def _program() -> str:
-    """What this program is called: `aces run`, `walk.py`."""
+def _bell_path(channel: str) -> Path:
+    """Return the socket of the program that has a channel's lock: a short path, for such a path has room for 100
+    characters.
+    """
+    return lock_folder() / f"{hashlib.sha256(channel.encode()).hexdigest()[:16]}.stop"
+
+
+def program_name() -> str:
+    """Return what this program is called, and its process: `aces run (pid 4711)`."""
     words = [os.path.basename(sys.argv[0] or "python"), *sys.argv[1:2]]
-    return " ".join(word for word in words if not word.startswith("-"))[:NAME_LENGTH]
+    return f"{' '.join(word for word in words if not word.startswith('-'))[:NAME_LENGTH]} (pid {os.getpid()})"

@@ -21,6 +21,7 @@ from .can import CanGate, not_allowed
 from .datagram import DatagramGate
 from .gate import ContentFilter, Gate, Received
 from .gate_events import BusEvent
+from .lock import BusLock
 from .queues import AGE_S
 from .serial import SerialGate
 from .simulated.bus import SimulatedBus
@@ -99,6 +100,11 @@ class BasePort(Generic[Packet]):
         """Send a frame, bytes or a datagram; False when it cannot be sent. See `aces_bus.device.port.Port`."""
         return self._send(packet, age_ns, urgent, topic, report)
 
+    @property
+    def lock(self) -> BusLock | None:
+        """The lock of who drives the bus; None: it has none."""
+        return None if self._gate is None else self._gate.lock
+
     def close(self) -> None:
         """Receive no more; a gate is stopped."""
         if self._gate is None:
@@ -114,7 +120,8 @@ class BasePort(Generic[Packet]):
 class CanPort(BasePort[Frame]):
     """A CAN bus: a node on a `SimulatedBus`, or a `CanGate` with the `Loop` that its frames are handed to.
 
-    `allow`: which frames the node may send at all (None: all); a gate has its own.
+    `allow`: which frames the node may send at all (None: all); a gate has its own. With a `data_bitrate` (bit/s; of a
+    `SimulatedBus` its own) CAN FD frames are sent with the bit-rate switch.
     """
 
     link: Literal["can"] = "can"
@@ -127,6 +134,7 @@ class CanPort(BasePort[Frame]):
         *,
         name: str = "",
         bitrate: int | None = None,
+        data_bitrate: int | None = None,
         allow: ContentFilter[Frame] | None = None,
     ) -> None:
         super().__init__(bus, loop, name or getattr(bus, "name", "") or "can")
@@ -135,7 +143,7 @@ class CanPort(BasePort[Frame]):
         self._bus, self._allow = bus, allow
         self._handler: BusHandler | None = None
         self._costs: dict[int | tuple[int, bool, bool, bool], int] = {}
-        self.bitrate, self.data_bitrate = bitrate or 1_000_000, None
+        self.bitrate, self.data_bitrate = bitrate or 1_000_000, data_bitrate
         if isinstance(bus, SimulatedBus):
             self.bitrate, self.data_bitrate = bus.bitrate, bus.data_bitrate
 
@@ -143,6 +151,8 @@ class CanPort(BasePort[Frame]):
         """Begin to receive."""
         if not isinstance(self._bus, SimulatedBus):
             self._listen(self._bus, received)
+            if self.data_bitrate is not None:
+                self.__dict__["send"] = _switching(self.__dict__["send"])
             return
         self.node = self._bus.attach(
             self.name, received, self._happened, mailboxes=4096, restart_ns=RESTART_NS
@@ -166,7 +176,7 @@ class CanPort(BasePort[Frame]):
             return send(frame) if report is None else send(frame, report, age_ns or MAILBOX_AGE_NS)
 
         # As of a gate's port: one call less a frame.
-        self.__dict__["send"] = give
+        self.__dict__["send"] = give if self.data_bitrate is None else _switching(give)
 
     def _hand_over(self, items: Iterator[Received[Frame]], handle: Handler) -> None:
         # Without its channel's name: what is sent has none, and answers belong to requests of the same channel.
@@ -183,8 +193,12 @@ class CanPort(BasePort[Frame]):
         if self._handler is not None and event.kind in STATES:
             self._handler(event.kind, "")
 
+    def switches(self, frame: Frame) -> bool:
+        """Return whether a frame leaves with its data at the data bit rate."""
+        return frame.bitrate_switch or (frame.is_fd and self.data_bitrate is not None)
+
     def wire_ns(self, frame: Frame) -> int:
-        """How long a frame occupies the bus at most, its intermission included."""
+        """Return how long a frame occupies the bus at most, its intermission included."""
         key = (
             (len(frame.data), frame.is_extended_id, frame.is_fd, frame.bitrate_switch)
             if frame.is_extended_id or frame.is_fd
@@ -196,18 +210,27 @@ class CanPort(BasePort[Frame]):
         return known
 
     def _cost(self, frame: Frame) -> int:
-        """The longest that a frame of this length can be: stuffed as much as can be."""
+        """Return the longest that a frame of this length can be: stuffed as much as can be."""
         bits = longest_bits(
             len(frame.data),
             extended=frame.is_extended_id,
             fd=frame.is_fd,
-            bitrate_switch=bool(frame.bitrate_switch),
+            bitrate_switch=self.switches(frame),
         )
         pause = INTERMISSION * 1_000_000_000 // self.bitrate
         return bits.duration_ns(self.bitrate, self.data_bitrate) + pause
 
     def _detach(self) -> None:
         self.node.wire.detach(self.node)
+
+
+def _switching(send: Callable[..., bool]) -> Callable[..., bool]:
+    """Return a way to send that sets the bit-rate switch of CAN FD frames."""
+
+    def give(frame: Frame, *rest: Any, **more: Any) -> bool:
+        return send(replace(frame, bitrate_switch=True) if frame.is_fd else frame, *rest, **more)
+
+    return give
 
 
 class SerialPort(BasePort[bytes]):
@@ -247,7 +270,7 @@ class SerialPort(BasePort[bytes]):
         self._send = give
 
     def wire_ns(self, packet: bytes) -> int:
-        """How long bytes occupy the line."""
+        """Return how long bytes occupy the line."""
         return len(packet) * BITS * 1_000_000_000 // self.baud
 
     def _detach(self) -> None:
@@ -312,7 +335,7 @@ class DatagramPort(BasePort[bytes]):
 
 
 def _sender(gate: Any, clock: Loop) -> Callable[..., bool]:
-    """What sends through a gate; False: it does not take the packet.
+    """Return what sends through a gate; False: it does not take the packet.
 
     On a bus that is lost packets do not wait, but for stops: sent when it is back, an old set-point would move a robot.
     """
@@ -365,7 +388,9 @@ def _sender(gate: Any, clock: Loop) -> Callable[..., bool]:
 
 
 def port_of(bus: Any, loop: Loop | None = None, **options: Any) -> Any:
-    """The port of a wire or gate of any kind; options are those of the port. Raises `CallerError` for anything else."""
+    """Return the port of a wire or gate of any kind; options are those of the port. Raises `CallerError` for anything
+    else.
+    """
     if isinstance(bus, (SimulatedBus, CanGate)):
         return CanPort(bus, loop, **options)
     if isinstance(bus, (SimulatedSerialLine, SerialGate)):

@@ -29,14 +29,16 @@ _STATES = {
 def frame_to_message(
     frame: Frame, seconds: float = 0.0, channel: str | None = None, *, is_rx: bool = True
 ) -> Message:
-    """A message with what a frame carries."""
+    """Return a message with what a frame carries."""
     return copy_message(frame, frame.length, seconds, channel, is_rx)
 
 
 def copy_message(
     frame: Frame | Message, dlc: int, seconds: float, channel: str | None, is_rx: bool
 ) -> Message:
-    """A message with what a frame or another message carries, without the constructor, which costs more than the rest."""
+    """Return a message with what a frame or another message carries, without the constructor, which costs more than
+    the rest.
+    """
     made = Message.__new__(Message)
     made.timestamp = seconds
     made.arbitration_id = frame.arbitration_id
@@ -110,7 +112,7 @@ class VirtualBus(BusABC):
         queue.append(message)
 
     def _next(self) -> Message | None:
-        """The next message in the queue that passes the filters."""
+        """Return the next message in the queue that passes the filters."""
         queue = self._queue
         while queue:
             try:

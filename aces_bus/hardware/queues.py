@@ -62,7 +62,9 @@ class Inbox(Generic[Item]):
             self._overflowed(too_many)
 
     def get(self, timeout: float | None = None) -> list[Item]:
-        """All that is there; waits up to `timeout` seconds (None: for ever) for the first. Empty at the end of both."""
+        """Return all that is there; waits up to `timeout` seconds (None: for ever) for the first. Empty at the end of
+        both.
+        """
         with self._ready:
             if not self._items and not self._is_closed:
                 self._ready.wait_for(lambda: self._items or self._is_closed, timeout)
@@ -180,13 +182,13 @@ class Outbox(Generic[Packet]):
         self.size += item.size
 
     def pop(self) -> OutboxItem[Packet]:
-        """The next packet."""
+        """Return the next packet."""
         item = heapq.heappop(self._heap)[3]
         self.size -= item.size
         return item
 
     def first(self, most: int) -> list[OutboxItem[Packet]]:
-        """The next packets, in order, at most so many; they stay."""
+        """Return the next packets, in order, at most so many; they stay."""
         self._heap.sort()  # a sorted list is a heap, and no two entries have one count
         return [entry[3] for entry in self._heap[:most]]
 

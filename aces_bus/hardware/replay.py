@@ -37,7 +37,7 @@ class Pace:
         self._due = clock.now()
 
     def due(self, frame: Frame) -> int:
-        """The instant at which this frame, the next of the capture, is due."""
+        """Return the instant at which this frame, the next of the capture, is due."""
         return self.due_at(to_ns(frame.timestamp))
 
     def due_at(self, stamp: int) -> int:
@@ -60,7 +60,7 @@ def paced(
     speed: float | None = 1.0,
     longest_gap: float | None = None,
 ) -> Iterator[Frame]:
-    """The frames of a capture, each given out when it is due: waited for in life, brought about in virtual time."""
+    """Yield the frames of a capture, each given out when it is due: waited for in life, brought about in virtual time."""
     clock = clock if clock is not None else RealClock()
     pace = Pace(clock, speed, longest_gap)
     for frame in frames:

@@ -144,7 +144,7 @@ class SerialGate(Gate[bytes]):
             self._put([Received(data, now)])
 
     def _find_out(self, data: bytes, now: int) -> bytes:
-        """Whether these bytes are our own, coming back; what of them is others'."""
+        """Return whether these bytes are our own, coming back; what of them is others'."""
         with self._guard:
             due = self._echo_due
             data = bytes(self._held) + data
@@ -168,7 +168,7 @@ class SerialGate(Gate[bytes]):
             return data
 
     def _take_echo(self, data: bytes, now: int) -> int:
-        """How many of these bytes are our own, coming back."""
+        """Return how many of these bytes are our own, coming back."""
         with self._guard:
             due = self._echo_due
             if now > self._echo_until:
@@ -236,7 +236,7 @@ class SerialGate(Gate[bytes]):
         return True
 
     def _put_together(self, packets: list[bytes]) -> tuple[int, Exception | None]:
-        """A packet that the port took in part counts as taken, and its rest goes first."""
+        """Return a packet that the port took in part counts as taken, and its rest goes first."""
         for number, packet in enumerate(packets):
             try:
                 if not self._push():

@@ -9,7 +9,7 @@ BODIES: Plugins[Body] = Plugins("aces_bus.bodies", "body", Body)
 
 
 def load_body(name: str) -> Body:
-    """The body of this name, such as "MiniHubo". Raises `UnknownNameError` with the names that exist, `SpecError` for a
-    wrong entry.
+    """Return the body of this name, such as "MiniHubo". Raises `UnknownNameError` with the names that exist,
+    `SpecError` for a wrong entry.
     """
     return BODIES.load(name)

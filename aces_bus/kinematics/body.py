@@ -81,7 +81,8 @@ class Pose:
 
 
 def rotation_of(roll: float, pitch: float, yaw: float) -> Floats:
-    """The rotation (3, 3) that turns about the base's x, then y, then z axis by these angles (rad): URDF's convention.
+    """Return the rotation (3, 3) that turns about the base's x, then y, then z axis by these angles (rad): URDF's
+    convention.
 
     >>> rotation_of(0.0, 0.0, math.pi / 2).round(6).tolist()
     [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [-0.0, 0.0, 1.0]]
@@ -103,7 +104,7 @@ def rotation_of(roll: float, pitch: float, yaw: float) -> Floats:
 
 
 def roll_pitch_yaw(rotation: Floats) -> tuple[float, float, float]:
-    """The angles (rad) of which `rotation_of` makes a rotation; straight up or down (pitch ±π/2) roll is 0."""
+    """Return the angles (rad) of which `rotation_of` makes a rotation; straight up or down (pitch ±π/2) roll is 0."""
     r = rotation
     pitch = math.atan2(-r[2, 0], math.hypot(r[0, 0], r[1, 0]))
     if abs(r[2, 0]) > 1 - 1e-12:
@@ -181,7 +182,7 @@ class Body:
                 return (_FIXED, AXES[axis], -1, float(angle), (0.0, 0.0, 0.0))
 
     def tip(self, name: str) -> str:
-        """The name, if it is one of a tip; `UnknownNameError` lists them."""
+        """Return the name, if it is one of a tip; `UnknownNameError` lists them."""
         if name not in self.chains:
             raise UnknownNameError(f"tip of {self.name}", name, self.chains)
         return name
@@ -235,7 +236,7 @@ class Body:
         return [px, py, pz], axes, marks
 
     def forward(self, angles: Angles, tips: Iterable[str] | None = None) -> dict[str, Pose]:
-        """The pose of every tip (or of some)."""
+        """Return the pose of every tip (or of some)."""
         q = self.vector(angles).tolist()
         out: dict[str, Pose] = {}
         for tip in self.chains if tips is None else tips:

@@ -58,7 +58,7 @@ class Solution:
 
 
 def rotation_error(goal: Floats, now: Floats) -> Floats:
-    """The rotation from `now` to `goal` as a vector in the base: axis times angle (0 … π)."""
+    """Return the rotation from `now` to `goal` as a vector in the base: axis times angle (0 … π)."""
     r = goal @ now.T
     skew = 0.5 * np.array((r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]))
     sine = float(np.linalg.norm(skew))
@@ -73,7 +73,7 @@ def rotation_error(goal: Floats, now: Floats) -> Floats:
 
 
 def level_error(now: Floats) -> Floats:
-    """The smallest turn that makes the tip's z axis the base's, its two components in the base's x and y."""
+    """Return the smallest turn that makes the tip's z axis the base's, its two components in the base's x and y."""
     x, y, z = now[:, 2].tolist()
     sine = math.hypot(x, y)
     if sine < 1e-12:
@@ -94,7 +94,7 @@ class _Look:
     rotation_error: float
 
     def is_within(self, position: float, rotation: float) -> bool:
-        """Whether every goal is met."""
+        """Return whether every goal is met."""
         return self.position_error <= position and self.rotation_error <= rotation
 
 
@@ -225,7 +225,7 @@ def solve(
 
 
 def _is_singular(here: _Look, free: Mask, tolerances: tuple[float, float]) -> bool:
-    """Whether the start is away from its goals and cannot move in every direction that they ask for."""
+    """Return whether the start is away from its goals and cannot move in every direction that they ask for."""
     if here.is_within(*tolerances):
         return False
     jacobian = here.jacobian * free
@@ -234,7 +234,7 @@ def _is_singular(here: _Look, free: Mask, tolerances: tuple[float, float]) -> bo
 
 
 def _nudged(body: Body, q: Floats, part: float, moving: Mask) -> Floats:
-    """A little towards the posture; without one, by a pattern that is no symmetry of any robot (golden section).
+    """Return a little towards the posture; without one, by a pattern that is no symmetry of any robot (golden section).
 
     Only joints that move one of the tips take part.
     """

@@ -70,7 +70,7 @@ class Links:
 
     @staticmethod
     def _free(name: str, behind: str, taken: set[str]) -> str:
-        """The name of a frame, which no other has."""
+        """Return the name of a frame, which no other has."""
         found, number = name, 1
         while found in taken:
             found = f"{name}/{behind}" + (f"/{number}" if number > 1 else "")
@@ -79,7 +79,7 @@ class Links:
         return found
 
     def at(self, angles: Mapping[str, float]) -> list[Link]:
-        """The links of a pose: rad (m) by joint; one that is missing, or not finite, is unknown."""
+        """Return the links of a pose: rad (m) by joint; one that is missing, or not finite, is unknown."""
         links: list[Link] = []
         for parent, child, place, turn, joint in self._sections:
             if joint is None:
@@ -96,7 +96,7 @@ class Links:
 
 
 def _way(steps: tuple[Step, ...]) -> tuple[_Vector, _Quaternion]:
-    """The way of steps of which none is a joint's."""
+    """Return the way of steps of which none is a joint's."""
     place: _Vector = (0.0, 0.0, 0.0)
     turn: _Quaternion = (0.0, 0.0, 0.0, 1.0)
     for step in steps:
@@ -109,7 +109,7 @@ def _way(steps: tuple[Step, ...]) -> tuple[_Vector, _Quaternion]:
 
 
 def _turned(q: _Quaternion, axis: int, angle: float) -> _Quaternion:
-    """A rotation, and then one about an axis of the frame that it has reached."""
+    """Return a rotation, and then one about an axis of the frame that it has reached."""
     s, c = math.sin(angle / 2), math.cos(angle / 2)
     x, y, z, w = q
     if axis == 0:
@@ -120,7 +120,7 @@ def _turned(q: _Quaternion, axis: int, angle: float) -> _Quaternion:
 
 
 def _slid(place: _Vector, q: _Quaternion, axis: int, way: float) -> _Vector:
-    """A place, and a way from it along an axis of a frame that is turned by `q`."""
+    """Return a place, and a way from it along an axis of a frame that is turned by `q`."""
     x, y, z, w = q
     along = (
         (1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)),

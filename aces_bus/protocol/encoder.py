@@ -82,8 +82,8 @@ class Encoder:
         return [new_can(*parts) for parts in self._carried(message, built, number)]
 
     def packet(self, message: Message, fields: dict[str, Any]) -> Frame | bytes:
-        """What goes out: an immutable frame (CAN) or the packet's bytes. Raises as `encode`; of a message that takes several
-        frames see `as_sent`."""
+        """Return what goes out: an immutable frame (CAN) or the packet's bytes. Raises as `encode`; of a message that
+        takes several frames see `as_sent`."""
         built = self._built(message, fields)
         if isinstance(built, bytes):
             return built
@@ -92,7 +92,9 @@ class Encoder:
         return _frame(built)
 
     def as_sent(self, message: Message, fields: dict[str, Any]) -> list[Frame | bytes]:
-        """All that goes out for one message: one frame or packet, or the frames of its transport. Raises as `encode`."""
+        """Return all that goes out for one message: one frame or packet, or the frames of its transport. Raises as
+        `encode`.
+        """
         built = self._built(message, fields)
         if isinstance(built, bytes):
             return [built]
@@ -101,7 +103,7 @@ class Encoder:
         return [_frame(parts) for parts in self._carried(message, built, None)]
 
     def _carried(self, message: Message, parts: CanParts, number: int | None) -> list[CanParts]:
-        """The frames of a packet, as its transport cuts it."""
+        """Return the frames of a packet, as its transport cuts it."""
         transport = message.transport
         assert transport is not None
         identifier, data, extended, _, _ = parts
@@ -145,7 +147,7 @@ class Encoder:
         return write
 
     def _built(self, message: Message, fields: dict[str, Any], *, raw: bool = False) -> CanParts | bytes:
-        """The packet's bytes; on CAN the parts of the frame."""
+        """Return the packet's bytes; on CAN the parts of the frame."""
         quick = self._quick.get(message.name) if not raw else None
         if quick is not None:
             more = self._unsaid.get(message.name)
@@ -160,7 +162,7 @@ class Encoder:
         return image if message.framing is not None else can_parts(image)
 
     def image(self, message: Message, fields: dict[str, Any], *, raw: bool = False) -> bytes:
-        """The packet's bytes; on CAN, the image that `message.struct` parses."""
+        """Return the packet's bytes; on CAN, the image that `message.struct` parses."""
         known = set(message.fields)
         for name in fields:
             if name not in known:
@@ -181,7 +183,8 @@ def _short(text: str) -> str:
 
 
 def _explain(error: Exception, message: Message, fields: dict[str, Any]) -> str:
-    missing = [name for name in message.fields if name not in fields and name not in message.request_fields]
+    given = {*fields, *message.request_fields, *unsaid(message.payload)}
+    missing = [name for name in message.fields if name not in given]
     if isinstance(error, KeyError) and missing:
         return f"no value given for {', '.join(missing)}"
     text = _short(str(error)).replace("Error in path ", "").strip()
@@ -189,7 +192,9 @@ def _explain(error: Exception, message: Message, fields: dict[str, Any]) -> str:
 
 
 def unsaid(payload: Construct) -> dict[str, Any]:
-    """What the fields of a payload are when they are not given: constants of `Default`, no reserved bits, nothing behind."""
+    """Return what the fields of a payload are when they are not given: constants of `Default`, no reserved bits,
+    nothing behind.
+    """
     found: dict[str, Any] = {}
     fields: list[tuple[str | None, Any]]
     if isinstance(payload, BitLayout):

@@ -23,7 +23,7 @@ _OURS = re.compile(r"[/\\]aces_(bus|protocols|devices|tools)[/\\]")
 
 
 def protocol_of_file(path: str, names: list[str]) -> Protocol:
-    """The protocol that a Python file declares; takes its name off `names` when that is what comes first there."""
+    """Return the protocol that a Python file declares; takes its name off `names` when that is what comes first there."""
     module = load_file(path)
     own = Path(path).resolve()
     found = {name: value for name, value in vars(module).items() if isinstance(value, Protocol)}
@@ -50,6 +50,11 @@ def python_file(text: str) -> tuple[str, str]:
     """(path, name) of `lamp.py` or `lamp.py:NAME`; an empty path where the text is something else."""
     found = re.fullmatch(r"(.+\.py)(?::([^:@/\\]+))?", text, re.IGNORECASE)
     return (found[1], found[2] or "") if found is not None else ("", "")
+
+
+def is_loaded(path: str) -> bool:
+    """Return whether this program has run the file by its path."""
+    return Path(path).resolve() in loaded
 
 
 def load_file(path: str) -> ModuleType:
@@ -108,4 +113,4 @@ def line_in_loaded(error: Exception) -> str | None:
     return f"{shown_path(at.filename)}:{at.lineno}"
 
 
-__all__ = ["line_in_loaded", "load_file", "protocol_of_file", "python_file"]
+__all__ = ["is_loaded", "line_in_loaded", "load_file", "protocol_of_file", "python_file"]

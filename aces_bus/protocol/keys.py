@@ -9,5 +9,5 @@ FD, REMOTE, EXTENDED = 1 << 29, 1 << 30, 1 << 31
 
 
 def key_of(identifier: int, *, extended: bool = False, remote: bool = False, fd: bool = False) -> int:
-    """The key of a frame."""
+    """Return the key of a frame."""
     return identifier | (EXTENDED if extended else 0) | (REMOTE if remote else 0) | (FD if fd else 0)

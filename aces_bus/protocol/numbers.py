@@ -6,7 +6,7 @@ from contextlib import suppress
 
 
 def parse_number(text: str) -> int | float | None:
-    """A number as people write it: 12, 0x1F, -2.5, 1e3; None for anything else."""
+    """Return a number as people write it: 12, 0x1F, -2.5, 1e3; None for anything else."""
     with suppress(ValueError):
         return int(text, 0)
     try:

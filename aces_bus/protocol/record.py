@@ -69,7 +69,7 @@ class CarriedBytes(bytes):
 
     @classmethod
     def of(cls, data: bytes, frames: Sequence[bytes], first_time: float | None) -> CarriedBytes:
-        """The bytes with what they came in."""
+        """Return the bytes with what they came in."""
         made = cls(data)
         made.frames, made.first_time = tuple(frames), first_time
         return made
@@ -132,28 +132,30 @@ class Unknown(Record, frozen=True, gc=False):
 
 
 def message_of(kind: type[Record]) -> Message:
-    """The message that a record type is generated from; not of `Unknown`, which has none."""
+    """Return the message that a record type is generated from; not of `Unknown`, which has none."""
     message: Message = kind._declared  # pyright: ignore[reportPrivateUsage]  # private, as a message may have a field "declared"
     return message
 
 
 def protocol_name_of(kind: type[Record]) -> str:
-    """The name of the protocol whose records these are; empty of `Unknown`."""
+    """Return the name of the protocol whose records these are; empty of `Unknown`."""
     return kind._protocol  # pyright: ignore[reportPrivateUsage]  # private, as a message may have a field "protocol"
 
 
 def field_names(kind: type[msgspec.Struct]) -> tuple[str, ...]:
-    """The names of a record type's fields."""
+    """Return the names of a record type's fields."""
     return tuple(name for name in kind.__struct_fields__ if not name.startswith("_"))
 
 
 def as_dict(record: msgspec.Struct) -> dict[str, Any]:
-    """A record's fields as plain values: nested records as dicts, tuples as lists."""
+    """Return a record's fields as plain values: nested records as dicts, tuples as lists."""
     return {name: plain_value(getattr(record, name)) for name in field_names(type(record))}
 
 
 def plain_value(value: Any) -> Any:
-    """A value of a record or of a construct: nested records and containers as dicts of their fields, tuples as lists."""
+    """Return a value of a record or of a construct: nested records and containers as dicts of their fields, tuples as
+    lists.
+    """
     if isinstance(value, msgspec.Struct):
         return as_dict(value)
     if isinstance(value, Mapping):
@@ -188,7 +190,7 @@ WayStep = str | int | FirstOf | Held | _Each
 
 
 def getter(way: Sequence[WayStep]) -> Callable[[Any], Any]:
-    """A function that reads the value at the end of `way` in a record; None where a part of the way is not there."""
+    """Return a function that reads the value at the end of `way` in a record; None where a part of the way is not there."""
     if len(way) == 1 and isinstance(way[0], str):
         return attrgetter(way[0])
     return _walker(way)
@@ -221,12 +223,12 @@ def _walker(way: Sequence[WayStep]) -> Callable[[Any], Any]:
 
 
 def _part(value: Any, name: str) -> Any:
-    """A field of a nested record or of a container; None where it has none."""
+    """Return a field of a nested record or of a container; None where it has none."""
     return value.get(name) if isinstance(value, Mapping) else getattr(value, name, None)
 
 
 def from_container(value: Any, types: Mapping[tuple[str, tuple[str, ...]], type], path: str) -> Any:
-    """What construct parsed, as records have it: containers become nested records, lists tuples."""
+    """Return what construct parsed, as records have it: containers become nested records, lists tuples."""
     if isinstance(value, dict):
         inside = {
             str(k): from_container(v, types, f"{path}_{k}")
@@ -240,8 +242,8 @@ def from_container(value: Any, types: Mapping[tuple[str, tuple[str, ...]], type]
 
 
 def record_types(protocol: Protocol) -> Callable[[str], type[Record]]:
-    """A function from the name of a message to the type of its records, for `isinstance` and `match`, whatever the dialect
-    and configuration; it raises `AttributeError` for other names.
+    """Return a function from the name of a message to the type of its records, for `isinstance` and `match`, whatever
+    the dialect and configuration; it raises `AttributeError` for other names.
 
     Each variant of a protocol has record types of its own: in another dialect the fields of a message may be others. What
     users name is an abstract type that all of them belong to. A module of such types, with the stub that `aces spec stubs`

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
 from .declare.protocol import Variant
@@ -38,13 +38,23 @@ class Plans(Mapping[type[Record], p.MessagePlan]):
         """The names of the messages."""
         return frozenset(name for records in self._records for name in records)
 
+    def only(self, names: Collection[str]) -> Plans:
+        """Return the plans of these messages; of all where none is named."""
+        if not names:
+            return self
+        some = Plans(())
+        some._records = [
+            {name: records[name] for name in names if name in records} for records in self._records
+        ]
+        return some
+
     def named(self, name: str) -> list[type[Record]]:
-        """The record types of a message's name, one of each protocol that has it."""
+        """Return the record types of a message's name, one of each protocol that has it."""
         return [records[name] for records in self._records if name in records]
 
 
 def plans_of(variants: Sequence[Variant]) -> Plans:
-    """The plan of each record type that scanners of these variants give."""
+    """Return the plan of each record type that scanners of these variants give."""
     return Plans(variants)
 
 

@@ -12,14 +12,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any
 
 from construct import ConstructError
 
 from ..errors import AcesError
 from .declare.ambiguity import needing_context, ordered, request_names
 from .declare.framing import Framing, Verdict
-from .declare.message import REQUESTS, Direction, Message, Request
+from .declare.message import REQUESTS, GivenWay, Message, Request
 from .declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, frame_image
 from .declare.packet_rule import DecidedFrames, PacketRule, packet_image
 from .declare.protocol import Variant
@@ -65,7 +65,8 @@ class PastRequest:
 
 class RequestRule:
     """Which request a reply answers: the latest of the same channel that agrees in all fields that both have, is not used
-    up, not too old and among the last `REQUESTS`. A mode stays; what was asked of everyone, each device answers once."""
+    up, not too old and among the last `REQUESTS`. A mode stays; what was asked of everyone, each device answers once.
+    Before a request that is too old there is none: the time of an earlier one may only be unknown."""
 
     def __init__(
         self, messages: Sequence[Message], contextual: frozenset[str], broadcast: Mapping[str, int]
@@ -93,7 +94,7 @@ class RequestRule:
     def of(
         self, fitting: Sequence[tuple[Message, Mapping[str, Any]]], channel: Any, time: float | None
     ) -> tuple[Message, PastRequest] | None:
-        """Which of some messages, given with their raw fields, is an answer, and to what; the request is used up."""
+        """Return which of some messages, given with their raw fields, is an answer, and to what; the request is used up."""
         for past in reversed(self.open):
             links = [
                 (message, values, *link)
@@ -116,7 +117,7 @@ class RequestRule:
     def pending(
         self, message: Message, values: Mapping[str, Any], channel: Any, time: float | None
     ) -> PastRequest | None:
-        """The request that a reply with these outer fields would answer."""
+        """Return the request that a reply with these outer fields would answer."""
         for past in reversed(self.open):
             for link in self.links[message.name]:
                 if self.agrees(past, message, link, values, channel, time) and link[0].accepts(past.values):
@@ -132,7 +133,7 @@ class RequestRule:
         channel: Any,
         time: float | None,
     ) -> bool:
-        """Whether a message with these fields may be an answer to a request."""
+        """Return whether a message with these fields may be an answer to a request."""
         request, _, shared = link
         if past.name != request.message.name or past.channel != channel:
             return False
@@ -141,10 +142,21 @@ class RequestRule:
             return False
         if not self.is_remembered(past, shared):
             return False
-        return None in (message.within, past.time, time) or time - past.time <= message.within  # type: ignore[operator]
+        if message.within is None or time is None:
+            return True
+        asked = _those(shared, past.values)
+        return all(
+            one.time is None or time - one.time <= message.within
+            for one in self.open[self.open.index(past) :]
+            if (one.name, one.channel) == (past.name, past.channel)
+            and _those(shared, one.values) == asked
+            and own not in one.answered
+        )
 
     def is_remembered(self, past: PastRequest, shared: Sequence[str]) -> bool:
-        """Whether it is among the last `REQUESTS` of its kind and channel that are as it is in the `shared` fields."""
+        """Return whether it is among the last `REQUESTS` of its kind and channel that are as it is in the `shared`
+        fields.
+        """
         asked, later = _those(shared, past.values), 0
         for one in reversed(self.passed):
             if one is past or later >= REQUESTS:
@@ -153,7 +165,7 @@ class RequestRule:
         return later < REQUESTS
 
     def needs(self, messages: Sequence[Message]) -> str:
-        """The reason for messages whose request was not there."""
+        """Return the reason for messages whose request was not there."""
         names = dict.fromkeys(one.message.name for m in messages for one, *_ in self.links[m.name])
         return f"unknown: needs request {'|'.join(names)}"
 
@@ -169,7 +181,7 @@ class Reference:
         self,
         variants: Sequence[Variant],
         *,
-        direction: Direction | Literal["both"] | None = None,
+        direction: GivenWay | None = None,
         raw: bool = False,
     ) -> None:
         self.raw = raw
@@ -253,7 +265,9 @@ class Reference:
     def _by_request(
         context: RequestRule, message: Message, image: bytes, channel: Any, time: float | None
     ) -> Any:
-        """A reply whose layout is in its request, read with the request that is waiting for it; None when it is not one."""
+        """Return a reply whose layout is in its request, read with the request that is waiting for it; None when it is
+        not one.
+        """
         if message.framing is None:
             outer = message.outer(image[5:], int.from_bytes(image[:4], "big") & 0x1FFF_FFFF)
         else:
@@ -318,7 +332,9 @@ class Reference:
     # ------------------------------------------------------------------ frames
 
     def frames(self, frames: Iterable[Any], first: int = 0) -> list[ReferenceItem]:
-        """What the frames are, of which the first one is number `first`; frames of packets under way are left for later."""
+        """Return what the frames are, of which the first one is number `first`; frames of packets under way are left
+        for later.
+        """
         found: list[ReferenceItem] = []
         for number, frame in enumerate(frames, first):
             if frame.is_error_frame:
@@ -337,7 +353,7 @@ class Reference:
         return found
 
     def end(self) -> list[ReferenceItem]:
-        """The frames that are pending when the input ends."""
+        """Return the frames that are pending when the input ends."""
         return [
             ReferenceItem(one.number, 1, None, None, "pending", transport=transport, frame=one.frame)
             for transport, rule, _ in self.transports
@@ -365,7 +381,7 @@ class Reference:
         return None
 
     def _extra_of(self, transport: Transport, key: int) -> bytes:
-        """The `check_extra` of the first message that an identifier of a packet may be of."""
+        """Return the `check_extra` of the first message that an identifier of a packet may be of."""
         for _, messages, _, _ in self.sides:
             for message in messages:
                 is_its = message.transport == transport and message.extended == bool(key & EXTENDED)
@@ -374,7 +390,7 @@ class Reference:
         return b""
 
     def _packet(self, transport: Transport, decided: DecidedFrames) -> list[ReferenceItem]:
-        """What the frames are of which a transport has decided."""
+        """Return what the frames are of which a transport has decided."""
         reason, message, fields = decided.reason, None, None
         last = decided.frames[-1]
         image = b""
@@ -421,7 +437,7 @@ class Reference:
     def stream(
         self, data: bytes, *, idle_at: Sequence[int] = (), sent_at: Sequence[tuple[int, bytes]] = ()
     ) -> list[ReferenceItem]:
-        """What each byte is, the stream being closed at its end and falling silent after `idle_at` bytes.
+        """Return what each byte is, the stream being closed at its end and falling silent after `idle_at` bytes.
 
         `sent_at` are our own transmissions: how many bytes had come before, and the packet. At the same place silence
         comes first.

@@ -48,7 +48,7 @@ class Chunk(NamedTuple):
 
 
 def printable_start(line: bytes) -> str:
-    """The beginning of a line, safe to print on a terminal."""
+    """Return the beginning of a line, safe to print on a terminal."""
     text = line[:EXCERPT].decode("utf-8", "backslashreplace")
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
@@ -125,7 +125,7 @@ class CanRecording(Recording):
             yield table.frames()
 
     def _tables(self) -> Iterator[FrameTable]:
-        """The same as columns, with the channels of `self.channels`; none of the tables is empty."""
+        """Yield the same as columns, with the channels of `self.channels`; none of the tables is empty."""
         for frames in self._lists():
             yield FrameTable.from_frames(frames, self.channels)
 
@@ -135,7 +135,7 @@ class CanRecording(Recording):
         return self._stream
 
     def tables(self) -> Iterator[FrameTable]:
-        """All frames as columns, in tables of some ten thousand rows; instead of iterating, not beside it."""
+        """Return all frames as columns, in tables of some ten thousand rows; instead of iterating, not beside it."""
         if self._columns is None:
             self._columns = self._tables()
         return self._columns

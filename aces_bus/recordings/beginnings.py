@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable
 
 BLF = b"LOGG"
-MDF = (b"MDF     ", b"UnFinMF ")
 SQLITE = b"SQLite format 3\x00"
 #: Byte order, and nanoseconds of a unit of the time stamps' fractions.
 PCAP: dict[bytes, tuple[str, int]] = {
@@ -20,59 +19,34 @@ PCAP: dict[bytes, tuple[str, int]] = {
     b"\x4d\x3c\xb2\xa1": ("<", 1),
 }
 PYTHON_CAN_CSV = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
-#: The header of SavvyCAN's CSV; the group is there where a column says which way frames went.
-GVRET = rb"\s*Time ?Stamp,ID,Extended,(Dir,)?Bus,LEN(?:,D[0-9]{1,2})*,?\s*(?:\n|\Z)"
 
 _LOOKED_AT = 1 << 14
 
 
 def begins(*beginnings: bytes, after_blanks: bool = False) -> Callable[[bytes], bool]:
-    """Whether a file begins with one of these."""
+    """Return whether a file begins with one of these."""
     return lambda head: (head.lstrip() if after_blanks else head).startswith(beginnings)
 
 
-def _has(pattern: bytes, flags: int = 0) -> Callable[[bytes], bool]:
-    """Whether there is a line of this form among the first ones."""
+def has_line(pattern: bytes, flags: int = 0) -> Callable[[bytes], bool]:
+    """Return whether there is a line of this form among the first ones."""
     return lambda head: re.search(pattern, head[:_LOOKED_AT], flags) is not None
 
 
 def is_pcapng(head: bytes) -> bool:
-    """Whether these are the first bytes of a pcapng file."""
+    """Return whether these are the first bytes of a pcapng file."""
     return head[:4] == b"\n\r\r\n" and head[8:12] in (b"\x1a\x2b\x3c\x4d", b"\x4d\x3c\x2b\x1a")
 
 
-is_trc = _has(
+is_trc = has_line(
     rb"\A\s*;(?:\$FILEVERSION|#{20})|^[ \t]*[0-9]{1,12}\)[ \t]+[0-9]+(?:\.[0-9]+)?[ \t]+"
     rb"(?:(?:[0-9][ \t]+)?(?:Rx|Tx|Warng|Error)[ \t]+)?[0-9A-F]{4,8}[ \t]",
     re.MULTILINE,
 )
-is_asc = _has(
+is_asc = has_line(
     rb"^[ \t]*(?:date\s+\w{2,}.{0,16}?\s\d|base\s+(?:hex|dec)\b|begin\s+triggerblock\b"
     rb"|[0-9]{1,9}\.[0-9]{1,9}[ \t]+(?:[0-9]{1,5}[ \t]+(?:[0-9A-Fa-f]{1,8}[xX]?[ \t]+[RT]x[ \t]+[dr]\b|ErrorFrame\b)"
     rb"|CANFD[ \t]+[0-9]+[ \t]+[RT]x[ \t]))",
     re.IGNORECASE | re.MULTILINE,
 )
-is_busmaster = _has(
-    rb"\A\s*-?\*\*\*BUSMASTER Ver|^[0-9]{1,4}:[0-9]{1,2}:[0-9]{1,2}:[0-9]{3,4} [RT]x [0-9]{1,3} "
-    rb"(?:0x)?[0-9A-Fa-f]{1,8} [sx]r?(?:-fd)? [0-9]{1,2}\b",
-    re.MULTILINE | re.IGNORECASE,
-)
-is_crtd = _has(
-    rb"^[ \t]*[0-9]{1,12}\.[0-9]{1,9} [0-9]{0,5}(?:[RT](?:11|29) [0-9A-Fa-f]|C(?:XX|VR|EV|ER|ST)\b)",
-    re.MULTILINE,
-)
-is_gvret = _has(rb"\A" + GVRET, re.IGNORECASE)
-is_python_can_csv = _has(rb"\A\s*" + PYTHON_CAN_CSV + rb"\s*(?:\n|\Z)")
-is_microchip = _has(
-    rb"\A\s*(?://[^\n]*\n\s*)?Microchip Technology|"
-    rb"^[0-9]{1,12}(?:\.[0-9]{1,6})?;[RT]X;(?:0x)?[0-9A-Fa-f]{1,8}x?;[0-9]{1,2};",
-    re.MULTILINE | re.IGNORECASE,
-)
-
-
-def is_id_csv(head: bytes) -> bool:
-    """Whether the first line is a header that names an identifier and one more thing of a frame."""
-    from .text.id_csv import roles_of_header
-
-    roles = roles_of_header(head)
-    return "id" in roles and len(roles) > 1
+is_python_can_csv = has_line(rb"\A\s*" + PYTHON_CAN_CSV + rb"\s*(?:\n|\Z)")

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable
-from typing import BinaryIO, Literal
+from typing import BinaryIO
 
 from ..errors import CallerError
 from ..protocol.columns.decode import DecodedRecording
-from ..protocol.declare.message import Direction
+from ..protocol.declare.message import GivenWay
 from ..protocol.declare.protocol import Configuration, Protocol
 from ..protocol.exchange import SUFFIXES, load_database
 from ..protocol.live.scanner import load_protocol
@@ -26,11 +26,11 @@ def decode(
     message: str | Iterable[str] | None = None,
     dialect: str | None = None,
     configuration: str | Configuration | None = None,
-    direction: Direction | Literal["both"] | None = None,
+    direction: GivenWay | None = None,
     include_unknown: bool = False,
     raw: bool = False,
 ) -> DecodedRecording:
-    """All messages of a recording as columns: `decode("walk.log", hubo)["Encoder"]["position.0"].values`.
+    """Return all messages of a recording as columns: `decode("walk.log", hubo)["Encoder"]["position.0"].values`.
 
     `source` is a path, "-" or an open file; `protocol` a protocol, the name of an installed one, or the path of a Python
     file that declares it (`lamp.py`) or of a database (`car.dbc`, …; a warning says what could not be taken over). The
@@ -40,6 +40,11 @@ def decode(
     Raises `CaptureError` for what is no such recording, `UnknownNameError` for names that do not exist, `CallerError`
     where bytes alone do not tell messages apart and no direction is given.
     """
+    if isinstance(source, (list, tuple, set)):
+        raise CallerError(
+            "decode reads one recording: [decode(path, protocol) for path in paths] reads several, and"
+            " `aces decode FILE FILE …` does"
+        )
     if isinstance(protocol, str):
         if protocol.lower().endswith(SUFFIXES):
             imported = load_database(protocol)

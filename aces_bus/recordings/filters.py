@@ -102,7 +102,7 @@ class CanFilter(msgspec.Struct, frozen=True):
     sets: tuple[_Set, ...]
 
     def matches(self, frame: FilteredFrame) -> bool:
-        """Whether the frame passes."""
+        """Return whether the frame passes."""
         return any(one.matches(frame) for one in self.sets)
 
 
@@ -154,7 +154,7 @@ def _rule(digits: str, sign: str, mask_digits: str) -> _Rule:
 
 
 def passing(wanted: CanFilter, table: FrameTable) -> Mask:
-    """Which of the frames of a table pass, as a boolean array: those for which `CanFilter.matches` is true.
+    """Return which of the frames of a table pass, as a boolean array: those for which `CanFilter.matches` is true.
 
     >>> from aces_bus.frames import Frame
     >>> from aces_bus.recordings import parse_filter

@@ -22,7 +22,7 @@ def _isal() -> ModuleType | None:
 
 
 def inflate_whole(packed: bytes | memoryview, expected: int) -> bytes:
-    """What a whole zlib stream holds, some `expected` bytes; raises `zlib.error` when it is not whole."""
+    """Return what a whole zlib stream holds, some `expected` bytes; raises `zlib.error` when it is not whole."""
     if (fast := _isal()) is not None:
         try:
             whole: bytes = fast.decompress(packed, bufsize=expected)
@@ -34,7 +34,9 @@ def inflate_whole(packed: bytes | memoryview, expected: int) -> bytes:
 
 
 def inflate_first(packed: bytes, most: int) -> bytes:
-    """The first bytes of what a zlib stream holds, up to `most`; raises `zlib.error` when it is damaged before them."""
+    """Return the first bytes of what a zlib stream holds, up to `most`; raises `zlib.error` when it is damaged before
+    them.
+    """
     if (fast := _isal()) is not None:
         unpacker = fast.decompressobj()
         try:
@@ -67,7 +69,7 @@ class FastMember:
         return bytes(self._unpacker.unused_data)
 
     def decompress(self, piece: bytes) -> bytes | None:
-        """What a further piece gives; None where something is wrong."""
+        """Return what a further piece gives; None where something is wrong."""
         try:
             out: bytes = self._unpacker.decompress(piece)
         except self._error:
@@ -77,6 +79,6 @@ class FastMember:
 
 
 def fast_member() -> FastMember | None:
-    """A member as ISA-L reads it; None where it is not installed."""
+    """Return a member as ISA-L reads it; None where it is not installed."""
     library = _isal()
     return None if library is None else FastMember(library)

@@ -31,7 +31,7 @@ class Relabel:
         self._row: list[int] = []
 
     def __call__(self, table: FrameTable) -> FrameTable:
-        """The same frames with the channels of all."""
+        """Return the same frames with the channels of all."""
         if table.channels is not self._of:
             self._of, self._row = table.channels, []
         for name in table.channels.names[len(self._row) :]:
@@ -48,7 +48,7 @@ KeyedTable = tuple[Ints, FrameTable]
 def merge_by_time(
     captures: Sequence[Iterable[FrameTable]], relabel: Relabel | None = None
 ) -> Iterator[FrameTable]:
-    """The tables of several captures as those of one, by time; of equal times the first capture's come first.
+    """Return the tables of several captures as those of one, by time; of equal times the first capture's come first.
 
     >>> from aces_bus.frames import Frame
     >>> a = FrameTable.from_frames([Frame(1, timestamp=0.0), Frame(1, timestamp=2.0)])
@@ -61,7 +61,9 @@ def merge_by_time(
 
 
 def _keyed(tables: Iterable[FrameTable], relabel: Relabel) -> Iterator[KeyedTable]:
-    """The tables by time, which never goes back: an earlier frame comes right behind the one before, as does one without."""
+    """Yield the tables by time, which never goes back: an earlier frame comes right behind the one before, as does one
+    without.
+    """
     latest = -(1 << 63)
     for table in tables:
         if len(table):
@@ -71,7 +73,8 @@ def _keyed(tables: Iterable[FrameTable], relabel: Relabel) -> Iterator[KeyedTabl
 
 
 def merge_by_key(sources: Iterable[Iterator[KeyedTable]]) -> Iterator[FrameTable]:
-    """The tables of several sources as those of one, in the order of their keys; of equal keys the first source's first.
+    """Yield the tables of several sources as those of one, in the order of their keys; of equal keys the first
+    source's first.
 
     None of the tables is empty, and all share their `channels`.
     """
@@ -102,7 +105,7 @@ def merge_by_key(sources: Iterable[Iterator[KeyedTable]]) -> Iterator[FrameTable
 
 
 def merge_in_order(total: int, places: Sequence[Ints], parts: Sequence[FrameTable]) -> FrameTable:
-    """The rows of `parts`, which are at `places` (each going up, none twice) among `total`, as one table.
+    """Return the rows of `parts`, which are at `places` (each going up, none twice) among `total`, as one table.
 
     Places without a row are closed up.
     """

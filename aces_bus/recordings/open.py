@@ -2,8 +2,9 @@
 
 1. The suffix is never looked at, and the link of the protocol in use decides only what bytes alone cannot: any file
    at all may be a raw serial recording.
-2. A format is a line of `FORMATS`: its name, what it is in words, how it is recognized, its reader. The order is from the
-   most to the least specific, and the first that matches reads.
+2. A format is a `RecordingFormat`: its name, what it is in words, how it is recognized, its reader. The order is from the
+   most to the least specific, and the first that matches reads: magic numbers and first lines of `FORMATS`, then formats
+   of installed packages, then what lines look like (`LAST`).
 3. A wrong source is refused here, before anything is decoded, with what would work; a pipe that shows itself too late
    is refused while it is read.
 """
@@ -11,28 +12,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib import import_module
+from itertools import chain
 from typing import BinaryIO, Literal, NamedTuple, overload
 
 from ..errors import CallerError, CaptureError, UnknownNameError
+from ..plugins import installed_items
 from .base import CanRecording, Link, SerialRecording, printable_start
-from .beginnings import (
-    BLF,
-    MDF,
-    PCAP,
-    SQLITE,
-    begins,
-    is_asc,
-    is_busmaster,
-    is_crtd,
-    is_gvret,
-    is_id_csv,
-    is_microchip,
-    is_pcapng,
-    is_python_can_csv,
-    is_trc,
-)
+from .beginnings import BLF, PCAP, SQLITE, begins, is_asc, is_pcapng, is_python_can_csv, is_trc
 from .candump.reader import EXAMPLE, CandumpCapture, begins_like_candump, looks_like_candump
 from .serial.raw import OPENING, RawCapture
 from .serial.slog import OPENING as SERIAL_LOG
@@ -41,8 +29,11 @@ from .source import BLOCK, ByteSource, PathSource, split_lines
 
 
 class RecordingFormat(NamedTuple):
-    """`matches` gets the first bytes (up to 64 KiB, of a pipe what is there, without a byte order mark); `place` is the
-    module here and the class that reads."""
+    """A format of recordings; an entry point of the group `aces_bus.readers` is one, or a tuple of them.
+
+    `matches` gets the first bytes (up to 64 KiB, of a pipe what is there, without a byte order mark); `place` is the module
+    and the class that reads (`their_package.module:Reader`), a `CanRecording` or `SerialRecording` made of a `ByteSource`.
+    """
 
     name: str
     words: str
@@ -51,8 +42,8 @@ class RecordingFormat(NamedTuple):
     place: str
 
     def open(self, source: ByteSource) -> CanRecording | SerialRecording:
-        """The source as a recording of this format."""
-        module, _, name = self.place.partition(" ")
+        """Return the source as a recording of this format."""
+        module, _, name = self.place.partition(":")
         reader: type[CanRecording | SerialRecording] = getattr(import_module(module, __package__), name)
         return reader(source)
 
@@ -63,38 +54,39 @@ def _by_name_only(_: bytes) -> bool:
 
 #: Most specific first: magic numbers, then first lines that are one format's own, then what lines look like.
 FORMATS: tuple[RecordingFormat, ...] = (
-    RecordingFormat("blf", "Vector BLF log", "can", begins(BLF), ".blf.reader BlfCapture"),
-    RecordingFormat("mf4", "ASAM MDF 4 bus log", "can", begins(*MDF), ".mf4.reader Mf4Capture"),
-    RecordingFormat("pcap", "pcap capture", "can", begins(*PCAP), ".pcap.reader PcapCapture"),
-    RecordingFormat("pcapng", "pcapng capture", "can", is_pcapng, ".pcap.pcapng PcapngCapture"),
-    RecordingFormat("sqlite", "SQLite log of python-can", "can", begins(SQLITE), ".sqlite SqliteCapture"),
+    RecordingFormat("blf", "Vector BLF log", "can", begins(BLF), ".blf.reader:BlfCapture"),
+    RecordingFormat("pcap", "pcap capture", "can", begins(*PCAP), ".pcap.reader:PcapCapture"),
+    RecordingFormat("pcapng", "pcapng capture", "can", is_pcapng, ".pcap.pcapng:PcapngCapture"),
+    RecordingFormat("sqlite", "SQLite log of python-can", "can", begins(SQLITE), ".sqlite:SqliteCapture"),
     RecordingFormat(
-        "slog", "serial log of aces-bus", "serial", looks_like_serial_log, ".serial.slog SerialLogCapture"
+        "slog", "serial log of aces-bus", "serial", looks_like_serial_log, ".serial.slog:SerialLogCapture"
     ),
     RecordingFormat(
         "dxconf",
         "hex dump of the vendor's serial monitor",
         "serial",
         begins(OPENING, after_blanks=True),
-        ".serial.raw DxconfCapture",
+        ".serial.raw:DxconfCapture",
     ),
-    RecordingFormat("trc", "PEAK trace", "can", is_trc, ".text.trc TrcCapture"),
-    RecordingFormat("asc", "Vector ASC log", "can", is_asc, ".text.asc AscCapture"),
-    RecordingFormat("busmaster", "BUSMASTER log", "can", is_busmaster, ".text.busmaster BusmasterCapture"),
-    RecordingFormat("crtd", "CRTD log", "can", is_crtd, ".text.crtd CrtdCapture"),
-    RecordingFormat("gvret", "SavvyCAN GVRET CSV", "can", is_gvret, ".text.gvret GvretCapture"),
-    RecordingFormat("csv", "python-can CSV", "can", is_python_can_csv, ".text.canlog_csv CanlogCsvCapture"),
-    RecordingFormat(
-        "microchip", "Microchip CAN analyser log", "can", is_microchip, ".text.microchip MicrochipCapture"
-    ),
-    RecordingFormat(
-        "id-csv", "CSV with named columns (time, id, data …)", "can", is_id_csv, ".text.id_csv IdCsvCapture"
-    ),
-    RecordingFormat("candump", "candump log", "can", looks_like_candump, ".candump.reader CandumpCapture"),
-    RecordingFormat("raw", "raw serial bytes", "serial", _by_name_only, ".serial.raw RawCapture"),
+    RecordingFormat("trc", "PEAK trace", "can", is_trc, ".text.trc:TrcCapture"),
+    RecordingFormat("asc", "Vector ASC log", "can", is_asc, ".text.asc:AscCapture"),
+    RecordingFormat("csv", "python-can CSV", "can", is_python_can_csv, ".text.canlog_csv:CanlogCsvCapture"),
+)
+#: What lines look like, where no format of another package is recognized, and what is used by name alone.
+LAST: tuple[RecordingFormat, ...] = (
+    RecordingFormat("candump", "candump log", "can", looks_like_candump, ".candump.reader:CandumpCapture"),
+    RecordingFormat("raw", "raw serial bytes", "serial", _by_name_only, ".serial.raw:RawCapture"),
 )
 #: Most logs are candump's, and most of these show it at once.
-_AT_ONCE = next(form for form in FORMATS if form.name == "candump")._replace(matches=begins_like_candump)
+_AT_ONCE = LAST[0]._replace(matches=begins_like_candump)
+
+
+def all_formats() -> Iterator[RecordingFormat]:
+    """Yield every format in order of trial; packages are searched when none of `FORMATS` has matched."""
+    yield from FORMATS
+    yield from installed_items("aces_bus.readers", RecordingFormat)
+    yield from LAST
+
 
 #: What we know and do not read: beginning, what it is, what to do with it.
 REFUSED: tuple[tuple[bytes, str, str], ...] = (
@@ -110,8 +102,8 @@ _ENOUGH, _MAGIC = 4096, 16
 
 
 def formats() -> dict[str, str]:
-    """The formats that can be read: the name that `open_recording(format=)` takes, and what it is in words."""
-    return {form.name: form.words for form in FORMATS}
+    """Return the formats that can be read: the name that `open_recording(format=)` takes, and what it is in words."""
+    return {form.name: form.words for form in all_formats()}
 
 
 @overload
@@ -174,7 +166,7 @@ def open_recording(
 
 
 def _named(name: str, link: Link | None) -> RecordingFormat:
-    for form in FORMATS:
+    for form in all_formats():
         if form.name == name:
             if link not in (None, form.link):
                 raise CallerError(f"format {name!r} is of a {form.link} link, and the protocol speaks {link}")
@@ -191,7 +183,7 @@ def _recognised(source: ByteSource, link: Link | None) -> CanRecording | SerialR
             if head.startswith(start) and (link != "serial" or len(start) > 3):
                 raise CaptureError(f"{source.name}: this is {kind}; {advice}")
         half = more and _is_half_a_line(head, link)
-        for form in () if half else (_AT_ONCE, *FORMATS):
+        for form in () if half else chain((_AT_ONCE,), all_formats()):
             if form.matches(head):
                 if link in (None, form.link):
                     return form.open(source)
@@ -207,7 +199,9 @@ def _recognised(source: ByteSource, link: Link | None) -> CanRecording | SerialR
 
 
 def _is_half_a_line(head: bytes, link: Link | None) -> bool:
-    """Whether more is worth waiting for: a magic number, or the end of a text's first line. candump's shows itself."""
+    """Return whether more is worth waiting for: a magic number, or the end of a text's first line. candump's shows
+    itself.
+    """
     text = head.lstrip()
     if link == "serial" or text.startswith(b"("):
         return False
@@ -222,7 +216,7 @@ def _may_still_show(head: bytes, link: Link | None) -> bool:
 
 
 def _only_remarks(text: bytes, *marks: bytes) -> bool:
-    """Whether the lines so far are all blank or comments with these marks: nothing that says what follows."""
+    """Return whether the lines so far are all blank or comments with these marks: nothing that says what follows."""
     return all(not line or line.startswith(marks) for line in map(bytes.strip, text.split(b"\n")))
 
 
@@ -242,7 +236,7 @@ def _refusal(source: ByteSource, head: bytes, link: Link | None) -> CaptureError
     else:
         first = head.lstrip().split(b"\n", 1)[0]
         what = f"it begins with {printable_start(first)!r}"
-    known = ", ".join(form.words for form in FORMATS if form.link == "can")
+    known = ", ".join(form.words for form in all_formats() if form.link == "can")
     if link is None:
         return CaptureError(
             f"{source.name}: not a format that says what it is: {what}; known are: {known}; say link='serial' for a "
@@ -277,12 +271,12 @@ def split_capture(path: str, pieces: int) -> list[Span] | None:
 
 
 def may_be_split(capture: CanRecording) -> bool:
-    """Whether a recording can be entered at the beginning of any of its lines."""
+    """Return whether a recording can be entered at the beginning of any of its lines."""
     return isinstance(capture, CandumpCapture) and not capture.live and not capture.packing
 
 
 def open_part(source: PathSource | BinaryIO, span: Span) -> CanRecording:
-    """The frames of a part; lines are counted from its start. A source that is open already gives the part alone."""
+    """Return the frames of a part; lines are counted from its start. A source that is open already gives the part alone."""
     capture = CandumpCapture(ByteSource(source, span=span))
     capture.is_known = True  # by the file's start: a part may begin with unreadable lines
     return capture

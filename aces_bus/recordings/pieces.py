@@ -53,8 +53,8 @@ def frame_runs(tables: Iterable[FrameTable], size: int) -> Iterator[FrameTable]:
 def make_can_scanner(
     variants: Sequence[Variant], *, direction: Direction | None, include_unknown: bool, defer: bool
 ) -> CanColumns | ChannelColumns:
-    """A column scanner of CAN that shares a recording with others: with `defer`, frames that hang on those of other pieces
-    are left to `hand_over`; without, it is the one that adopts them, piece by piece."""
+    """Return a column scanner of CAN that shares a recording with others: with `defer`, frames that hang on those of
+    other pieces are left to `hand_over`; without, it is the one that adopts them, piece by piece."""
     from ..protocol.columns.can import CanColumns
     from ..protocol.columns.can_channels import ChannelColumns
 
@@ -96,7 +96,7 @@ class Requests:
             self._scanner = make_scanner(variants, direction="to device")
 
     def of(self, data: bytes, time: float | None) -> list[tuple[bytes, float | None]]:
-        """The packets that these bytes complete, with their times."""
+        """Return the packets that these bytes complete, with their times."""
         if self._scanner is None:
             return []
         return [(record.meta.raw, record.meta.time) for record in self._scanner.feed(data, time)]
@@ -121,7 +121,7 @@ class SerialWays:
         self._requests = Requests(variants)
 
     def chunks(self, capture: SerialRecording) -> Iterable[Chunk]:
-        """The chunks to feed; of a live line also empty ones, when it is silent."""
+        """Return the chunks to feed; of a live line also empty ones, when it is silent."""
         return capture.with_silence(self._gap) if isinstance(capture, RawCapture) else capture
 
     def _gap(self) -> float:
@@ -134,7 +134,7 @@ class SerialWays:
         return self._used[direction]
 
     def feed(self, chunk: Chunk) -> Iterator[Any]:
-        """What a chunk gives; an empty one says that nothing that is incomplete will go on."""
+        """Yield what a chunk gives; an empty one says that nothing that is incomplete will go on."""
         if not chunk.data:
             for one in self._used.values():
                 yield one.idle()
@@ -148,7 +148,7 @@ class SerialWays:
         yield self._feed(scanner, chunk.data, chunk.time)
 
     def close(self) -> Iterator[Any]:
-        """What the end of the recording gives."""
+        """Yield what the end of the recording gives."""
         for scanner in self._used.values():
             yield scanner.close()
 
@@ -159,7 +159,7 @@ class SerialWays:
 
 
 def open_any(name: str) -> CanRecording | SerialRecording:
-    """A recording of either link; a file of none of the formats that say what they are is raw bytes."""
+    """Return a recording of either link; a file of none of the formats that say what they are is raw bytes."""
     try:
         return open_recording(name)
     except CaptureError:
@@ -169,7 +169,7 @@ def open_any(name: str) -> CanRecording | SerialRecording:
 
 
 def has_requests(variant: Variant) -> bool:
-    """Whether some message of the protocol hangs on another."""
+    """Return whether some message of the protocol hangs on another."""
     return any(message.reply_to or message.after for message in variant.messages.values())
 
 

@@ -45,7 +45,7 @@ class RecordingSelection:
         return self.shows_losses or self.filter is not None or self.window is not None
 
     def kept(self, frames: FrameTable) -> Rows | None:
-        """Which frames pass by their identifiers and times; None: all."""
+        """Return which frames pass by their identifiers and times; None: all."""
         kept: Rows | None = None
         if self.window is not None:
             kept = self.window.inside(frames.time)
@@ -55,13 +55,13 @@ class RecordingSelection:
         return kept
 
     def inside(self, tables: Sequence[MessageTable], totals: Totals) -> Sequence[MessageTable]:
-        """What of a serial line is of a wanted time."""
+        """Return what of a serial line is of a wanted time."""
         if self.window is None:
             return tables
         return [part_of(table, self.window.inside(table.time), totals) for table in tables]
 
     def shown(self, tables: Iterable[MessageTable], totals: Totals) -> list[MessageTable]:
-        """What is to be written; records that are not wanted go into the bin `filtered`."""
+        """Return what is to be written; records that are not wanted go into the bin `filtered`."""
         shown: list[MessageTable] = []
         for table in tables:
             if not table.message:
@@ -93,7 +93,7 @@ class KeptFrames:
         self._kept.append(kept)
 
     def of(self, rows: Any) -> Rows:
-        """Whether frames pass, by their numbers."""
+        """Return whether frames pass, by their numbers."""
         if not self._starts or not len(rows):
             return np.ones(len(rows), bool)
         if int(rows.min()) >= self._starts[-1]:
@@ -108,7 +108,7 @@ class KeptFrames:
 
 
 def part_of(table: MessageTable, kept: Rows, totals: Totals) -> MessageTable:
-    """The rows that are kept; the others go into the bin `filtered`."""
+    """Return the rows that are kept; the others go into the bin `filtered`."""
     if kept.all():
         return table
     totals.reject(table.take(np.flatnonzero(~kept)))
@@ -146,7 +146,7 @@ class AdoptedPieces:
         return counts
 
     def close(self, totals: Totals) -> list[MessageTable]:
-        """The end of the recording."""
+        """Return the end of the recording."""
         return self._passed(self._scanner.close(), totals)
 
     def _passed(self, tables: Iterable[MessageTable], totals: Totals) -> list[MessageTable]:

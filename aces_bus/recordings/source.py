@@ -105,7 +105,7 @@ class ByteSource:
         return file
 
     def head(self) -> bytes:
-        """What has been looked at so far, kept for `blocks`: the first block, or of a live source what was there."""
+        """Return what has been looked at so far, kept for `blocks`: the first block, or of a live source what was there."""
         if not self._head:
             self.look_further()
         return b"".join(self._head)
@@ -125,7 +125,7 @@ class ByteSource:
         return not self._ended
 
     def blocks(self, size: Callable[[], int] = _small) -> Iterator[bytes]:
-        """All bytes, in blocks as they come, of at most 64 KiB or what `size` says before each."""
+        """Yield all bytes, in blocks as they come, of at most 64 KiB or what `size` says before each."""
         if self._head:
             head = b"".join(self._head)
             self._head.clear()
@@ -136,7 +136,7 @@ class ByteSource:
         self.close()
 
     def lines(self, size: Callable[[], int] = _small) -> Iterator[bytes]:
-        """All lines, in blocks of whole ones, each ended by LF; the last one too. A byte order mark is left out.
+        """Yield all lines, in blocks of whole ones, each ended by LF; the last one too. A byte order mark is left out.
 
         Of a line in which reading fails nothing is given.
         """
@@ -164,7 +164,7 @@ class ByteSource:
             yield kept + b"\n"
 
     def _next(self, size: int) -> bytes:
-        """The next bytes, at most so many; none at the end."""
+        """Return the next bytes, at most so many; none at the end."""
         if self._failure is not None:
             raise self._failure
         if self._ended:
@@ -231,7 +231,7 @@ class ByteSource:
             raise CaptureError(f"{self.name}: reading stopped: {_said(error)}") from error
 
     def fileno(self) -> int:
-        """The system's number of the file; raises `OSError` where there is none."""
+        """Return the system's number of the file; raises `OSError` where there is none."""
         number: int = self._file.fileno()
         return number
 
@@ -242,7 +242,7 @@ class ByteSource:
             self._file.close()
 
     def plain_path(self) -> str | None:
-        """Where the very bytes of the source are, if that is a plain file."""
+        """Return where the very bytes of the source are, if that is a plain file."""
         name = getattr(self._file, "name", None)
         if self.live or not isinstance(self._file, io.FileIO) or not isinstance(name, str):
             return None
@@ -262,7 +262,7 @@ LIMIT = 16 << 30
 
 @contextlib.contextmanager
 def on_disk(source: ByteSource) -> Generator[tuple[str, str]]:
-    """The path of the capture, and that of a folder for temporary files, which is empty or holds just the capture.
+    """Yield the path of the capture, and that of a folder for temporary files, which is empty or holds just the capture.
 
     Raises `CaptureError` when the source is longer than `LIMIT` or cannot be written to disk.
     """
@@ -331,7 +331,7 @@ def cut_lines(
 
 
 def _border(read_at: Callable[[int, int], bytes], place: int) -> int | None:
-    """Where a line begins, from `place` on; None when none does soon."""
+    """Return where a line begins, from `place` on; None when none does soon."""
     for _ in range(16):
         data = read_at(place, BLOCK)
         if found := re.search(rb"\n(?=[^\t ])", data):
@@ -350,7 +350,7 @@ def _standard_input() -> BinaryIO:
 
 
 def _is_live(file: Any) -> bool:
-    """Whether waiting for more bytes may take longer than reading a disk."""
+    """Return whether waiting for more bytes may take longer than reading a disk."""
     try:
         return not stat.S_ISREG(os.fstat(file.fileno()).st_mode)
     except (AttributeError, OSError, ValueError):

@@ -82,12 +82,12 @@ class UntrustedDatabase:
         return self._steps > self._most_steps
 
     def rows(self, query: str, most: int) -> list[_Row]:
-        """The first rows of a query, at most so many."""
+        """Return the first rows of a query, at most so many."""
         self._steps = 0
         return self.database.execute(query).fetchmany(most)
 
     def batches(self, query: str, size: int) -> Iterator[list[_Row]]:
-        """All rows of a query, so many at a time. Where SQLite fails, those before come first."""
+        """Yield all rows of a query, so many at a time. Where SQLite fails, those before come first."""
         self._steps = 0
         cursor = self.database.execute(query)
         while True:
@@ -174,7 +174,7 @@ class SqliteCapture(CanRecording):
         )
 
     def _one_by_one(self, rows: Iterable[_Row]) -> list[FrameTable]:
-        """The frames of rows of which some may be none."""
+        """Return the frames of rows of which some may be none."""
         frames: list[Frame] = []
         for row in rows:
             self.lines += 1
@@ -186,7 +186,7 @@ class SqliteCapture(CanRecording):
         return [FrameTable.from_frames(frames, self.channels)] if frames else []
 
     def _plain(self, kept: Sequence[_Columns]) -> list[FrameTable]:
-        """The frames of the rows that were kept, all at once when none of them is odd."""
+        """Return the frames of the rows that were kept, all at once when none of them is odd."""
         if not kept:
             return []
         columns = [list(chain.from_iterable(parts)) for parts in zip(*kept, strict=True)]
@@ -238,7 +238,7 @@ def _columns_of(rows: Sequence[_Row]) -> _Columns | None:
 
 
 def _whole_pages(path: str, folder: str) -> str:
-    """The path of the database without a last page that was cut: SQLite takes the bytes that lack for zeros."""
+    """Return the path of the database without a last page that was cut: SQLite takes the bytes that lack for zeros."""
     size = os.path.getsize(path)
     with open(path, "rb") as file:
         page = int.from_bytes(file.read(18)[16:], "big")
@@ -252,7 +252,7 @@ def _whole_pages(path: str, folder: str) -> str:
 
 
 def _frame(row: _Row) -> Frame:
-    """The frame of a row; raises `CallerError` with the reason when it is none."""
+    """Return the frame of a row; raises `CallerError` with the reason when it is none."""
     ts, identifier, extended, remote, error, dlc, data = row
     data = b"" if data is None else data
     if not isinstance(ts, (int, float, type(None))):

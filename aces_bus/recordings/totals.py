@@ -61,7 +61,7 @@ class Totals(msgspec.Struct):
             self.add("errors" if reason == "error frame" else reason.partition(":")[0], -size)
 
     def line(self, link: Link) -> str:
-        """The summary line."""
+        """Return the summary line."""
         if link == "can":
             names = ("decoded", "unknown", "malformed", "filtered", "errors")
             # Only transports have frames that steer, and frames of packets that are not whole.

@@ -34,7 +34,7 @@ _WINDOW = 1 << 27
 
 
 def packing(head: bytes) -> str:
-    """What the first bytes say: "gzip", "zstandard" or ""."""
+    """Return what the first bytes say: "gzip", "zstandard" or ""."""
     if head[:3] == b"\x1f\x8b\x08" and head[3:4] < b"\x20":  # deflate, and none of the reserved flags
         return GZIP
     if head[:4] == _ZSTD_MAGIC or (head[1:4] == _ZSTD_SKIPPABLE and head[:1] >= b"P" and head[:1] <= b"_"):
@@ -43,7 +43,7 @@ def packing(head: bytes) -> str:
 
 
 def may_be_packed(head: bytes) -> bool:
-    """Whether fewer than `MAGIC` bytes could yet become packed ones."""
+    """Return whether fewer than `MAGIC` bytes could yet become packed ones."""
     return (
         len(head) < MAGIC
         and head != b""

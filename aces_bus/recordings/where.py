@@ -18,7 +18,8 @@
 2. `!=` is the opposite of `=`: the other order signs are never fulfilled by names, texts, bytes or no value.
 3. A field that no message has, or a name that no enumeration has, is an error and not an empty answer.
 
-Numbers are compared in the sheet's unit, as printed; `=` allows for the rounding of the last digits.
+Numbers are compared in the sheet's unit, as printed: a value that differs from the written number by rounding alone is
+equal to it for every sign, so `<=` holds and `<` does not. Times are equal within half a microsecond, as they are printed.
 
 `WhereColumns` keeps a row of a table exactly when `Where` keeps its record; what NumPy cannot do is asked of the rule for
 single records, for each distinct value or each object.
@@ -49,6 +50,9 @@ from ..protocol.numbers import parse_number
 from ..protocol.plan import nodes as p
 from ..protocol.record import getter
 from ..protocol.record_plans import OfKind, Plans
+
+#: A float is a written number within this part of the larger one, or within `NEAREST`; a time within `SAME_NS`.
+NEAR, NEAREST, SAME_NS = 1e-9, 1e-12, 500
 
 T = TypeVar("T")
 Test = Callable[[Any], bool]
@@ -96,7 +100,7 @@ class Joined:
     def joined(
         self, value_of: Callable[[WhereCondition], T], any_of: Callable[..., T], all_of: Callable[..., T]
     ) -> T:
-        """What single comparisons give, joined by two functions of two values."""
+        """Return what single comparisons give, joined by two functions of two values."""
         values = [
             part.joined(value_of, any_of, all_of) if isinstance(part, Joined) else value_of(part)
             for part in self.parts
@@ -105,7 +109,7 @@ class Joined:
 
 
 def parse_where(texts: Sequence[str]) -> Joined:
-    """All of several `--where`; raises `CallerError` with what can be written."""
+    """Return all of several `--where`; raises `CallerError` with what can be written."""
     return Joined(tuple(parse_condition(text) for text in texts), is_any=False)
 
 
@@ -119,7 +123,7 @@ def parse_condition(text: str) -> Joined:
 
 
 def _split(text: str, separator: str) -> list[str]:
-    """The parts of a text between separators, which do not count between quotes."""
+    """Return the parts of a text between separators, which do not count between quotes."""
     parts, begin = list[str](), 0
     for found in re.finditer(f"{_QUOTED}|{separator}", text):
         if found[1] is None:
@@ -180,7 +184,7 @@ class Where:
         )
 
     def holds(self, record: Any) -> bool:
-        """Whether a record fulfils all conditions."""
+        """Return whether a record fulfils all conditions."""
         return self._tests[type(record)](record)
 
 
@@ -189,7 +193,7 @@ def _never(record: Any) -> bool:
 
 
 def _either(one: Test | None, other: Test | None) -> Test | None:
-    """A test of two, of which None is one that never holds."""
+    """Return a test of two, of which None is one that never holds."""
     if one is None or other is None:
         return one or other
     return lambda record: one(record) or other(record)
@@ -237,7 +241,7 @@ def _check(condition: WhereCondition, plans: Mapping[type[Record], p.MessagePlan
 
 
 def _meant(path: Sequence[str | int], plan: p.MessagePlan) -> list[p.NodePath]:
-    """The values that a path may mean: those of a kind of items, or all others."""
+    """Return the values that a path may mean: those of a kind of items, or all others."""
     found = [leaf for leaf in plan.columns if _is_meant(path, leaf)]
     return [leaf for leaf in found if _is_of_kind(leaf)] or found
 
@@ -247,12 +251,12 @@ def _is_of_kind(leaf: p.NodePath) -> bool:
 
 
 def _steps(leaf: p.NodePath) -> list[str | int]:
-    """The steps of a value's path."""
+    """Return the steps of a value's path."""
     return [int(step) if step.isdecimal() else step for step in leaf.path.split(".")]
 
 
 def _is_meant(path: Sequence[str | int], leaf: p.NodePath) -> bool:
-    """Whether a path leads to a value; it may leave out the numbers of items."""
+    """Return whether a path leads to a value; it may leave out the numbers of items."""
     rest = list(path)
     for step in _steps(leaf):
         if rest and rest[0] == step:
@@ -271,7 +275,7 @@ def _is_meant(path: Sequence[str | int], leaf: p.NodePath) -> bool:
 
 
 def _test(condition: WhereCondition, plan: p.MessagePlan) -> Test | None:
-    """The condition for one message; None when it lacks the field."""
+    """Return the condition for one message; None when it lacks the field."""
     one, is_not = comparison(condition, {}), condition.sign == "!="
     if condition.is_meta:
         name = str(condition.path[1])
@@ -297,7 +301,7 @@ def _test(condition: WhereCondition, plan: p.MessagePlan) -> Test | None:
 
 
 def values_of(value: Any, path: Sequence[str | int]) -> Iterator[Any]:
-    """What a path may mean in a record: several values when it does not say which item of a tuple."""
+    """Yield what a path may mean in a record: several values when it does not say which item of a tuple."""
     match value:
         case tuple() | list():
             if path and isinstance(path[0], int):
@@ -320,11 +324,21 @@ def values_of(value: Any, path: Sequence[str | int]) -> Iterator[Any]:
 def comparison(condition: WhereCondition, numbers: Mapping[str, float]) -> Test:
     """Compares one value (`!=` as `=`); `numbers` are the raw numbers of an enumeration's names."""
     wanted, number, data, upper = condition.value, condition.number, condition.data, condition.upper
+    near = _is_same_time if condition.is_meta and condition.path[1] == "time" else _is_near
     if upper is not None and number is not None:
-        return lambda value: isinstance(value, (int, float)) and bool(number <= value <= upper)
+        return lambda value: (
+            isinstance(value, (int, float))
+            and bool(number <= value or near(value, number))
+            and bool(value <= upper or near(value, upper))
+        )
     if condition.sign in _ORDER:
-        order = _ORDER[condition.sign]
-        return lambda value: isinstance(value, (int, float)) and bool(order(value, number))
+        order, with_equal = _ORDER[condition.sign], condition.sign.endswith("=")
+        if number is None:
+            return lambda value: False
+        return lambda value: (
+            isinstance(value, (int, float))
+            and (with_equal if near(value, number) else bool(order(value, number)))
+        )
     if condition.is_meta and condition.path[1] == "direction":
         wanted = {"to": "to device", "from": "from device"}.get(wanted, wanted)
 
@@ -343,15 +357,22 @@ def comparison(condition: WhereCondition, numbers: Mapping[str, float]) -> Test:
             case _:
                 if number is None:
                     return False
-                if isinstance(value, float) or isinstance(number, float):
-                    return (
-                        math.isnan(value)
-                        if math.isnan(number)
-                        else math.isclose(value, number, rel_tol=1e-9, abs_tol=1e-12)
-                    )
-                return bool(value == number)
+                if isinstance(number, float) and math.isnan(number):
+                    return isinstance(value, float) and math.isnan(value)
+                return near(value, number)
 
     return equal
+
+
+def _is_near(value: float, number: float) -> bool:
+    """Return whether a value is a written number, but for the rounding of a float's last digits."""
+    if isinstance(value, float) or isinstance(number, float):
+        return value == number or math.isclose(value, number, rel_tol=NEAR, abs_tol=NEAREST)
+    return value == number
+
+
+def _is_same_time(value: float, number: float) -> bool:
+    return bool(abs(to_ns(value) - _bound_ns(number)) <= SAME_NS)
 
 
 # ---------------------------------------------------------------------- columns
@@ -369,7 +390,7 @@ class WhereColumns:
         self._where = parse_where(texts)
 
     def holds(self, table: MessageTable) -> Rows:
-        """Which rows of a table fulfil all conditions."""
+        """Return which rows of a table fulfil all conditions."""
         return self._where.joined(
             lambda one: _meta(one, table) if one.is_meta else _field(one, table), or_, and_
         )
@@ -395,7 +416,7 @@ def _field(condition: WhereCondition, table: MessageTable) -> Rows:
 
 
 def _reach(path: Sequence[str | int], kind: ColumnKind) -> tuple[str | int, ...] | None:
-    """What of a condition's path is left behind the column's path; None when it leads elsewhere.
+    """Return what of a condition's path is left behind the column's path; None when it leads elsewhere.
 
     The number of an item may be left out; within a column of objects the path may go on.
     """
@@ -410,7 +431,7 @@ def _reach(path: Sequence[str | int], kind: ColumnKind) -> tuple[str | int, ...]
 
 
 def _equal(condition: WhereCondition, column: Column) -> Rows:
-    """Where a column's values are as the condition says (`!=` as `=`)."""
+    """Return where a column's values are as the condition says (`!=` as `=`)."""
     kind = column.kind
     names = kind.names or {}
     one = comparison(condition, {name: number for number, name in names.items()})
@@ -439,46 +460,64 @@ def _numbers(condition: WhereCondition, values: Any) -> Rows:
     number = condition.number
     if number is None:
         return np.zeros(len(values), bool)
-    found: Rows
+    if number != number and condition.sign not in _ORDER and condition.upper is None:
+        return np.isnan(values)  # type: ignore[no-any-return]
     if condition.upper is not None:
-        found = (values >= number) & (values <= condition.upper)
-    elif condition.sign in _ORDER:
-        found = _ORDER[condition.sign](values, number)
-    elif values.dtype.kind != "f" and isinstance(number, int):
-        found = values == number
-    elif number != number:
-        found = np.isnan(values)
-    else:
+        lower, upper = _near(values, number), _near(values, condition.upper)
+        return ((values >= number) | lower) & ((values <= condition.upper) | upper)  # type: ignore[no-any-return]
+    return _ordered(condition.sign, values, number, _near(values, number))
+
+
+def _ordered(sign: str, values: Any, number: float, near: Rows) -> Rows:
+    """Return where values compare as a sign says (`!=` as `=`); those that are `near` are equal to the number."""
+    if sign not in _ORDER:
+        return near
+    found: Rows = np.where(near, sign.endswith("="), _ORDER[sign](values, number))
+    return found
+
+
+def _near(values: Any, number: float) -> Rows:
+    """`_is_near` on columns."""
+    found: Rows = values == number
+    if values.dtype.kind == "f" or isinstance(number, float):
         with np.errstate(invalid="ignore"):  # math.isclose
-            near = np.maximum(1e-9 * np.maximum(np.abs(values), abs(number)), 1e-12)
-            found = (values == number) | (
+            near = np.maximum(NEAR * np.maximum(np.abs(values), abs(number)), NEAREST)
+            found = found | (
                 np.isfinite(values) & (abs(number) != np.inf) & (np.abs(values - number) <= near)
             )
     return found
 
 
 def _bound_ns(seconds: float) -> int:
-    """A bound of times in ns; beyond all instants where it is too large for one."""
+    """Return a bound of times in ns; beyond all instants where it is too large for one."""
     return to_ns(max(-9e9, min(float(seconds), 9e9)))
 
 
+def _same_times(times: Any, bound: int) -> Rows:
+    found: Rows = np.abs(times - bound) <= SAME_NS
+    return found
+
+
 def _meta(condition: WhereCondition, table: MessageTable) -> Rows:
-    """A condition on what belongs to the transport."""
+    """Return a condition on what belongs to the transport."""
     n, one = len(table), comparison(condition, {})
     name = str(condition.path[1])
     found: Rows
     match name:
         case "time":
             known = table.time != NO_TIME
-            if condition.number is None:
+            if condition.number is None or condition.number != condition.number:
                 found = np.zeros(n, bool)
-            elif condition.upper is not None:
-                ends = _bound_ns(condition.number), _bound_ns(condition.upper)
-                found = (table.time >= ends[0]) & (table.time <= ends[1])
-            elif condition.sign in _ORDER:
-                found = _ORDER[condition.sign](table.time, _bound_ns(condition.number))
             else:
-                found = _numbers(condition, table.seconds)
+                bound = _bound_ns(condition.number)
+                near = _same_times(table.time, bound)
+                if condition.upper is not None:
+                    upper = _bound_ns(condition.upper)
+                    found = ((table.time >= bound) | near) & (
+                        (table.time <= upper) | _same_times(table.time, upper)
+                    )
+                else:
+                    found = _ordered(condition.sign, table.time, bound, near)
             found = np.where(known, found, one(None))
         case "channel":
             names = table.channels.names

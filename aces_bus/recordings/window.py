@@ -38,7 +38,7 @@ class TimeWindow(msgspec.Struct):
     def parse(
         cls, start: str | None, stop: str | None, names: tuple[str, str] = ("--from", "--to")
     ) -> TimeWindow | None:
-        """The window of two texts, None when neither is given. `names` are what the caller calls them.
+        """Return the window of two texts, None when neither is given. `names` are what the caller calls them.
 
         Raises `CallerError` for what is no time, and for an end that is not later than its start.
         """
@@ -70,7 +70,7 @@ class TimeWindow(msgspec.Struct):
         self._first = None
 
     def inside(self, time: Any) -> Any:
-        """Which instants of an array (int64, ns) are inside: a boolean array."""
+        """Return which instants of an array (int64, ns) are inside: a boolean array."""
         known = time != NO_TIME
         if self._first is None and known.any():
             self._first = int(time[known][0])
@@ -95,7 +95,7 @@ class TimeWindow(msgspec.Struct):
 
 
 def _of_the_day(clock: datetime.time, first_ns: int) -> int:
-    """The instant (ns) of a local time of day that belongs to a recording's first one."""
+    """Return the instant (ns) of a local time of day that belongs to a recording's first one."""
     day = datetime.datetime.fromtimestamp(first_ns / 1e9).date()
     instant = datetime.datetime.combine(day, clock)
     if first_ns - _instant_ns(instant) > 12 * 3600 * 10**9:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from .._lazy import lazy_names
 
 if TYPE_CHECKING:
+    from .act_log import ActLog
     from .buses import VirtualRobot, gate_of, open_gates, port_for, wire_of
     from .file import (
         RobotError,
@@ -20,9 +21,11 @@ if TYPE_CHECKING:
     from .rig import Rig, Simulation, connect, simulate
     from .runner import Ended, Runner
     from .states import States
+    from .stops import Stopped, stop_robot
     from .worlds import Replay, run_real, run_replay, run_virtual
 
 __all__ = [
+    "ActLog",
     "Ended",
     "Replay",
     "Rig",
@@ -31,6 +34,7 @@ __all__ = [
     "Runner",
     "Simulation",
     "States",
+    "Stopped",
     "VirtualRobot",
     "check_robot",
     "connect",
@@ -49,18 +53,21 @@ __all__ = [
     "run_replay",
     "run_virtual",
     "simulate",
+    "stop_robot",
     "wire_of",
 ]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        ".act_log": "ActLog",
         ".buses": "VirtualRobot gate_of open_gates port_for wire_of",
         ".file": "RobotError RobotFileProblem is_robot make_robot parse_robot print_robot",
         ".installed": "check_robot is_robot_path list_robots load_robot robot_text",
         ".rig": "Rig Simulation connect simulate",
         ".runner": "Ended Runner",
         ".states": "States",
+        ".stops": "Stopped stop_robot",
         ".worlds": "Replay run_real run_replay run_virtual",
     },
 )

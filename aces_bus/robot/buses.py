@@ -34,14 +34,15 @@ IN_PROCESS = ("aces", "virtual")
 
 
 def is_half_duplex(bus: Bus, protocol: Protocol) -> bool:
-    """Whether all on a robot's bus share one pair of wires."""
+    """Return whether all on a robot's bus share one pair of wires."""
     return protocol.half_duplex if bus.half_duplex is None else bus.half_duplex
 
 
 def gate_of(
     bus: Bus, protocol: Protocol, options: Mapping[str, Any] | None = None, *, listen_only: bool = False
 ) -> CanGate | SerialGate | DatagramGate:
-    """The gate of a robot's bus. `options` are python-can's (CAN), `channel` and `baud` (serial), or `channel` HOST:PORT.
+    """Return the gate of a robot's bus. `options` are python-can's (CAN), `channel` and `baud` (serial), or `channel`
+    HOST:PORT.
 
     They take precedence over what the file says; a datagram bus with `bind` (HOST:PORT) waits there for the first
     sender. It sends what the file allows. Raises `CallerError` when neither says where the bus is.
@@ -53,11 +54,14 @@ def gate_of(
         raise CallerError(f"bus {bus.name}: which channel? The robot's file does not say; give one")
     if bus.link == "can":
         rate = bus.bitrate or protocol.bitrate
-        whole = {"channel": channel, **({"interface": bus.interface} if bus.interface else {})}
+        interface = bus.interface or ("aces" if is_served(channel) else None)
+        whole = {"channel": channel, **({"interface": interface} if interface else {})}
         if rate:
             whole["bitrate"] = rate
         if protocol.has_fd:
             whole["fd"] = True
+            if bus.data_bitrate:
+                whole["data_bitrate"] = bus.data_bitrate
         return CanGate({**whole, **chosen}, name=bus.name, listen_only=listen_only, **_allowed(bus))
     if bus.link == "serial":
         baud = int(chosen.pop("baud", None) or bus.baud or protocol.baud or 115_200)
@@ -71,7 +75,7 @@ def gate_of(
 
 
 def _allowed(bus: Bus) -> dict[str, Any]:
-    """What may be sent on a CAN bus, as an option of gates and ports; none where it is all."""
+    """Return what may be sent on a CAN bus, as an option of gates and ports; none where it is all."""
     if bus.allow is None:
         return {}
     from ..recordings.filters import parse_filter  # NumPy: slow to import
@@ -87,7 +91,7 @@ def _address(bus: Bus, text: str) -> tuple[str, int]:
 
 
 def lock_of(bus: Bus, options: Mapping[str, Any]) -> BusLock | None:
-    """The lock of who drives a robot's bus, not taken; `options` as of `gate_of`. None: it is within this process."""
+    """Return the lock of who drives a robot's bus, not taken; `options` as of `gate_of`. None: it is within this process."""
     channel = str(options.get("channel") or bus.channel or options.get("bind"))
     is_inside = options.get("interface", bus.interface) in IN_PROCESS and not is_served(channel)
     return None if is_inside else BusLock(channel, bus.name)
@@ -99,29 +103,30 @@ def open_gates(
     options: Mapping[str, Mapping[str, Any]] | None = None,
     *,
     passive: bool = False,
+    is_locked: bool = True,
     load: Callable[[str], Driver] = load_driver,
 ) -> dict[str, Port]:
-    """A port for each bus of a robot that has active devices; `options` by bus, see `gate_of`. Nothing is opened yet.
+    """Return a port for each bus of a robot that has active devices; `options` by bus, see `gate_of`. Nothing is opened yet.
 
     They are for who drives: opening one takes the bus's `BusLock`. `passive` ones only listen, and take it for serial lines,
-    which have one reader. Buses within this process have no lock.
+    which have one reader. Buses within this process have no lock. `is_locked` False takes none: for stops.
     """
     ports: dict[str, Port] = {}
     for name, protocol in spoken_on(robot, load).items():
         bus = robot.buses[name]
         said = (options or {}).get(name) or {}
         gate = gate_of(bus, protocol, said, listen_only=passive)
-        if bus.link == "serial" or not passive:
+        if is_locked and (bus.link == "serial" or not passive):
             gate.lock = lock_of(bus, said)
         ports[name] = port_for(gate, bus, loop)
     return ports
 
 
 def port_for(gate: CanGate | SerialGate | DatagramGate, bus: Bus, loop: Loop) -> Any:
-    """The port of a bus's gate, which knows what packets cost."""
+    """Return the port of a bus's gate, which knows what packets cost."""
     more: dict[str, Any] = {}
     if isinstance(gate, CanGate):
-        more["bitrate"] = bus.bitrate
+        more = {"bitrate": bus.bitrate, "data_bitrate": bus.data_bitrate}
     elif isinstance(gate, SerialGate):
         more = {"baud": gate.baud, "half_duplex": gate.half_duplex}
     return port_of(gate, loop, **more)
@@ -140,9 +145,10 @@ def wire_of(
     faults: Faults = NO_FAULTS,
     noise: Noise | None = None,
 ) -> AnyWire:
-    """The simulated wire of a robot's bus, as fast as its file or its protocol says."""
+    """Return the simulated wire of a robot's bus, as fast as its file or its protocol says."""
     if bus.link == "can":
-        return SimulatedBus(clock, bitrate=bus.bitrate or protocol.bitrate or 1_000_000, faults=faults)
+        rate = bus.bitrate or protocol.bitrate or 1_000_000
+        return SimulatedBus(clock, bitrate=rate, data_bitrate=bus.data_bitrate, faults=faults)
     if bus.link == "serial":
         baud = bus.baud or protocol.baud or 115_200
         return SimulatedSerialLine(clock, baud=baud, half_duplex=is_half_duplex(bus, protocol), noise=noise)
@@ -156,8 +162,8 @@ class VirtualRobot:
         robot.advance(1.0)
         robot["RHY.position"].value
 
-    `faults` and `noise` (bus → what its wire does wrong); `pose` (joint → rad: where its twin is at first). The other
-    options are those of `connect` and `simulate`.
+    `faults` and `noise` (bus → what its wire does wrong); `pose` (joint → rad: where its twin is at first); `homed` False:
+    as after power-up, what needs homing is not homed. The other options are those of `connect` and `simulate`.
     """
 
     def __init__(
@@ -172,6 +178,7 @@ class VirtualRobot:
         faults: Mapping[str, Faults] | None = None,
         noise: Mapping[str, Noise] | None = None,
         pose: Mapping[str, float] | None = None,
+        homed: bool = True,
         load: Callable[[str], Driver] = load_driver,
     ) -> None:
         self.robot = robot
@@ -190,17 +197,17 @@ class VirtualRobot:
             robot, self.ports("host"), rate_hz=rate_hz, budget=budget, rules=rules, load=load
         )
         twins = {bus: port_of(wire, name=f"{bus} twins") for bus, wire in self.wires.items()}
-        self.simulation: Simulation = simulate(robot, twins, seed=seed, pose=pose, load=load)
+        self.simulation: Simulation = simulate(robot, twins, seed=seed, pose=pose, homed=homed, load=load)
 
     def ports(self, name: str) -> dict[str, Any]:
-        """A port of each wire for one more host: it sends what the robot's file allows."""
+        """Return a port of each wire for one more host: it sends what the robot's file allows."""
         return {
             bus: port_of(wire, name=f"{bus} {name}", **_allowed(self.robot.buses[bus]))
             for bus, wire in self.wires.items()
         }
 
     def __getitem__(self, name: str) -> Any:
-        """The signal of this name ("RHY.position"); raises `UnknownNameError`."""
+        """Return the signal of this name ("RHY.position"); raises `UnknownNameError`."""
         return self.rig[name]
 
     @property

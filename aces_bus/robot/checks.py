@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Collection, Mapping
 from itertools import islice
 from typing import Final, NamedTuple, get_args
@@ -17,12 +18,15 @@ from typing import Protocol as Interface
 import msgspec
 
 from ..controller.reactions import CONTROL_KINDS, WORDS
-from ..device.config import Bus, DeviceConfig, Joint, Robot, Sensor
+from ..device.config import Bus, DeviceConfig, Input, Joint, Robot, Sensor
 from ..device.drivers import list_drivers
 from ..device.events import Kind
 from ..errors import AcesError, CallerError, UnknownNameError
+from ..hardware.served.address import is_served, parse_address
 from ..kinematics.bodies import BODIES
 from ..protocol import Protocol, list_protocols, load_protocol
+from ..protocol.files import python_file
+from .keys import KEYS, character_of
 
 #: Where a slip of the pen ends and another name begins (difflib's ratio).
 SLIP: Final = 0.8
@@ -31,7 +35,11 @@ NEAR: Final = 0.7
 #: More names than are searched and sorted for one complaint.
 MANY: Final = 300
 #: All kinds of events that reactions may be declared for.
-KINDS_OF_FAULTS: Final = (*get_args(Kind), *CONTROL_KINDS)
+KINDS_OF_FAULTS: Final = tuple(
+    kind
+    for kind in (*get_args(Kind), *CONTROL_KINDS)
+    if kind not in ("estop", "stop asked")  # they stop, whatever is declared
+)
 
 
 class Complain(Interface):
@@ -54,6 +62,10 @@ def check(robot: Robot, written: Mapping[str, set[str]], complain: Complain) -> 
     _check_states(robot, complain)
     _check_rates(robot, complain)
     _check_body(robot, complain)
+    for path, one in robot.inputs.items():
+        _check_input(path, one, robot, protocols, complain)
+    _check_reduced(robot, complain)
+    _check_park(robot, complain)
     if robot.rate_hz is not None and robot.rate_hz > 20_000:
         complain(("rate_hz",), f"{robot.rate_hz:g} Hz is beyond what a bus can carry", True)
 
@@ -141,9 +153,11 @@ class _Spoken:
         self.addresses: dict[str, dict[str, AddressRange]] = {}
 
     def get(self, name: str, path: tuple[str, ...]) -> Protocol | None:
-        """The protocol, or None; what is wrong with it is said at the first place that names it."""
+        """Return the protocol, or None; what is wrong with it is said at the first place that names it."""
         if name not in self._loaded:
             self._loaded[name] = None
+            if python_file(name)[0]:  # not run: said where the file was read
+                return None
             try:
                 self._loaded[name] = protocol = load_protocol(name)
                 self.addresses[name] = addresses(protocol)
@@ -164,21 +178,45 @@ def _check_buses(robot: Robot, complain: Complain) -> _Spoken:
             if protocol.link != bus.link:
                 complain((*path, "link"), f"{bus.protocol} is spoken on {protocol.link}, not on {bus.link}")
             _check_dialect((*path, "dialect"), protocol, bus.dialect, complain)
-        for key, value, link in (("bitrate", bus.bitrate, "can"), ("baud", bus.baud, "serial")):
+        for key, value, link in (
+            ("bitrate", bus.bitrate, "can"),
+            ("data_bitrate", bus.data_bitrate, "can"),
+            ("baud", bus.baud, "serial"),
+        ):
             if value is None:
                 continue
             if bus.link != link:
                 complain((*path, key), f"belongs to link = {link!r}; this bus has link = {bus.link!r}")
             elif key == "bitrate" and not 5_000 <= value <= 1_000_000:
                 complain((*path, key), f"{value} bit/s is no bit rate of CAN; 1 Mbit/s is 1_000_000", True)
+            elif key == "data_bitrate" and protocol is not None and not protocol.has_fd:
+                complain((*path, key), f"belongs to CAN FD, which {bus.protocol} does not use")
+            elif key == "data_bitrate" and not (bus.bitrate or 0) <= value <= 8_000_000:
+                complain(
+                    (*path, key), f"{value} bit/s is no data rate of CAN FD; 5 Mbit/s is 5_000_000", True
+                )
             elif key == "baud" and value < 50:
                 complain((*path, key), f"{value} baud is slower than any line; 1 Mbaud is 1_000_000", True)
         if bus.allow is not None:
             _check_allowed((*path, "allow"), bus, complain)
         if bus.channel is not None:
+            _check_served((*path, "channel"), bus, complain)
             if (other := channels.setdefault((bus.link, bus.channel), name)) != name:
                 complain((*path, "channel"), f"{bus.channel!r} is the channel of bus {other} already")
     return protocols
+
+
+def _check_served(path: tuple[str, ...], bus: Bus, complain: Complain) -> None:
+    """Complain about an address of a served bus that cannot be one, or stands where no served bus can be joined."""
+    if bus.link != "can" or not is_served(bus.channel):
+        return
+    if bus.interface not in (None, "aces"):
+        complain(path, f"{bus.channel!r} is the address of a served bus; that is interface = 'aces', or none")
+        return
+    try:
+        parse_address(str(bus.channel))
+    except CallerError as error:
+        complain(path, str(error))
 
 
 def _check_allowed(path: tuple[str, ...], bus: Bus, complain: Complain) -> None:
@@ -266,7 +304,17 @@ def _check_credentials(
             (*path, "credentials"),
             f"is missing: expected what identifies it on the bus, such as {{ {next(iter(known))} = 0x20 }}",
         )
-    for key, number in device.credentials.items():
+    _check_numbers_of(path, device.credentials, protocol, known, complain)
+
+
+def _check_numbers_of(
+    path: tuple[str, ...],
+    credentials: Mapping[str, int],
+    protocol: str,
+    known: Mapping[str, AddressRange],
+    complain: Complain,
+) -> None:
+    for key, number in credentials.items():
         at = (*path, "credentials", key)
         if key not in known:
             complain(at, f"{protocol} has no field {key!r}{near(key, known)} (there are: {_listed(known)})")
@@ -293,7 +341,7 @@ class AddressRange(NamedTuple):
 
 
 def addresses(protocol: Protocol) -> dict[str, AddressRange]:
-    """The fields of a protocol by which a device can be identified: captures, and fields of a packet's head."""
+    """Return the fields of a protocol by which a device can be identified: captures, and fields of a packet's head."""
     captured: dict[str, set[int]] = {}
     largest: dict[str, int] = {}
     for message in protocol.declared:
@@ -432,6 +480,125 @@ def _check_states(robot: Robot, complain: Complain) -> None:
         for one, two in (("estimator", "kalman"), ("history", "history_s")):
             if getattr(state, one) is not None and getattr(state, two) is not None:
                 complain((*path, two), f"{one} says it already; a state has one of both")
+
+
+def _check_input(
+    path: tuple[str, ...], one: Input, robot: Robot, protocols: _Spoken, complain: Complain
+) -> None:
+    """An input is one of three kinds, of something that is there and in use, and says which value is clear."""
+    kinds = [name for name in ("signal", "message", "key") if getattr(one, name) is not None]
+    if len(kinds) != 1:
+        complain(path, f"expected one of signal, message and key, not {' and '.join(kinds) or 'none'}")
+        return
+    if one.key is not None:
+        _check_key(path, one, complain)
+        return
+    if (one.clear is None) == (one.pressed is None):
+        complain(
+            path, "expected clear (the value at which nothing stands in the way) or pressed, one of both"
+        )
+    stated = one.pressed if one.clear is None else one.clear
+    if one.bit is not None and stated not in (None, 0, 1):
+        complain((*path, "clear" if one.pressed is None else "pressed"), f"a bit is 0 or 1, not {stated!r}")
+    if isinstance(stated, float) and not stated.is_integer():
+        complain(path, f"{stated!r}: a number that is measured is seldom equal to one that is written", True)
+    if one.stale_after_s > 1:
+        complain((*path, "stale_after_s"), f"{one.stale_after_s:g} s: so late a lost input is noticed", True)
+    if one.signal is not None:
+        for key in ("bus", "protocol"):
+            if getattr(one, key) is not None:
+                complain((*path, key), "belongs to message; a signal's device is on a bus")
+        name = robot.input_device(one.signal)
+        owner, _, rest = one.signal.partition(".")
+        known = (*robot.devices, *robot.joints, *robot.sensors)
+        if not name:
+            _check_reference((*path, "signal"), "device, joint or sensor", owner, known, complain)
+        elif not robot.devices[name].active:
+            complain((*path, "signal"), f"{name} is inactive: this input would always count as pressed")
+        if not rest and owner not in robot.joints:
+            complain(
+                (*path, "signal"), f"{one.signal!r} is a device; expected one of its signals, DEVICE.SIGNAL"
+            )
+    else:
+        _check_input_message(path, one, robot, protocols, complain)
+
+
+def _check_key(path: tuple[str, ...], one: Input, complain: Complain) -> None:
+    for name in ("bus", "protocol", "bit", "pressed"):
+        if getattr(one, name) is not None:
+            complain((*path, name), "belongs to a signal or message; a key has key and clear")
+    known = f"a character, {', '.join(KEYS)}"
+    if character_of(one.key or "") is None:
+        complain((*path, "key"), f"no key {one.key!r} (there are: {known})")
+    if not isinstance(one.clear, str) or character_of(one.clear) is None:
+        complain((*path, "clear"), f"expected the key that clears it again: {known}")
+    elif character_of(one.clear) == character_of(one.key or ""):
+        complain((*path, "clear"), f"{one.clear!r} is the key that is pressed already")
+
+
+def _check_input_message(
+    path: tuple[str, ...], one: Input, robot: Robot, protocols: _Spoken, complain: Complain
+) -> None:
+    """The message and its field are the protocol's, and credentials say who sends it, where several could."""
+    if one.bus is None:
+        complain((*path, "bus"), "is missing: expected the name of the bus that the message is on")
+        return
+    _check_reference((*path, "bus"), "bus", one.bus, robot.buses, complain)
+    if one.bus not in robot.buses:
+        return
+    spoken = one.protocol or robot.buses[one.bus].protocol
+    if not any(
+        device.active and robot.protocol_of(device)[0] == spoken for device in robot.devices_on(one.bus)
+    ):
+        complain(
+            (*path, "bus"), f"no active device of bus {one.bus} speaks {spoken}: nothing would be received"
+        )
+    protocol = protocols.get(spoken, (*path, "protocol" if one.protocol else "bus"))
+    if protocol is None:
+        return
+    name, _, field = str(one.message).partition(".")
+    messages = {message.name: message for message in protocol.declared}
+    _check_reference((*path, "message"), f"message of {spoken}", name, messages, complain)
+    if name not in messages:
+        return
+    if not field:
+        complain((*path, "message"), f"{name!r} is a message; expected one of its fields, {name}.FIELD")
+    captured = {capture.name for capture in messages[name].identifier.captures}
+    for key in sorted(captured - one.credentials.keys()):
+        complain((*path, "credentials"), f"expected whose message it is: {{ {key} = 0x01 }}")
+    _check_numbers_of(path, one.credentials, spoken, protocols.addresses[spoken], complain)
+
+
+def _check_park(robot: Robot, complain: Complain) -> None:
+    """A pose is of joints that are commanded by position, within their limits."""
+    for name, angle in () if robot.park is None else robot.park.pose.items():
+        path, joint = ("park", "pose", name), robot.joints.get(name)
+        if joint is None:
+            _check_reference(path, "joint", name, robot.joints, complain)
+        elif joint.command != "position":
+            complain(path, f"{name} is commanded by {joint.command}: it has no position to go to")
+        elif (
+            not (-math.inf if joint.lower is None else joint.lower)
+            <= angle
+            <= (math.inf if joint.upper is None else joint.upper)
+        ):
+            complain(path, f"{angle:g} is beyond the limits of {name}")
+
+
+def _check_reduced(robot: Robot, complain: Complain) -> None:
+    """A joint without a limit of speed has none that could be reduced."""
+    if robot.reduced is None:
+        return
+    free = [
+        name
+        for name, joint in robot.joints.items()
+        if joint.active
+        and joint.command != "position"
+        and joint.max_speed is None
+        and joint.nominal_speed is None
+    ]
+    if free:
+        complain(("reduced",), f"has no effect on {_listed(free)}: no max_speed is stated", True)
 
 
 def _check_rates(robot: Robot, complain: Complain) -> None:

@@ -2,8 +2,8 @@
 
 1. All problems are found, not the first: each key is checked by itself, then what depends on several.
 2. A problem has file, line, key and what is expected; keys and names that are near are proposed.
-3. A file is read, never run; its size is limited. A protocol's Python file that it names is run, as an installed one is
-   imported: from then on the robot has the protocol's name.
+3. A file is read, never run; its size is limited. Files that it names lie below its folder. A protocol's Python file is run
+   only to load a robot, never to check or show one, unless the program has run it already.
 4. `print_robot` writes one line an entry: read again, the text gives an equal robot. What is unknown is not written.
 
 The file's tables hold one entry a bus, device, joint, sensor, state and controller; an entry's keys are the fields of its
@@ -27,11 +27,19 @@ from typing import Annotated, Any, Final, TypeVar, Union, get_args, get_origin
 import msgspec
 from msgspec.structs import FieldInfo, fields
 
-from ..device.config import Bus, ControllerConfig, DeviceConfig, Joint, Robot, Sensor, StateConfig
+from ..device.config import (
+    Bus,
+    ControllerConfig,
+    DeviceConfig,
+    Input,
+    Joint,
+    Robot,
+    Sensor,
+    StateConfig,
+)
 from ..errors import AcesError, CallerError
-from ..protocol.files import python_file
-from ..protocol.live.scanner import adopt_protocol
 from .checks import check, near
+from .named_files import NamedFiles, NotRunError
 from .toml_lines import KeyLines
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -49,6 +57,7 @@ ENTRIES: Final[Mapping[str, type[msgspec.Struct]]] = {
     "sensors": Sensor,
     "states": StateConfig,
     "controllers": ControllerConfig,
+    "estop": Input,
 }
 #: Where one of these is wrong, what depends on them is not looked at.
 BASIC: Final = {"link", "protocol", "dialect", "bus", "credentials", "channels", "kind", "device", "channel"}
@@ -78,11 +87,13 @@ class RobotError(CallerError):
 
 
 def check_robot_file(
-    path: str | os.PathLike[str], *, is_strict: bool = False
+    path: str | os.PathLike[str], *, is_strict: bool = False, runs_protocols: bool = False
 ) -> tuple[Robot | None, list[RobotFileProblem]]:
-    """The robot of a TOML file, and all that is wrong with it, in the file's order; no robot where something is an error.
+    """Return the robot of a TOML file, and all that is wrong with it, in the file's order; no robot where something is an
+    error.
 
-    With `is_strict` warnings are errors. Raises `CallerError` for a file that cannot be read.
+    With `is_strict` warnings are errors; with `runs_protocols` the Python files that it names are run. Raises `CallerError`
+    for a file that cannot be read.
     """
     file = os.fspath(path)
     try:
@@ -90,18 +101,26 @@ def check_robot_file(
             data = stream.read(LARGEST + 1)
     except (OSError, ValueError) as error:
         raise CallerError(f"{file}: {getattr(error, 'strerror', None) or error}") from error
-    return parse_robot(data, file, is_strict=is_strict)
+    files = NamedFiles(os.path.dirname(file), runs_protocols=runs_protocols)
+    return _parse(data, file, is_strict, files)
 
 
 def parse_robot(
     text: str | bytes, file: str = "robot.toml", *, is_strict: bool = False
 ) -> tuple[Robot | None, list[RobotFileProblem]]:
-    """As `check_robot`, of a file's content; `file` is what problems call it."""
+    """As `check_robot`, of a file's content. Problems call it `file`, whose stem is the name of a robot without one."""
+    return _parse(text, file, is_strict, None)
+
+
+def _parse(
+    text: str | bytes, file: str, is_strict: bool, files: NamedFiles | None
+) -> tuple[Robot | None, list[RobotFileProblem]]:
     try:
         content, lines = _parsed(text)
     except _NotToml as error:
         return None, [RobotFileProblem(file, error.line, "", str(error))]
-    return make_robot(content, lambda path: (file, lines.of(path)), is_strict=is_strict)
+    content.setdefault("name", os.path.splitext(os.path.basename(file))[0])
+    return _make(content, lambda path: (file, lines.of(path)), is_strict, files)
 
 
 #: File and line of a key.
@@ -112,7 +131,13 @@ def make_robot(
     content: Mapping[str, Any], place: Place, *, is_strict: bool = False
 ) -> tuple[Robot | None, list[RobotFileProblem]]:
     """As `check_robot`, of tables that come from anywhere; `place` says where a key of theirs comes from."""
-    reader = _Reader(place)
+    return _make(content, place, is_strict, None)
+
+
+def _make(
+    content: Mapping[str, Any], place: Place, is_strict: bool, files: NamedFiles | None
+) -> tuple[Robot | None, list[RobotFileProblem]]:
+    reader = _Reader(place, files)
     robot: Robot | None = None
     with suppress(_Enough):
         robot = reader.read(content)
@@ -123,7 +148,7 @@ def make_robot(
 
 
 def is_robot(content: Mapping[str, Any]) -> bool:
-    """Whether a TOML file's content is a robot's rather than bare configuration tables: a robot has buses."""
+    """Return whether a TOML file's content is a robot's rather than bare configuration tables: a robot has buses."""
     return "buses" in content
 
 
@@ -136,7 +161,7 @@ class _NotToml(Exception):
 
 
 def _parsed(text: str | bytes) -> tuple[dict[str, Any], KeyLines]:
-    """A TOML file's content, and where its keys stand."""
+    """Return a TOML file's content, and where its keys stand."""
     if len(text) > LARGEST:
         raise _NotToml(1, f"larger than a robot's file may be ({LARGEST >> 20} MB)")
     try:
@@ -167,8 +192,10 @@ class _Enough(Exception):
 class _Reader:
     """Makes one robot and collects what is wrong with it."""
 
-    def __init__(self, place: Place) -> None:
+    def __init__(self, place: Place, files: NamedFiles | None) -> None:
         self.place = place
+        #: None: the content is no file's, and names of files in it stay as they are.
+        self.files = files
         self.problems: list[RobotFileProblem] = []
 
     def complain(self, path: Sequence[str], text: str, is_warning: bool = False) -> None:
@@ -221,20 +248,24 @@ class _Reader:
                 )
             before = len(self.problems)
             made = self._struct(kind, path, entry, name=name)
-            wrong = {problem.key.rpartition(".")[2] for problem in self.problems[before:]}
+            errors = [problem for problem in self.problems[before:] if not problem.is_warning]
+            wrong = {problem.key.rpartition(".")[2] for problem in errors}
             if made is not None and not wrong & BASIC:
                 found[name] = made
         return found
 
-    def _protocol_name(self, text: str | None, path: tuple[str, ...]) -> str | None:
-        """The name of a protocol; of one in a Python file beside the robot's, which is loaded."""
-        if text is None or not python_file(text)[0]:
-            return text
-        try:
-            return adopt_protocol(os.path.join(os.path.dirname(self.place(path)[0]), text))
-        except AcesError as error:
-            self.complain(path, str(error))
-            return text
+    def _resolved(self, values: dict[str, Any], path: tuple[str, ...]) -> None:
+        """Replace the files that an entry names: a protocol by its name, data of a driver by its place below the folder."""
+        if self.files is None:
+            return
+        for key, resolve in (("protocol", self.files.protocol), ("settings", self.files.data)):
+            if values.get(key) is not None:
+                try:
+                    values[key] = resolve(values[key])
+                except NotRunError as note:
+                    self.complain((*path, key), str(note), is_warning=True)
+                except AcesError as error:
+                    self.complain((*path, key), str(error))
 
     def _struct(self, kind: type[T], path: tuple[str, ...], content: Any, **given: str) -> T | None:
         """One table as a struct; None when a key that it needs is missing or wrong."""
@@ -249,12 +280,11 @@ class _Reader:
         values: dict[str, Any] = dict(given)
         for field in infos:
             values |= self._field(field, path, content)
-        if "protocol" in values:
-            values["protocol"] = self._protocol_name(values["protocol"], (*path, "protocol"))
+        self._resolved(values, path)
         return None if any(field.required and field.name not in values for field in infos) else kind(**values)
 
     def _field(self, field: FieldInfo, path: tuple[str, ...], content: Mapping[str, Any]) -> dict[str, Any]:
-        """The value of a key, as keywords for the struct: none where it is absent or wrong."""
+        """Return the value of a key, as keywords for the struct: none where it is absent or wrong."""
         at = (*path, field.name)
         if field.name not in content:
             if field.required:
@@ -266,7 +296,8 @@ class _Reader:
             return {}
         nested = _struct_in(field.type)
         if nested is not None:
-            made = self._struct(nested, at, value)
+            unnamed = {"name": ""} if any(field.name == "name" for field in _fields(nested)) else {}
+            made = self._struct(nested, at, value, **unnamed)
             return {} if made is None else {field.name: made}
         try:
             converted = msgspec.convert(value, field.type)
@@ -290,12 +321,12 @@ class _Reader:
 
 @cache
 def _fields(kind: type[msgspec.Struct]) -> tuple[FieldInfo, ...]:
-    """A struct's fields; msgspec evaluates annotations anew each time."""
+    """Return a struct's fields; msgspec evaluates annotations anew each time."""
     return fields(kind)
 
 
 def _shown(value: Any) -> str:
-    """A value of the file, short."""
+    """Return a value of the file, short."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, int) and value.bit_length() > 128:
@@ -309,7 +340,7 @@ _REPR.maxlevel, _REPR.maxstring, _REPR.maxother = 3, 60, 60
 
 
 def _is_shallow(value: Any) -> bool:
-    """Whether tables and lists are nested no deeper than `DEEPEST`."""
+    """Return whether tables and lists are nested no deeper than `DEEPEST`."""
     level = [value]
     for _ in range(DEEPEST):
         level = [
@@ -332,14 +363,14 @@ def _is_finite(value: Any) -> bool:
 
 
 def _parts(annotation: Any) -> list[Any]:
-    """The alternatives of an annotation, None left out."""
+    """Return the alternatives of an annotation, None left out."""
     if get_origin(annotation) in (types.UnionType, Union):
         return [part for one in get_args(annotation) if one is not type(None) for part in _parts(one)]
     return [annotation]
 
 
 def _expected(annotation: Any) -> str:
-    """What may stand there, in words."""
+    """Return what may stand there, in words."""
     (part,) = _parts(annotation)
     meta = (
         next((m for m in part.__metadata__ if m.description), None) if get_origin(part) is Annotated else None
@@ -360,7 +391,7 @@ _ESCAPED: Final = {"\\": "\\\\", '"': '\\"', "\n": "\\n", "\t": "\\t", "\r": "\\
 
 
 def print_robot(robot: Robot, notes: Iterable[str] = ()) -> str:
-    """The robot's TOML file; `notes` become comments at its head."""
+    """Return the robot's TOML file; `notes` become comments at its head."""
     lines = [f"# {note}".rstrip() for note in notes]
     lines += [f"{name} = {_toml(value)}" for name, value in _stated(robot).items() if name not in ENTRIES]
     for section in ENTRIES:
@@ -372,7 +403,7 @@ def print_robot(robot: Robot, notes: Iterable[str] = ()) -> str:
 
 
 def _stated(struct: msgspec.Struct) -> dict[str, Any]:
-    """The fields of a struct that are known and not what they are by default; a joint's channel always."""
+    """Return the fields of a struct that are known and not what they are by default; a joint's channel always."""
     values = [(field, getattr(struct, field.name)) for field in fields(type(struct))]
     return {
         field.name: value

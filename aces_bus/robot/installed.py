@@ -21,7 +21,7 @@ GROUP: Final = "aces_bus.robots"
 
 
 def list_robots() -> dict[str, Traversable]:
-    """The installed robots, in order of names: name → its file. Raises `SpecError` when two packages bring a name."""
+    """Return the installed robots, in order of names: name → its file. Raises `SpecError` when two packages bring a name."""
     found: dict[str, Traversable] = {}
     for package in sorted({point.value for point in entry_points(group=GROUP)}):
         for file in files(package).iterdir():
@@ -34,7 +34,7 @@ def list_robots() -> dict[str, Traversable]:
 
 
 def robot_text(name: str) -> str:
-    """The content of an installed robot's file; raises `UnknownNameError` with the names that exist."""
+    """Return the content of an installed robot's file; raises `UnknownNameError` with the names that exist."""
     known = list_robots()
     if name not in known:
         raise UnknownNameError("robot", name, known)
@@ -44,9 +44,10 @@ def robot_text(name: str) -> str:
 def check_robot(
     name: str | os.PathLike[str], *, is_strict: bool = False
 ) -> tuple[Robot | None, list[RobotFileProblem]]:
-    """What `parse_robot` gives for an installed robot, by its name, or for a file, by its path (see `is_robot_path`).
+    """Return what `parse_robot` gives for an installed robot, by its name, or for a file, by its path (see `is_robot_path`).
 
-    Raises `UnknownNameError` with the names that exist.
+    Runs no code: of a protocol in a Python file, which nothing else has run, it says that it was not checked. Raises
+    `UnknownNameError` with the names that exist.
     """
     if is_robot_path(name):
         return check_robot_file(name, is_strict=is_strict)
@@ -54,12 +55,17 @@ def check_robot(
 
 
 def load_robot(name: str | os.PathLike[str]) -> Robot:
-    """An installed robot by its name, or that of a TOML file by its path (see `is_robot_path`).
+    """Return an installed robot by its name, or that of a TOML file by its path (see `is_robot_path`).
+
+    A protocol's Python file that it names below its folder is run; one elsewhere is refused, unless this program has run it
+    before (`use_driver_file`, `load_protocol`).
 
     Raises `UnknownNameError` with the names that exist, and `RobotError`, a `CallerError`, with all that is wrong with a
     file, one line each: `robot.toml:12: joints.RHY.gear: …`.
     """
-    robot, problems = check_robot(name)
+    robot, problems = (
+        check_robot_file(name, runs_protocols=True) if is_robot_path(name) else check_robot(name)
+    )
     errors = [problem for problem in problems if not problem.is_warning]
     if robot is None or errors:
         raise RobotError(errors)
@@ -67,5 +73,5 @@ def load_robot(name: str | os.PathLike[str]) -> Robot:
 
 
 def is_robot_path(name: str | os.PathLike[str]) -> bool:
-    """Whether this is a file's path, not the name of an installed robot: it ends in `.toml`, or holds a folder."""
+    """Return whether this is a file's path, not the name of an installed robot: it ends in `.toml`, or holds a folder."""
     return not isinstance(name, str) or name.lower().endswith(".toml") or len(Path(name).parts) > 1

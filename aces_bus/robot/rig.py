@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from typing import TypeVar
 
 from ..controller.door import Door, following_of
 from ..controller.guard import bounds_of
+from ..controller.travel import travel_of
 from ..device.coalesce import CoalescingRule
 from ..device.config import DeviceConfig, Joint, Robot, Sensor, priority_of
 from ..device.device import Device
@@ -24,14 +25,20 @@ from ..device.host import BUDGET, Host
 from ..device.port import Port
 from ..device.signals import Signal
 from ..device.stopping import stop_devices, wait_stopped
-from ..device.ticket import Job, together
+from ..device.ticket import Awaited, Job, Steps, together
 from ..device.twin import Twin, Twins, World
-from ..errors import CallerError, DeviceError, UnknownNameError
+from ..errors import CallerError, DeviceError, NotStoppedError, UnknownNameError
+from ..hardware.bell import StopRequest
+from ..hardware.lock import program_name
 from ..protocol import Protocol, Variant, load_protocol
 from ..runtime import EventClock
+from .estop import EnableChain
+from .exits import is_ended, stop_at_exit
 
 T = TypeVar("T")
 Loader = Callable[[str], Driver]
+#: Actions that wait for the enable chain.
+CHAINED = ("enable", "home")
 #: What a joint's name alone means, by the joint's `command`.
 MAIN = {"position": "position", "speed": "velocity", "current": "current", "duty": "duty"}
 
@@ -53,10 +60,14 @@ class Rig:
     aliases: dict[str, str] = field(default_factory=dict[str, str])
     #: Where all set-points leave; `connect` makes it.
     door: Door = field(init=False, repr=False)
+    #: What stands between a program and motion; `connect` makes it.
+    chain: EnableChain = field(init=False, repr=False)
     _whole: dict[str, str] = field(default_factory=dict[str, str], repr=False)
+    #: The program that asked for a stop of all that is driven; "": none, or its stop was released.
+    stopped_by: str = field(default="", init=False)
 
     def whole(self, name: str) -> str:
-        """The full name of a signal: "RHY" or an alias of it is "RHY.position". Raises `UnknownNameError`."""
+        """Return the full name of a signal: "RHY" or an alias of it is "RHY.position". Raises `UnknownNameError`."""
         found = self._whole.get(name)
         if found is None:
             owner, _, rest = name.partition(".")
@@ -72,7 +83,7 @@ class Rig:
         return found
 
     def _unknown(self, name: str, owner: str) -> UnknownNameError:
-        """The error for an unknown name, with the names near it instead of hundreds."""
+        """Return the error for an unknown name, with the names near it instead of hundreds."""
         near = [whole for whole in self.signals if whole.partition(".")[0] == owner]
         if not near and owner in self.devices:
             near = list(self.devices[owner].signals)
@@ -82,11 +93,13 @@ class Rig:
         return UnknownNameError(f"joint, sensor or device with signals in {self.robot.name}", owner, owners)
 
     def __getitem__(self, name: str) -> Signal:
-        """The signal of this name, see `whole`; raises `UnknownNameError`."""
+        """Return the signal of this name, see `whole`; raises `UnknownNameError`."""
         return self.signals[self.whole(name)]
 
     def is_there(self, name: str) -> bool:
-        """Whether a state that the robot's file names is of an active device; raises `UnknownNameError` as `whole`."""
+        """Return whether a state that the robot's file names is of an active device; raises `UnknownNameError` as
+        `whole`.
+        """
         owner = name.partition(".")[0]
         whole = self.aliases.get(owner, owner)
         part = self.robot.joints.get(whole) or self.robot.sensors.get(whole)
@@ -103,7 +116,7 @@ class Rig:
         owner.refresh_every(whole, period_s)
 
     def device(self, name: str) -> Device:
-        """The device of this name, or the one that has this joint or sensor; raises `UnknownNameError`."""
+        """Return the device of this name, or the one that has this joint or sensor; raises `UnknownNameError`."""
         whole = self.aliases.get(name, name)
         part = self.robot.joints.get(whole) or self.robot.sensors.get(whole)
         found = self.devices.get(name) or (None if part is None else self.devices.get(part.device))
@@ -112,7 +125,9 @@ class Rig:
         return found
 
     def by_signal(self, of_joints: Mapping[str, T]) -> dict[str, T]:
-        """What is known of joints, by the whole names of their main signals; joints that are not connected are left out."""
+        """Return what is known of joints, by the whole names of their main signals; joints that are not connected are
+        left out.
+        """
         found: dict[str, T] = {}
         for name, of in of_joints.items():
             whole = f"{name}.{MAIN[self.robot.joints[name].command]}"
@@ -126,12 +141,14 @@ class Rig:
 
     def open(self) -> Rig:
         """Open all buses and begin to tick."""
+        stop_at_exit(self, partial(self.__exit__, None))
         for host in self.hosts.values():
             host.open()
         return self
 
     def close(self) -> None:
         """Close all buses, each when what was queued has left. Nothing is stopped: see `stop_motion`."""
+        is_ended(self)
         for host in self.hosts.values():
             host.close()
 
@@ -142,10 +159,55 @@ class Rig:
         """
         return stop_devices(self.clock, self.robot.name, self.devices.values())
 
+    def obey_stop(self, bus: str, request: StopRequest) -> None:
+        """Stop all that is driven, and take no set-points until `release`: another program asks for it.
+
+        Answers with who has stopped on `bus`; a rig that only listens stops nothing.
+        """
+        devices = [] if self.hosts[bus].passive else list(self.devices.values())
+        if devices:
+            self.stopped_by, reason = request.who, f"stopped by {request.who}"
+            self.door.trip(reason)
+            for trip in self.chain.tripped:
+                trip(reason)
+        stopping = stop_devices(self.clock, self.robot.name, devices)
+        self.events.emit(DeviceEvent("stop asked", self.clock.now(), bus, "", request.who))
+        request.answer(is_stopping=True)
+
+        def report(over: Awaited) -> None:
+            failed = over.error.devices if isinstance(over.error, NotStoppedError) else {}
+            request.answer(
+                who=program_name(),
+                devices=[
+                    {
+                        "protocol": one.variant.name,
+                        "credentials": one.credentials,
+                        "why": failed.get(one.name, ""),
+                    }
+                    for one in devices
+                    if one.host is self.hosts[bus] and one.last_received is not None
+                ],
+            )
+
+        stopping.then(report)
+
+    def release(self) -> None:
+        """Take set-points again after a trip or another program's stop, once the cause has been looked into."""
+        self.stopped_by = ""
+        self.door.release()
+
     def each(self, action: str, devices: Iterable[Device] | None = None) -> Job:
-        """Call an action ("enable") of these devices (None: all), where they have it; the job is over when all are."""
+        """Call an action ("enable") of these devices (None: all), where they have it; the job is over when all are.
+
+        It fails with all that is missing where the robot's enable chain does not allow an action that moves,
+        and after another program's stop, until `release`.
+        """
         some = self.devices.values() if devices is None else devices
-        jobs = [getattr(device, action)() for device in some if action in device.actions]
+        able = [device for device in some if action in device.actions]
+        missing = self.chain.missing(able, action) if action in CHAINED else []
+        if missing:
+            return Job(self.clock, f"{self.robot.name} {action}", partial(_refused, action, missing))
+        jobs = [getattr(device, action)() for device in able]
         return together(self.clock, f"{self.robot.name} {action}", [job for job in jobs if job is not None])
 
     def __enter__(self) -> Rig:
@@ -165,6 +227,12 @@ class Rig:
             self.close()
 
 
+def _refused(action: str, missing: Iterable[str], job: Job) -> Steps:
+    """Steps of a job that the enable chain does not allow."""
+    raise DeviceError(f"{action} is refused: {'; '.join(missing)}")
+    yield
+
+
 def connect(
     robot: Robot,
     ports: Mapping[str, Port],
@@ -175,7 +243,7 @@ def connect(
     passive: bool = False,
     load: Loader = load_driver,
 ) -> Rig:
-    """The robot's devices, on these ports (bus name → port), not open yet.
+    """Return the robot's devices, on these ports (bus name → port), not open yet.
 
     `rate_hz` is the tick of buses whose rate the file does not state (None: no ticks at all); `rules` replace the drivers'
     rules of coalescing; `passive` hosts listen to what others ask, and send nothing. Raises `CallerError` for a bus
@@ -218,7 +286,14 @@ def connect(
         rig.by_signal(bounds_of(robot)),
         rig.by_signal(following_of(robot)),
         rig.whole,
+        travel_of(robot),
     )
+    rig.door.noted = lambda what, device, detail: rig.events.act(what, device.name, detail)
+    rig.chain = EnableChain(rig)
+    for name in hosts:
+        lock = getattr(ports[name], "lock", None)
+        if lock is not None:
+            lock.on_stop = partial(rig.obey_stop, name)
     for name, state in robot.states.items():
         if state.period_s is not None and rig.is_there(name):
             rig.refresh_every(name, state.period_s)
@@ -239,7 +314,7 @@ class Simulation:
         return {name: twin for twins in self.buses.values() for name, twin in twins.members.items()}
 
     def __getitem__(self, name: str) -> Twin:
-        """The twin of a device; raises `UnknownNameError`."""
+        """Return the twin of a device; raises `UnknownNameError`."""
         found = self.twins
         if name not in found:
             raise UnknownNameError(f"twin of {self.robot.name}", name, found)
@@ -269,9 +344,10 @@ def simulate(
     *,
     seed: int = 0,
     pose: Mapping[str, float] | None = None,
+    homed: bool = True,
     load: Loader = load_driver,
 ) -> Simulation:
-    """The robot's twins, on these ports (bus name → port), not open yet.
+    """Return the robot's twins, on these ports (bus name → port), not open yet; `homed` False: as after power-up.
 
     `pose` is where joints are at first (name or alias → rad, or m); the others are where their twins begin. Raises as
     `connect`, and `CallerError` for a joint that cannot be there.
@@ -280,7 +356,7 @@ def simulate(
     buses = {name: Twins(ports[name], variants) for name, variants in _variants(robot, ports, load).items()}
     if not buses:
         raise CallerError(f"robot {robot.name} has no active device")
-    world = World(next(iter(buses.values())).clock, seed, pose=wanted)
+    world = World(next(iter(buses.values())).clock, seed, pose=wanted, homed=homed)
     for config, driver in _driven(robot, load):
         twins = buses[config.bus]
         twins.add(driver.twin(twins, config, robot, twins.variants[driver.protocol], world))
@@ -301,13 +377,15 @@ def _active(robot: Robot) -> list[DeviceConfig]:
 
 
 def _driven(robot: Robot, load: Loader) -> Iterator[tuple[DeviceConfig, Driver]]:
-    """The active devices with their drivers, each loaded once."""
+    """Return the active devices with their drivers, each loaded once."""
     load = cache(load)
     return ((config, load(config.driver)) for config in _active(robot))
 
 
 def spoken_on(robot: Robot, load: Loader = load_driver) -> dict[str, Protocol]:
-    """The main protocol of each bus that has active devices: that of the file, or that of its first device's driver."""
+    """Return the main protocol of each bus that has active devices: that of the file, or that of its first device's
+    driver.
+    """
     found: dict[str, Protocol] = {}
     for config, protocol in _spoken(robot, load):
         if config.bus not in found or protocol.name == robot.buses[config.bus].protocol:
@@ -316,7 +394,7 @@ def spoken_on(robot: Robot, load: Loader = load_driver) -> dict[str, Protocol]:
 
 
 def _spoken(robot: Robot, load: Loader) -> Iterator[tuple[DeviceConfig, Protocol]]:
-    """The active devices, each with what it speaks; what is installed is looked up once a driver."""
+    """Yield the active devices, each with what it speaks; what is installed is looked up once a driver."""
     known: dict[tuple[str, str], Protocol] = {}
     for config in _active(robot):
         key = (config.driver, robot.protocol_of(config)[0])
@@ -326,7 +404,7 @@ def _spoken(robot: Robot, load: Loader) -> Iterator[tuple[DeviceConfig, Protocol
 
 
 def _protocol_of(robot: Robot, config: DeviceConfig, load: Loader) -> Protocol:
-    """What a device speaks: its driver's protocol, which may not be installed, or the installed one."""
+    """Return what a device speaks: its driver's protocol, which may not be installed, or the installed one."""
     name, _ = robot.protocol_of(config)
     driver = load(config.driver)
     if driver.protocol != name:
@@ -345,7 +423,7 @@ def _protocol_of(robot: Robot, config: DeviceConfig, load: Loader) -> Protocol:
 
 
 def bus_variants(robot: Robot, bus: str) -> list[Variant]:
-    """The installed protocols of a bus, with the robot's dialect and tables; also where it has no devices."""
+    """Return the installed protocols of a bus, with the robot's dialect and tables; also where it has no devices."""
     found: dict[str, Variant] = {}
     spoken = [(robot.buses[bus].protocol, robot.buses[bus].dialect)]
     spoken += [robot.protocol_of(config) for config in robot.devices_on(bus)]
@@ -357,7 +435,7 @@ def bus_variants(robot: Robot, bus: str) -> list[Variant]:
 
 
 def _variants(robot: Robot, ports: Mapping[str, Port], load: Loader) -> dict[str, list[Variant]]:
-    """The protocols of each bus that has active devices, with the robot's own tables."""
+    """Return the protocols of each bus that has active devices, with the robot's own tables."""
     found: dict[str, dict[str, Variant]] = {}
     made: dict[tuple[str, str | None], Variant] = {}
     for config, protocol in _spoken(robot, load):

@@ -15,6 +15,7 @@ from ..controller.events import raised_text
 from ..controller.trip import Trip
 from ..device import Device, Job
 from ..runtime import Loop, Tasks, ThreadTasks, VirtualTasks
+from .park import Parking
 from .rig import Rig
 from .states import States
 
@@ -64,7 +65,7 @@ class RunBase:
         tasks: Tasks | None,
         *,
         hold_s: float | None,
-        at_end: Literal["disable", "hold"],
+        at_end: Literal["disable", "hold", "park"],
         drives: bool,
         history: int,
         states: Mapping[str, Mapping[str, Any]] | None,
@@ -98,8 +99,11 @@ class RunBase:
         self._stopping: Job | None = None
         self._setters: dict[str, Callable[[float], None]] = {}
         self._failed_at_end: list[str] = []
+        #: The way to the robot's pose, where its end is to park.
+        self._parking = Parking(rig) if at_end == "park" else None
         self._not_stopped: dict[str, str] = {}
         self._held: list[str] = []
+        self._falling: dict[str, str] = {}
         #: Why controllers were stopped, before an end that holds.
         self._tripped: dict[str, str] | None = None
         #: What is left of the end.
@@ -119,7 +123,7 @@ class RunBase:
     # ------------------------------------------------------------------ set-points
 
     def driven(self, supervisor: Supervisor) -> list[Device]:
-        """The devices that a controller gives set-points to; all of them where it does not say."""
+        """Return the devices that a controller gives set-points to; all of them where it does not say."""
         names = {
             self.rig.device(self.states.whole(name).partition(".")[0]).name
             for name in supervisor.writes

@@ -12,9 +12,12 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeVar
 
+from ..controller import ControlEvent
+from ..controller.events import raised_text
 from ..device import Job, stop_devices, wait_stopped
 from ..errors import DeviceError, NotStoppedError
 from ..runtime import Loop
+from .exits import is_ended
 from .run_base import RunLogger
 from .run_faults import RunFaults
 
@@ -28,7 +31,8 @@ PATIENCE_S = 2.0
 class Ended:
     """How a run ended: `reason` "" for its time being up; `tripped` controllers with why; `failed` what went wrong at the
     end itself, and of that `not_stopped` the devices that may still move, with why. `held`: those left as they were, on
-    request.
+    request; `let_go`: those that would not have stayed there, and were stopped instead, with why. `parked`: joints
+    that came to the pose of the robot's file before they were switched off; `not_parked`: the other driven ones, with why.
     """
 
     reason: str
@@ -37,6 +41,9 @@ class Ended:
     failed: list[str] = field(default_factory=list[str])
     not_stopped: dict[str, str] = field(default_factory=dict[str, str])
     held: list[str] = field(default_factory=list[str])
+    let_go: dict[str, str] = field(default_factory=dict[str, str])
+    parked: list[str] = field(default_factory=list[str])
+    not_parked: dict[str, str] = field(default_factory=dict[str, str])
 
 
 class RunEnd(RunFaults):
@@ -53,8 +60,13 @@ class RunEnd(RunFaults):
             now = self.clock.now()
             drove = was != "new" and self.drives
             if drove:
-                if was != "running":  # nothing is left on that has not run
+                # Nothing is left on that has not run, or was stopped.
+                if was != "running" or self.rig.stopped_by:
+                    if self._parking is not None and self.rig.stopped_by:
+                        self._parking.refuse(f"stopped by {self.rig.stopped_by}")
                     self.at_end = "disable"
+                if self.at_end == "park":
+                    self._to_end.append(("park", self._park))
                 self._to_end.append(("stop", partial(self._in_time, self._begin_stop)))
             if was == "running":
                 self._to_end.append(("tasks", self.tasks.stop))
@@ -75,12 +87,13 @@ class RunEnd(RunFaults):
             except BaseException as error:  # Ctrl-C: the rest is done, and then it is raised
                 interrupted = error
             self._to_end.popleft()
+        is_ended(self.rig)
         if interrupted is not None:
             raise interrupted
         return self.ended(reason)
 
     def ended(self, reason: str = "") -> Ended:
-        """How the run ended, as far as it has."""
+        """Return how the run ended, as far as it has."""
         return Ended(
             reason or self._reason,
             self._reasons if self._tripped is None else self._tripped,
@@ -88,7 +101,18 @@ class RunEnd(RunFaults):
             list(self._failed_at_end),
             dict(self._not_stopped),
             list(self._held),
+            dict(self._falling),
+            [] if self._parking is None else list(self._parking.parked),
+            {} if self._parking is None else dict(self._parking.failed),
         )
+
+    @property
+    def letting_go(self) -> dict[str, str]:
+        """The driven devices that an end with "hold" stops all the same, as they would not stay: name → why."""
+        if self.at_end != "hold":
+            return {}
+        driven = {one.name: one for supervisor in self.supervisors for one in self.driven(supervisor)}
+        return {name: one.lets_go for name, one in driven.items() if one.lets_go}
 
     @property
     def _reasons(self) -> dict[str, str]:
@@ -109,6 +133,22 @@ class RunEnd(RunFaults):
     def _close_log(self, logger: RunLogger) -> None:
         logger.stop(self.clock.now())
 
+    def _park(self) -> None:
+        """Lead all to the pose of the robot's file; what interrupts it leads to the stop, at once."""
+        parking = self._parking
+        if parking is None:
+            return
+        if self.rig.door.barred:
+            parking.refuse(self.rig.door.barred)
+            return
+        try:
+            seconds = self._in_time(parking.begin)
+            if not self.clock.wait(parking.is_over, round(seconds * 1e9)):
+                parking.give_up(f"it has not arrived after {seconds:.1f} s")
+        except BaseException as error:
+            parking.give_up(raised_text(error))
+            raise
+
     def _begin_stop(self) -> None:
         """On the buses' thread: all is stopped, or where it is to be left held, what was not switched off stays."""
         devices = list(self.rig.devices.values())
@@ -119,7 +159,14 @@ class RunEnd(RunFaults):
                 self._give(supervisor.guard.tick(self.clock.now()))
             off = [s for s in self.supervisors if s.name in self._stopped]
             devices = list({d.name: d for s in off for d in self.driven(s)}.values())
-            self._held = [d.name for d in self.rig.devices.values() if d.is_driven and d not in devices]
+            for host in self.rig.hosts.values():
+                host.send_set_points()
+            left = [d for d in self.rig.devices.values() if d.is_driven and d not in devices]
+            self._falling = {device.name: device.lets_go for device in left if device.lets_go}
+            for name, why in self._falling.items():  # before it happens
+                self._note(ControlEvent("let go", self.clock.now(), name, why))
+            devices += [device for device in left if device.name in self._falling]
+            self._held = [device.name for device in left if device.name not in self._falling]
         self._stopping = stop_devices(self.clock, self.rig.robot.name, devices)
 
     def _await_stopped(self) -> None:

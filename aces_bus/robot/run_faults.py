@@ -15,7 +15,7 @@ from ..controller import ControlEvent, Supervisor
 from ..controller.events import EventLike, raised_text
 from ..controller.trip import Trip
 from ..device import Device, DeviceEvent, Job, stop_devices
-from ..errors import NotStoppedError, UnknownNameError
+from ..errors import CallerError, NotStoppedError, UnknownNameError
 from ..runtime import Task
 from .run_base import RunBase
 
@@ -41,6 +41,18 @@ class RunFaults(RunBase):
             self._handle(event)
             if self._owed and event.kind in BACK:
                 self.clock.call_soon(lambda: self._repay(event.source))
+
+    def _estopped(self, reason: str) -> None:
+        """An e-stop input or another program has stopped the devices: no controller goes on, whatever is declared."""
+        if self._phase == "running" and self.drives:
+            now = self.clock.now()
+            for supervisor in self.supervisors:
+                supervisor.guard.trip(reason, "disable")
+                supervisor.guard.tick(now)
+                trip = supervisor.guard.tripped
+                assert trip is not None
+                self._obeyed[supervisor.name] = trip
+                self._stopped[supervisor.name] = trip.reason
 
     def _handle(self, event: EventLike) -> None:
         for supervisor in self.supervisors:
@@ -145,13 +157,17 @@ class RunFaults(RunBase):
     def release(self, controller: str) -> None:
         """Let a controller's set-points through again after a trip; what was switched off has to be enabled before.
 
-        Raises `UnknownNameError`.
+        Raises `UnknownNameError`, and `CallerError` while an e-stop input is pressed.
         """
+        if self.rig.door.barred:
+            raise CallerError(f"{controller} cannot be released: {self.rig.door.barred}")
         found = {supervisor.name: supervisor for supervisor in self.supervisors}
         if controller not in found:
             raise UnknownNameError("controller", controller, found)
 
         def let_through() -> None:
+            if self.rig.stopped_by:
+                self.rig.release()
             self._stopped.pop(controller, None)
             found[controller].release()
 

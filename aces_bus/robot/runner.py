@@ -28,9 +28,10 @@ from ..controller.events import EventLike, Listeners
 from ..controller.guard import Bounds
 from ..controller.trip import Action
 from ..device import Device
-from ..errors import AcesError, CallerError, NotStoppedError, UnknownNameError
+from ..errors import AcesError, CallerError, DeviceError, NotStoppedError, UnknownNameError
 from ..runtime import Task, Tasks, ThreadTasks, VirtualClock
 from .checks import KINDS_OF_FAULTS
+from .exits import stop_at_exit
 from .rig import Rig
 from .run_base import RunLogger
 from .run_end import Ended, RunEnd
@@ -51,10 +52,11 @@ class Runner(RunEnd):
 
     `tasks`: threads or events. `reactions` add to the robot file's, and these to the supervisor's; those that name functions
     find them in `own_reactions`. `on_trip` is what stops motion where no reaction says how. "hold" ends after `hold_s`
-    (None: with `release`, or the run), then what was held is switched off. `at_end` "hold" leaves what runs as it is at the
-    end. `guard` False leaves its limits and dead-man away (the door's stay). `drives` False: set-points are counted
+    (None: with `release`, or the run), then what was held is switched off. At the end `at_end` "hold"
+    leaves what runs as it is, "park" leads it to the file's pose before it is switched off. `guard` False leaves its limits
+    and dead-man away (the door's stay). `drives` False: set-points are counted
     and not sent (a replay). `states` declares states (name → keywords of `State`), see `States`. Rates and priorities of the
-    robot's file replace the controllers' own.
+    robot's file replace the controllers' own. `unhomed`: joints that are not homed are driven, too.
     """
 
     def __init__(
@@ -69,14 +71,16 @@ class Runner(RunEnd):
         own_reactions: Mapping[str, Callable[[EventLike], object]] | None = None,
         on_trip: Action = "disable",
         hold_s: float | None = None,
-        at_end: Literal["disable", "hold"] = "disable",
+        at_end: Literal["disable", "hold", "park"] = "disable",
         drives: bool = True,
         history: int = 512,
         states: Mapping[str, Mapping[str, Any]] | None = None,
+        unhomed: bool = False,
     ) -> None:
         super().__init__(
             rig, loggers, tasks, hold_s=hold_s, at_end=at_end, drives=drives, history=history, states=states
         )
+        rig.door.takes_unhomed = unhomed
         self.tasks.failed = self._failed
         names = [*(one.name for one in controllers), *(one.name for one in loggers)]
         double = {name for name in names if names.count(name) > 1}
@@ -101,6 +105,13 @@ class Runner(RunEnd):
                 listeners.add(self._emit_all)
             self._add_task(logger, logger.step, LOGGING)
         rig.on_event(self._happened)
+        rig.chain.tripped.append(self._estopped)
+
+    @property
+    def unparkable(self) -> dict[str, str]:
+        """The joints that this run drives and its end cannot park, with why; none where it is not to park."""
+        devices = {d.name: d for s in self.supervisors for d in self.driven(s)}
+        return {} if self._parking is None else self._parking.unable(devices.values())
 
     # ------------------------------------------------------------------ making
 
@@ -151,6 +162,7 @@ class Runner(RunEnd):
             dead_man_s=None,
             action=on_trip,
             unlisted="pass",
+            unnamed_s=dead_man,
             name=controller.name,
         )
         # What a log cannot take is no reason to stop a robot, unless that is declared.
@@ -222,6 +234,8 @@ class Runner(RunEnd):
         if self.drives:
             for host in self.rig.hosts.values():
                 host.check_rate()
+        if self.drives:
+            stop_at_exit(self.rig, self._end_at_exit)
         try:
             for begin in self.before:
                 begin()
@@ -234,7 +248,16 @@ class Runner(RunEnd):
         except BaseException:
             self.stop("it could not be opened")
             raise
+        chain = self.rig.chain
+        if self.drives and chain.waits_for:
+            self.clock.wait(lambda: not chain.waits_for, round(RECEIVE_S * 1e9))
         self._phase = "ready"
+
+    def _end_at_exit(self) -> None:
+        """Stop; raises `NotStoppedError`, as there is nobody who reads how it ended."""
+        ended = self.stop("the program ended")
+        if ended.not_stopped:
+            raise NotStoppedError(ended.not_stopped)
 
     def _open_hosts(self) -> None:
         for name, host in self.rig.hosts.items():
@@ -250,6 +273,16 @@ class Runner(RunEnd):
     def missing(self) -> list[str]:
         """The polled devices of which nothing was ever received."""
         return [d.name for d in self.rig.devices.values() if d.polls and d.last_received is None]
+
+    @property
+    def unhomed(self) -> list[str]:
+        """The driven joints that take no set-points, as they are not homed or it is not known yet whether they are."""
+        driven = {
+            joint.name for one in self.supervisors for device in self.driven(one) for joint in device.joints
+        }
+        return (
+            [] if self.rig.door.takes_unhomed else [name for name in self.rig.door.unhomed if name in driven]
+        )
 
     def do(
         self, action: str, timeout_s: float = 60.0, *, devices: Collection[Device | str] | None = None
@@ -271,8 +304,13 @@ class Runner(RunEnd):
         return [device.name for device in able]
 
     def start(self) -> None:
-        """Start controllers and loggers. Raises `UnknownNameError` for a state that the robot has not."""
+        """Start controllers and loggers.
+
+        Raises `UnknownNameError` for a state that the robot has not, `DeviceError` after another program's stop.
+        """
         self.bind()
+        if self.rig.stopped_by:
+            raise DeviceError(f"{self.rig.robot.name} was stopped by {self.rig.stopped_by}: release it first")
         for logger in self.loggers:  # files take their time
             self._logging.append(logger)
             logger.start(self.clock.now())
@@ -280,6 +318,8 @@ class Runner(RunEnd):
         for supervisor in self.supervisors:
             supervisor.start(now)
         self._phase = "running"
+        if self.drives and self.rig.door.barred:
+            self.clock.call(lambda: self._estopped(self.rig.door.barred))
         self.tasks.start()
         if isinstance(self.tasks, ThreadTasks):
             self.clock.call_soon(self._watch)
@@ -321,6 +361,9 @@ class Runner(RunEnd):
             end = None if seconds is None else self._began + round(seconds * 1e9)
 
             def is_over() -> bool:
+                if self.rig.stopped_by:
+                    self._reason = f"stopped by {self.rig.stopped_by}"
+                    return True
                 if self._stopped and len(self._stopped) == len(self.supervisors):
                     self._reason = "every controller was stopped"
                     return True

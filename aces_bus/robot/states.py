@@ -9,8 +9,10 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property
 from typing import Any
 
+import msgspec
+
 from ..controller.door import Door
-from ..device.config import StateConfig
+from ..device.config import KalmanConfig, StateConfig
 from ..errors import CallerError, UnknownNameError
 from ..state import UNKNOWN, ConstantAcceleration, ConstantVelocity, Hold, Kalman, State
 from .rig import Rig
@@ -24,7 +26,7 @@ DECLARED = ("estimator", "interpolation", "history", "history_s", "period_s", "s
 
 
 def _options_of(config: StateConfig) -> dict[str, Any]:
-    """What a robot's file says of a state, as keywords of `State`."""
+    """Return what a robot's file says of a state, as keywords of `State`."""
     options = {key: getattr(config, key) for key in DECLARED if getattr(config, key) is not None}
     if config.estimator is not None:
         options["estimator"] = ESTIMATORS[config.estimator]
@@ -34,11 +36,30 @@ def _options_of(config: StateConfig) -> dict[str, Any]:
     return options
 
 
+def _as_in_files(name: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options of a state with its estimator made of what a robot's file has: a word, or a table `kalman`."""
+    found = dict(options)
+    if isinstance(word := found.get("estimator"), str):
+        if word not in ESTIMATORS:
+            raise UnknownNameError(f"estimator of state {name}", word, ESTIMATORS)
+        found["estimator"] = ESTIMATORS[word]
+    if "kalman" in found:
+        if found.get("estimator") is not None:
+            raise CallerError(f"state {name}: give estimator or kalman, not both")
+        try:
+            config = msgspec.convert(found.pop("kalman"), KalmanConfig, from_attributes=True)
+        except msgspec.ValidationError as error:
+            raise CallerError(f"state {name}: kalman: {error}") from error
+        found["estimator"] = Kalman(config.measurement_std, config.process_density, config.model)
+    return found
+
+
 class States(Mapping[str, State]):
     """The states of a rig by name, see `Rig.whole`, and of set-points: "RHY.setpoint".
 
     Each keeps `history` samples, and is what the robot's file says of it; `declared` (name → keywords of `State`) has
-    precedence, such as `{"RHY": {"estimator": Kalman(0.01, 1.0), "history_s": 2.0}}`. Raises `UnknownNameError` for a name
+    precedence, such as `{"RHY": {"estimator": Kalman(0.01, 1.0), "history_s": 2.0}}`, or as the file has it: `{"kalman":
+    {"measurement_std": 0.01, "process_density": 1.0}}`. Raises `UnknownNameError` for a name
     or keyword that is none, `CallerError` as `Device.refresh_every`, and for a state that is declared twice.
     """
 
@@ -57,8 +78,9 @@ class States(Mapping[str, State]):
             if (other := names.setdefault(whole, name)) != name:
                 raise CallerError(f"states: {name} and {other} are one state, {whole}")
             for key in options:
-                if key not in DECLARED:
-                    raise UnknownNameError(f"option of state {name}", key, DECLARED)
+                if key not in (*DECLARED, "kalman"):
+                    raise UnknownNameError(f"option of state {name}", key, (*DECLARED, "kalman"))
+            options = _as_in_files(name, options)
             if options.get("period_s") is not None:
                 rig.refresh_every(whole, options["period_s"])
             known = self._declared.get(whole, {})
@@ -67,7 +89,7 @@ class States(Mapping[str, State]):
             self._declared[whole] = {**known, **options}
 
     def whole(self, name: str) -> str:
-        """The full name of a state; raises `UnknownNameError` with those that exist."""
+        """Return the full name of a state; raises `UnknownNameError` with those that exist."""
         base = name.removesuffix(SETPOINT)
         return self.rig.whole(base) + name[len(base) :]
 
@@ -88,7 +110,7 @@ class States(Mapping[str, State]):
         return self.rig.door
 
     def writer(self, name: str, owner: str) -> Callable[[float], None]:
-        """What `owner` alone gives this state's set-points to from now on; raises as `Door.claim`."""
+        """Return what `owner` alone gives this state's set-points to from now on; raises as `Door.claim`."""
         self.door.claim(self.whole(name), owner)
         return self.door.writer(self.whole(name))
 
@@ -104,7 +126,7 @@ class States(Mapping[str, State]):
         return State.of(source, sampled=is_received, **options)
 
     def _period_s(self, whole: str) -> float | None:
-        """How often a signal is asked for."""
+        """Return how often a signal is asked for."""
         device = next(one for one in self.rig.devices.values() if whole in one.signals)
         tick = 1 / device.host.rate_hz if device.host.rate_hz else None
         return min((poll.every_s or tick or 0.0 for poll in device.polls_of(whole)), default=None) or tick

@@ -39,7 +39,7 @@ class KeyLines:
         self._scan(text)
 
     def of(self, path: Iterable[str]) -> int:
-        """The line of `path`, or of the innermost of its tables that has one; 1 for the file itself."""
+        """Return the line of `path`, or of the innermost of its tables that has one; 1 for the file itself."""
         wanted = tuple(path)
         while wanted and wanted not in self._lines:
             wanted = wanted[:-1]
@@ -79,7 +79,7 @@ class KeyLines:
 
 
 def _plain(key: str) -> str:
-    """A key without its quotes."""
+    """Return a key without its quotes."""
     if key[0] == '"' and "\\" in key:
         with suppress(ValueError):  # an escape that no key may have: tomllib says so of the file
             (key,) = tomllib.loads(f"{key} = 0")

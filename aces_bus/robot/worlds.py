@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal
 
@@ -36,7 +37,7 @@ def run_virtual(
     load: Load = load_driver,
     **options: Any,
 ) -> Runner:
-    """A runner in virtual time: `with run_virtual(robot, [walk]) as run: run.do("enable"); run.run(10.0)`.
+    """Return a runner in virtual time: `with run_virtual(robot, [walk]) as run: run.do("enable"); run.run(10.0)`.
 
     `rate_hz` is the buses' tick (default: the robot's, else 100 Hz), `pose` where joints are at first (see `simulate`).
     Other options are `Runner`'s.
@@ -63,7 +64,8 @@ def run_real(
     load: Load = load_driver,
     **options: Any,
 ) -> Runner:
-    """A runner on real buses: threads on absolute deadlines, `SCHED_FIFO` with `real_time` where the system allows it.
+    """Return a runner on real buses: threads on absolute deadlines, `SCHED_FIFO` with `real_time` where the system
+    allows it.
 
     Without `transmit` controllers run, and their set-points are counted and not sent; nothing is enabled or stopped, and it
     is `passive` unless that is False: it sends nothing at all, and states are what others ask for. What raises on the buses'
@@ -99,7 +101,7 @@ def run_replay(
     load: Load = load_driver,
     **options: Any,
 ) -> Runner:
-    """A runner on a recording: controllers see what was measured, their set-points are counted and go nowhere.
+    """Return a runner on a recording: controllers see what was measured, their set-points are counted and go nowhere.
 
     `runner.run(until=lambda: runner.world.is_over)` runs to its end.
     """
@@ -164,8 +166,9 @@ class ReplayPort:
 class Replay:
     """A robot whose buses are a recording. `is_over` when all of it was received.
 
-    `frames` are a CAN recording's, in order; `channels` maps the recording's channel names to the robot's buses (default:
-    the `channel` of each bus in the robot's file, or its name; the only bus takes all). Raises `CallerError` for a robot
+    `frames` are a CAN recording's, in order; `channels` maps the recording's channel names to the robot's buses. Default:
+    the `channel` of each bus in the robot's file, or its name; for channels without names (0, 1, as BLF and ASC have) the
+    number at the end of the bus's channel, or the order of buses; the only bus takes all. Raises `CallerError` for a robot
     with buses that are not CAN.
     """
 
@@ -189,15 +192,15 @@ class Replay:
                 None  # devices' first requests go nowhere either: nothing answers, so nothing is missed
             )
             self.ports[name].note = host.scanner.sent
-        self._channels = dict(channels or {})
-        if not self._channels:
-            for name in self.ports:
-                self._channels[robot.buses[name].channel or name] = name
-                self._channels[name] = name
+        self._channels = dict(channels or {}) or _channels_of(
+            {name: robot.buses[name].channel for name in links}
+        )
         self._frames: Iterator[Frame] = iter(frames)
         self.is_over = False
         #: Frames that were on no channel of this robot.
         self.others = 0
+        #: Frames by channel of the recording ("": without one).
+        self.seen: dict[str, int] = {}
         self._first: int | None = None
         self._start = self.clock.now()
 
@@ -229,8 +232,42 @@ class Replay:
 
         self.clock.post(due, happen)
 
+    @property
+    def unmatched(self) -> str:
+        """What of the recording was on no bus of the robot, with the channels of both; empty where all was."""
+        if not self.others:
+            return ""
+        seen = ", ".join(
+            f"{name or 'without a name'} ({count} frames)" for name, count in sorted(self.seen.items())
+        )
+        buses = ", ".join(f"{bus} is {channel}" for channel, bus in self._channels.items() if channel != bus)
+        return (
+            f"{self.others} frames were on no bus of {self.rig.robot.name}: the recording's channels are {seen};"
+            f" of the robot's buses {buses or ', '.join(self.ports)}"
+        )
+
     def _port_of(self, frame: Frame) -> ReplayPort | None:
+        name = frame.channel or ""
+        self.seen[name] = self.seen.get(name, 0) + 1
         if len(self.ports) == 1:
             return next(iter(self.ports.values()))
-        bus = self._channels.get(frame.channel or "")
+        bus = self._channels.get(name)
         return None if bus is None else self.ports[bus]
+
+
+_NUMBER = re.compile(r"(?:.*[^0-9])?([0-9]{1,5})", re.DOTALL)
+
+
+def _channels_of(buses: Mapping[str, str | None]) -> dict[str, str]:
+    """Return a recording's channel names with the bus of each: by name, by number, by order where no bus has a number."""
+    found = {name: name for name in buses}
+    found.update((channel, name) for name, channel in buses.items() if channel is not None)
+    numbers = [_NUMBER.fullmatch(channel or "") for channel in buses.values()]
+    if not any(numbers):
+        numbered = {str(place): name for place, name in enumerate(buses)}
+    else:
+        numbered = {}
+        for name, number in zip(buses, numbers, strict=True):
+            if number is not None:
+                numbered.setdefault(str(int(number[1])), name)
+    return {**numbered, **found}

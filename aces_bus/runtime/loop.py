@@ -7,6 +7,8 @@
 4. A turn is bounded: what is due and does not fit into `TURN_NS` is left to the next turn, behind the files, and counted.
 5. Where that was said (`gather`), a file that `gathers` is read together with what comes in the next moment: each wake-up
    finds cold caches. It is read before anything that is due is done, and at once while an answer is waited for (`hurry`).
+6. After a pause (a process that was suspended) the files that are first are read before anything that is late is done: a
+   stop that was asked for meanwhile.
 
 A turn: what other threads have handed over, what is due, the ends of the turn (what was gathered for a bus leaves
 together), then a wait for the first file that has something, the next instant, or another thread. `select` waits in
@@ -37,6 +39,8 @@ Action = Callable[[], object]
 TURN_NS = 200_000
 #: The longest that anything is gathered (ns).
 GATHER_NS = 500_000
+#: An action that is so late (ns) waits until the files that are first were read.
+LATE_NS = 50_000_000
 #: Files that `select` takes have numbers below this.
 MOST_FILES = 1000
 
@@ -75,6 +79,8 @@ class Loop(RealClock):
         self._readers: dict[int, Action] = {}
         #: Files that gather; those that do so now, with the instant since which they have something; when these are read.
         self._gathering: set[int] = set()
+        #: Files that are read before what is late.
+        self._first: set[int] = set()
         self._held: dict[int, tuple[int, Action]] = {}
         self._gather_ns = self._hurried_until = self._read_at = 0
         #: The instant (ns) since which what is being read has waited; 0: it has not.
@@ -159,23 +165,29 @@ class Loop(RealClock):
 
     @staticmethod
     def can_watch(number: int) -> bool:
-        """Whether a file of this number can be served."""
+        """Return whether a file of this number can be served."""
         return 0 <= number < MOST_FILES
 
-    def watch(self, number: int, readable: Action, *, gathers: bool = False) -> None:
-        """Call `readable` whenever the file of this number has something to read; see `gather` for one that `gathers`."""
+    def watch(self, number: int, readable: Action, *, gathers: bool = False, is_first: bool = False) -> None:
+        """Call `readable` whenever the file of this number has something to read.
+
+        See `gather` for one that `gathers`. One that `is_first` is read before actions that are late.
+        """
         if self._thread is None or self.is_own_thread:
             self._readers[number] = readable
             if gathers:
                 self._gathering.add(number)
+            if is_first:
+                self._first.add(number)
         else:
-            self.call_soon(lambda: self.watch(number, readable, gathers=gathers))
+            self.call_soon(lambda: self.watch(number, readable, gathers=gathers, is_first=is_first))
 
     def unwatch(self, number: int) -> None:
         """Serve the file no more: before it is closed, on the loop's own thread (`call`)."""
         self._readers.pop(number, None)
         self._held.pop(number, None)
         self._gathering.discard(number)
+        self._first.discard(number)
 
     def gather(self, most_ns: int) -> None:
         """From now on read files that gather once in so long (ns) at most; of several that are said the shortest counts."""
@@ -231,6 +243,8 @@ class Loop(RealClock):
         try:
             while not self._stopping:
                 now = monotonic_ns()
+                if self._first and events and now - events[0][0] > LATE_NS:
+                    self._read_first()
                 if held and (now >= self._read_at or (events and events[0][0] <= now)):
                     self._read_held()
                 if soon or self._ends or (events and events[0][0] <= now):
@@ -267,8 +281,17 @@ class Loop(RealClock):
             assert self._waker is not None
             self._waker.close()
 
+    def _read_first(self) -> None:
+        """Read the files that are first."""
+        try:
+            readable, _, _ = self._select(self._first, (), (), 0)
+        except (OSError, ValueError):  # one was closed under us, which the next wait sees
+            return
+        for number in readable:
+            self._do(self._readers[number])
+
     def _may_wait(self, now: int) -> bool:
-        """Whether nobody waits for an answer, and nothing is due before what comes now is read."""
+        """Return whether nobody waits for an answer, and nothing is due before what comes now is read."""
         events = self._events
         return now >= self._hurried_until and not (events and events[0][0] <= now + self._gather_ns)
 

@@ -73,7 +73,7 @@ class Task:
             self.overruns += 1
 
     def next_due(self, due: int, now: int) -> int:
-        """The deadline after `due`; those that have passed at `now` are left out and counted."""
+        """Return the deadline after `due`; those that have passed at `now` are left out and counted."""
         following = due + self.period_ns
         if following <= now:
             passed = (now - following) // self.period_ns + 1
@@ -82,7 +82,7 @@ class Task:
         return following
 
     def jitter_ns(self, share: float = 0.5) -> int:
-        """The lateness that this share of the last ticks did not exceed: 0.5 is the median."""
+        """Return the lateness that this share of the last ticks did not exceed: 0.5 is the median."""
         known = sorted(self._late[: min(self.ticks, KEPT)])
         return known[min(len(known) - 1, int(share * len(known)))] if known else 0
 
@@ -103,7 +103,7 @@ class Tasks(ABC):
         self._is_running = False
 
     def add(self, name: str, step: Callable[[int], Any], *, rate_hz: float, priority: int = 0) -> Task:
-        """A component more. Of two that are due together the one of higher `priority` runs first.
+        """Return a component more. Of two that are due together the one of higher `priority` runs first.
 
         Raises `CallerError` when they run already, or for a rate that is none.
         """

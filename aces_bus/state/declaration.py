@@ -23,7 +23,7 @@ ORDERS = {"hold": 0, "linear": 1, "cubic": 3}
 
 
 def checked_name(name: Any, unit: Any) -> str:
-    """The name, if it is one, and the unit is a text."""
+    """Return the name, if it is one, and the unit is a text."""
     raise_first(
         StateError,
         (not isinstance(name, str) or not name, f"a state needs a name, not {name!r}"),
@@ -36,14 +36,14 @@ def checked_name(name: Any, unit: Any) -> str:
 
 
 def checked_seconds(name: str, what: str, seconds: float | None) -> float | None:
-    """A duration, or None."""
+    """Return a duration, or None."""
     if seconds is not None and not 0 < seconds < math.inf:
         raise StateError(f"state {name!r}: {what} = {seconds!r} is not a duration in seconds")
     return seconds
 
 
 def checked_history(name: str, history: int | None, history_s: float | None, period_s: float | None) -> int:
-    """How many samples to keep, both ends of `history_s` included."""
+    """Return how many samples to keep, both ends of `history_s` included."""
     if history is not None and history_s is not None:
         raise StateError(f"state {name!r}: give history (samples) or history_s (seconds), not both")
     if history_s is not None:
@@ -58,7 +58,7 @@ def checked_history(name: str, history: int | None, history_s: float | None, per
 
 
 def checked_order(name: str, interpolation: Interpolation | None, *, is_real: bool) -> int:
-    """The order of the interpolating polynomial; by default 1, and for whole numbers 0: the last one is held."""
+    """Return the order of the interpolating polynomial; by default 1, and for whole numbers 0: the last one is held."""
     if interpolation is None:
         return 1 if is_real else 0
     order: Any = ORDERS.get(interpolation) if isinstance(interpolation, str) else interpolation

@@ -48,7 +48,7 @@ class Derived(TimeSeries):
         self.failure: Exception | None = None
 
     def named(self, name: str, unit: str | None = None) -> Derived:
-        """The same under a name, and in a unit of your choice of symbols ("W" for N·m·rad/s)."""
+        """Return the same under a name, and in a unit of your choice of symbols ("W" for N·m·rad/s)."""
         return Derived(name, self.function, self.inputs, self.unit if unit is None else unit)
 
     def _computed(self, values: list[Any]) -> Any:
@@ -71,7 +71,7 @@ class Derived(TimeSeries):
         return self._computed([one.last for one in self.inputs])
 
     def at(self, instant: int) -> Any:
-        """The function of the inputs at an instant (ns)."""
+        """Return the function of the inputs at an instant (ns)."""
         return self._computed([one.at(instant) for one in self.inputs])
 
     @property
@@ -176,7 +176,7 @@ class Derived(TimeSeries):
 
 
 def derived(name: str, function: Callable[..., Any], *inputs: TimeSeries, unit: str | None = None) -> Derived:
-    """The quantity `function(*inputs)`, in `unit`.
+    """Return the quantity `function(*inputs)`, in `unit`.
 
     >>> import math
     >>> from aces_bus.runtime import VirtualClock
@@ -197,7 +197,7 @@ def derived(name: str, function: Callable[..., Any], *inputs: TimeSeries, unit: 
 
 
 def combined(symbol: str, function: Callable[..., Any], left: Any, right: Any) -> Derived:
-    """What an operator between two quantities, or one and a number, gives; a number is in the quantity's unit."""
+    """Return what an operator between two quantities, or one and a number, gives; a number is in the quantity's unit."""
     for one in (left, right):
         if not isinstance(one, TimeSeries | numbers.Real):
             raise StateError(f"{one!r} is neither a state nor a number: states are combined with those")

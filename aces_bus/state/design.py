@@ -49,7 +49,7 @@ def butterworth(
     kind: Kind = "lowpass",
     initial: Initial = "steady",
 ) -> Sos:
-    """A Butterworth filter: as flat as can be, -3 dB at `cutoff_hz` (two for "bandpass" and "bandstop")."""
+    """Return a Butterworth filter: as flat as can be, -3 dB at `cutoff_hz` (two for "bandpass" and "bandstop")."""
     return iir(order, cutoff_hz, rate_hz, kind=kind, initial=initial)
 
 
@@ -64,7 +64,7 @@ def iir(
     attenuation_db: float | None = None,
     initial: Initial = "steady",
 ) -> Sos:
-    """A filter of one of the classical families; Chebyshev I and elliptic need `ripple_db`, II and elliptic
+    """Return a filter of one of the classical families; Chebyshev I and elliptic need `ripple_db`, II and elliptic
     `attenuation_db`.
     """
     _checked(cutoff_hz, rate_hz)

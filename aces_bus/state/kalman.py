@@ -60,7 +60,7 @@ class Kalman(AnyRate):
         )
 
     def track(self) -> Track:
-        """What runs."""
+        """Return what runs."""
         return (VelocityTrack if self.model == "velocity" else AccelerationTrack)(
             self.measurement_std**2, self.process_density
         )
@@ -92,7 +92,7 @@ class Kalman(AnyRate):
         return step
 
     def unit_of(self, unit: str | None) -> str | None:
-        """The unit of what the filter gives."""
+        """Return the unit of what the filter gives."""
         for _ in range(self.derivative):
             unit = multiplied(unit, "s", -1)
         return unit
@@ -118,11 +118,11 @@ class Track:
         self.state = self._begun(value, instant, (instant - self.state[0]) * 1e-9 if self._seen == 2 else 0.0)
 
     def _begun(self, value: float, instant: int, dt: float) -> tuple[Any, ...]:
-        """The state behind the first sample (dt = 0), or behind the second."""
+        """Return the state behind the first sample (dt = 0), or behind the second."""
         raise NotImplementedError
 
     def _updated(self, value: float, instant: int) -> tuple[Any, ...]:
-        """The state behind one more sample."""
+        """Return the state behind one more sample."""
         raise NotImplementedError
 
     def at(self, instant: int) -> tuple[Any, Any, Any]:

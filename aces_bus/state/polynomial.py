@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 
 def value_at(instants: Sequence[int], values: Sequence[float], instant: int) -> float:
-    """The polynomial through (instants, values) at `instant`, all in ns.
+    """Return the polynomial through (instants, values) at `instant`, all in ns.
 
     >>> value_at([0, 10, 30], [0.0, 100.0, 900.0], 20)   # t²
     400.0
@@ -33,7 +33,7 @@ def value_at(instants: Sequence[int], values: Sequence[float], instant: int) -> 
 
 
 def slope_at(instants: Sequence[int], values: Sequence[float], instant: int) -> float:
-    """Its derivative there, per second.
+    """Return its derivative there, per second.
 
     >>> slope_at([0, 10**9, 3 * 10**9], [0.0, 1.0, 9.0], 2 * 10**9)
     4.0

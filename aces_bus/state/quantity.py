@@ -75,7 +75,9 @@ class TimeSeries(ABC):
 
     @abstractmethod
     def at(self, instant: int) -> Any:
-        """The value at an instant (ns of `clock`): float or `UNKNOWN`. Raises `StateError` outside of what it can know."""
+        """Return the value at an instant (ns of `clock`): float or `UNKNOWN`. Raises `StateError` outside of what it
+        can know.
+        """
 
     @abstractmethod
     def samples_up_to(self, instant: int, most: int) -> list[int]:
@@ -139,7 +141,9 @@ class TimeSeries(ABC):
         return Reading(self.last, self.instant, self.age_ns, self.is_stale)
 
     def __getitem__(self, t: float) -> Any:
-        """The value `t` seconds from the origin (rule 1): float or `UNKNOWN`; raises `StateError` outside the history."""
+        """Return the value `t` seconds from the origin (rule 1): float or `UNKNOWN`; raises `StateError` outside the
+        history.
+        """
         if t == 0:
             return self.value
         origin = self.origin
@@ -164,14 +168,14 @@ class TimeSeries(ABC):
         return default if value is UNKNOWN else value
 
     def in_ns(self, t: float) -> int:
-        """A time in seconds as nanoseconds; raises `StateError` where it is none."""
+        """Return a time in seconds as nanoseconds; raises `StateError` where it is none."""
         try:
             return round(t * 1e9)
         except (OverflowError, ValueError, TypeError):
             raise StateError(f"state {self.name!r}: {t!r} is not a time in seconds") from None
 
     def _outside(self, instant: int, hint: str) -> StateError:
-        """The error for an instant outside of the history."""
+        """Return the error for an instant outside of the history."""
         origin, span = self.origin, self.span
         if origin is None or span is None:
             return StateError(f"state {self.name!r}: it has no sample yet")
@@ -186,7 +190,7 @@ class TimeSeries(ABC):
     # ---- quantities made from it ----------------------------------------------------------------------------------
 
     def _make(self, kind: str, *arguments: Any) -> Any:
-        """The integral, filter or derivative of these arguments: the same object when asked the same again."""
+        """Return the integral, filter or derivative of these arguments: the same object when asked the same again."""
         made = self._made.get((kind, *arguments))
         if made is None:
             if len(self._made) >= MOST_MADE:
@@ -205,7 +209,8 @@ class TimeSeries(ABC):
         return made
 
     def rate(self, order: int = 1) -> Rate:
-        """The derivative (unit per second), from the polynomial through the `order` + 1 samples up to the asked instant.
+        """Return the derivative (unit per second), from the polynomial through the `order` + 1 samples up to the asked
+        instant.
 
         Real time stamps count. Order 1 is the slope of the last two samples, with an error up to half a sampling
         period times the second derivative; higher orders are exact for polynomials of that order and louder with noise.
@@ -213,7 +218,7 @@ class TimeSeries(ABC):
         return self._make("rate", order)  # type: ignore[no-any-return]
 
     def integral(self, start: float = 0.0, *, max_gap_s: float | None = None) -> Integral:
-        """The integral over time (unit × s), in trapezoids of real time stamps, from the sample that is newest at
+        """Return the integral over time (unit × s), in trapezoids of real time stamps, from the sample that is newest at
         the first call.
 
         Unknown samples are bridged; known ones further apart than `max_gap_s` (default: what makes the state stale, or any
@@ -222,7 +227,7 @@ class TimeSeries(ABC):
         return self._make("integral", start, max_gap_s)  # type: ignore[no-any-return]
 
     def filtered(self, kind: Filter, *, uneven: Uneven = "resample") -> Filtered:
-        """The quantity behind a filter (see `aces_bus.state.filters` and `design`), with a history of its own.
+        """Return the quantity behind a filter (see `aces_bus.state.filters` and `design`), with a history of its own.
 
         A filter designed for a rate needs even samples. `uneven` says what becomes of others: "resample"
         interpolates onto the even grid of the filter's rate, "refuse" makes the output `UNKNOWN` where samples are

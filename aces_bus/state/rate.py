@@ -44,7 +44,7 @@ class Rate(Derived):
         return UNKNOWN if instant is None else self._slope(instant)
 
     def at(self, instant: int) -> Any:
-        """The slope at an instant (ns) within the history."""
+        """Return the slope at an instant (ns) within the history."""
         span = self.source.span
         if span is None:
             return UNKNOWN

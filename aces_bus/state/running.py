@@ -55,7 +55,9 @@ class Running(State):
         self._taken_at, self._taken_epoch = _NEVER, source.epoch
 
     def _is_old(self) -> bool:
-        """Whether the source has given this instant before; not when it has forgotten all since, as this does then."""
+        """Return whether the source has given this instant before; not when it has forgotten all since, as this does
+        then.
+        """
         epoch = self.source.epoch
         if epoch == self._taken_epoch:
             return True

@@ -123,7 +123,7 @@ class State(TimeSeries):
 
     @classmethod
     def of(cls, source: SignalSource, **options: Any) -> State:
-        """A state fed by a device's signal: its name, unit, clock and staleness, unless `options` say otherwise."""
+        """Return a state fed by a device's signal: its name, unit, clock and staleness, unless `options` say otherwise."""
         options.setdefault("unit", source.unit)
         options.setdefault("clock", source.clock)
         options.setdefault("request", source.request)
@@ -297,7 +297,7 @@ class State(TimeSeries):
     # ---- reading --------------------------------------------------------------------------------------------------
 
     def __getitem__(self, t: float) -> Any:
-        """The value `t` seconds from the newest sample, with an estimator from now: float or `UNKNOWN`."""
+        """Return the value `t` seconds from the newest sample, with an estimator from now: float or `UNKNOWN`."""
         if self._estimate is None:
             if t == 0:
                 if self._stale_after is None or self._now() - self._newest_at <= self._stale_after:
@@ -321,7 +321,7 @@ class State(TimeSeries):
             raise
 
     def at(self, instant: int) -> Any:
-        """The value at an instant (ns): a sample, between two the interpolation, beyond them the estimator's."""
+        """Return the value at an instant (ns): a sample, between two the interpolation, beyond them the estimator's."""
         while True:
             count = self._count
             kept = count - self._begin
@@ -362,7 +362,7 @@ class State(TimeSeries):
         return value if self._cast is None else self._cast(value)
 
     def _fitted(self, instant: int, at: int, start: int, end: int) -> float:
-        """The polynomial through the order + 1 known samples around places at - 1 and at, or as many as there are."""
+        """Return the polynomial through the order + 1 known samples around places at - 1 and at, or as many as there are."""
         values = self._values
         low, high = at - 1, at + 1
         if values[low] != values[low] or values[at] != values[at]:
@@ -388,7 +388,9 @@ class State(TimeSeries):
         return value_at(self._instants[low:high], values[low:high], instant)
 
     def _beyond(self, instant: int) -> float:
-        """What the estimator says; nothing (NaN) of the future when the newest sample is stale (rule 2 of `quantity`)."""
+        """Return what the estimator says; nothing (NaN) of the future when the newest sample is stale (rule 2 of
+        `quantity`).
+        """
         assert self._estimate is not None
         if instant > self._newest_at and self.is_stale:
             return _NAN
@@ -453,7 +455,7 @@ class State(TimeSeries):
         return None if span is None else span[0]
 
     def newest_slope(self) -> Any:
-        """The slope (per second) between the last two samples; `UNKNOWN` where there are none, or one is unknown."""
+        """Return the slope (per second) between the last two samples; `UNKNOWN` where there are none, or one is unknown."""
         while True:
             count = self._count
             if count - self._begin < 2 or self.history < 2:

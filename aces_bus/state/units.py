@@ -48,7 +48,7 @@ def _printed(powers: Powers) -> str:
 
 
 def multiplied(left: str | None, right: str | None, power: int = 1) -> str | None:
-    """The unit of left × right to the `power`.
+    """Return the unit of left × right to the `power`.
 
     >>> multiplied("N·m", "rad/s"), multiplied("rad/s", "s", -1), multiplied("m/s", "s")
     ('N·m·rad/s', 'rad/s²', 'm')
@@ -62,7 +62,7 @@ def multiplied(left: str | None, right: str | None, power: int = 1) -> str | Non
 
 
 def raise_unit(unit: str | None, power: float) -> str | None:
-    """The unit to a power; None where that is not a whole one.
+    """Return the unit to a power; None where that is not a whole one.
 
     >>> raise_unit("m/s", 2), raise_unit("m²", 0.5), raise_unit("m", 0.5)
     ('m²/s²', 'm', None)
@@ -76,7 +76,7 @@ def raise_unit(unit: str | None, power: float) -> str | None:
 
 
 def are_same(left: str | None, right: str | None) -> bool:
-    """Whether two units may be added: the same symbols with the same powers, in any order, or one is not stated.
+    """Return whether two units may be added: the same symbols with the same powers, in any order, or one is not stated.
 
     >>> are_same("N·m", "m*N"), are_same("rad", "deg"), are_same("rad", None)
     (True, False, True)

@@ -12,7 +12,7 @@ PER_CANDIDATE = 16
 
 
 def candidates_in(framing: Framing, seen: bytes, begin: int) -> Sequence[int]:
-    """Where a packet of a framing may begin."""
+    """Return where a packet of a framing may begin."""
     if not framing.sync:
         return range(begin, len(seen))
     found: list[int] = []
@@ -24,7 +24,7 @@ def candidates_in(framing: Framing, seen: bytes, begin: int) -> Sequence[int]:
 
 
 def work_allowed(framings: Sequence[Framing], traffic: bytes, chunks: int) -> int:
-    """How many bytes checks may read in `traffic`."""
+    """Return how many bytes checks may read in `traffic`."""
     limit = len(traffic)  # each byte of an accepted packet once
     for framing in framings:
         if framing.check is None:
@@ -42,7 +42,9 @@ def work_allowed(framings: Sequence[Framing], traffic: bytes, chunks: int) -> in
 
 
 def unstuffing_allowed(framings: Sequence[Framing], traffic: bytes, chunks: int) -> int:
-    """How many bytes may be unstuffed in `traffic`: a few times all of them, and a small part of a packet a candidate."""
+    """Return how many bytes may be unstuffed in `traffic`: a few times all of them, and a small part of a packet a
+    candidate.
+    """
     limit = 0
     for framing in framings:
         if framing.is_enclosed:

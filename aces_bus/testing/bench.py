@@ -50,7 +50,7 @@ class Bench:
         return " + ".join(v.label for v in self.variants)
 
     def scanner(self, *, include_unknown: bool = True, raw: bool = True) -> Scanner:
-        """A scanner as if just made."""
+        """Return a scanner as if just made."""
         made = self._scanners.get((include_unknown, raw))
         if made is None:
             made = make_scanner(
@@ -61,7 +61,7 @@ class Bench:
         return made
 
     def reference(self, *, raw: bool = True) -> Reference:
-        """The slow truth."""
+        """Return the slow truth."""
         kind = _Remembering if self.remembers else Reference
         made = kind(self.variants, direction=self.direction, raw=raw)
         if isinstance(made, _Remembering):
@@ -69,7 +69,7 @@ class Bench:
         return made
 
     def encoder(self, message: Message) -> Encoder:
-        """The encoder of a message's variant."""
+        """Return the encoder of a message's variant."""
         made = self._encoders.get(message)
         if made is None:
             # `variant.encoder` is shared and kept for ever; a bench has its own.
@@ -79,7 +79,7 @@ class Bench:
         return made
 
     def once(self, key: Any, ask: Any) -> Any:
-        """What `ask()` gives; with `remembers`, asked once for a key."""
+        """Return what `ask()` gives; with `remembers`, asked once for a key."""
         if not self.remembers:
             return ask()
         try:
@@ -142,12 +142,12 @@ class Bench:
         return found
 
     def reads(self, message: Message, image: bytes) -> bool:
-        """Whether construct reads an image as `message`."""
+        """Return whether construct reads an image as `message`."""
         return bool(self.once(("reads", message, image), lambda: reads(message, image)))
 
 
 def reads(message: Message, image: bytes) -> bool:
-    """Whether construct reads an image as `message`."""
+    """Return whether construct reads an image as `message`."""
     try:
         message.struct.parse(image, raw=True)
     except (ConstructError, AcesError):
@@ -224,7 +224,7 @@ class _Remembering(Reference):
         return known
 
     def _known(self, message: Message) -> Any:
-        """The message, with a construct that remembers."""
+        """Return the message, with a construct that remembers."""
         known = self._stand_ins.get(message)
         if known is None:
             known = self._stand_ins[message] = _StandIn(message, self)
@@ -255,7 +255,7 @@ class _StandIn:
         return self.message.describe_lengths
 
     def parse(self, image: bytes, *, raw: bool, request: Any = None) -> Any:
-        """What `message.struct.parse` gives or raises."""
+        """Return what `message.struct.parse` gives or raises."""
         asked = None if request is None else tuple(map(str, request.items()))
         key = (self.message, image, raw, asked)
         try:
@@ -272,7 +272,7 @@ class _StandIn:
 
 
 def _may_be(message: Message, data: bytes, end: int) -> bool:
-    """Whether heads and constants are those of a message, as far as the packet goes."""
+    """Return whether heads and constants are those of a message, as far as the packet goes."""
     for head in message.heads:
         if head.pattern is not None and head.offset + head.size <= end:
             if head.pattern.match(head.number(data)) is None:
@@ -289,7 +289,7 @@ def _bench(variants: tuple[Variant, ...], direction: Way) -> Bench:
 
 
 def bench_of(wire: Wire, direction: Way) -> Bench:
-    """A bench that is kept; it remembers scanners and nothing else."""
+    """Return a bench that is kept; it remembers scanners and nothing else."""
     return _bench(wire_variants(wire), direction)
 
 

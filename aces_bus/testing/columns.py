@@ -37,7 +37,9 @@ def columns_difference(
     raw: bool,
     include_unknown: bool,
 ) -> str:
-    """What a column scanner says otherwise than `live`, fed with the same traffic cut at `cuts`; empty when nothing."""
+    """Return what a column scanner says otherwise than `live`, fed with the same traffic cut at `cuts`; empty when
+    nothing.
+    """
     is_can = live.link == "can"
     columnar = make_column_scanner(
         wire_variants(wire), direction=direction, include_unknown=include_unknown, raw=raw
@@ -141,7 +143,9 @@ def _rows(
     inside: Mapping[str, Callable[[Any], Any]],
     is_can: bool,
 ) -> str:
-    """What differs in the rows of a message; `inside` reads from a record the columns of what is in lists of items."""
+    """Return what differs in the rows of a message; `inside` reads from a record the columns of what is in lists of
+    items.
+    """
     whole = MessageTable.concat(tables)
     numbers = whole.row.tolist()
     if numbers != [row for row, _ in wanted]:
@@ -176,7 +180,7 @@ def _rows(
 
 
 def _transport(table: MessageTable, index: int, meta: Meta, is_can: bool) -> str:
-    """What differs in time, channel, key, direction and size."""
+    """Return what differs in time, channel, key, direction and size."""
     key = (
         key_of(meta.identifier or 0, extended=meta.extended, remote=meta.remote, fd=meta.fd)
         if is_can
@@ -247,7 +251,7 @@ def _losses(
 
 
 def _leaves(value: Any, path: str, columns: set[str]) -> Iterator[str]:
-    """The paths of all single values of a record; what is a column as a whole is one."""
+    """Yield the paths of all single values of a record; what is a column as a whole is one."""
     if path in columns or value is None:
         if value is not None:
             yield path
@@ -262,7 +266,7 @@ def _leaves(value: Any, path: str, columns: set[str]) -> Iterator[str]:
 
 
 def _at(value: Any, path: str) -> Any:
-    """The value at a path of a record's dictionary; None where a part of the way is not there."""
+    """Return the value at a path of a record's dictionary; None where a part of the way is not there."""
     for step in path.split("."):
         if value is None:
             return None

@@ -65,7 +65,7 @@ class _Walk:
         self.message = message
 
     def of(self, con: Any) -> Draw:
-        """The function that draws values of `con`."""
+        """Return the function that draws values of `con`."""
         while isinstance(con, (c.Renamed, c.Default, c.Hex, c.HexDump)):
             con = con.subcon
         if isinstance(con, SignMagnitude):
@@ -311,7 +311,7 @@ class _Walk:
         return draw
 
     def _items(self, con: Any) -> Draw:
-        """A list as it is read: good items of all kinds, unknown ones, and bytes that are none."""
+        """Return a list as it is read: good items of all kinds, unknown ones, and bytes that are none."""
         kinds = [(con.numbers[name], self.of(data)) for name, data in con.data.items()]
 
         def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
@@ -457,19 +457,19 @@ class _Walk:
 
 
 def _asked(expression: Any, context: Any) -> Any:
-    """The value of an expression of other fields, or the plain value."""
+    """Return the value of an expression of other fields, or the plain value."""
     return expression(context) if callable(expression) else expression
 
 
 def _number_of(slot: LayoutSlot, value: Any, context: Any) -> int:
-    """The bits of a field with this raw value, as an unsigned number."""
+    """Return the bits of a field with this raw value, as an unsigned number."""
     out = io.BytesIO()
     slot.field._build(value, out, context, "")
     return int.from_bytes(out.getvalue(), "big")
 
 
 def _measure(con: Any, value: Any, context: Any) -> int:
-    """How many bytes a value takes."""
+    """Return how many bytes a value takes."""
     if value is None:
         return 0
     if isinstance(value, bytes):

@@ -27,7 +27,7 @@ KINDS = ("message", "field", "value", "template")
 
 
 def expected(bench: Bench) -> set[Feature]:
-    """What scenes of this wire should reach."""
+    """Return what scenes of this wire should reach."""
     found: set[Feature] = set()
     for (protocol, name), message in bench.by_name.items():
         found.add((protocol, "message", name))
@@ -68,7 +68,7 @@ def _label(framing: Framing) -> str:
 
 
 def _declared(message: Message) -> list[tuple[str, Any, bool]]:
-    """The payload's own fields: name, construct, and whether it may be absent."""
+    """Return the payload's own fields: name, construct, and whether it may be absent."""
     payload: Any = message.payload
     if isinstance(payload, BitLayout):
         return [(slot.name, slot.field, slot.mux is not None) for slot in payload.slots]
@@ -85,7 +85,7 @@ def _fields(message: Message) -> dict[str, bool]:
 
 
 def _named(message: Message) -> dict[str, Mapping[int, str]]:
-    """The named values of top-level fields."""
+    """Return the named values of top-level fields."""
     found = {name: enumeration_of(con) for name, con, _ in _declared(message) if name in message.fields}
     return {name: one.values for name, one in found.items() if one is not None and len(one.values) <= 64}
 
@@ -166,17 +166,17 @@ class Coverage:
                     self.reached[variant.name, "template", f"{_label(framing)}: {end}"] += 1
 
     def never(self, protocol: str | None = None) -> list[Feature]:
-        """What was expected and never reached, in the order of `KINDS`."""
+        """Return what was expected and never reached, in the order of `KINDS`."""
         left = [f for f in self.expected if f not in self.reached and protocol in (None, f[0])]
         return sorted(left, key=lambda f: (f[0], KINDS.index(f[1]), f[2]))
 
     def parts(self, protocol: str, kind: str) -> tuple[int, int]:
-        """How many features of a kind were reached, and how many there are."""
+        """Return how many features of a kind were reached, and how many there are."""
         wanted = [f for f in self.expected if f[0] == protocol and f[1] == kind]
         return sum(f in self.reached for f in wanted), len(wanted)
 
     def of_message(self, protocol: str, message: str, kind: str) -> tuple[int, int]:
-        """The same of one message."""
+        """Return the same of one message."""
         start = f"{message}." if kind in ("field", "value") else f"{message}:"
         wanted = [f for f in self.expected if f[0] == protocol and f[1] == kind and f[2].startswith(start)]
         return sum(f in self.reached for f in wanted), len(wanted)

@@ -26,7 +26,7 @@ KEYS = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
 def scene_drawing(wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = ()) -> str:
-    """The scene as text, some lines of at most 110 characters."""
+    """Return the scene as text, some lines of at most 110 characters."""
     bench = Bench(wire, direction)
     cuts = tuple(sorted(cuts))
     lanes = [
@@ -135,7 +135,7 @@ def _legend(items: Sequence[tuple[str, ScannedItem]]) -> list[str]:
 
 
 def said(item: ScannedItem) -> str:
-    """A thing on the wire in words."""
+    """Return a thing on the wire in words."""
     if not item.message:
         return item.reason
     fields = " ".join(f"{name}={_value(value)}" for name, value in item.fields.items())
@@ -172,7 +172,7 @@ def _frames(scene: Scene, lanes: Sequence[Lane]) -> list[str]:
 
 
 def image_text(packet: Any) -> str:
-    """A frame as candump writes it, or a packet's bytes."""
+    """Return a frame as candump writes it, or a packet's bytes."""
     if isinstance(packet, bytes):
         return packet.hex(" ").upper()
     if packet.is_error_frame:

@@ -54,7 +54,7 @@ def encoders(trial: Trial) -> None:
 
 
 def _given(trial: Trial, message: Message, image: bytes, request: dict[str, Any]) -> dict[str, Any]:
-    """A packet's values in the sheet's units: what an encoder is given. What only the request says is not."""
+    """Return a packet's values in the sheet's units: what an encoder is given. What only the request says is not."""
 
     def ask() -> dict[str, Any]:
         parsed = message.struct.parse(image, request=request)
@@ -77,7 +77,7 @@ def _judge(trial: Trial, message: Message, given: dict[str, Any], change: Change
 
 
 def built(message: Message, fields: Mapping[str, Any]) -> tuple[bytes | None, str]:
-    """What construct builds, or why it does not."""
+    """Return what construct builds, or why it does not."""
     try:
         return bytes(message.struct.build(fields)), ""
     except REFUSALS as error:
@@ -110,7 +110,7 @@ def _difference(
 
 
 def _image(message: Message, sent: Sequence[Any]) -> bytes:
-    """The image of what an encoder made: of a packet that a transport carries, by the rule of the reference."""
+    """Return the image of what an encoder made: of a packet that a transport carries, by the rule of the reference."""
     if message.transport is None:
         (packet,) = sent
         return bytes(packet) if message.framing is not None else frame_image(packet)
@@ -146,7 +146,7 @@ def _misnamed(error: AcesError, message: Message, refusal: str, change: Change |
 
 
 def changed_values(fields: Mapping[str, Any]) -> list[Change]:
-    """What may be changed in some fields, one at a time."""
+    """Return what may be changed in some fields, one at a time."""
     return [((NO_FIELD,), 0), *(change for name in fields for change in _changes_of(name, fields[name]))]
 
 
@@ -165,7 +165,7 @@ def _changes_of(name: str, value: Any) -> list[Change]:
 
 
 def changed(fields: Mapping[str, Any], change: Change) -> dict[str, Any]:
-    """The fields with one change."""
+    """Return the fields with one change."""
     path, value = change
     made: dict[str, Any] = _with(fields, path, value)
     return made

@@ -86,7 +86,7 @@ class Exemption:
 
 @lru_cache(maxsize=4096)
 def exemptions(message: Message) -> tuple[Exemption, ...]:
-    """The exceptions of a message, field by field."""
+    """Return the exceptions of a message, field by field."""
     found: dict[tuple[str, str], Exemption] = {}
 
     def visit(con: Any, path: str) -> None:
@@ -108,7 +108,7 @@ def exemptions(message: Message) -> tuple[Exemption, ...]:
 
 
 def _bits(message: Message) -> dict[str, frozenset[int]]:
-    """The bits of exempt fields of a flat message, by path."""
+    """Return the bits of exempt fields of a flat message, by path."""
     found: dict[str, set[int]] = {}
     for leaf in message.plan.leaves:
         node = leaf.node
@@ -119,7 +119,7 @@ def _bits(message: Message) -> dict[str, frozenset[int]]:
 
 
 def are_excused(message: Message, image: bytes, rebuilt: bytes) -> bool:
-    """Whether bytes differ only where an exception allows it. That both read the same is for the caller to see."""
+    """Return whether bytes differ only where an exception allows it. That both read the same is for the caller to see."""
     listed = exemptions(message)
     if not listed:
         return False

@@ -69,7 +69,7 @@ class Failure:
 
 
 def judged(law: Law, trial: Trial) -> str:
-    """What breaks a law in a trial; empty when it holds. Whatever the scanner raises breaks the law that met it."""
+    """Return what breaks a law in a trial; empty when it holds. Whatever the scanner raises breaks the law that met it."""
     try:
         law.judges(trial)
     except LawError as error:
@@ -123,7 +123,7 @@ class Fuzzer:
     # ------------------------------------------------------------------ examples
 
     def example(self, number: int) -> tuple[Bench, Scene, tuple[int, ...]]:
-        """The bench, scene and cuts of an example, by its number."""
+        """Return the bench, scene and cuts of an example, by its number."""
         block, place = divmod(number, BLOCK)
         bench = self.benches[block % len(self.benches)]
         if self._is_train(number):
@@ -203,7 +203,7 @@ class Fuzzer:
 
 
 def shrink(law: Law, trial: Trial, said: str, number: int | None = None, calls: int = 4000) -> Failure:
-    """The failure of a law in a trial, with the smallest scene that `calls` trials can find."""
+    """Return the failure of a law in a trial, with the smallest scene that `calls` trials can find."""
     # A bench of its own: what a faulty construct said before must not stand in the way, nor a scanner's state.
     bench = Bench(trial.bench.wire, trial.bench.direction)
     counted = Calls(calls)

@@ -26,7 +26,7 @@ class Hints:
 
 @lru_cache(maxsize=4096)
 def hints(message: Message) -> Hints:
-    """What a message's fields say of one another."""
+    """Return what a message's fields say of one another."""
     values: dict[str, set[int]] = {}
     small: set[str] = set()
 
@@ -83,7 +83,7 @@ def _numbers_in(expression: Any) -> list[int]:
 
 
 def is_integer(con: Any) -> bool:
-    """Whether a construct's raw value is a whole number."""
+    """Return whether a construct's raw value is a whole number."""
     inner = innermost(con)
     return (isinstance(inner, (c.BytesInteger, Bits)) and not getattr(inner, "is_float", False)) or (
         isinstance(inner, c.FormatField) and inner.fmtstr[-1:] not in "efd"

@@ -45,7 +45,7 @@ class DrawnPacket:
         return [self.image] if self.message.framing is not None else self.carried()
 
     def carried(self, sequence: int = 0, **more: Any) -> list[Frame]:
-        """Its frames, the `sequence`th packet of its sender; `more` of all of them."""
+        """Return its frames, the `sequence`th packet of its sender; `more` of all of them."""
         transport = self.message.transport
         if transport is None:
             return [image_frame(self.image, **more)]
@@ -57,7 +57,7 @@ class DrawnPacket:
 
 
 def image_frame(image: bytes, **more: Any) -> Frame:
-    """The frame of a CAN image."""
+    """Return the frame of a CAN image."""
     word = int.from_bytes(image[:4], "big")
     return Frame(
         word & 0x1FFF_FFFF,
@@ -73,7 +73,7 @@ def image_frame(image: bytes, **more: Any) -> Frame:
 
 
 def draw_packet(message: Message, source: ChoiceSource, variant: Variant | None = None) -> DrawnPacket:
-    """A valid packet of `message`; when it answers requests of `variant`, one of those too.
+    """Return a valid packet of `message`; when it answers requests of `variant`, one of those too.
 
     Raises `UndrawableError` when none is found.
     """
@@ -130,7 +130,7 @@ def _occasions(message: Message, variant: Variant) -> tuple[Occasion, ...]:
 
 
 def _allowed(message: Message, name: str) -> Collection[int] | None:
-    """The numbers that a field of identifier or head may have; None when any."""
+    """Return the numbers that a field of identifier or head may have; None when any."""
     captures = list(message.identifier.captures)
     for head in message.heads:
         captures += head.pattern.captures if head.pattern is not None else ()
@@ -205,7 +205,7 @@ def _room(message: Message, source: ChoiceSource) -> Room:
 
 
 def _draw_request(values: Mapping[str, Any], occasion: Occasion, source: ChoiceSource) -> DrawnPacket:
-    """A request that the reply answers: fields that both have are equal, those that the link names are as it says."""
+    """Return a request that the reply answers: fields that both have are equal, those that the link names are as it says."""
     fixed = {name: values[name] for name, _ in occasion.shared}
     for name, allowed in occasion.link.values:
         if fixed.get(name, values.get(name)) not in allowed:

@@ -62,7 +62,7 @@ class LawCase:
 def law_tests(
     spec: str | Path | Protocol, *, laws: Iterable[int] = (), examples: int | None = None
 ) -> Callable[..., None]:
-    """A test function for pytest: each law on each dialect, configuration and direction of a protocol.
+    """Return a test function for pytest: each law on each dialect, configuration and direction of a protocol.
 
     `spec` is a Python file (looked for beside the file that calls, then in the current folder; `my_spec.py:NAME` where it
     declares several protocols), the name of an installed protocol, or a `Protocol`. `laws` chooses some by number.
@@ -97,7 +97,7 @@ def law_tests(
 
 
 def failure_of(case: LawCase, examples: int | None, folder: Path) -> str:
-    """What breaks a law, drawn and saved into `folder`; empty when nothing was found."""
+    """Return what breaks a law, drawn and saved into `folder`; empty when nothing was found."""
     failing: list[tuple[Any, ...]] = []
 
     @settings(
@@ -128,7 +128,7 @@ class _BrokenError(Exception):
 
 
 def shrunk_report(case: LawCase, scene: Scene, cuts: tuple[int, ...], said: str, folder: Path) -> str:
-    """A failure shrunk, saved and in words."""
+    """Return a failure shrunk, saved and in words."""
     trial = Trial(Bench(case.wire, case.direction), scene, cuts)
     failure = shrink(case.law, trial, said)
     saved = save_scene(folder, case.wire, case.direction, failure.scene, failure.cuts, law=case.law.number)
@@ -150,7 +150,7 @@ def shrunk_report(case: LawCase, scene: Scene, cuts: tuple[int, ...], said: str,
 
 
 def _protocol(spec: str | Path | Protocol, here: Path) -> tuple[Protocol, str]:
-    """The protocol, and what the command line calls it."""
+    """Return the protocol, and what the command line calls it."""
     if isinstance(spec, Protocol):
         place = Path(spec.place.file)
         return spec, shown_path(place.resolve()) if place.is_file() else spec.name

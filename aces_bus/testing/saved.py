@@ -42,7 +42,7 @@ class Saved:
     scene: Path
 
     def decode_command(self, spec: str, direction: Way) -> str:
-        """The command that decodes the capture with a protocol as the command line names it."""
+        """Return the command that decodes the capture with a protocol as the command line names it."""
         way = {
             "to device": " --direction to",
             "from device": " --direction from",
@@ -66,7 +66,7 @@ class Loaded:
     packets: tuple[Mapping[str, Any], ...]
 
     def scene(self, bench: Bench) -> Scene:
-        """The scene for a wire of that protocol; packets of messages that it no longer has are left out."""
+        """Return the scene for a wire of that protocol; packets of messages that it no longer has are left out."""
         packets = tuple(p for one in self.packets if (p := _packet(bench, one)) is not None)
         return Scene(self.traffic, self.idle_at, self.sent_at, packets)
 
@@ -147,7 +147,7 @@ def _write_frames(path: Path, scene: Scene) -> None:
 def scene_text(
     wire: Wire, direction: Way, scene: Scene, cuts: Iterable[int] = (), *, law: int | None = None
 ) -> str:
-    """A scene as JSON."""
+    """Return a scene as JSON."""
     variants = wire_variants(wire)
     return json.dumps(
         {

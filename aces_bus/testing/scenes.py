@@ -45,7 +45,7 @@ class Scene:
 
 
 def wire_variants(wire: Wire) -> tuple[Variant, ...]:
-    """The variants of a wire, in order."""
+    """Return the variants of a wire, in order."""
     return (wire,) if isinstance(wire, Variant) else tuple(wire)
 
 
@@ -74,7 +74,9 @@ def _cast(variants: tuple[Variant, ...], direction: Way) -> Cast:
 
 
 def draw_stream(wire: Wire, direction: Way, source: ChoiceSource, *, size: int = 400) -> Scene:
-    """A byte stream of about `size` bytes: packets of any message, whole and damaged, and what only looks like them."""
+    """Return a byte stream of about `size` bytes: packets of any message, whole and damaged, and what only looks like
+    them.
+    """
     who = cast(wire, direction)
     data = bytearray()
     idle_at: list[int] = []
@@ -134,7 +136,7 @@ PACKET_DAMAGES = 7
 
 
 def damaged_packet(packet: DrawnPacket, how: int, source: ChoiceSource) -> bytes:
-    """A stream's packet with something wrong: other contents, cut short, bits flipped, a false header before it."""
+    """Return a stream's packet with something wrong: other contents, cut short, bits flipped, a false header before it."""
     piece = packet.image
     if how == 0:
         return _rewrapped(packet, source)
@@ -158,7 +160,7 @@ def _flipped(piece: bytes, source: ChoiceSource) -> bytes:
 
 
 def _header(packet: DrawnPacket, source: ChoiceSource) -> bytes:
-    """The first bytes of a packet once more, with a length that promises much or little."""
+    """Return the first bytes of a packet once more, with a length that promises much or little."""
     framing = packet.message.framing
     assert framing is not None
     head = bytearray(packet.image[: max(1, framing.head_end)])
@@ -180,7 +182,7 @@ def _header(packet: DrawnPacket, source: ChoiceSource) -> bytes:
 
 
 def _overwritten(packet: DrawnPacket, source: ChoiceSource) -> bytes:
-    """A packet with another byte in its head, in its check or anywhere."""
+    """Return a packet with another byte in its head, in its check or anywhere."""
     framing = packet.message.framing
     out = bytearray(packet.image)
     last = len(out) - 1
@@ -276,7 +278,7 @@ def draw_frames(wire: Wire, direction: Way, source: ChoiceSource, *, size: int =
         if time is not None:
             time = round(time + part.choice((0.0, 0.001, 0.001, 0.02, 0.7)), 6)
         about: dict[str, Any] = {
-            "timestamp": time,
+            "timestamp": time if part.integer(0, 15) else None,
             "channel": channel,
             "is_rx": part.choice((None, True, False)),
         }
@@ -308,6 +310,8 @@ def draw_frames(wire: Wire, direction: Way, source: ChoiceSource, *, size: int =
                 packets.append(packet)
             else:
                 carried = _jumbled(carried, packet.message, how - 20, part)
+                if carried and part.integer(0, 3) == 3:
+                    carried = _jumbled(carried, packet.message, part.integer(0, 11), part)
             if carried:
                 under_way.append(carried)
             continue
@@ -326,7 +330,7 @@ def draw_frames(wire: Wire, direction: Way, source: ChoiceSource, *, size: int =
 
 
 def _jumbled(frames: list[Frame], message: Message, how: int, source: ChoiceSource) -> list[Frame]:
-    """The frames of a packet with something wrong: lost, twice, in another order, damaged, steered."""
+    """Return the frames of a packet with something wrong: lost, twice, in another order, damaged, steered."""
     out = list(frames)
     at = source.integer(0, len(out) - 1)
     if how in (0, 1):
@@ -363,7 +367,7 @@ FRAME_DAMAGES = 10
 
 
 def damaged_frame(frame: Frame, message: Message, how: int, source: ChoiceSource) -> Frame:
-    """A frame with something wrong: shorter, longer, bits flipped, another identifier or kind."""
+    """Return a frame with something wrong: shorter, longer, bits flipped, another identifier or kind."""
     data = frame.data
     if message.check is not None and source.integer(0, 1) and len(data) in (message.lengths or ()):
         return replace(frame, data=rechecked(message, frame.arbitration_id, _flipped(data, source)))
@@ -421,7 +425,7 @@ def draw_scene(wire: Wire, direction: Way, source: ChoiceSource, *, size: int = 
 
 
 def draw_cuts(scene: Scene, source: ChoiceSource) -> tuple[int, ...]:
-    """Where to cut a scene: offsets, in order, perhaps repeated (an empty chunk)."""
+    """Return where to cut a scene: offsets, in order, perhaps repeated (an empty chunk)."""
     size = len(scene)
     how = source.integer(0, 3)
     if how == 0:

@@ -47,7 +47,7 @@ class Calls:
 
 
 def shrunk(bench: Bench, scene: Scene, cuts: Cuts, fails: Fails, calls: Calls) -> tuple[Scene, Cuts]:
-    """The smallest scene and cuts found on which `fails` still says so. `scene` must fail."""
+    """Return the smallest scene and cuts found on which `fails` still says so. `scene` must fail."""
     best = _Best(scene, cuts, fails, calls)
     if scene.packets:
         best.offer(replace(scene, packets=()), cuts)
@@ -105,7 +105,7 @@ def _weight(scene: Scene, cuts: Cuts) -> tuple[int, ...]:
 
 
 def packet_bytes(packet: Any) -> bytes:
-    """The bytes of a packet or a frame."""
+    """Return the bytes of a packet or a frame."""
     return packet if isinstance(packet, bytes) else bytes(packet.data)
 
 
@@ -137,7 +137,7 @@ def _inside(best: _Best) -> Cuts:
 
 
 def without(scene: Scene, cuts: Cuts, start: int, stop: int) -> tuple[Scene, Cuts]:
-    """A scene without the frames or bytes `start`…`stop`; what follows moves up."""
+    """Return a scene without the frames or bytes `start`…`stop`; what follows moves up."""
 
     def moved(offset: int) -> int:
         return offset if offset <= start else max(start, offset - (stop - start))
@@ -241,7 +241,7 @@ def _with_sent(scene: Scene, index: int, packet: Any) -> Scene:
 
 
 def smaller_packets(bench: Bench, traffic: bytes, start: int) -> Iterator[tuple[int, bytes]]:
-    """The size of each framing's whole packet at `start`, with packets that have less in them."""
+    """Yield the size of each framing's whole packet at `start`, with packets that have less in them."""
     for (_, framing, messages), extras in zip(bench.framings, bench.extras, strict=True):
         judged = framing.judge(traffic, start, silent=True, extras=extras)
         if judged.verdict is Verdict.WHOLE:
@@ -309,7 +309,7 @@ def _offer_frame(best: _Best, index: int, frame: Frame) -> bool:
 
 
 def _with_data(bench: Bench, frame: Frame, data: bytes) -> Iterator[Frame]:
-    """The frame with other data: with the check that goes with them, and as they are."""
+    """Yield the frame with other data: with the check that goes with them, and as they are."""
     for message in bench.by_name.values():
         if message.check is not None and message.identifier.match(frame.arbitration_id) is not None:
             if message.lengths is not None and len(data) in message.lengths:
@@ -318,7 +318,7 @@ def _with_data(bench: Bench, frame: Frame, data: bytes) -> Iterator[Frame]:
 
 
 def simpler_frames(bench: Bench, frame: Frame) -> Iterator[Frame]:
-    """The frame with less about it: no time, no channel, no data, a smaller identifier."""
+    """Yield the frame with less about it: no time, no channel, no data, a smaller identifier."""
     plain = {"timestamp": None, "channel": None, "is_rx": None}
     yield structs.replace(frame, **plain)
     for name in plain:
@@ -353,7 +353,7 @@ def _packets(best: _Best) -> None:
 
 
 def _simpler_packets(scene: Scene) -> Iterator[Scene]:
-    """The scene's only packet, with simpler values."""
+    """Yield the scene's only packet, with simpler values."""
     (packet,) = scene.packets
     for values in simpler_values(packet.values):
         try:

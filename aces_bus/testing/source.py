@@ -21,7 +21,7 @@ class ChoiceSource(Protocol):
     """Gives choices."""
 
     def integer(self, low: int, high: int) -> int:
-        """A number in `low`…`high`, both included."""
+        """Return a number in `low`…`high`, both included."""
         ...
 
     def choice(self, items: Sequence[T]) -> T:
@@ -38,7 +38,7 @@ class ChoiceSource(Protocol):
         ...
 
     def branch(self) -> ChoiceSource:
-        """A source for one part of a whole."""
+        """Return a source for one part of a whole."""
         ...
 
 
@@ -71,7 +71,9 @@ class Entropy:
         return items[self.integer(0, len(items) - 1)]
 
     def branch(self) -> Entropy:
-        """A source of its own for one part of a whole, for three bytes: parts can be dropped and simplified one by one."""
+        """Return a source of its own for one part of a whole, for three bytes: parts can be dropped and simplified one
+        by one.
+        """
         seed = self._take(3)
         return spread(seed, 512) if seed else Entropy(b"")
 
@@ -132,12 +134,12 @@ class Dice:
 
 
 def spread(seed: int, size: int = 4096) -> Entropy:
-    """A source that is the same for the same seed."""
+    """Return a source that is the same for the same seed."""
     return Entropy(random.Random(seed).randbytes(size))
 
 
 def edge_number(source: ChoiceSource, low: int, high: int) -> int:
-    """A number in `low`…`high` that is often an edge, near zero or a power of two."""
+    """Return a number in `low`…`high` that is often an edge, near zero or a power of two."""
     how = source.integer(0, 7)
     if how < 4:
         return source.integer(low, high)

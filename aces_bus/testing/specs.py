@@ -52,7 +52,7 @@ _CRCS = (
 
 
 def draw_spec(source: ChoiceSource, link: Link | None = None) -> str:
-    """The source text of a protocol named `drawn`."""
+    """Return the source text of a protocol named `drawn`."""
     link = link or source.choice(("can", "serial"))
     lines = [f'drawn = Protocol("drawn", link="{link}")']
     space: dict[str, Any] = {}
@@ -73,7 +73,7 @@ def draw_spec(source: ChoiceSource, link: Link | None = None) -> str:
 
 
 def protocol_of(text: str) -> Protocol:
-    """The protocol `drawn` of a source text."""
+    """Return the protocol `drawn` of a source text."""
     space: dict[str, Any] = {}
     _run(text, space)
     made: Protocol = space["drawn"]
@@ -107,7 +107,7 @@ def _size(con: str) -> int:
 
 
 def _number(source: ChoiceSource, room: int) -> tuple[str, int]:
-    """A construct of a number of at most `room` bytes, and its size."""
+    """Return a construct of a number of at most `room` bytes, and its size."""
     fitting = [
         name for name in (*_INTEGERS, "Float32l", "Float32b", "Float16b", "Float64l") if _size(name) <= room
     ]
@@ -122,7 +122,8 @@ def _single(source: ChoiceSource, names: _Names, room: int) -> tuple[str, int]:
     con, size = _number(source, room)
     if how == 1:
         scale = source.choice(("0.1", "0.01", "0.5", "-0.25", "3"))
-        con = f'Quantity({con}, scale={scale}, offset={source.choice(("0", "-40", "0.5"))}, unit="V")'
+        offset, more = source.choice(("0", "-40", "0.5")), source.choice(("", ', rounding="truncate"'))
+        con = f'Quantity({con}, scale={scale}, offset={offset}, unit="V"{more})'
     elif how == 2:
         con, size = f"Enumeration(Byte, off={source.integer(0, 3)}, on={source.integer(4, 255)})", 1
     elif how == 3:
@@ -153,13 +154,14 @@ _OPEN = (
     '"rest" / GreedyBytes',
     '"rest" / GreedyRange(Byte)',
     '"rest" / Text()',
+    '"rest" / Struct("name" / Text(5, ends=b"\\xff@\\0"), "data" / GreedyBytes)',
     '"rest" / Items(tag=Byte, size=Byte, kinds={"one": (1, Byte), "two": (2, Struct("a" / Int16ub, "b" / GreedyBytes))})',
     '"rest" / Items(tag=Byte, kinds={"one": (1, Quantity(Int16sl, scale=0.1)), "two": (9, Struct("a" / Float32b))})',
 )
 
 
 def _struct(source: ChoiceSource, room: int, *, first: str = "") -> tuple[str, int]:
-    """A struct of at most `room` bytes."""
+    """Return a struct of at most `room` bytes."""
     names, parts, left = _Names(), [first] if first else [], room - (1 if first else 0)
     for _ in range(source.integer(1, 6)):
         if left < 1:
@@ -181,7 +183,7 @@ def _struct(source: ChoiceSource, room: int, *, first: str = "") -> tuple[str, i
 
 
 def _layout(source: ChoiceSource, room: int) -> tuple[str, int]:
-    """A bit layout of at most `room` bytes: fields side by side, with gaps, across bytes."""
+    """Return a bit layout of at most `room` bytes: fields side by side, with gaps, across bytes."""
     size = source.integer(1, room)
     order = source.choice(("lsb", "msb"))
     at, parts = 0, list[str]()
@@ -253,7 +255,7 @@ def _can(source: ChoiceSource) -> Iterator[str]:
 
 
 def _check(source: ChoiceSource) -> tuple[str, int]:
-    """A check, and its size."""
+    """Return a check, and its size."""
     how = source.integer(0, 6)
     if how == 0:
         return "", 0

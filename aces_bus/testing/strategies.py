@@ -42,7 +42,7 @@ def fields(draw: Any, message: Message) -> dict[str, Any]:
 
 @st.composite
 def packets(draw: Any, variant: Variant, direction: Way = None, message: str | None = None) -> DrawnPacket:
-    """A valid packet or frame of a variant, with a request that it answers where it answers one.
+    """Return a valid packet or frame of a variant, with a request that it answers where it answers one.
 
     `message` names the one wanted; else it is any that can occur in `direction`.
     """
@@ -51,7 +51,7 @@ def packets(draw: Any, variant: Variant, direction: Way = None, message: str | N
 
 
 def entropy(size: int) -> st.SearchStrategy[Entropy]:
-    """What wires are made of: up to about `size` bytes' worth of choices."""
+    """Return what wires are made of: up to about `size` bytes' worth of choices."""
     # Read from its end: what Hypothesis shrinks to zero, the front, is then the tail that a scene does without.
     return st.binary(min_size=size // 2, max_size=size).map(lambda data: Entropy(data[::-1]))
 
@@ -77,14 +77,14 @@ def adversaries(wire: Wire, direction: Way = None, *, size: int = 3000) -> st.Se
 
 
 def cuts(scene: Scene) -> st.SearchStrategy[tuple[int, ...]]:
-    """Where to cut a scene into chunks: anywhere, regularly, or at every byte or frame."""
+    """Return where to cut a scene into chunks: anywhere, regularly, or at every byte or frame."""
     return entropy(32).map(lambda source: draw_cuts(scene, source))
 
 
 def arguments(
     law: Law, wire: Wire, direction: Way = None, *, size: int = 400
 ) -> st.SearchStrategy[tuple[Any, ...]]:
-    """What `law(wire, direction, …)` takes besides: a scene, and cuts where it wants them."""
+    """Return what `law(wire, direction, …)` takes besides: a scene, and cuts where it wants them."""
     return entropy(size // 3).map(lambda source: draw_arguments(law, wire, direction, source, size=size))
 
 
@@ -98,7 +98,7 @@ def specs(*, link: Link | None = None) -> st.SearchStrategy[str]:
 
 
 def protocols(*, link: Link | None = None) -> st.SearchStrategy[Protocol]:
-    """The protocols of `specs`, declared: whatever holds for every protocol can be tested on these."""
+    """Return the protocols of `specs`, declared: whatever holds for every protocol can be tested on these."""
     return specs(link=link).map(protocol_of)
 
 

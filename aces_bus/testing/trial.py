@@ -60,7 +60,7 @@ class ScannedItem:
 
 
 def scanner_of(wire: Wire, direction: Way, *, include_unknown: bool = True, raw: bool = True) -> Scanner:
-    """A scanner as if just made."""
+    """Return a scanner as if just made."""
     return bench_of(wire, direction).scanner(include_unknown=include_unknown, raw=raw)
 
 
@@ -87,12 +87,12 @@ def play(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[Any]:
 
 
 def scanned_items(scanner: Scanner, scene: Scene, cuts: Iterable[int] = ()) -> list[ScannedItem]:
-    """What a scanner gives of a scene, in its form for comparison."""
+    """Return what a scanner gives of a scene, in its form for comparison."""
     return as_items(play(scanner, scene, cuts), scanner.link == "can")
 
 
 def as_items(given: Iterable[Any], is_can: bool) -> list[ScannedItem]:
-    """What a scanner gave, in its form for comparison."""
+    """Return what a scanner gave, in its form for comparison."""
     if is_can:
         return [_item(item, number, max(1, len(item.meta.frames))) for number, item in enumerate(given)]
     return join_losses(_item(item, item.meta.offset, item.meta.size) for item in given)
@@ -105,12 +105,12 @@ def _item(item: Any, offset: int, size: int) -> ScannedItem:
 
 
 def reference_items(wire: Wire, direction: Way, scene: Scene, *, raw: bool = True) -> list[ScannedItem]:
-    """What the reference says of a scene."""
+    """Return what the reference says of a scene."""
     return items_by(bench_of(wire, direction).reference(raw=raw), scene)
 
 
 def items_by(reference: Reference, scene: Scene) -> list[ScannedItem]:
-    """What this reference says of a scene."""
+    """Return what this reference says of a scene."""
     if isinstance(scene.traffic, bytes):
         found = reference.stream(scene.traffic, idle_at=scene.idle_at, sent_at=scene.sent_at)
         return join_losses(
@@ -148,7 +148,7 @@ def join_losses(items: Iterable[ScannedItem]) -> list[ScannedItem]:
 
 
 def record_image(record: Any) -> bytes:
-    """The image that a record was read from."""
+    """Return the image that a record was read from."""
     meta = record.meta
     if meta.identifier is None:
         return bytes(meta.raw)
@@ -156,7 +156,7 @@ def record_image(record: Any) -> bytes:
 
 
 def comparable(value: Any) -> Any:
-    """A value for comparison by bits: floats as their bytes, sequences as lists, numbers of every kind as int."""
+    """Return a value for comparison by bits: floats as their bytes, sequences as lists, numbers of every kind as int."""
     if isinstance(value, float):
         return struct.pack("<d", value)[::-1].hex() + "f"
     if isinstance(value, Mapping):
@@ -201,7 +201,7 @@ class LawError(AssertionError):
 
 
 def scene_source(scene: Scene) -> str:
-    """A scene as it is written in a test."""
+    """Return a scene as it is written in a test."""
     if isinstance(scene.traffic, bytes):
         traffic = f"bytes.fromhex({scene.traffic.hex(' ').upper()!r})"
         sent = tuple((at, f"bytes.fromhex({packet.hex(' ').upper()!r})") for at, packet in scene.sent_at)
@@ -238,7 +238,7 @@ class Trial:
         raise LawError(number, self, text, with_scene=with_scene)
 
     def sample(self, items: Sequence[T]) -> Sequence[T]:
-        """All of them; of a trial that is not thorough, one."""
+        """Return all of them; of a trial that is not thorough, one."""
         if self.thorough or len(items) < 2:
             return items
         at = self.turn % len(items)
@@ -334,7 +334,7 @@ class Law:
 
 
 def law(number: int, *, takes_cuts: bool = False, streams_only: bool = False) -> Callable[[Judge], Law]:
-    """A decorator that makes a law of a function of a `Trial`."""
+    """Return a decorator that makes a law of a function of a `Trial`."""
     return lambda judges: Law(number, judges, takes_cuts, streams_only)
 
 

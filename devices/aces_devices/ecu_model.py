@@ -32,25 +32,25 @@ class EcuModel:
     permanent: set[str] = field(default_factory=lambda: {"P0301"})
 
     def with_status(self, bits: Collection[str]) -> list[str]:
-        """The codes that have one of these bits."""
+        """Return the codes that have one of these bits."""
         return sorted(code for code, status in self.codes.items() if not status.isdisjoint(bits))
 
     def value(self, kind: str) -> Any:
-        """What a list of values has of a kind; None where this ECU does not have it."""
+        """Return what a list of values has of a kind; None where this ECU does not have it."""
         if kind == "monitor_status":
             stored = self.with_status({"confirmed"})
             return {"codes": len(stored), "lamp": int(bool(stored))}
         return self.values.get(kind)
 
     def mask(self, first: int) -> list[str]:
-        """Which of the 32 values behind `first` there are, and whether some are behind them."""
+        """Return which of the 32 values behind `first` there are, and whether some are behind them."""
         mine = {"monitor_status", *self.values}
         names = [name for name, (pid, _) in VALUES.items() if name in mine and first < pid < first + 32]
         return [*names, *(["more"] if any(VALUES[name][0] > first + 32 for name in mine) else [])]
 
 
 def ecu_of(world: World, config: DeviceConfig) -> EcuModel:
-    """The ECU that a twin is: the same one for all twins with its number on its bus. It outlives power-off."""
+    """Return the ECU that a twin is: the same one for all twins with its number on its bus. It outlives power-off."""
     key = f"ecu {config.credentials['ecu']} of {config.bus}"
     found: EcuModel = world.shared.setdefault(key, EcuModel())
     return found

@@ -49,7 +49,9 @@ class MotorModel:
 
     @classmethod
     def of_ratio(cls, ratio: float, *, speed: float = 1600.0, stall_current: float = 8.0) -> MotorModel:
-        """The same motor behind another gear: `ratio` motor turns a turn of the joint, `speed` the motor's own (rad/s)."""
+        """Return the same motor behind another gear: `ratio` motor turns a turn of the joint, `speed` the motor's own
+        (rad/s).
+        """
         return cls(speed=speed / max(1.0, ratio), stall_current=stall_current)
 
 
@@ -168,7 +170,7 @@ class MotorJoint:
     # ------------------------------------------------------------------ what is known of it
 
     def position(self, now: int) -> float:
-        """Where it is (rad)."""
+        """Return where it is (rad)."""
         self.sync(now)
         return self.q
 
@@ -275,7 +277,7 @@ class MotorJoint:
 
 
 def joint_of(twin: Twin, motor: MotorModel) -> MotorJoint:
-    """The simulated joint of a twin that has one, by its joint's name (its own where it has none), and free.
+    """Return the simulated joint of a twin that has one, by its joint's name (its own where it has none), and free.
 
     It is made when the twin is first powered; switched off and on, it is where it was.
     """

@@ -70,7 +70,7 @@ class MitMotor(SingleMotor):
         return max(-most, min(most, raw / self.ranges[index] * most))
 
     def of_joint(self, name: str) -> Signal:
-        """A signal of the joint."""
+        """Return a signal of the joint."""
         return self.signals[f"{self.owner}.{name}"]
 
     def know(self, ranges: Ranges) -> None:
@@ -103,7 +103,15 @@ class MitMotor(SingleMotor):
             value = self.usual.get(name, here if name == "position" else 0.0)
             self.want(message, field, self.raw_of(name, value))
 
+    @property
+    def lets_go(self) -> str:
+        """As every motor; one without stiffness gives way, whoever watches."""
+        return super().lets_go or ("has no stiffness, and gives way" if self._is_soft else "")
+
+    @property
+    def _is_soft(self) -> bool:
+        return self.mode == self.mit_mode and not self._given.get("Command", {}).get("kp")
+
     def is_followed(self, signal: Signal) -> bool:
         """Not while it has no stiffness: then it gives way on purpose."""
-        is_soft = self.mode == self.mit_mode and not self._given.get("Command", {}).get("kp")
-        return not is_soft and super().is_followed(signal)
+        return not self._is_soft and super().is_followed(signal)

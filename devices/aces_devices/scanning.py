@@ -28,7 +28,7 @@ def scan_numbers(
     known: Known = lambda answer: {},
     **fields: Any,
 ) -> Scan:
-    """A scan in which each number is asked `message` with these fields, which must change nothing.
+    """Return a scan in which each number is asked `message` with these fields, which must change nothing.
 
     The device that answers is called `prefix` and its number. `protocol` is what is spoken, by default the driver's name.
     """

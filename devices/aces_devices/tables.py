@@ -24,7 +24,7 @@ NUMBERS = {
 
 
 def value_of(data: bytes, type: str, scale: float, offset: float) -> Any:
-    """The value of a number, the high byte first; of "text", without what fills it up; of "bytes", in hexadecimal.
+    """Return the value of a number, the high byte first; of "text", without what fills it up; of "bytes", in hexadecimal.
 
     >>> value_of(b"\\xff\\x83", "s16", 0.5, 1), value_of(b"oven\\0\\0", "text", 1, 0)
     (-61.5, 'oven')
@@ -36,7 +36,7 @@ def value_of(data: bytes, type: str, scale: float, offset: float) -> Any:
 
 
 def data_of(what: str, value: Any, type: str, size: int, scale: float, offset: float, unit: str) -> bytes:
-    """The bytes of a value. Raises `CallerError`, which names `what`, for one that does not fit."""
+    """Return the bytes of a value. Raises `CallerError`, which names `what`, for one that does not fit."""
     try:
         if type == "text":
             data = str(value).encode("latin-1").ljust(size, b"\0")
@@ -56,7 +56,8 @@ def data_of(what: str, value: Any, type: str, size: int, scale: float, offset: f
 def entries_of(
     who: str, what: str, table: str | None, own: Mapping[str, Any], folder: Traversable | None = None
 ) -> dict[str, Any]:
-    """The entries of a table that ships in `folder` or of a TOML file with [`what`], and a device's own, which go before.
+    """Return the entries of a table that ships in `folder` or of a TOML file with [`what`], and a device's own, which
+    go before.
 
     Raises `CallerError`, `UnknownNameError`.
     """

@@ -43,11 +43,11 @@ class TurningWheel:
         self._angle = angle
 
     def position(self, now: int) -> float:
-        """Where it is (rad)."""
+        """Return where it is (rad)."""
         self._sync(now)
         return self._angle
 
     def speed(self, now: int) -> float:
-        """How fast it turns (rad/s)."""
+        """Return how fast it turns (rad/s)."""
         self._sync(now)
         return self._speed

@@ -65,7 +65,9 @@ NAMES = {pid: name for name, (pid, _) in VALUES.items()}
 
 
 def supported(first: int) -> Flags:
-    """Which of the 32 PIDs behind `first` there are: the highest bit is the first, the lowest says that a mask follows."""
+    """Return which of the 32 PIDs behind `first` there are: the highest bit is the first, the lowest says that a mask
+    follows.
+    """
     last = first + 32
     names = {NAMES.get(pid, f"pid_{pid:02X}"): last - pid for pid in range(first + 1, last)}
     return Flags(Int32ub, {**names, "more": 0})
@@ -85,12 +87,12 @@ class TroubleCode(Field):
     """
 
     def to_physical(self, raw: Any) -> str:
-        """The text."""
+        """Return the text."""
         code, kind = (raw >> 8, f"-{raw & 0xFF:02X}") if self.sizeof() == 3 else (raw, "")
         return f"{'PCBU'[code >> 14]}{code & 0x3FFF:04X}{kind}"
 
     def to_raw(self, value: Any, path: str = "") -> int:
-        """The number. Raises `FieldError` for what is no code."""
+        """Return the number. Raises `FieldError` for what is no code."""
         wide = self.sizeof() == 3
         found = re.fullmatch(r"([PCBU])([0-3][0-9A-F]{3})" + ("-([0-9A-F]{2})" if wide else ""), str(value))
         if found is None:

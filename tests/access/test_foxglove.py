@@ -15,8 +15,6 @@ from typing import Any
 
 import pytest
 
-from aces_bus.access.foxglove import LiveBus, LiveRecords, LiveStates, LiveView, LogLines, parse_live_address
-from aces_bus.access.origins import hidden_host, is_allowed
 from aces_bus.errors import CallerError
 from aces_bus.export import open_export
 from aces_bus.frames import Frame
@@ -24,6 +22,15 @@ from aces_bus.kinematics import load_body
 from aces_bus.protocol import load_protocol, make_scanner
 from aces_bus.protocol.columns.scanner import RecordColumns
 from aces_bus.robot import load_robot, run_virtual
+from aces_lab.foxglove.live import (
+    FoxgloveView,
+    LiveBus,
+    LiveRecords,
+    LiveStates,
+    LogLines,
+    parse_live_address,
+)
+from aces_lab.foxglove.origins import hidden_host, is_allowed
 from tests.access.viewing import WAIT_S, Viewer
 
 pytest.importorskip("foxglove")
@@ -31,15 +38,15 @@ pytest.importorskip("websockets")
 
 
 @pytest.fixture
-def view() -> Iterator[LiveView]:
+def view() -> Iterator[FoxgloveView]:
     """At a port of its own; what it reports is in `told`."""
     told: list[str] = []
-    with LiveView("0", name="test", report=told.append) as made:
+    with FoxgloveView("0", name="test", report=told.append) as made:
         made.told = told  # type: ignore[attr-defined]
         yield made
 
 
-def told(view: LiveView) -> list[str]:
+def told(view: FoxgloveView) -> list[str]:
     """What it has reported."""
     found: list[str] = view.told  # type: ignore[attr-defined]
     return found
@@ -53,7 +60,7 @@ FRAMES = [
 ]
 
 
-def test_a_viewer_has_what_an_mcap_has(view: LiveView, tmp_path: Path) -> None:
+def test_a_viewer_has_what_an_mcap_has(view: FoxgloveView, tmp_path: Path) -> None:
     """The same records: the same topics, schemas, metadata, objects and times, also of what was not decoded."""
     reader = pytest.importorskip("mcap.reader")
     variants = [load_protocol("hubo").variant()]
@@ -76,7 +83,7 @@ def test_a_viewer_has_what_an_mcap_has(view: LiveView, tmp_path: Path) -> None:
             assert (message.log_time, json.loads(message.data)) in viewer.messages[channel.topic]
 
 
-def test_events_and_logs_arrive(view: LiveView) -> None:
+def test_events_and_logs_arrive(view: FoxgloveView) -> None:
     """An event is one, and a line of the log; what a program logs is a line. Foxglove knows the schema by its name."""
     logger = logging.getLogger("walk")
     lines = LogLines(view)
@@ -102,7 +109,7 @@ def test_events_and_logs_arrive(view: LiveView) -> None:
 
 
 @pytest.mark.slow
-def test_states_and_transforms_of_a_robot(view: LiveView) -> None:
+def test_states_and_transforms_of_a_robot(view: FoxgloveView) -> None:
     """Joints, set-points, what sensors measure; and where the frames of its body are, as far as joints are known."""
     robot = load_robot("minihubo_1")
     states = LiveStates(view, 50, body=load_body("MiniHubo"))
@@ -131,7 +138,7 @@ def test_states_and_transforms_of_a_robot(view: LiveView) -> None:
     }
 
 
-def test_clients_only_look(view: LiveView) -> None:
+def test_clients_only_look(view: FoxgloveView) -> None:
     """No capability is offered; what is published, asked or called is refused, and the view goes on."""
     with Viewer(view.address) as viewer:
         viewer.until(lambda: "/log" in viewer.channels)
@@ -164,7 +171,7 @@ def test_clients_only_look(view: LiveView) -> None:
         ("null", False),
     ],
 )
-def test_pages_of_other_sites_are_refused(view: LiveView, origin: str | None, allowed: bool) -> None:
+def test_pages_of_other_sites_are_refused(view: FoxgloveView, origin: str | None, allowed: bool) -> None:
     """A browser says where its page is from; a program says nothing, and may look."""
     exceptions = pytest.importorskip("websockets.exceptions")
     if allowed:
@@ -192,11 +199,11 @@ def test_the_server_behind_is_where_no_page_can_guess_it() -> None:
     assert all(host.startswith("127.") for host in found)
 
 
-def test_a_port_that_is_taken(view: LiveView) -> None:
+def test_a_port_that_is_taken(view: FoxgloveView) -> None:
     """Is said, with one that may be free; nothing is left running."""
     before = threading.active_count()
     with pytest.raises(CallerError, match=f"127.0.0.1:{view.port} cannot be served.*such as {view.port + 1}"):
-        LiveView(str(view.port))
+        FoxgloveView(str(view.port))
     assert threading.active_count() == before
 
 
@@ -211,7 +218,7 @@ def test_without_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     """One sentence that names it."""
     monkeypatch.setitem(sys.modules, "foxglove", None)
     with pytest.raises(CallerError, match=r"pip install 'aces-bus\[foxglove\]'"):
-        LiveView("0")
+        FoxgloveView("0")
 
 
 class Stuck:
@@ -231,7 +238,7 @@ class Stuck:
 def test_what_does_not_fit_is_dropped_and_counted() -> None:
     """The oldest goes; putting never waits, and it is reported once."""
     said: list[str] = []
-    with LiveView("0", report=said.append, waiting=10) as view, Viewer(view.address) as viewer:
+    with FoxgloveView("0", report=said.append, waiting=10) as view, Viewer(view.address) as viewer:
         viewer.until(lambda: view.viewers)
         feed = Stuck()
         view.put(feed, -1)
@@ -246,7 +253,7 @@ def test_what_does_not_fit_is_dropped_and_counted() -> None:
     assert said == ["live view: more happens than can be shown; the oldest is dropped"]
 
 
-def test_where_nobody_looks_nothing_is_done(view: LiveView) -> None:
+def test_where_nobody_looks_nothing_is_done(view: FoxgloveView) -> None:
     """No record is kept or encoded."""
     feed = Stuck()
     view.put(feed, 1)
@@ -257,7 +264,7 @@ def test_where_nobody_looks_nothing_is_done(view: LiveView) -> None:
     assert view.published == 0
 
 
-def test_a_feed_that_raises_ends_nothing(view: LiveView) -> None:
+def test_a_feed_that_raises_ends_nothing(view: FoxgloveView) -> None:
     """It is reported once, and what comes next is shown."""
 
     class Broken:
@@ -279,7 +286,7 @@ def test_a_feed_that_raises_ends_nothing(view: LiveView) -> None:
 def test_the_end_is_clean() -> None:
     """What was shown last arrives; the connection ends, the threads too, and the port is free."""
     before = set(threading.enumerate())
-    with LiveView("0") as view, Viewer(view.address) as viewer:
+    with FoxgloveView("0") as view, Viewer(view.address) as viewer:
         viewer.until(lambda: view.is_wanted(view._log_feed.channel))
         view.log(0, "info", "test", "the end")
         view.close()

@@ -16,15 +16,15 @@ from typing import Any
 
 import pytest
 
-from aces_bus.access import Publisher, RemoteStates
-from aces_bus.access.remote import RemoteClock
-from aces_bus.access.zenoh import open_session
 from aces_bus.controller import NOTHING, Controller
 from aces_bus.controller.log import Logger, read_log
 from aces_bus.errors import CallerError, NoReplyError, UnknownNameError
 from aces_bus.robot import run_virtual
 from aces_bus.runtime import Loop, RealClock, ThreadTasks, VirtualClock
 from aces_bus.state import UNKNOWN, State
+from aces_lab.zenoh import Publisher, RemoteStates
+from aces_lab.zenoh.publisher import open_session
+from aces_lab.zenoh.remote import RemoteClock
 from tests.device.fan import ROBOT, drivers, robot_of
 
 pytest.importorskip("zenoh")
@@ -256,7 +256,7 @@ class Message:
 #: A robot of its own: a joint that follows its set-point at once.
 ROBOT_PROGRAM = """
 import sys
-from aces_bus.access import Publisher
+from aces_lab.zenoh import Publisher
 from aces_bus.runtime import Loop
 from aces_bus.state import State
 with Loop() as loop:

@@ -14,7 +14,7 @@ from typing import Any
 from aces_bus.protocol import Protocol
 from aces_protocols.nmea0183.spec import nmea0183
 from aces_protocols.ubx.spec import ubx
-from aces_tools.benchmarks import fastest, optional
+from tests.bench.rows import fastest, optional
 from tests.specs.cases import MAVLINK1
 from tests.specs.mavlink1 import mavlink1
 

@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 
 from aces_bus.frames import Frame
-from aces_bus.guess import checks_of, fields_of
 from aces_bus.protocol import load_protocol
 from aces_bus.recordings import open_recording
+from aces_lab.guess import checks_of, fields_of
 from tests.bench.guess_scores import FIELDS, Scores, Truth, table
 from tests.bench.guess_streams import score_stream, streams_of_others, streams_of_specs
 from tests.bench.twin_traffic import twin_traffic

@@ -10,12 +10,12 @@ from typing import Any
 
 from construct import Byte, Struct, this
 
-from aces_bus.guess import FramingGuess, StreamTraffic
-from aces_bus.guess.framings import framing_check
 from aces_bus.protocol import Fletcher, Protocol, load_protocol
 from aces_bus.protocol.declare.framing import Framing, Verdict
 from aces_bus.testing.packets import draw_packet
 from aces_bus.testing.source import Dice
+from aces_lab.guess import FramingGuess, StreamTraffic
+from aces_lab.guess.framings import framing_check
 from tests.bench.guess_scores import STREAMS, Scores
 from tests.bench.twin_traffic import twin_traffic
 

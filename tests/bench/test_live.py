@@ -1,4 +1,4 @@
-"""Live decoding under pytest-benchmark: `make test ARGS="tests/bench --benchmark-enable"`; ratios are in `aces bench`."""
+"""Live decoding under pytest-benchmark: `make test ARGS="tests/bench --benchmark-enable"`; `tests.bench` has ratios."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 
 from aces_bus.protocol import load_protocol
-from aces_tools import benchmarks
-from aces_tools.benchmarks import fastest
-from aces_tools.benchmarks.live import CHUNK, car_like, dynamixel_stream, hubo_like, messages
+from tests.bench.live import CHUNK, car_like, dynamixel_stream, hubo_like, messages
+from tests.bench.rows import fastest
 
 Benchmark = Callable[..., Any]
 
@@ -57,5 +56,5 @@ def test_contenders_take_turns() -> None:
 def test_one_thread_is_measured_in_processor_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """Contenders that work on one thread are measured in processor time, which other programs do not lengthen."""
     instants = iter([0, 5_000_000_000, 5_000_000_000, 7_000_000_000])
-    monkeypatch.setattr(benchmarks, "process_time_ns", lambda: next(instants))
+    monkeypatch.setattr("tests.bench.rows.process_time_ns", lambda: next(instants))
     assert fastest({"one": lambda: None}, rounds=2, one_thread=True) == {"one": 2.0}

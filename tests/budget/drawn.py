@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from functools import partial
 from operator import sub
 
-from aces_bus.budget import BusMessage, MessageSet, can_message, response_times
 from aces_bus.frames import Frame
 from aces_bus.hardware.simulated.bus import BusNode, SimulatedBus
 from aces_bus.runtime import VirtualClock
+from aces_lab.budget import BusMessage, MessageSet, can_message, response_times
 
 #: Bytes that are stuffed much.
 STUFFED = (0x00, 0xFF, 0x0F, 0xF0, 0x83, 0xC1, 0x1F, 0x07, 0x78, 0x87, 0x3C, 0xE1, 0x55)

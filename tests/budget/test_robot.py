@@ -7,10 +7,10 @@ from typing import Any
 import pytest
 
 from aces_bus import load_robot
-from aces_bus.budget import Assumptions, ErrorModel, RobotTraffic, robot_budget, robot_traffic
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.frames import Frame
-from aces_bus.robot import VirtualRobot
+from aces_bus.robot import VirtualRobot, parse_robot
+from aces_lab.budget import Assumptions, ErrorModel, RobotTraffic, robot_budget, robot_traffic
 
 MS = 1_000_000
 PRIORITY = Assumptions(queues={"host": "priority"})  # as the virtual bus's nodes are
@@ -148,3 +148,20 @@ def test_what_devices_send_by_themselves_is_found() -> None:
     assert message.response_ns == message.wire_ns == pytest.approx(100 * 10 / 38_400 * 1e9, abs=1)
     (pc,) = robot_budget(robot_traffic(load_robot("hubovia"))).buses.values()
     assert (pc.utilisation, pc.messages) == (None, ())
+
+
+def test_can_fd_data_takes_the_data_bitrate() -> None:
+    """With `data_bitrate` in the robot's file, the data of CAN FD frames is counted at that rate."""
+    used = {}
+    for more in ("", ", data_bitrate = 5_000_000"):
+        robot, problems = parse_robot(
+            'name = "x"\nrate_hz = 100\n[buses]\n'
+            f'can = {{ link = "can", protocol = "moteus", bitrate = 1_000_000{more} }}\n'
+            '[devices]\nM1 = { driver = "moteus", bus = "can", credentials = { id = 1 } }\n'
+            '[joints]\nKNEE = { device = "M1" }\n'
+        )
+        assert robot is not None, problems
+        traffic = robot_traffic(robot)
+        assert traffic.buses["can"].data_bitrate == (5_000_000 if more else None)
+        used[more] = robot_budget(traffic).buses["can"].utilisation or 0
+    assert used[""] > 1.8 * used[", data_bitrate = 5_000_000"] > 0

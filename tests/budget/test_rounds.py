@@ -6,8 +6,8 @@ import random
 
 import pytest
 
-from aces_bus.budget import BusMessage, MessageSet, RoundFrame, round_times
 from aces_bus.errors import CallerError, UnknownNameError
+from aces_lab.budget import BusMessage, MessageSet, RoundFrame, round_times
 
 HOST = "host"
 

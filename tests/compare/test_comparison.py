@@ -14,15 +14,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus import traffic
-from aces_bus.compare import RecordingComparison, TrafficChange, compare_recordings, parse_marks
-from aces_bus.compare.changes import bits_text, values_text
-from aces_bus.compare.marks import windows_of
-from aces_bus.compare.traffic import IdentifierTraffic, TrafficProfile
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import Channels, FrameTable
 from aces_bus.frames import Frame
 from aces_bus.recordings import parse_filter
 from aces_bus.traffic import BusIdentifier, GapCounts
+from aces_lab.compare import RecordingComparison, TrafficChange, compare_recordings, parse_marks
+from aces_lab.compare.changes import bits_text, values_text
+from aces_lab.compare.marks import windows_of
+from aces_lab.compare.traffic import IdentifierTraffic, TrafficProfile
 
 ROOT = Path(__file__).resolve().parents[2]
 WALK = ROOT / "examples" / "captures" / "hubo2plus.log"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any, Literal
 
@@ -13,7 +14,11 @@ from msgspec.structs import replace
 
 from aces_bus import load_robot
 from aces_bus.controller import Bounds, ControlEvent, Guard, bounds_of
-from aces_bus.controller.guard import NOT_FINITE_TRIPS, USUAL_SPEED
+from aces_bus.controller.guard import (
+    NOT_FINITE_TRIPS,
+    USUAL_SPEED,
+    _reach,  # pyright: ignore[reportPrivateUsage]  # its far end is out of any guard's reach
+)
 from aces_bus.errors import CallerError
 from tests.controller.fakes import fakes
 
@@ -60,6 +65,35 @@ def test_a_motion_that_stops_at_its_limit_passes() -> None:
     out, guard = guarded(Bounds(-1, values[-1] + 1e-12, 10, 5.0), values)
     assert out == values
     assert guard.clips == {}
+
+
+def test_a_distance_without_bound_is_no_division_by_zero() -> None:
+    """What is 10¹² quanta away is as good as infinitely far: any step may be taken; nothing is, behind the limit."""
+    assert _reach(1e9, 1e-7) == math.inf
+    assert _reach(0.0, 1e-7) == _reach(-1.0, 1e-7) == 0.0
+    assert _reach(0.5, 1.0) == 0.5  # less than one quantum: all of it
+    assert _reach(3.0, 1.0) == 2.0  # 2 + 1
+
+
+@pytest.mark.parametrize(("share", "clips"), [(0.99, 0), (1.01, 1), (1.5, 1)])
+def test_a_change_of_speed_is_held_to_the_acceleration(share: float, clips: int) -> None:
+    """From rest, 1 rad/s² lets a cycle of 10 ms change the speed by 0.01 rad/s; a hundredth more is limited, and counted."""
+    asked = share * 0.01 * 0.01
+    out, guard = guarded(Bounds(-10.0, 10.0, 5.0, 1.0), [0.0, 0.0, asked])
+    assert out[-1] == pytest.approx(min(asked, 1e-4), rel=1e-6)
+    assert ("A" in guard.clips and guard.clips["A"].acceleration) == clips
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("speed", [1.0, 1.5, 1000.0])
+def test_one_limit_is_met_at_rest(sign: float, speed: float) -> None:
+    """Towards the one limit that there is, a joint slows down in time: it arrives within its acceleration, and stays."""
+    bounds = Bounds(-math.inf, 1.0, 5.0, 2.0) if sign > 0 else Bounds(-1.0, math.inf, 5.0, 2.0)
+    out, _ = guarded(bounds, [sign * min(10.0, 0.01 * speed * n) for n in range(400)])
+    speeds = np.diff(out) / 0.01
+    assert np.abs(np.diff([0.0, *speeds])).max() <= 0.02 * (1 + 1e-6)
+    assert max(sign * value for value in out) <= 1.0
+    assert out[-1] == pytest.approx(sign, abs=1e-9)
 
 
 def test_a_step_is_reached_without_overshoot() -> None:
@@ -267,3 +301,41 @@ def test_wrong_settings_are_refused(options: dict[str, Any], message: str) -> No
         Guard({}, **merged)
     with pytest.raises(CallerError, match="must not be above upper"):
         Bounds(1.0, 0.0)
+
+
+# ---------------------------------------------------------------------- a joint that is not named any more
+
+
+def test_a_speed_that_is_not_named_any_more_becomes_0() -> None:
+    """After `unnamed_s` it is led to 0 at its rate, said once; named again it goes on from there."""
+    seen: list[str] = []
+    bounds = {"wheel": Bounds(-9.0, 9.0, rate=10.0, rest=0.0), "knee": Bounds(-1.0, 1.0)}
+    guard = Guard(bounds, period_s=0.01, dead_man_s=None, unnamed_s=0.1)
+    guard.listeners.add(lambda event: seen.append(f"{event.kind}: {event.detail}"))
+    for tick in range(10):
+        guard.apply(tick * 10 * MS, {"wheel": 2.0, "knee": 0.5})
+    left = [dict(guard.apply(tick * 10 * MS, {"knee": 0.5})) for tick in range(10, 50)]
+    wheel = [one["wheel"] for one in left if "wheel" in one]
+    assert [one for one in left[:10] if "wheel" in one] == []  # not yet
+    assert all(before - after <= 0.1 + 1e-9 for before, after in itertools.pairwise(wheel))
+    assert wheel[-1] == 0.0
+    assert len(wheel) < len(left) - 10  # it stands, and nothing more is given
+    assert all(one["knee"] == 0.5 for one in left)
+    assert seen == ["unnamed: wheel: no set-point for 110 ms while others come; it stands still"]
+    assert guard.apply(500 * MS, {"wheel": 0.05, "knee": 0.5})["wheel"] == pytest.approx(0.05)
+
+
+def test_a_position_that_is_not_named_any_more_stays() -> None:
+    """It stands where it was led, and nothing of it leaves again."""
+    guard = Guard({"a": Bounds(), "b": Bounds()}, period_s=0.01, dead_man_s=None, unnamed_s=0.1)
+    guard.apply(0, {"a": 1.0, "b": 1.0})
+    left = [guard.apply(tick * 10 * MS, {"b": 1.0}) for tick in range(1, 50)]
+    assert all(one == {"b": 1.0} for one in left)
+
+
+def test_a_hold_of_a_speed_is_standing_still() -> None:
+    """A trip that holds leads a speed to 0: a wheel that keeps its speed is not held."""
+    guard = Guard({"wheel": Bounds(-9.0, 9.0, rest=0.0)}, period_s=0.01, dead_man_s=None)
+    guard.apply(0, {"wheel": 2.0})
+    guard.trip("enough", "hold")
+    assert guard.tick(10 * MS) == {"wheel": 0.0}

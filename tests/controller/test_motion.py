@@ -186,6 +186,15 @@ def test_between_rows(part: float) -> None:
         assert parabola.interpolated("hold").at(x) == [1.0]
 
 
+def test_cubic_slopes_at_the_ends() -> None:
+    """In the first and last interval the slope at the end is that of one row, inside that of two: worked by hand."""
+    table = Trajectory(["a"], [[0.0], [1.0], [4.0], [0.0]], rate_hz=1, interpolation="cubic")
+    # value at u = 1/2: (b + c) / 2 + (slope at b - slope at c) / 8
+    assert table.at(0.5) == [0.5 + (1.0 - 2.0) / 8]
+    assert table.at(1.5) == [2.5 + (2.0 - -0.5) / 8]
+    assert table.at(2.5) == [2.0 + (-0.5 - -4.0) / 8]
+
+
 def test_cubic_has_no_corners() -> None:
     """The velocity before a row is that after it, also at the second and the last but one."""
     table = Trajectory("A", [[0.0], [1.0], [0.5], [2.0], [2.0]], rate_hz=1, interpolation="cubic")

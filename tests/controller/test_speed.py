@@ -1,6 +1,6 @@
 """What a control cycle may cost, in calls of Python functions: the same on every machine, however busy it is.
 
-How long that takes is measured by `aces bench control`.
+How long that takes is measured by `python -m tests.bench control`.
 """
 
 from __future__ import annotations

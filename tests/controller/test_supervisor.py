@@ -99,6 +99,19 @@ def test_what_is_harmless_goes_by(kind: str) -> None:
     assert (supervisor.reason, supervisor.counts[kind]) == ("", 1)
 
 
+def test_a_degradation_is_an_event_of_the_controller() -> None:
+    """It has the fault's instant, the controller as its source, and says what is given up and why."""
+    supervisor, _ = supervised({"silent": degrade("no compliance")})
+    heard: list[Any] = []
+    supervisor.listeners.add(heard.append)
+    fault = ControlEvent("silent", 5 * MS, "FT", "")
+    supervisor.handle(fault)
+    supervisor.step(10 * MS)
+    assert [(one.kind, one.instant, one.source, one.detail) for one in heard] == [
+        ("degraded", fault.instant, "walk", "no compliance (FT: silent)")
+    ]
+
+
 def test_declared_reactions_by_kind_and_source() -> None:
     """The first reaction whose sources fit is taken; degrading is told once, and its function carried out."""
     done: list[str] = []

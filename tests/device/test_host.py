@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from aces_bus.device import UNKNOWN, Driver, Host, OutgoingMessage, Setpoint, uncoalesced
+from aces_bus.device import UNKNOWN, Driver, Host, OutgoingMessage, Poll, Setpoint, per_device, uncoalesced
 from aces_bus.errors import CallerError, FieldError, NoReplyError, UnknownNameError
 from aces_bus.frames import Frame
 from aces_bus.hardware import ListeningNode
 from aces_bus.robot import VirtualRobot, connect
-from tests.device.fan import ROBOT, RPM, SERIAL_ROBOT, FanTwin, drivers, robot_of
+from tests.device.fan import ROBOT, RPM, SERIAL_ROBOT, Fan, FanTwin, drivers, robot_of
 from tests.interpreted import replaces_methods
 
 
@@ -97,6 +97,90 @@ def test_the_budget_carries_polls_over_in_turn() -> None:
         asked = [twin.requests for twin in robot.twins.values()]
         assert max(asked) - min(asked) <= 1
         assert counts.polls - sum(asked) in (0, 1)  # the last may be on its way
+
+
+def test_the_default_rule_makes_one_message_a_device() -> None:
+    """A user's rule may hand on to `per_device`: one frame a board with all its channels, none while one of them lacks."""
+    given: list[int] = []
+
+    def noted(wants: Sequence[Setpoint]) -> Any:
+        given.append(len(wants))
+        return per_device(wants)
+
+    with made(rules={"Set": noted}) as robot:
+        recorder = ListeningNode(robot.wires["line"])
+        robot["A.left"].set(100 * RPM)
+        robot["A.right"].set(200 * RPM)
+        robot["B.left"].set(300 * RPM)
+        robot.advance(0.009)
+        robot["B.right"].set(400 * RPM)
+        robot.advance(0.01)
+        frames = [
+            (f.arbitration_id, f.data.hex()) for f in recorder.frames() if f.arbitration_id & ~3 == 0x110
+        ]
+        assert frames == [(0x111, "6400c800"), (0x111, "6400c800"), (0x112, "2c019001")]
+        assert given == [3, 4]
+
+
+def test_slow_polls_are_spread_over_their_period() -> None:
+    """Polls of ten a second of eight boards do not meet in one tick: none has more than two of them."""
+    text = ROBOT + "".join(
+        f'N{node} = {{ driver = "fan", bus = "line", credentials = {{ node = {node} }} }}\n'
+        for node in range(3, 9)
+    )
+
+    class SlowFan(Fan):
+        polls: Sequence[Poll] = (Poll("Ask", reply="State", every_s=0.1),)
+
+    slow = replace(drivers("fan"), device=SlowFan)
+    with VirtualRobot(robot_of(text), rate_hz=100, load=lambda name: slow) as robot:
+        counts, asked = host_of(robot).counts, list[int]()
+        for _ in range(20):
+            before = counts.polls
+            robot.advance(0.01)
+            asked.append(counts.polls - before)
+        assert sum(asked) in range(16, 24)  # each two or three times
+        assert max(asked) <= 2
+
+
+class HeldUp:
+    """The clock of a host on a machine that looks at what is due so much later (ns)."""
+
+    def __init__(self, clock: Any, late_ns: int) -> None:
+        self._clock, self._late = clock, late_ns
+        self.call_at, self.call_in = clock.call_at, clock.call_in
+
+    def now(self) -> int:
+        return int(self._clock.now() + self._late)
+
+
+@replaces_methods
+@pytest.mark.parametrize(("held_ms", "is_heard"), [(4, False), (6, True)])
+def test_a_machine_that_was_held_up_reads_before_it_counts_a_miss(held_ms: int, is_heard: bool) -> None:
+    """Over 5 ms late, a time-out waits 10 ms more for answers that may lie there; one that then comes is in time."""
+    with made(rate_hz=None) as robot:
+        host = host_of(robot)
+        robot.twins["A"].fault("late", 0.0101)  # just over
+        ticket = robot.devices["A"].ask("Ask", reply="State", timeout_s=0.01, retries=0)
+        host.unanswered.clock = HeldUp(robot.clock, held_ms * 1_000_000)  # type: ignore[assignment]
+        robot.advance(0.012)
+        assert (host.counts.missed, ticket.state == "done") == (int(not is_heard), is_heard)
+
+
+@replaces_methods
+def test_a_machine_that_was_held_up_counts_what_never_comes_once() -> None:
+    """Ten milliseconds after a late time-out the request has failed, although the machine is late once more."""
+    with made(rate_hz=None) as robot:
+        host = host_of(robot)
+        robot.twins["A"].fault("silent")
+        for count in (1, 2):
+            ticket = robot.devices["A"].ask("Ask", reply="State", timeout_s=0.01, retries=0)
+            host.unanswered.clock = HeldUp(robot.clock, 8_000_000)  # type: ignore[assignment]
+            robot.advance(0.018)
+            assert ticket.state == "waiting"
+            robot.advance(0.004)
+            assert isinstance(ticket.error, NoReplyError)
+            assert host.counts.missed == count
 
 
 @replaces_methods

@@ -164,7 +164,7 @@ def test_any_text_and_number_is_printed_and_read(doc: str, lower: float, offset:
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('name = "arm"\n', "", "r.toml:1: name: is missing: expected a name in quotes"),
+        ('name = "arm"\n', "name = 5\n", "r.toml:1: name: expected a name in quotes, not 5"),
         ("rate_hz = 200", "rate_hz = -200", "r.toml:2: rate_hz: expected a number above 0 (Hz), not -200"),
         ("rate_hz", "rate", "r.toml:2: rate: a robot has no such key; did you mean 'rate_hz'?"),
         (
@@ -381,14 +381,14 @@ def test_a_protocol_may_be_a_file_beside_the_robot_s(tmp_path: Path) -> None:
     (tmp_path / "specs").mkdir()
     (tmp_path / "specs" / "lantern.py").write_text(SPEC.format(name="robots_lantern", link="can"))
     (tmp_path / "robot.toml").write_text(LANTERN)
-    robot, problems = check_robot_file(tmp_path / "robot.toml")
+    robot, problems = check_robot_file(tmp_path / "robot.toml", runs_protocols=True)
     assert robot is not None, problems
     assert [p.key for p in problems] == ["devices.L1.driver"]
     assert robot.buses["upper"].protocol == "robots_lantern"
     (variant,) = bus_variants(robot, "upper")
     assert variant.protocol is load_protocol(str(tmp_path / "specs" / "lantern.py"))
     (tmp_path / "robot.toml").write_text(LANTERN.replace("node = 2", "node = 7"))
-    _, problems = check_robot_file(tmp_path / "robot.toml")
+    _, problems = check_robot_file(tmp_path / "robot.toml", runs_protocols=True)
     assert [p.key for p in problems if not p.is_warning] == ["devices.L1.credentials.node"]
 
 
@@ -410,9 +410,77 @@ def test_a_protocol_s_file_that_is_none_is_said_with_its_line(
     if content is not None:
         (tmp_path / "specs" / "lantern.py").write_text(content)
     (tmp_path / "robot.toml").write_text(LANTERN)
-    robot, problems = check_robot_file(tmp_path / "robot.toml")
+    robot, problems = check_robot_file(tmp_path / "robot.toml", runs_protocols=True)
     assert robot is None
     assert any(p.key == "buses.upper.protocol" and p.line == 4 and re.search(said, p.text) for p in problems)
+
+
+LEAVES_A_MARK = "from pathlib import Path\nPath(__file__).with_name('ran').touch()\n"
+
+
+def test_a_check_runs_no_file_that_a_robot_names(tmp_path: Path) -> None:
+    """It is said that the protocol was not checked; once the program itself has run the file, the check uses it."""
+    spec = tmp_path / "specs" / "lantern.py"
+    spec.parent.mkdir()
+    spec.write_text(LEAVES_A_MARK + SPEC.format(name="marked_lantern", link="can"))
+    (tmp_path / "robot.toml").write_text(LANTERN)
+    for _ in range(2):
+        robot, problems = check_robot(tmp_path / "robot.toml")
+        assert robot is not None
+        assert robot.buses["upper"].protocol == "specs/lantern.py"
+        notes = [p.text for p in problems if p.key == "buses.upper.protocol"]
+        assert notes == [
+            f"specs/lantern.py is not run here, so what depends on its protocol was not checked; --driver {spec} runs it"
+        ]
+    assert not (spec.parent / "ran").exists()
+    assert load_robot(tmp_path / "robot.toml").buses["upper"].protocol == "marked_lantern"
+    assert (spec.parent / "ran").exists()
+    robot, problems = check_robot(tmp_path / "robot.toml")
+    assert robot is not None
+    assert (robot.buses["upper"].protocol, [p.key for p in problems]) == (
+        "marked_lantern",
+        ["devices.L1.driver"],
+    )
+
+
+@pytest.mark.parametrize("way", ["..", "absolute", "link"])
+def test_a_protocol_s_file_elsewhere_is_refused_and_not_run(way: str, tmp_path: Path) -> None:
+    """By its path, whole or upwards, or through a link; it is used when the program has run it by itself."""
+    folder, spec = tmp_path / "robot", tmp_path / "elsewhere" / "lantern.py"
+    folder.mkdir()
+    spec.parent.mkdir()
+    spec.write_text(LEAVES_A_MARK + SPEC.format(name=f"lantern_{way.strip('.')}_", link="can"))
+    (folder / "link").symlink_to(spec.parent)
+    name = {"..": "../elsewhere/lantern.py", "absolute": str(spec), "link": "link/lantern.py"}[way]
+    (folder / "robot.toml").write_text(LANTERN.replace("specs/lantern.py", name))
+    with pytest.raises(RobotError, match=rf"robot.toml:4: .*{name} leaves the folder of the robot's file"):
+        load_robot(folder / "robot.toml")
+    assert check_robot(folder / "robot.toml")[0] is None
+    assert not (spec.parent / "ran").exists()
+    load_protocol(str(spec))
+    assert load_robot(folder / "robot.toml").buses["upper"].protocol == f"lantern_{way.strip('.')}_"
+
+
+def test_data_of_drivers_lies_below_the_robot_s_folder(tmp_path: Path) -> None:
+    """An EDS file is found from the robot's folder, wherever the program runs; a path that leaves the folder is refused."""
+    text = """
+name = "drives"
+[buses]
+drives = { link = "can", protocol = "canopen" }
+[devices]
+ARM = { driver = "cia402", bus = "drives", credentials = { node = 5 }, settings = { eds = "NAME" } }
+"""
+    (tmp_path / "robot.toml").write_text(text.replace("NAME", "files/maker.eds"))
+    robot, problems = check_robot(tmp_path / "robot.toml")
+    assert robot is not None, problems
+    assert robot.devices["ARM"].settings == {"eds": str(tmp_path / "files" / "maker.eds")}
+    for name in ("../maker.eds", "/etc/maker.EDS"):
+        (tmp_path / "robot.toml").write_text(text.replace("NAME", name))
+        robot, problems = check_robot(tmp_path / "robot.toml")
+        assert robot is None
+        assert [(p.key, p.line) for p in problems if "leaves the folder" in p.text] == [
+            ("devices.ARM.settings", 6)
+        ]
 
 
 def test_what_is_not_installed_is_a_warning() -> None:
@@ -501,7 +569,7 @@ def test_addresses_of_protocols() -> None:
         ("a = " + "[" * 100_000, "not a robot: nested too deeply"),
         ("a = " + "9" * 5000, "not a TOML file"),
         (b"#" * (2**20 + 1), "larger than a robot's file may be"),
-        ("", "r.toml:1: name: is missing"),
+        ("", "r.toml:1: a robot has buses"),
         ('name = "x"\n', "r.toml:1: a robot has buses: [buses], with lines such as"),
     ],
     ids=lambda value: str(value)[:12],
@@ -640,3 +708,25 @@ def test_what_a_driver_may_be_told() -> None:
     deep = "[" * 20 + "]" * 20
     (said,) = errors(changed("channels = 2 }", f"channels = 2, settings = {{ deep = {deep} }} }}"))
     assert "r.toml:8: devices.JMC8.settings: tables and lists within one another" in said
+
+
+@pytest.mark.parametrize(
+    ("bus", "said"),
+    [
+        ('protocol = "moteus", channel = "unix:base"', ""),
+        ('protocol = "moteus", channel = "tcp:127.0.0.1:29537/can0", interface = "aces"', ""),
+        ('protocol = "moteus", channel = "tcp:nowhere"', "HOST:PORT"),
+        ('protocol = "moteus", channel = "unix:"', "no address of a served bus"),
+        ('protocol = "moteus", channel = "unix:base", interface = "socketcan"', "interface = 'aces'"),
+        ('protocol = "moteus", bitrate = 1_000_000, data_bitrate = 5_000_000', ""),
+        ('protocol = "moteus", bitrate = 1_000_000, data_bitrate = 500_000', "no data rate of CAN FD"),
+        ('protocol = "hubo", data_bitrate = 5_000_000', "CAN FD, which hubo does not use"),
+    ],
+)
+def test_served_buses_and_data_rates(bus: str, said: str) -> None:
+    """An address of a served bus is one, where a served bus can be; a data rate is one, where CAN FD is spoken."""
+    robot, problems = parse_robot(f'name = "x"\n[buses]\nb = {{ link = "can", {bus} }}\n')
+    assert [said in str(one) for one in problems] == [True] * bool(said)
+    if not said:
+        assert robot is not None
+        assert parse_robot(print_robot(robot))[0] == robot

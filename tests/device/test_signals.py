@@ -38,6 +38,22 @@ def test_listeners_hear_each_value_with_its_instant() -> None:
     assert heard == [(1.0, 5), (2.0, 7)]
 
 
+def test_listeners_are_told_that_a_signal_is_forgotten() -> None:
+    """What is forgotten is unknown to its listeners too, at that instant; what was never known is not forgotten."""
+    clock = VirtualClock()
+    signal = Signal("A.speed", clock)
+    heard: list[tuple[object, int]] = []
+    signal.listeners.append(lambda value, instant: heard.append((value, instant)))
+    signal.forget()
+    assert heard == []
+    signal.update(1.0, 5)
+    clock.advance(9)
+    signal.forget()
+    signal.forget()
+    assert heard == [(1.0, 5), (UNKNOWN, 9)]
+    assert (signal.last, signal.instant, signal.age_ns) == (UNKNOWN, None, None)
+
+
 def test_read_only_signals_refuse() -> None:
     """Setting a signal calls its setter; without one it is refused by name."""
     given: list[float] = []

@@ -155,6 +155,22 @@ def test_one_answer_does_not_confirm_two_devices(robot: VirtualRobot, is_deaf: b
         assert bool(other.left) is is_deaf
 
 
+@pytest.mark.parametrize("says", ["stop", "confirm"])
+def test_either_answer_is_one_of_two_devices(robot: VirtualRobot, says: str) -> None:
+    """Where two devices answer as one, neither the answer to a stop nor that to a question alone confirms it."""
+    device: Any = robot.devices["A"]
+    if says == "stop":
+        device.confirm_stopped = lambda: None
+    else:
+        wait_stopped(stop(robot))
+        device.stop_motion = lambda: None
+    device.is_double = True
+    with pytest.raises(NotStoppedError, match="two devices answer as node 0x01"):
+        wait_stopped(stop_devices(robot.clock, "fans", [device]))
+    device.stop_motion = device.confirm_stopped = lambda: None
+    wait_stopped(stop_devices(robot.clock, "fans", [device]))  # nobody was asked: nothing was said
+
+
 def test_answers_to_the_program_before_are_none_of_a_second_device() -> None:
     """A board that nobody has acknowledged repeats its answers until somebody is there, and that is at the opening."""
     with VirtualRobot(robot_of(ROBOT), load=load, rate_hz=100) as robot:

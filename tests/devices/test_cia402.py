@@ -381,6 +381,36 @@ def test_a_drive_of_two_axes(tmp_path: Any) -> None:
         assert (running["J.state"].value, running["K.state"].value) == ("operation enabled", "fault")
 
 
+def test_an_action_without_a_joint_is_every_axis_s(tmp_path: Any) -> None:
+    """Enabled, faulted, reset and disabled without a name, both axes of a drive are."""
+    path = tmp_path / "two.eds"
+    path.write_text(_two_axes())
+    text = ONE.replace("SETTINGS", f'counts_per_turn = 100_000, eds = "{path}", pdo = "write"')
+    text = text.replace("MORE", 'command = "position"') + 'K = { device = "D", channel = 1 }\n'
+    robot, problems = parse_robot(text, "two.toml")
+    assert robot is not None, problems
+
+    def states() -> list[Any]:
+        return [running[f"{name}.state"].value for name in "JK"]
+
+    with VirtualRobot(robot, rate_hz=100, load=load_cia402) as running:
+        running.advance(0.5)
+        device = running.devices["D"]
+        device.enable().wait(5)
+        assert states() == ["operation enabled"] * 2
+        for axis in running.twins["D"].axes.values():
+            axis.fail(0x8611)
+        running.advance(0.1)
+        assert states() == ["fault"] * 2
+        device.reset_fault().wait(5)
+        assert states() == ["switch on disabled"] * 2
+        device.enable().wait(5)
+        running.twins["D"].axes[0x800].fail(0x8611)
+        running.advance(0.1)
+        device.reset_fault().wait(5)  # who has none keeps its state
+        assert states() == ["operation enabled", "switch on disabled"]
+
+
 # ---------------------------------------------------------------------- canopen's own classes, in real time
 
 

@@ -148,9 +148,8 @@ def test_an_enabled_drive_watches_over_the_host() -> None:
         assert set(frames(recorder, 0x77F)) == {"05"}
         assert len(frames(recorder, 0x77F)) >= 4 * 3
         assert robot["J.state"].value == "operation enabled"
-        assert robot.devices["D"].alone_s == 0.5
+        assert robot.devices["D"].host_loss.after_s == 0.5
         robot.devices["D"].stop_motion().wait(2)
-        assert robot.devices["D"].alone_s is None
         assert "23 16 10 01 00 00 7F 00" in frames(recorder, 0x605)
         before = len(frames(recorder, 0x77F))
         robot.advance(2)

@@ -24,14 +24,14 @@ def _load(name: str) -> Any:
 
 
 @contextmanager
-def _running(enabled: str = "B5") -> Generator[Any]:
+def _running(enabled: str = "B5", *, homed: bool = True) -> Generator[Any]:
     """The example robot, heard for a second, a board of it enabled."""
     text = driver.example.replace(
         "harmonic = 100,", "harmonic = 100, max_speed = 1000,"
     )  # set at once, in one frame
     robot, problems = parse_robot(text, "d15.toml")
     assert robot is not None, problems
-    with VirtualRobot(robot, rate_hz=50, load=_load) as running:
+    with VirtualRobot(robot, rate_hz=50, homed=homed, load=_load) as running:
         running.advance(1.2)
         if enabled:
             running.devices[enabled].enable().wait(2)
@@ -165,7 +165,7 @@ def test_temperatures_in_tenths() -> None:
 
 def test_a_short_status_is_of_the_first_motor() -> None:
     """Three bytes: PAN's state is known, TILT's stays what it was."""
-    with _running(enabled="") as robot:
+    with _running(enabled="", homed=False) as robot:
         port = robot.ports("short board")["lower"]
         port.open(lambda frame, now: None)
         port.send(Frame(0x155, bytes.fromhex("630080")))

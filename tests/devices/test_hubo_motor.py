@@ -225,7 +225,7 @@ def test_alarms_name_the_joint_and_the_bit() -> None:
 
 
 def test_a_rebooted_board_moves_nothing_until_it_is_enabled_again() -> None:
-    """Control off although enabled: told as rebooted, references end, values are forgotten; enabling brings it back."""
+    """Control off although enabled: told as rebooted, references end, values are forgotten; enabled and homed it is back."""
     with made() as robot:
         up(robot)
         robot["RHY.position"].set(0.4)
@@ -239,6 +239,9 @@ def test_a_rebooted_board_moves_nothing_until_it_is_enabled_again() -> None:
         assert robot["RHY.position"].value == 0.0  # its encoder counts from there
         assert robot.devices["JMC0"].is_enabled is False
         robot.devices["JMC0"].enable().wait()
+        with pytest.raises(CallerError, match=r"RHY\.position: is not homed"):
+            robot["RHY.position"].set(0.1)
+        robot.rig.door.takes_unhomed = True
         robot["RHY.position"].set(0.1)
         robot.advance(1.0)
         assert robot["RHY.position"].value == pytest.approx(0.1, abs=2e-3)
@@ -286,7 +289,7 @@ def test_a_board_off_the_bus_is_told_and_comes_back() -> None:
 
 def test_homing_finds_the_true_zero() -> None:
     """After a search the encoder says what the joint's angle is; before, it counts from where the power came."""
-    with made() as robot:
+    with made(homed=False) as robot:
         robot.advance(0.5)
         joint = robot.simulation.world.joints["RHY"]
         assert robot["RHY.position"].value == 0.0

@@ -245,9 +245,8 @@ def test_the_same_seed_is_the_same_robot() -> None:
     """Joints begin where the seed puts them, and end in the same place, bit by bit; another seed is another robot."""
 
     def run(seed: int) -> list[float]:
-        with made(seed=seed) as robot:
+        with VirtualRobot(robot_of(D12), rate_hz=100, seed=seed, homed=False, load=lambda _: driver) as robot:
             up(robot)
-            robot["RHY.position"].set(0.7)
             robot["RF1.duty"].set(20)
             robot.advance(0.333)
             return [joint.position(robot.clock.now()) for joint in robot.simulation.world.joints.values()]

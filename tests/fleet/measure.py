@@ -17,10 +17,10 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from aces_bus import fleet
-from aces_bus.fleet.cluster import DaskWorkers
 from aces_bus.frame_table import FrameTable
 from aces_bus.recordings.write import open_writer
+from aces_lab import fleet
+from aces_lab.fleet.cluster import DaskWorkers
 from tests.fleet.recordings import frames_of, record, truck
 
 #: Recordings of the measurement of speed, and frames of each; turns.

@@ -16,8 +16,8 @@ from typing import Any
 
 import pytest
 
-from aces_bus import fleet
-from aces_bus.fleet.cluster import DaskWorkers
+from aces_lab import fleet
+from aces_lab.fleet.cluster import DaskWorkers
 from aces_tools.main import main
 from tests.fleet.recordings import dataset_rows, needs_fleet, record, rows_of_one_process, truck
 
@@ -112,7 +112,7 @@ def test_an_input_that_kills_its_workers_is_named(
     for number in range(3):
         record(folder, number)
     bad = record(folder, 4)
-    monkeypatch.setattr("aces_bus.fleet.run.decode_input", dying_input)
+    monkeypatch.setattr("aces_lab.fleet.run.decode_input", dying_input)
     # Dask's default is three more workers for each: minutes of starting programs.
     monkeypatch.setattr(client.cluster.scheduler, "allowed_failures", 0)
     run = fleet.decode(str(folder / "*"), truck(tmp_path), str(tmp_path / "lake"), cluster=client)
@@ -128,7 +128,7 @@ def dying_input(data: bytes) -> bytes:
     """As the work on an input that is too large for any worker."""
     if b"drive-004" in data:
         os.kill(os.getpid(), signal.SIGKILL)
-    from aces_bus.fleet.work import decode_input
+    from aces_lab.fleet.work import decode_input
 
     return decode_input(data)
 

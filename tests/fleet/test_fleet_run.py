@@ -10,20 +10,21 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
-from aces_bus import fleet
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.fleet import cluster as clusters
-from aces_bus.fleet import run as runs
-from aces_bus.fleet import stores, work
-from aces_bus.fleet.manifest import FleetDataset
-from aces_bus.fleet.recipe import FleetProtocol, Recipe
-from aces_bus.fleet.stores import Place, StoreError
 from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
 from aces_bus.recordings import open as parts
 from aces_bus.recordings.write import open_writer
+from aces_lab import fleet
+from aces_lab.fleet import cluster as clusters
+from aces_lab.fleet import run as runs
+from aces_lab.fleet import stores, work
+from aces_lab.fleet.manifest import FleetDataset
+from aces_lab.fleet.recipe import FleetProtocol, Recipe
+from aces_lab.fleet.stores import Place, StoreError
 from tests.fleet.recordings import (
     LATE_S,
     dataset_rows,
@@ -246,6 +247,7 @@ def long_log(folder: Path, form: str) -> Path:
     return log
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", [".log", ".log.gz", ".blf", ".mf4", ".pcapng"])
 def test_a_large_input_is_split(form: str, tmp_path: Path, wide: None) -> None:
     """Of every format the rows of one process, also replies whose request is in another piece; counts and lines add up."""
@@ -278,6 +280,7 @@ def test_a_damaged_input_is_split(tmp_path: Path, wide: None) -> None:
     assert 0 < entry.counts["total"] < 3000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("form", "options"),
     [
@@ -383,12 +386,67 @@ def test_a_recipe_is_used_as_it_was_sent(drives: list[Path], dbc: str, tmp_path:
     FleetDataset(str(lake)).check()
 
 
+@pytest.mark.parametrize(
+    "name", ["../victim.txt", "/victim.txt", "Speed/../../victim.txt", "victim.txt", "OTHER"]
+)
+@pytest.mark.parametrize("where", ["manifest", "placing", "done"])
+def test_a_stranger_s_dataset_removes_no_file(where: str, name: str, dbc: str, tmp_path: Path) -> None:
+    """A manifest or journal that names a file outside the dataset, or another input's part, is refused; all files stay."""
+    folder, lake, victim = tmp_path / "drives", tmp_path / "lake", tmp_path / "victim.txt"
+    folder.mkdir()
+    first, second = record(folder, 0), record(folder, 1)
+    run = fleet.decode([str(first), str(second)], dbc, str(lake))
+    victim.write_text("mine")
+    if name == "OTHER":
+        victim = lake / run.inputs[1].outputs[0]
+        name = run.inputs[1].outputs[0]
+    elif name.startswith("/"):
+        name = str(victim)
+    entry = msgspec.structs.replace(run.inputs[0], outputs=[*run.inputs[0].outputs, name], hash="")
+    dataset = FleetDataset(str(lake))
+    if where == "manifest":
+        dataset.write_manifest({entry.uri: entry})
+    else:
+        dataset.note(msgspec.structs.replace(entry, state=where))
+    record(folder, 0, count=50)
+    for look in (lambda: fleet.decode(str(folder / "*"), dbc, str(lake)), lambda: fleet.status(str(lake))):
+        with pytest.raises(CallerError, match=r"no run can have placed; nothing was removed"):
+            look()
+    assert victim.exists()
+
+
+@pytest.mark.parametrize("link", ["Speed", "_fleet", "_fleet/work"])
+def test_links_that_lead_out_of_a_dataset_are_refused(link: str, dbc: str, tmp_path: Path) -> None:
+    """Nothing is removed, and no folder swept, behind a link in the dataset that leads elsewhere."""
+    folder, lake, elsewhere = tmp_path / "drives", tmp_path / "lake", tmp_path / "elsewhere"
+    folder.mkdir()
+    path = record(folder, 0)
+    fleet.decode(str(path), dbc, str(lake))
+    if (lake / link).exists():
+        (lake / link).rename(elsewhere)
+    else:
+        elsewhere.mkdir()
+    (elsewhere / "work").mkdir(exist_ok=True)
+    (elsewhere / "work" / "mine.txt").write_text("mine")
+    (lake / link).symlink_to(elsewhere)
+    before = sorted(path.name for path in elsewhere.rglob("*") if path.is_file())
+    record(folder, 0, count=50)
+    try:
+        run = fleet.decode(str(path), dbc, str(lake))
+    except CallerError as error:
+        faults = [str(error)]
+    else:
+        faults = run.failed[0].faults
+    assert "a link leads out of the dataset" in faults[0]
+    assert set(before) <= {path.name for path in elsewhere.rglob("*")}
+
+
 def test_a_store_that_fails_and_is_slow(
     drives: list[Path], dbc: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What fails for a moment is tried again and gives the same; what fails for good is an input that is missing."""
     monkeypatch.setattr(stores, "WAITS_S", (0.0, 0.0))
-    monkeypatch.setattr("aces_bus.fleet.work.AGAIN_S", 0.0)
+    monkeypatch.setattr("aces_lab.fleet.work.AGAIN_S", 0.0)
     fsspec = stores.load_fsspec()
     memory = fsspec.filesystem("memory")
     for path in drives[:3]:

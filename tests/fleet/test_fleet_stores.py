@@ -16,8 +16,8 @@ from typing import Any, ClassVar
 
 import pytest
 
-from aces_bus import fleet
-from aces_bus.fleet import stores
+from aces_lab import fleet
+from aces_lab.fleet import stores
 from tests.fleet.recordings import dataset_rows, needs_fleet, record, rows_of_one_process, truck
 
 needs_fleet()
@@ -223,7 +223,7 @@ def test_a_slow_store_costs_time_and_a_stalled_one_a_file(
     monkeypatch.setattr(stores, "ANSWER_S", 5.0)
     monkeypatch.setattr(stores, "SLOWEST", 1e9)
     monkeypatch.setattr(stores, "WAITS_S", ())
-    monkeypatch.setattr("aces_bus.fleet.work.AGAIN_S", 0.0)
+    monkeypatch.setattr("aces_lab.fleet.work.AGAIN_S", 0.0)
     going_on = threading.Event()
     stalled = drives[1].name
 

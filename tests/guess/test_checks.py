@@ -8,9 +8,9 @@ import anycrc
 import numpy as np
 import pytest
 
-from aces_bus.guess.checks import checks_of, checks_of_packets
 from aces_bus.protocol import Crc, Fletcher, Sum, Xor
 from aces_bus.protocol.declare.checks import Check
+from aces_lab.guess.checks import checks_of, checks_of_packets
 
 IDENTIFIER = b"\0\0\x02\x23"
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aces_bus.guess import FieldGuess, fields_of
-from aces_bus.guess.fields import SAMPLE, ByteOrder, positions_of
 from aces_bus.protocol import Crc
+from aces_lab.guess import FieldGuess, fields_of
+from aces_lab.guess.fields import SAMPLE, ByteOrder, positions_of
 
 STEPS = 1500
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from aces_bus.guess import StreamGuess, StreamTraffic, stream_source
 from aces_bus.protocol import Check, Cobs, Crc, Fletcher, InvertedSum, Protocol, Slip
+from aces_lab.guess import StreamGuess, StreamTraffic, stream_source
 
 DICE = random.Random("streams")
 
@@ -227,7 +227,7 @@ def test_a_known_protocol_is_tried_in_both_directions(
     packet: str, way: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Answers of a servo alone are found, with what `aces decode` must be given; what has no check gives way."""
-    monkeypatch.setattr("aces_bus.guess.known.list_protocols", lambda: ["minihubo_adc", "robotis"])
+    monkeypatch.setattr("aces_bus.protocol.fitting.list_protocols", lambda: ["minihubo_adc", "robotis"])
     traffic = StreamTraffic()
     traffic.add(bytes.fromhex(packet) * 12)
     (known,) = traffic.guess().known
@@ -254,7 +254,7 @@ def test_recordings_of_others(shared_captures: Path, name: str, packets: int, le
 
 def test_a_check_is_as_it_is_written() -> None:
     """Every kind prints as it was made."""
-    from aces_bus.guess.checks import check_source
+    from aces_lab.guess.checks import check_source
 
     made: list[tuple[Check, str]] = [
         (Fletcher(over=slice(2, -2)), "Fletcher(over=slice(2, -2))"),

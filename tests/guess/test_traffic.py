@@ -11,10 +11,10 @@ from construct import GreedyBytes, Struct
 
 from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
-from aces_bus.guess import Traffic, TrafficGuess, draft_source
 from aces_bus.protocol import Crc, FastPacket, IdField, IsoTp, J1939Transport, Protocol, TailByte, Transport
 from aces_bus.protocol.files import load_file
 from aces_bus.protocol.lint import check_protocol
+from aces_lab.guess import Traffic, TrafficGuess, draft_source
 
 
 def guessed(frames: Iterable[Frame], *, known: bool = False) -> TrafficGuess:
@@ -241,7 +241,7 @@ def test_canopen_is_recognised_by_heartbeats_and_sdo() -> None:
 
 def test_what_an_installed_protocol_decodes_is_not_guessed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Unless it is asked for."""
-    monkeypatch.setattr("aces_bus.guess.known.list_protocols", lambda: ["hubo"])
+    monkeypatch.setattr("aces_bus.protocol.fitting.list_protocols", lambda: ["hubo"])
     hubo = pytest.importorskip("aces_protocols.hubo.spec").hubo
     encoder = hubo.variant().encoder
     frames = [
@@ -280,7 +280,7 @@ def test_no_frames_are_no_messages() -> None:
 
 def test_work_is_bounded_by_bytes_not_by_identifiers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Beyond them messages are declared, and their bytes are left alone."""
-    monkeypatch.setattr("aces_bus.guess.traffic.BYTES", 20)
+    monkeypatch.setattr("aces_lab.guess.traffic.BYTES", 20)
     frames = [
         Frame(0x100 + one * 0x111, bytes([number] * 8), number / 100, "can0")
         for one in range(5)
@@ -293,7 +293,7 @@ def test_work_is_bounded_by_bytes_not_by_identifiers(monkeypatch: pytest.MonkeyP
 
 def test_identifiers_alone_are_no_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
     """ODrive and CANopen take most of all identifiers; noise at any of them is neither, and real values are."""
-    monkeypatch.setattr("aces_bus.guess.known.list_protocols", lambda: ["canopen", "odrive"])
+    monkeypatch.setattr("aces_bus.protocol.fitting.list_protocols", lambda: ["canopen", "odrive"])
     odrive = pytest.importorskip("aces_protocols.odrive.spec").odrive
     drawn = np.random.default_rng(4)
     ids = drawn.choice(2048, 30, replace=False).tolist()
@@ -310,7 +310,7 @@ def test_identifiers_alone_are_no_protocol(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_what_is_bytes_alone_is_guessed_beside_its_protocol(monkeypatch: pytest.MonkeyPatch) -> None:
     """CANopen does not know what a PDO carries: it is left to be guessed, and says nothing for CANopen."""
-    monkeypatch.setattr("aces_bus.guess.known.list_protocols", lambda: ["canopen"])
+    monkeypatch.setattr("aces_bus.protocol.fitting.list_protocols", lambda: ["canopen"])
     frames = [Frame(0x701, b"\x05", n / 10, "can0") for n in range(90)]
     frames += [Frame(0x181, bytes([n, 7]), n / 10, "can0") for n in range(10)]
     guess = guessed(frames, known=True)

@@ -274,6 +274,20 @@ def test_a_bus_that_cannot_be_opened_is_the_caller_s_to_know() -> None:
         bench.gate.start()
 
 
+@pytest.mark.parametrize("fails", ["silence", "reader_of"])
+def test_a_bus_whose_opening_fails_half_way_is_closed(fails: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The adapter that was opened is shut down again, and the reason is the caller's to know."""
+
+    def refuse(bus: Any) -> None:
+        raise can.CanInitializationError("has no such mode")
+
+    monkeypatch.setattr(f"aces_bus.hardware.can.{fails}", refuse)
+    bench = Bench(listen_only=True)
+    with pytest.raises(can.CanInitializationError, match="no such mode"):
+        bench.gate.start()
+    assert [adapter.is_shut for adapter in bench.adapters] == [True]
+
+
 def test_the_most_urgent_frame_goes_first() -> None:
     """By arbitration, or by the priority given; equal ones by age."""
     bench = Bench(send_rate=50)

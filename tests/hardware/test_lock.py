@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import stat
 import subprocess
 import sys
@@ -14,8 +15,10 @@ import pytest
 from aces_bus.errors import CallerError
 from aces_bus.frames import Frame
 from aces_bus.hardware import CanGate
+from aces_bus.hardware.bell import StopRequest
 from aces_bus.hardware.lock import BusLock, lock_folder
 from aces_bus.recordings.filters import parse_filter
+from aces_bus.runtime import Loop
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="locks are flock's")
 
@@ -43,7 +46,8 @@ def test_the_second_is_refused_by_the_firsts_name(monkeypatch: pytest.MonkeyPatc
     first, second = BusLock("can0", "lower"), BusLock("can0", "legs")
     first.take()
     first.take()
-    BusLock("can1", "upper").take()
+    other = BusLock("can1", "upper")
+    other.take()
     with pytest.raises(CallerError) as refused:
         second.take()
     assert str(refused.value).startswith(
@@ -52,6 +56,8 @@ def test_the_second_is_refused_by_the_firsts_name(monkeypatch: pytest.MonkeyPatc
     first.release()
     first.release()
     second.take()
+    second.release()
+    other.release()
 
 
 def test_one_line_has_one_name(folder: Path) -> None:
@@ -69,7 +75,7 @@ def test_all_users_have_one_folder() -> None:
     """Whoever made folder and file, others may take the lock: as in /tmp, nobody can remove another's file."""
     BusLock("can0", "lower").take()
     assert stat.S_IMODE(lock_folder().stat().st_mode) == 0o1777
-    assert [stat.S_IMODE(file.stat().st_mode) for file in lock_folder().iterdir()] == [0o666]
+    assert {stat.S_IMODE(file.stat().st_mode) for file in lock_folder().iterdir()} == {0o666}
 
 
 def test_a_link_in_the_folder_is_not_followed(folder: Path) -> None:
@@ -127,3 +133,55 @@ def test_only_what_is_allowed_leaves(folder: Path) -> None:
             gate.send(Frame(0x124, b""))
         assert gate.counters.given == 2
     assert events[0] == ("not sent", "0x124 is not among the identifiers that may be sent here (allow)")
+
+
+# ---------------------------------------------------------------------- the bell
+
+
+def test_who_has_the_lock_can_be_asked_to_stop() -> None:
+    """The request has the other program's name; answers come back in their order; without a lock nobody is there."""
+    lock, other = BusLock("can0", "lower"), BusLock("can0", "legs")
+    assert other.ring() is None
+    heard: list[StopRequest] = []
+    lock.on_stop = heard.append
+    with Loop() as loop:
+        lock.take()
+        lock.listen(loop)
+        ringing = other.ring()
+        assert ringing is not None
+        with ringing:
+            assert loop.wait(lambda: bool(heard), 10_000_000_000)
+            assert f"(pid {os.getpid()})" in heard[0].who
+            heard[0].answer(is_stopping=True)
+            heard[0].answer(devices=[])
+            assert ringing.wait(10) == {"is_stopping": True}
+            assert ringing.wait(10) == {"devices": []}
+            assert ringing.wait(0) is None
+        lock.release()
+    assert other.ring() is None
+
+
+def test_a_bell_stays_out_of_the_way(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a killed program has left is replaced, requests that are no JSON stop all the same, long folders have no bell."""
+    lock = BusLock("can0", "lower")
+    lock.take()
+    bell = next(lock_folder().glob("*.stop"))
+    lock.release()
+    bell.touch()
+    heard: list[StopRequest] = []
+    lock.on_stop = heard.append
+    with Loop() as loop:
+        lock.take()
+        lock.listen(loop)
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+            other.sendto(b"stop!", str(bell))
+            assert loop.wait(lambda: bool(heard), 10_000_000_000)
+        heard[0].answer(devices=[])  # to nobody
+        lock.release()
+    deep = folder / ("deep" * 40)
+    deep.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(deep))
+    lock = BusLock("can0", "lower")
+    lock.take()
+    assert lock.ring() is None
+    lock.release()

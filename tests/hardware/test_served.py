@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from typing import Any
 
 import can
+import msgspec
 import pytest
 
 from aces_bus.frames import Frame
@@ -50,6 +51,35 @@ def test_everything_that_a_message_carries_arrives(opened: Open, physics: bool, 
                 assert (got.channel, got.is_rx) == (address, True)
                 assert abs(got.timestamp - time.time()) < PATIENCE
         assert sender.recv(0) is None
+
+
+def test_frames_for_a_gate_are_what_was_sent(opened: Open) -> None:
+    """A gate takes frames without python-can's messages in between: every flag, length and byte is the sender's."""
+    with serve(ServedChannel(bitrate=1_000_000, data_bitrate=4_000_000, fd=True, physics=False)):
+        sender, receiver = opened(fd=True), opened(fd=True)
+        for sent in MESSAGES:
+            sender.send(sent)
+            got: list[Frame] = []
+
+            def has_come(got: list[Frame] = got) -> bool:
+                got += receiver.frames(8)
+                return bool(got)
+
+            until(has_come)
+            assert abs((got[0].timestamp or 0.0) - time.time()) < PATIENCE
+            assert [msgspec.structs.replace(frame, timestamp=None, channel=None) for frame in got] == [
+                Frame(
+                    sent.arbitration_id,
+                    bytes(sent.data),
+                    is_extended_id=sent.is_extended_id,
+                    is_remote_frame=sent.is_remote_frame,
+                    is_fd=sent.is_fd,
+                    bitrate_switch=sent.bitrate_switch,
+                    error_state_indicator=sent.error_state_indicator,
+                    is_rx=True,
+                    dlc=sent.dlc if sent.is_remote_frame else None,
+                )
+            ]
 
 
 def test_the_bus_decides_who_goes_first(opened: Open) -> None:

@@ -168,5 +168,6 @@ def test_what_answers_is_no_server(runtime: Path) -> None:
         with pytest.raises(can.CanInitializationError, match="kind 48"):
             can.Bus(f"unix:{path}", "aces", timeout=PATIENCE)
         greeter.join()
+        greeted[0].close()
     with pytest.raises(can.CanInitializationError, match="aces bus serve"):
         can.Bus("unix:nobody", "aces")

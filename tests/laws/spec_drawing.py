@@ -116,6 +116,8 @@ class _Draw:
             more += ", range=(math.nan, 1)"  # refused
         if self.chance(0.01):
             return "Enumeration(Quantity(", f", scale={scale!r}), {{'one': 1}})", ("refused",)
+        if self.chance(0.3):
+            more += ', rounding="truncate"'
         text = f", scale={scale!r}" if scale != 1 or self.chance(0.3) else ""
         text += f", offset={offset!r}" if offset else ""
         return "Quantity(", f"{text}{more})", ("quantity", scale, offset, unknown, names)

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+from aces_bus.frames import Frame
 from aces_bus.protocol import Reference, StreamScanner
 from aces_bus.protocol.declare.ambiguity import needing_context
 from aces_bus.testing import laws
@@ -66,3 +67,14 @@ def test_replies_in_a_stream_follow_the_rule(name: str) -> None:
         assert heard == [item.message for item in wanted], f"seed {seed}"
         told += sum(message in bound for message in heard)
     assert told > 20
+
+
+def test_before_a_request_that_is_too_old_there_is_none() -> None:
+    """A request of an unknown time does not answer for a later one that is too old; alone it fits."""
+    variant = PROTOCOLS["can_corners"].variant()
+    ask, answer = b"\x01\0", b"\x12\x34\x56"  # of three bytes: AnswerThree has two or five
+    untimed, old = Frame(0x203, ask), Frame(0x203, ask, 1.0)
+    for given, found in (((untimed, old), None), ((untimed,), "AnswerOne"), ((old, untimed), "AnswerOne")):
+        scene = laws.Scene((*given, Frame(0x243, answer, 2.0)))
+        laws.oracle(variant, None, scene)
+        assert laws.scanned_items(laws.scanner_of(variant, None), scene)[-1].message == found

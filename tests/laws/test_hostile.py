@@ -22,7 +22,7 @@ from tests.laws.corners import CORNERS
 from tests.laws.wires import PROTOCOLS, REGISTERED
 
 #: Bytes of a stream, and frames of a bus, that are sent once and twice.
-LEAST_BYTES, MOST_BYTES, FRAMES = (300, 800, 200) if settings().max_examples > 100 else (200, 500, 100)
+LEAST_BYTES, MOST_BYTES, FRAMES = (300, 800, 200) if settings().max_examples > 100 else (150, 350, 60)
 #: Twice the input may cost so much more than twice the work: the ends of a stream are not its middle.
 MARGIN = 1.15
 #: Bytes a chunk.

@@ -50,6 +50,11 @@ def _is_long() -> bool:
     return settings().max_examples > 100
 
 
+def _some(cases: Sequence[Case]) -> list[Case]:
+    """In the short profile, every second case of a protocol of many dialects, configurations and directions."""
+    return [one for number, one in enumerate(cases) if _is_long() or one.share <= 8 or number % 2 == 0]
+
+
 def _examples(case: Case) -> int:
     wanted = settings().max_examples if _is_long() else EXAMPLES
     return max(2, wanted // case.share)
@@ -88,7 +93,7 @@ def _holds(asked: Sequence[Law], case: Case, folder: Path | None) -> None:
         raise
 
 
-@pytest.mark.parametrize("case", [*CASES, *MIXED], ids=str)
+@pytest.mark.parametrize("case", [*_some(CASES), *MIXED], ids=str)
 def test_laws_hold(case: Case) -> None:
     """Whatever comes over the wire, every law holds."""
     _holds(sorted(ANY_SCENE, key=lambda law: law.takes_cuts), case, KEEP)

@@ -273,3 +273,17 @@ def test_its_watchdog_is_the_twins(bench: Bench) -> None:
         assert (await controller.set_stop(query=True)).values[peer.Register.MODE] == 0
 
     bench.run(steps)
+
+
+def test_its_cycle_has_both_controllers(bench: Bench) -> None:
+    """A thousand cycles of two controllers: each has both replies, which often arrive in one packet."""
+
+    async def steps(transport: Any) -> None:
+        controllers = [peer.Controller(id=number, transport=transport) for number in (1, 11)]
+        for _ in range(1000):
+            replies = await transport.cycle(
+                [controller.make_position(position=math.nan, query=True) for controller in controllers]
+            )
+            assert sorted(reply.id for reply in replies) == [1, 11]
+
+    bench.run(steps)

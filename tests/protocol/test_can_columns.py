@@ -7,6 +7,7 @@ import random
 from collections.abc import Iterable
 from typing import Any
 
+import pytest
 from construct import Byte, Bytes, Const, Int16sl, Struct
 from hypothesis import given
 from hypothesis import strategies as st
@@ -76,6 +77,7 @@ def hubo_traffic(seed: int, count: int) -> FrameTable:
     return FrameTable.from_frames(frames)
 
 
+@pytest.mark.slow
 @given(st.integers(0, 10_000), st.lists(st.integers(0, 60), max_size=4).map(sorted))
 def test_pieces_decoded_apart_are_the_capture(seed: int, cuts: list[int]) -> None:
     """Replies find their requests across the borders of pieces; losses and counts are those of one scanner."""

@@ -39,7 +39,7 @@ from tests.laws.wires import CASES, MIXED, Case
 #: Bytes of a scene, or sixteenths of a frame.
 SIZE = 2000
 #: Cases of a protocol that get a long scene: its first, and some of its other dialects, configurations, directions.
-LONG_CASES = 3 if settings().max_examples > 100 else 2
+LONG_CASES = 3 if settings().max_examples > 100 else 1
 
 
 def _some(cases: Sequence[Case]) -> list[Case]:

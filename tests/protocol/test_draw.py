@@ -26,7 +26,7 @@ from tests.conftest import Golden
 from tests.specs.catalogue import SPECS
 
 PROTOCOLS: dict[str, Protocol] = {name: load_protocol(name) for name in list_protocols()} | SPECS
-MESSAGES = [pytest.param(m, id=f"{name}.{m.name}") for name, pr in PROTOCOLS.items() for m in pr.declared]
+every_protocol = pytest.mark.parametrize("protocol", PROTOCOLS.values(), ids=list(PROTOCOLS))
 ROW = re.compile(r"^ *(\S+) │(.*)│$")
 
 
@@ -52,25 +52,23 @@ def cells(lines: list[str]) -> list[Rows]:
     return found
 
 
-@pytest.mark.parametrize("message", MESSAGES)
-def test_every_message_can_be_drawn(message: Message) -> None:
-    """A picture fits 79 columns, its frame is closed, and each byte has eight bits."""
-    lines = draw.picture(message)
-    assert max(map(len, lines)) <= 79
-    assert all(line == line.rstrip() for line in lines)
-    assert all(len(line) == 79 for line in lines if line[6:7] in ("│", "┌", "├", "└"))
-    for rows in cells(lines):
-        assert all(sum(width for width, _ in row) == 8 for row in rows.values())
+@every_protocol
+def test_every_message_can_be_drawn(protocol: Protocol) -> None:
+    """A picture fits 79 columns, its frame is closed, and each byte has eight bits; each bit is where the plan has it.
 
-
-@pytest.mark.parametrize("message", MESSAGES)
-def test_every_bit_is_where_the_plan_has_it(message: Message) -> None:
-    """The cell at a bit's place names the bit's field, and the bit's number where the field has several cells."""
-    plan = flatten(message)
-    pictures = cells(draw.picture(message))
-    for name, scalar in scalars(plan.fields, ""):
-        if not any(isinstance(step, p.FlagBits) for step in scalar.steps):
-            assert any(is_drawn(name, scalar, rows) for rows in pictures), name
+    The cell at a bit's place names the bit's field, and the bit's number where the field has several cells.
+    """
+    for message in protocol.declared:
+        lines = draw.picture(message)
+        assert max(map(len, lines)) <= 79, message
+        assert all(line == line.rstrip() for line in lines), message
+        assert all(len(line) == 79 for line in lines if line[6:7] in ("│", "┌", "├", "└")), message
+        pictures = cells(lines)
+        for rows in pictures:
+            assert all(sum(width for width, _ in row) == 8 for row in rows.values()), message
+        for name, scalar in scalars(flatten(message).fields, ""):
+            if not any(isinstance(step, p.FlagBits) for step in scalar.steps):
+                assert any(is_drawn(name, scalar, rows) for rows in pictures), (message, name)
 
 
 def is_drawn(name: str, scalar: p.Scalar, rows: Rows) -> bool:
@@ -110,11 +108,14 @@ def scalars(fields: tuple[p.PlanField, ...], prefix: str) -> Iterator[tuple[str,
             yield prefix + field.name, field.node
 
 
-@pytest.mark.parametrize("message", MESSAGES)
-def test_every_field_has_its_row(message: Message) -> None:
+@every_protocol
+def test_every_field_has_its_row(protocol: Protocol) -> None:
     """The table names every value of the record, in order."""
-    rows = draw.field_table(flatten(message), draw.captured_values(message))
-    assert list(dict.fromkeys(row.name.partition(".")[0] for row in rows)) == list(message.fields)
+    for message in protocol.declared:
+        rows = draw.field_table(flatten(message), draw.captured_values(message))
+        assert list(dict.fromkeys(row.name.partition(".")[0] for row in rows)) == list(message.fields), (
+            message
+        )
 
 
 spec = Protocol("drawn", link="can")

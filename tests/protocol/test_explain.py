@@ -22,6 +22,8 @@ from tests.laws.wires import CASES, MIXED, Case
 
 #: Wires of each case; the long profile of the laws has the rest.
 WIRES = 3
+#: Every third case of a protocol that has many dialects, configurations and directions.
+SOME = [case for number, case in enumerate(CASES) if case.share <= 3 or number % 3 == 0]
 
 
 def heard_of(attempts: list[Attempt]) -> list[ScannedItem]:
@@ -55,7 +57,7 @@ def explained(variants: tuple[Variant, ...], direction: Any, scene: Any) -> list
     return attempts + tracer.explain_end()
 
 
-@pytest.mark.parametrize("case", [*CASES, *MIXED], ids=str)
+@pytest.mark.parametrize("case", [*SOME, *MIXED], ids=str)
 def test_what_is_explained_is_what_scanners_hear(case: Case) -> None:
     """Over drawn wires the attempts are the scanner's records and losses; who is accepted lives, who is not dies."""
     variants = laws.wire_variants(case.wire)

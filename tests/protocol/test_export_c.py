@@ -302,9 +302,10 @@ def small() -> Variant:
             "mode" / Enumeration(Byte, {"off": 0, "torque": 2}),
             "angle" / Quantity(Int16ub, scale=0.1, offset=-50, unit="°", unknown=[0xFFFF]),
             "double" / Float32l,
+            "speed" / Quantity(Int16ub, scale=0.01, unit="/*", rounding="truncate"),
             "rest" / GreedyBytes,
         ),
-        doc="What it says. */",
+        doc="What it says. */ /*",
     )
     return line.variant()
 
@@ -313,14 +314,31 @@ def test_names_units_and_keywords_are_fit_for_c() -> None:
     """Enumerations are macros, units comments; no word of C is a member, and no comment is left early."""
     made = print_c_source(small())
     (one,) = made.messages
-    assert [member.name for member in one.fields] == ["mode", "angle", "double_", "rest"]
+    assert [member.name for member in one.fields] == ["mode", "angle", "double_", "speed", "rest"]
     assert "#define PROBE_READING_MODE_TORQUE (2)" in made.header
     assert "uint16_t angle; /* [°] */" in made.header
-    assert "What it says. * /" in made.header
+    assert "What it says. * / / *" in made.header
+    assert "uint16_t speed; /* [/ *] */" in made.header
     assert (
         "int probe_reading_unpack(struct probe_reading *to, const uint8_t *data, size_t size);" in made.header
     )
     assert made.losses == []
+
+
+@needs_cc
+def test_truncated_numbers_come_back(tmp_path: Path) -> None:
+    """What C has decoded it encodes as it was, also where the quotient is a rounding error below its integer."""
+    variant = small()
+    made = print_c_source(variant, name="spec")
+    program = compiled(tmp_path, made)
+    values = {"mode": "off", "angle": 0.0, "double": 0.0, "rest": b""}
+    encode = variant.encoder.encode
+    inputs = [(0, 0, bytes(encode("Reading", speed=raw * 0.01, **values))) for raw in range(200)]
+    lines = answers(program, inputs)
+    step = len(lines) // len(inputs)
+    # Behind "taken", mode, three lines of the angle and the float.
+    assert lines[6::step] == [str(raw) for raw in range(200)]
+    assert lines[8::step] == ["1"] * 200
 
 
 def test_what_c_does_not_say_is_named() -> None:

@@ -199,6 +199,24 @@ def test_texts_say_their_length() -> None:
     assert (record.model, record.name.text, record.depth) == ("N1", "Nautilus", 2.5)
 
 
+@pytest.mark.parametrize(
+    "raw", [b"N1\xff\xff\xff\xff", b"N1@@@@", b"N1\0\0\0\0", b"N1\0@x\xff", b"N1@\0x\xff"]
+)
+def test_a_text_of_fixed_length_ends_at_its_padding(tmp_path: Path, raw: bytes) -> None:
+    """At 0xFF, "@" or 0, whichever comes first, as canboat's table says: live, in columns and by the reference."""
+    text = {"Id": "model", "Name": "Model", "FieldType": "STRING_FIX", "BitLength": 48, "BitOffset": 0}
+    protocol = table(tmp_path, {"PGN": 130001, "Id": "name", "Type": "Single", "Fields": [text]}).protocol
+    frames = [Frame(0x0DFBD109, raw, is_extended_id=True)]
+    (record,) = protocol.scanner().feed(frames)
+    assert record.model == "N1"
+    laws.oracle(protocol.variant(), None, laws.Scene(tuple(frames)))
+    laws.columns_law(protocol.variant(), None, laws.Scene(tuple(frames)))
+    sent: Any = protocol.encode("name", priority=3, source=9, model="N1")
+    assert bytes(sent.data)[:6] == b"N1\xff\xff\xff\xff"
+    with pytest.raises(FieldError, match="which ends there"):
+        protocol.encode("name", priority=3, source=9, model="N@1")
+
+
 # ---------------------------------------------------------------------- canboat's own table and goldens
 
 _GOLDEN = re.compile(r'([^=;:"]+?) = (?:[^=;]*?) ?\(bytes = "([0-9A-F ]*)"(?:, bits = "([01]+)")?\)')

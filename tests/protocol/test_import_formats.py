@@ -99,6 +99,21 @@ def test_a_dcf_knows_its_node(tmp_path: Path) -> None:
     assert found.protocol["RPDO1"].direction == "to device"
 
 
+def test_a_dcf_whose_node_is_no_number_is_read_without_it(tmp_path: Path) -> None:
+    """The section of its node is left out by name, and the rest of the file is a protocol."""
+    path = tmp_path / "bad.dcf"
+    path.write_text(
+        "[DeviceInfo]\nProductName=x\n[DeviceComissioning]\nNodeID=abc\n"
+        "[1000]\nParameterName=Device type\nObjectType=0x7\nDataType=0x0007\nAccessType=ro\n",
+        encoding="utf-8",
+    )
+    imported = load_database(path)
+    assert imported.protocol["Heartbeat"].identifier.match(0x705) == {"node": 5}
+    (lost,) = imported.losses
+    assert lost.excerpt == "[DeviceComissioning]"
+    assert "cannot be read" in lost.reason
+
+
 @pytest.mark.slow
 def test_damaged_eds_files_never_raise_anything_else(tmp_path: Path) -> None:
     """Cut anywhere, bytes changed, lines dropped: a protocol with problems, or one clear error."""

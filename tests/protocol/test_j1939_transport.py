@@ -9,6 +9,7 @@ import pytest
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.frames import Frame
 from aces_bus.protocol import IdField, J1939Transport, Protocol
+from aces_bus.testing import laws
 from tests.specs.j1939_long import j1939_long
 
 #: The vehicle's number, said to all; ten bytes for F9.
@@ -32,8 +33,10 @@ def frames(*texts: str, times: tuple[float, ...] = ()) -> list[Frame]:
 
 def fed(*texts: str, times: tuple[float, ...] = ()) -> list[str]:
     """What each thing is that a scanner gives: the message, or the reason."""
+    given = frames(*texts, times=times)
+    laws.oracle(j1939_long.variant(), None, laws.Scene(tuple(given)))
     scanner = j1939_long.scanner(include_unknown=True)
-    items: list[Any] = [*scanner.feed(frames(*texts, times=times)), *scanner.close()]
+    items: list[Any] = [*scanner.feed(given), *scanner.close()]
     assert scanner.counts.total == len(texts)
     return [getattr(one, "reason", type(one).__name__).removeprefix("malformed: ") for one in items]
 
@@ -67,13 +70,23 @@ def test_sessions_of_one_sender_side_by_side() -> None:
 
 def test_data_may_come_again_and_late() -> None:
     """A receiver that missed a frame asks for it anew, with those behind it: the packet is whole, the others repeated."""
-    assert fed(VIN[0], VIN[1], VIN[3], VIN[2]) == ["VehicleIdentification"]
+    assert fed(TEN[0], TEN[2], TEN[1]) == ["Proprietary"]
     assert fed(TEN[0], TEN[1], TEN[1], TEN[2]) == ["repeated", "Proprietary"]
+    assert fed(*TEN, times=(0.0, 1.2, 2.4)) == ["Proprietary"]
+
+
+def test_a_broadcast_has_one_order_and_t1() -> None:
+    """Nobody asks for its frames again: after two losses, frames of two broadcasts do not become one packet."""
+    assert fed(VIN[0], *VIN[2:], VIN[1]) == ["frame 2 of 4 missing"] * 2 + ["no first frame"] * 2
+    assert fed(VIN[0], VIN[1], VIN[1], *VIN[2:]) == ["repeated", "VehicleIdentification"]
+    assert fed(*VIN, times=(0.0, 0.7, 1.4, 2.1)) == ["VehicleIdentification"]
+    assert fed(*VIN, times=(0.0, 0.2, 0.4, 1.2)) == ["timed out"] * 3 + ["no first frame"]
 
 
 def test_what_a_session_lacks_is_said() -> None:
     """Frames that are lost, late, begun anew, or contradict what was announced."""
     assert fed(*VIN[:2], VIN[3], *VIN) == ["frame 3 of 4 missing"] * 3 + ["VehicleIdentification"]
+    assert fed(TEN[0], TEN[2], *TEN) == ["frame 2 of 3 missing"] * 2 + ["Proprietary"]
     assert fed(*VIN[:2], *VIN) == ["restarted"] * 2 + ["VehicleIdentification"]
     assert fed(*VIN, times=(0.0, 0.1, 1.4, 1.5)) == ["timed out"] * 2 + ["no first frame"] * 2
     assert fed(*VIN[:3]) == ["pending"] * 3
@@ -82,7 +95,7 @@ def test_what_a_session_lacks_is_said() -> None:
     assert fed("1CECFF00#2008000200ECFE00") == ["length"]  # 8 bytes are no packet
     assert fed("1CECFF00#1012000300ECFE00") == ["no frame of J1939 transport"]  # a request to everybody
     assert fed("1CECFF00#20120003") == ["length"]
-    assert fed(VIN[0], "1CEBFF00#0431584B44443439") == ["frame 5 of 4 beyond its end"] * 2
+    assert fed(TEN[0], "1CEBF900#0331584B44443439") == ["frame 4 of 3 beyond its end"] * 2
     assert fed(VIN[0].replace("ECFE", "EBFE"), *VIN[1:]) == ["unknown"] * 4  # a group that no message has
 
 

@@ -16,7 +16,7 @@ import pytest
 from aces_bus.errors import AcesError
 from aces_bus.protocol import Protocol
 from aces_bus.protocol.against import check_recordings
-from aces_bus.protocol.columns.decode import Way
+from aces_bus.protocol.declare.message import Way
 from aces_bus.protocol.lint import check_protocol
 from aces_bus.recordings import open_recording
 from aces_bus.testing.fuzz import Fuzzer

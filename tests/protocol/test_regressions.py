@@ -349,6 +349,27 @@ def test_a_scaled_number_of_64_bits_is_sent_exactly() -> None:
     assert bytes(made.encode("Exact", n=2 * raw + 1).data) == raw.to_bytes(8, "little")
 
 
+@pytest.mark.parametrize(
+    ("scale", "offset"), [(0.01, 0), (0.1, -40.0), (-0.25, 0.3), (3, 7), (1e-7, 1e6), (0.001, 5)]
+)
+def test_a_truncated_number_comes_back(scale: float, offset: float) -> None:
+    """A quotient a rounding error below its integer was truncated to the one before: 0.29 at 0.01 was sent as 28."""
+    from construct import Int16sl
+
+    made = Protocol("truncated", link="can")
+    quantity = Quantity(Int16sl, scale=scale, offset=offset, rounding="truncate")
+    made.message("Speed", id=1, payload=Struct("n" / quantity))
+    encode = made.variant().encoder.encode
+    for raw in range(-(1 << 15), 1 << 15, 7):
+        value = quantity.to_physical(raw)
+        assert quantity.to_raw(value) == raw
+        assert bytes(encode("Speed", n=value).data) == raw.to_bytes(2, "little", signed=True)
+    for beside, wanted in ((29.9, 29), (28.999999, 28), (-29.9, -29), (-28.999999, -28)):
+        if abs(scale) > 1e-3:
+            assert quantity.to_raw(beside * scale + offset) == wanted
+            assert encode("Speed", n=beside * scale + offset).data[0] == wanted & 0xFF
+
+
 @pytest.mark.parametrize("size", [2, 3, 4, 8])
 @pytest.mark.parametrize("signed", [False, True])
 def test_a_layouts_only_field_keeps_its_byte_order(size: int, *, signed: bool) -> None:

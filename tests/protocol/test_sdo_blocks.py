@@ -119,6 +119,10 @@ def test_what_a_transfer_lacks_is_said_and_its_frames_are_no_messages() -> None:
     assert fed("605#C608100091010000", *WRITE[1:5], *rest) == ["too long"] + ["no first frame"] * 7 + [
         lost[-1]
     ]
+    refused = "605#C608100091010000"
+    assert fed(*WRITE[:5], refused) == ["restarted"] * 5 + ["too long"]
+    assert fed(*WRITE[:2], *WRITE[3:5], refused) == ["frame 2 of 4 missing"] * 4 + ["too long"]
+    assert fed(*WRITE[:2], refused, *WRITE[1:5]) == ["restarted"] * 2 + ["too long"] + ["no first frame"] * 4
     assert fed(WRITE[0].replace("0A", "0B"), *WRITE[1:], LIKE_A_WRITE, DONE) == ["length"] * 6 + lost[-2:]
     assert fed(*WRITE[:5], WRITE[5].replace("2AA3", "2BA3")) == ["checksum"] * 6
     assert fed(*WRITE[:3]) == ["pending"] * 3

@@ -11,6 +11,7 @@ from aces_bus.device.carried_port import CarriedPort
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.frames import Frame
 from aces_bus.protocol import Protocol, SdoTransfer
+from aces_bus.testing import laws
 from aces_tools.main import main
 from tests.specs.sdo_like import sdo_like
 
@@ -43,8 +44,10 @@ def frames(*texts: str, times: tuple[float, ...] = ()) -> list[Frame]:
 
 def fed(*texts: str, times: tuple[float, ...] = ()) -> list[str]:
     """What each thing is that a scanner gives: the message, or the reason."""
+    given = frames(*texts, times=times)
+    laws.oracle(sdo_like.variant(), None, laws.Scene(tuple(given)))
     scanner = sdo_like.scanner(include_unknown=True)
-    items: list[Any] = [*scanner.feed(frames(*texts, times=times)), *scanner.close()]
+    items: list[Any] = [*scanner.feed(given), *scanner.close()]
     assert scanner.counts.total == len(texts)
     return [getattr(one, "reason", type(one).__name__).removeprefix("malformed: ") for one in items]
 
@@ -81,6 +84,10 @@ def test_what_a_transfer_lacks_is_said() -> None:
         fed(WRITE[0], WRITE[3]) == ["frame 2 of 4 is short"] * 2
     )  # two are lost: the last one comes too early
     assert fed("605#2108100091010000") == ["too long"]
+    # Three bytes, and a segment of seven that is not the last; sixteen, and a third segment of seven.
+    assert fed("605#2108100003000000", WRITE[1]) == ["frame 2 of 2 is too long"] * 2
+    assert fed(*WRITE[:3], WRITE[1]) == ["frame 4 of 4 is too long"] * 4
+    assert fed("605#2108100007000000", WRITE[1]) == ["Write"]
     assert fed("605#21081000100000") == ["length"]
     assert fed("605#E000000000000000") == ["no frame of SDO transfer"]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import pytest
 from construct import Byte, Const, GreedyBytes, Int16ub, Struct, this
@@ -20,6 +21,8 @@ from aces_bus.protocol import (
     make_scanner,
 )
 from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.protocol.exchange.export_wireshark import print_dissector
+from aces_protocols.robotis.spec import robotis
 
 
 def servo(gap: float | None = 0.1) -> Protocol:
@@ -199,3 +202,27 @@ def test_rolling_counters_of_a_stream_say_what_is_missing() -> None:
     columns.feed(data)
     columns.close()
     assert scanner.counts.missed == columns.counts.missed == 2 + 1 + 255
+
+
+def test_directions_are_said_in_either_words() -> None:
+    """The command line's short words mean the same in Python, and a word that says no direction is refused everywhere."""
+    reply = bytes.fromhex("FFFF01020AF2")
+    for long, short in (("from device", "from"), ("to device", "to"), ("both", "both")):
+        given: tuple[Any, ...] = (long, short)
+        names = [
+            [type(one).__name__ for one in robotis.scanner(direction=word).feed(reply)] for word in given
+        ]
+        assert names[0] == names[1]
+        assert len({robotis.decode(reply, direction=word).counts.records for word in given}) == 1
+    bogus: Any = "bogus"
+    variant = robotis.variant()
+    for refuses in (
+        lambda: robotis.scanner(direction=bogus),
+        lambda: robotis.decode(b"", direction=bogus),
+        lambda: StreamScanner([variant], direction=bogus),
+        lambda: Reference([variant], direction=bogus),
+        lambda: variant.messages_for(bogus),
+        lambda: print_dissector(variant, direction=bogus),
+    ):
+        with pytest.raises(CallerError, match="'bogus' is no direction: write 'to device'"):
+            refuses()

@@ -19,6 +19,7 @@ from aces_bus.protocol.declare.transport import Transport
 from aces_bus.protocol.live.reassemble import Reassembler
 from aces_bus.testing.columns import columns_difference
 from aces_bus.testing.scenes import Scene
+from aces_bus.testing.trial import reference_items, scanned_items
 
 WHO = IdField("who", range(4))
 EXTENDED = IdField("priority", range(8)) << 26
@@ -28,6 +29,7 @@ TRANSPORTS: dict[str, tuple[Transport, object, bool]] = {
     "ISO-TP, extended addresses": (IsoTp(addressing="extended"), 0x600 + WHO, False),
     "ISO-TP, CAN FD": (IsoTp(fd=True), 0x600 + WHO, False),
     "fast packets": (FastPacket(timeout_s=0.3), EXTENDED | 0x1F80100 | WHO, True),
+    "fast packets, unpadded": (FastPacket(pad=None), EXTENDED | 0x1F80100 | WHO, True),
     "DroneCAN": (TailByte(version=0, max_size=300), EXTENDED | 0x1F80100 | WHO, True),
     "Cyphal": (TailByte(version=1, max_size=300), EXTENDED | 0x1F80100 | WHO, True),
     "Cyphal, CAN FD": (TailByte(version=1, fd=True, max_size=300), EXTENDED | 0x1F80100 | WHO, True),
@@ -74,7 +76,7 @@ def packets(protocol: Protocol, name: str, who: int, source: random.Random) -> I
 
 
 def recording(protocol: Protocol, name: str, source: random.Random, faults: float) -> list[Frame]:
-    """Frames of three senders in turn; so many of them are lost, repeated, late, swapped with the next, or broken."""
+    """Frames of three senders in turn; so many are lost, repeated, late, swapped, cut short, or broken."""
     senders = [packets(protocol, name, who, source) for who in (1, 2, 3)]
     frames: list[Frame] = []
     time = 0.0
@@ -82,7 +84,7 @@ def recording(protocol: Protocol, name: str, source: random.Random, faults: floa
         frame = next(source.choice(senders))
         time += 0.001
         frames.append(changed(frame, time))
-        fault = source.random() / faults if faults else 6
+        fault = source.random() / faults if faults else 7
         if fault < 1:
             frames.pop()
         elif fault < 2:
@@ -97,6 +99,8 @@ def recording(protocol: Protocol, name: str, source: random.Random, faults: floa
             frames.append(changed(frame, time, bytes(data)))
         elif fault < 6:
             frames.append(changed(frame, time, source.randbytes(source.choice((0, 1, 2, 7, 8)))))
+        elif fault < 7:
+            frames[-1] = changed(frame, time, frame.data[: source.randrange(min(9, len(frame.data)))])
     return frames
 
 
@@ -115,6 +119,29 @@ def test_columns_are_the_live_packets(name: str, faults: float) -> None:
     live = protocol.scanner(include_unknown=True)
     variant = protocol.variant()
     assert columns_difference(variant, "both", Scene(frames), cuts, live, False, True) == ""
+    assert scanned_items(protocol.scanner(include_unknown=True, raw=True), Scene(frames)) == reference_items(
+        variant, "both", Scene(frames)
+    )
+
+
+def test_the_last_frame_is_short_by_number_not_by_arrival() -> None:
+    """Columns refuse a fast packet whose short frame arrives last and is not the last one, as live and reference do."""
+    protocol = protocol_of("fast packets, unpadded")
+    first, second, third = next_packet(protocol, 14)
+    padded = changed(third, 0.0, third.data.ljust(8, b"\xff"))
+    frames = [first, padded, changed(second, 0.0, second.data[:7])]
+    scanner = make_column_scanner([protocol.variant()], include_unknown=True)
+    (losses,) = [*scanner.feed(FrameTable.from_frames(frames)), *scanner.close()]
+    assert losses["reason"].to_list() == ["malformed: frame 2 of 3 is short"] * 3
+    frames = [first, changed(third, 0.0, third.data[:2]), second]
+    live = protocol.scanner(include_unknown=True)
+    assert columns_difference(protocol.variant(), "both", Scene(frames), [], live, False, True) == ""
+    assert live.counts.records == 1
+
+
+def next_packet(protocol: Protocol, size: int) -> list[Frame]:
+    made = protocol.variant().encoder.next("Packet", who=1, head=7, data=bytes(range(size - 1)), priority=3)
+    return [Frame(one.arbitration_id, bytes(one.data), 0.0, is_extended_id=True) for one in made]
 
 
 @pytest.mark.parametrize("name", TRANSPORTS)

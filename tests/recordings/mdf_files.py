@@ -13,8 +13,8 @@ import numpy as np
 
 from aces_bus.frame_table import FrameTable
 from aces_bus.frames import FD_LENGTHS, Frame
-from aces_bus.recordings.mf4 import blocks as mdf
-from aces_bus.recordings.write.mf4 import Mf4Writer
+from aces_lab.formats.mf4 import blocks as mdf
+from aces_lab.formats.mf4.writer import Mf4Writer
 
 START = 1436509052.25
 SOME = [

@@ -224,6 +224,10 @@ LOCAL = int(datetime(2023, 3, 3, 21, 21, 13).timestamp()) * 1_000_000_000
         (b"Mar 3 21:21:13 2023", LOCAL),
         (b"Fri Mar 3 12:00:00 am 2023", int(datetime(2023, 3, 3).timestamp()) * 1_000_000_000),
         (b"Fri Mar 3 12:00:00 pm 2023", int(datetime(2023, 3, 3, 12).timestamp()) * 1_000_000_000),
+        (
+            b"Fri Mar 3 9:1:3.5 pm 2023",
+            int(datetime(2023, 3, 3, 21, 1, 3).timestamp()) * 1_000_000_000 + 5_000_000,
+        ),
         (b"Fri Mar 33 21:21:13 2023", None),
         (b"Fri Foo 3 21:21:13 2023", None),
         (b"Fri Mar 3 25:21:13 2023", None),

@@ -25,14 +25,14 @@ from aces_bus.errors import CaptureError
 from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
 from aces_bus.recordings import open_recording
-from aces_bus.recordings.mf4 import arrays as mdf4
-from aces_bus.recordings.mf4 import blocks as mdf
-from aces_bus.recordings.mf4 import data as _mdf_data
-from aces_bus.recordings.mf4 import reader as mf4
-from aces_bus.recordings.mf4.fields import field_of, integers
-from aces_bus.recordings.mf4.reader import Mf4Capture
-from aces_bus.recordings.mf4.tree import MdfChannel
 from aces_bus.recordings.source import ByteSource
+from aces_lab.formats.mf4 import arrays as mdf4
+from aces_lab.formats.mf4 import blocks as mdf
+from aces_lab.formats.mf4 import data as _mdf_data
+from aces_lab.formats.mf4 import reader as mf4
+from aces_lab.formats.mf4.fields import field_of, integers
+from aces_lab.formats.mf4.reader import Mf4Capture
+from aces_lab.formats.mf4.tree import MdfChannel
 from tests.recordings.mdf_files import (
     COUNT_MISSING,
     RECORDS,
@@ -448,7 +448,7 @@ def test_a_record_of_no_group() -> None:
 _CHILD = """
 import io, resource, sys
 import numpy as np
-from aces_bus.recordings.mf4 import reader as mf4
+from aces_lab.formats.mf4 import reader as mf4
 from aces_bus.recordings.source import ByteSource
 from aces_bus.errors import CaptureError
 

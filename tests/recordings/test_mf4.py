@@ -25,11 +25,11 @@ from aces_bus.frame_table import Channels, FrameTable
 from aces_bus.frames import FD_LENGTHS, Frame
 from aces_bus.recordings import open_recording
 from aces_bus.recordings.merge import KeyedTable, merge_by_key
-from aces_bus.recordings.mf4 import child as child
-from aces_bus.recordings.mf4 import reader as mf4
-from aces_bus.recordings.mf4.reader import Mf4Capture
 from aces_bus.recordings.source import ByteSource
-from aces_bus.recordings.write.mf4 import Mf4Writer
+from aces_lab.formats.mf4 import child as child
+from aces_lab.formats.mf4 import reader as mf4
+from aces_lab.formats.mf4.reader import Mf4Capture
+from aces_lab.formats.mf4.writer import Mf4Writer
 from tests.recordings.mdf_files import (
     COUNT_MISSING,
     RECORDS,
@@ -345,7 +345,7 @@ def test_bombs_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
         ("import os; os._exit(3)", r"ended early \(status 3\)"),
         (
             "import json, sys; sys.path[:] = json.loads(sys.argv[1]); sys.modules['asammdf'] = None;"
-            " from aces_bus.recordings.mf4.child import run_child; run_child(sys.argv[2:])",
+            " from aces_lab.formats.mf4.child import run_child; run_child(sys.argv[2:])",
             r"in a state, that is not known here; such files need asammdf: pip install 'aces-bus\[mf4\]'",
         ),
     ],

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from aces_bus.frames import FD_LENGTHS, Frame
-from aces_bus.recordings.mf4 import arrays as mdf4
-from aces_bus.recordings.mf4 import data as _mdf_data
-from aces_bus.recordings.mf4.blocks import HD_AT
+from aces_lab.formats.mf4 import arrays as mdf4
+from aces_lab.formats.mf4 import data as _mdf_data
+from aces_lab.formats.mf4.blocks import HD_AT
 from tests.recordings.mdf_files import (
     FIELDS,
     RECORDS,

@@ -16,7 +16,7 @@ from aces_bus.errors import CaptureError
 from aces_bus.frame_table import FrameTable
 from aces_bus.frames import FD_LENGTHS, Frame
 from aces_bus.recordings import CanRecording, open_recording
-from tests.recordings.formats import accounted
+from tests.recordings.formats import SAMPLES, Sample, accounted
 
 
 def read(form: str, text: str) -> tuple[list[Frame], CanRecording]:
@@ -483,3 +483,33 @@ def test_what_python_can_writes_as_csv_reads_back(data: st.DataObject) -> None:
     ]
     for time, message in zip(table.time.tolist(), written, strict=True):
         assert abs(time / 1e9 - message.timestamp) <= 1e-6
+
+
+TEXTS = [
+    sample for sample in SAMPLES if sample.kind == "lines" and sample.format not in ("candump", "dxconf")
+]
+
+
+@pytest.mark.parametrize("many", [1, 40])
+@pytest.mark.parametrize("sample", TEXTS, ids=lambda one: one.format)
+def test_lines_that_ran_together_lose_no_frame_unsaid(sample: Sample, many: int) -> None:
+    """Where a line end is missing (a cut file was appended to), each frame that is gone is of an unreadable line."""
+    lines = sample.content.decode("latin-1").splitlines()
+
+    def counted(some: list[str]) -> tuple[int, int]:
+        content = "\n".join([*some, ""]).encode("latin-1")
+        try:
+            capture = open_recording(io.BytesIO(content), link="can", format=sample.format)
+            return sum(map(len, capture.tables())), capture.lines_unreadable
+        except CaptureError:  # of the only lines that are known
+            return 0, 1 << 20
+
+    lines += lines[-4:] * many
+    frames, unreadable = counted(lines)
+    for place in range(len(lines) - 8, len(lines) - 1) if many > 1 else range(len(lines) - 1):
+        for between in ("", " "):
+            joined = lines[place] + between + lines[place + 1]
+            left, missing = counted([*lines[:place], joined, *lines[place + 2 :]])
+            _, of_others = counted([*lines[:place], *lines[place + 2 :]])
+            if of_others == unreadable:  # both lines are right when they stand alone
+                assert left >= frames or missing > unreadable, joined

@@ -17,7 +17,7 @@ from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
 from aces_bus.recordings import Chunk, formats, open_recording
-from aces_bus.recordings.write import FORMATS, open_writer, writer_format
+from aces_bus.recordings.write import open_writer, writer_format, writer_formats
 
 
 def written(form: str) -> bytes:
@@ -37,8 +37,8 @@ def test_the_suffix_chooses_the_format(tmp_path: Path) -> None:
     """Each suffix, of either case and with one for packing behind, opens its writer; another is refused with a list."""
     assert [
         writer_format(f"x.{end}").name
-        for end in ("log", "ASC", "blf.gz", "trc.ZST", "mf4", "pcapng", "csv", "db", "gvret.csv")
-    ] == [form.name for form in FORMATS.values() if form.link == "can"]
+        for end in ("log", "ASC", "blf.gz", "trc.ZST", "pcapng", "csv", "db", "mf4", "gvret.csv")
+    ] == [form.name for form in writer_formats().values() if form.link == "can"]
     assert writer_format("x.dxconf.txt").name == "dxconf"
     with pytest.raises(CallerError, match=r"names no format; there are \.log"):
         open_writer(tmp_path / "walk.xyz")
@@ -207,3 +207,19 @@ def test_rows_of_a_hex_dump() -> None:
         " 4E                                                N\n"
         "\nPort closed\n"
     )
+
+
+def test_a_writer_that_cannot_be_made_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What was opened for it is gone, and what had the name is as it was."""
+
+    def refuse(form: object, file: object) -> None:
+        raise MemoryError("no room")
+
+    monkeypatch.setattr("aces_bus.recordings.write.OpenWriter", refuse)
+    kept = tmp_path / "kept.log"
+    kept.write_text("as it was")
+    for path in (tmp_path / "new.log", tmp_path / "new.log.gz", kept):
+        with pytest.raises(MemoryError):
+            open_writer(path)
+    assert [one.name for one in tmp_path.iterdir()] == ["kept.log"]
+    assert kept.read_text() == "as it was"

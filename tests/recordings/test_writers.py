@@ -39,10 +39,10 @@ from aces_bus.frame_table import (
 )
 from aces_bus.frames import FD_LENGTHS, Frame
 from aces_bus.recordings import formats, open_recording
-from aces_bus.recordings.write import FORMATS, open_writer
-from aces_bus.recordings.write._base import ChannelNumbers, WrittenChannels
+from aces_bus.recordings.write import open_writer, writer_formats
+from aces_bus.recordings.write.base import ChannelNumbers, WrittenChannels
 
-CAN_FORMATS = [form.name for form in FORMATS.values() if form.link == "can"]
+CAN_FORMATS = [form.name for form in writer_formats().values() if form.link == "can"]
 #: Time in ns, channel, identifier, flags, length, data.
 Row = tuple[int, str | None, int, int, int, bytes]
 
@@ -603,3 +603,22 @@ def test_names_of_channels_are_kept_apart() -> None:
     assert len(set(row)) == len(given_names)
     assert all(len(name) <= 64 and " " not in name for name in row)
     assert names.lost == 5
+
+
+def test_what_takes_another_form_is_noted() -> None:
+    """A channel that is a number and gets a name, and the 29-bit flag of an error frame: no losses, but said."""
+    frames = [
+        Frame(0x123, b"\x01", 1_500_000_000.0, "0"),
+        Frame(0, b"", 1_500_000_001.0, "1", is_extended_id=True, is_error_frame=True),
+    ]
+    notes = {}
+    for form in ("candump", "asc", "blf"):
+        with open_writer(io.BytesIO(), form) as writer:
+            writer.write(FrameTable.from_frames(frames))
+        notes[form] = writer.notes
+    flag = "1 error frames lose their 29-bit flag, which means nothing on a bus"
+    assert notes == {
+        "candump": ["channel 0 is named can0", "channel 1 is named can1", flag],
+        "asc": [flag],
+        "blf": [],
+    }

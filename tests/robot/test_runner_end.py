@@ -13,11 +13,14 @@ import pytest
 
 from aces_bus import load_robot
 from aces_bus.controller import IGNORE, Controller, Reaction, stop
-from aces_bus.errors import CallerError
+from aces_bus.device import Job, Steps
+from aces_bus.errors import CallerError, DeviceError, NotStoppedError
 from aces_bus.hardware import CanGate, port_of
-from aces_bus.robot import run_real, run_virtual, simulate
-from aces_bus.runtime import Loop
+from aces_bus.robot import Runner, run_real, run_virtual, simulate
+from aces_bus.robot.run_end import RunEnd
+from aces_bus.runtime import Loop, VirtualClock
 from tests.device.fan import ROBOT, drivers, robot_of
+from tests.interpreted import replaces_methods
 
 #: On a busy machine other signs of trouble come before the one that is meant.
 CALM: Mapping[str, Reaction] = {"*": IGNORE}
@@ -202,6 +205,7 @@ def test_missing_devices_are_named() -> None:
     run.world.simulation["B"].fault("silent")
     with run:
         assert run.missing == ["B"]
+        assert run.clock.now() / 1e9 == pytest.approx(5.0, abs=0.1)
 
 
 def test_a_bus_that_cannot_be_closed_is_named_and_holds_up_no_other() -> None:
@@ -251,6 +255,166 @@ def test_only_what_a_controller_drives_is_enabled() -> None:
         assert [device.name for device in driven] == ["A"]
         assert run.do("off", devices=driven) == ["A"]
         assert run.do("fly") == []
+
+
+def test_what_is_left_by_an_exception_raises_that_and_not_the_stop() -> None:
+    """Leaving a run with a device that did not stop says so, unless the program raised itself or has had it said."""
+
+    def never() -> None:
+        raise ValueError("no such thing")
+
+    def left(ending: Any) -> None:
+        with run_virtual(robot_of(ROBOT), [Drive()], load=drivers) as run:
+            run.start()
+            run.clock.wait(lambda: False, 100_000_000)
+            run.rig.devices["A"].stop_motion = never  # type: ignore[method-assign]
+            ending(run)
+
+    def fails(run: Any) -> None:
+        raise ZeroDivisionError("by zero")
+
+    with pytest.raises(NotStoppedError, match="no such thing"):
+        left(lambda run: None)
+    with pytest.raises(ZeroDivisionError):
+        left(fails)
+    left(lambda run: run.stop())
+
+
+def test_a_released_controller_is_no_longer_stopped() -> None:
+    """What a trip has switched off counts as stopped until it is released."""
+    run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers)
+    with run:
+        run.start()
+        run.clock.wait(lambda: False, 100_000_000)
+        run.supervisors[0].guard.trip("by hand", "disable")
+        run.clock.wait(lambda: False, 40_000_000)
+        assert run.stopped == {"drive": "by hand"}
+        run.release("drive")
+        assert run.stopped == {}
+
+
+def test_a_step_that_does_not_come_back_is_found_without_it() -> None:
+    """The buses' thread looks by itself: it names how long the step has taken, once, and looks no more after the end."""
+    run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers)
+    with run:
+        run.start()
+        run.clock.wait(lambda: False, 100_000_000)
+        run.tasks.stop()
+        run._inside["drive"] = run.clock.now()
+        run._watch()
+        assert run.stopped == {}
+        run.clock.wait(lambda: False, 300_000_000)
+        assert "its step has not come back for 0.1" in run.stopped["drive"]
+        assert run.supervisors[0].counts["dead-man"] == 1
+        assert run.world.twins["A"].left == 0
+    planned = run.world.clock.next_event
+    run._watch()
+    assert run.world.clock.next_event == planned
+
+
+@pytest.mark.parametrize(("rate_hz", "seconds"), [(10.0, 0.5), (200.0, 0.1)])
+def test_a_controller_is_dead_after_five_periods_and_a_tenth_of_a_second(
+    rate_hz: float, seconds: float
+) -> None:
+    """One that gives nothing any more is stopped after the longer of the two."""
+
+    class Quiet(Drive):
+        def step(self, now_ns: int) -> Mapping[str, float]:
+            if now_ns - run._began > 1_000_000_000:
+                return {}
+            given.append(now_ns)
+            return super().step(now_ns)
+
+    given: list[int] = []
+    quiet = Quiet()
+    quiet.rate_hz = rate_hz
+    run = run_virtual(robot_of(ROBOT), [quiet], load=drivers, reactions={**CALM, "dead-man": stop()})
+    run.run(5.0)
+    trip = next(event for event in run.events if event.kind == "trip")
+    assert (trip.instant - given[-1]) / 1e9 == pytest.approx(seconds, abs=1.1 / rate_hz)
+
+
+class Stuck:
+    """A run whose buses' thread is inside something."""
+
+    def __init__(self, loop: Loop) -> None:
+        self.clock = loop
+
+
+@pytest.mark.parametrize("begun", [False, True])
+def test_an_end_does_not_wait_for_a_thread_that_hangs(monkeypatch: pytest.MonkeyPatch, begun: bool) -> None:
+    """What the buses' thread has not begun in time is done here; what it has begun and not ended is said."""
+    monkeypatch.setattr("aces_bus.robot.run_end.PATIENCE_S", 0.02)
+    let_go = threading.Event()
+    did: list[str] = []
+
+    def action() -> int:
+        did.append(threading.current_thread().name)
+        if begun:
+            let_go.wait(10)
+        return 7
+
+    with Loop() as loop:
+        if not begun:
+            loop.call_soon(lambda: let_go.wait(10))
+        try:
+            if begun:
+                with pytest.raises(TimeoutError, match=r"not over after 0\.02 s"):
+                    RunEnd._in_time(Stuck(loop), action)  # type: ignore[arg-type]
+                assert did == ["aces loop"]
+            else:
+                assert RunEnd._in_time(Stuck(loop), action) == 7  # type: ignore[arg-type]
+                assert did == [threading.current_thread().name]
+        finally:
+            let_go.set()
+    assert len(did) == 1  # the thread does not do it once more
+
+
+@pytest.mark.parametrize("error", [SystemExit(3), KeyboardInterrupt(), ValueError("no such thing")])
+def test_what_is_raised_on_the_buses_thread_is_raised_where_it_was_asked_for(error: BaseException) -> None:
+    """Whatever it is: it neither ends that thread nor is lost."""
+
+    def action() -> None:
+        raise error
+
+    with Loop() as loop:
+        with pytest.raises(type(error)):
+            RunEnd._in_time(Stuck(loop), action)  # type: ignore[arg-type]
+        assert RunEnd._in_time(Stuck(loop), lambda: 5) == 5  # type: ignore[arg-type]
+
+
+def test_a_run_without_an_end_and_without_events_says_so() -> None:
+    """Virtual time in which nothing is planned would never pass: the error says what to give."""
+    with pytest.raises(CallerError, match="give it one"):
+        Runner._let_pass(Still(), lambda: False, 1 << 62)  # type: ignore[arg-type]
+    still = Still()
+    Runner._let_pass(still, lambda: False, 5_000_000)  # type: ignore[arg-type]
+    assert still.clock.now() == 5_000_000
+
+
+class Still:
+    """A run in which nothing is planned."""
+
+    def __init__(self) -> None:
+        self.clock = VirtualClock()
+
+
+def test_an_action_has_a_minute() -> None:
+    """`do` waits a minute for what never ends, and as long as it is told."""
+
+    def spin(job: Job) -> Steps:
+        yield 1 << 60
+
+    run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers)
+    with run:
+        device = run.rig.devices["A"]
+        device.off = lambda: Job(run.clock, "spin", spin)  # type: ignore[attr-defined]
+        for given, seconds in (((), 60.0), ((2.0,), 2.0)):
+            began = run.clock.now()
+            with pytest.raises(DeviceError, match="not over"):
+                run.do("off", *given, devices=["A"])
+            assert (run.clock.now() - began) / 1e9 == pytest.approx(seconds, abs=0.1)
+        del device.off  # type: ignore[attr-defined]
 
 
 @pytest.mark.slow
@@ -337,3 +501,52 @@ def test_every_deadline_is_a_step_or_missed() -> None:
     assert task.missed > 20
     # On a busy machine some time passes between the last tick and the end.
     assert abs(task.ticks + task.missed - 1 - 50 * ended.seconds) <= 15
+
+
+@replaces_methods
+@pytest.mark.parametrize("second", [KeyboardInterrupt(), RuntimeError("no room")], ids=["Ctrl-C", "error"])
+def test_a_stop_that_cannot_begin_names_every_device(
+    monkeypatch: pytest.MonkeyPatch, second: BaseException
+) -> None:
+    """A stop that was interrupted is begun once more; where that fails too, every device counts as not stopped."""
+    raised = [KeyboardInterrupt(), second]
+
+    def interrupted(*_: Any) -> Any:
+        raise raised.pop(0)
+
+    log = Log()
+    run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers, loggers=[log])
+    run.open()
+    run.start()
+    run.world.clock.advance(100_000_000)
+    monkeypatch.setattr("aces_bus.robot.run_end.stop_devices", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run.stop()
+    assert raised == []
+    assert run.ended().not_stopped == dict.fromkeys(["A", "B"], "its stop could not begin")
+    assert log.did[-1] == "stop"
+    assert not run.rig.hosts["line"].is_open
+
+
+@replaces_methods
+def test_a_stop_that_was_interrupted_is_begun_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C while a stop begins comes out, and nobody counts as not stopped who was stopped after it."""
+    from aces_bus.device import stop_devices
+
+    raised = [KeyboardInterrupt()]
+
+    def interrupted(*arguments: Any) -> Any:
+        if raised:
+            raise raised.pop()
+        return stop_devices(*arguments)
+
+    run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers)
+    run.open()
+    run.start()
+    run.world.clock.advance(100_000_000)
+    assert run.world.twins["A"].left > 0
+    monkeypatch.setattr("aces_bus.robot.run_end.stop_devices", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run.stop()
+    assert (raised, run.ended().not_stopped) == ([], {})
+    assert run.world.twins["A"].left == 0

@@ -20,7 +20,7 @@ PROGRAM = """
 import hashlib, sys, tempfile
 from pathlib import Path
 from aces_bus.hardware import ListeningNode
-from aces_tools.benchmarks.virtual import hubo_run, is_compiled
+from tests.bench.virtual import hubo_run, is_compiled
 
 with tempfile.TemporaryDirectory() as folder:
     log = Path(folder) / "log.csv"

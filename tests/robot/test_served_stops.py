@@ -88,7 +88,12 @@ def run_on(
     """Run until every controller was stopped, or it is enough, with the fault once the boards are on and controllers run."""
     bus = {"interface": "aces", "channel": f"unix:{twins.path}", "bitrate": 1_000_000, "restart_ms": 500}
     run = run_real(
-        hubo_leg(), controllers, buses={"lower": bus}, transmit=True, reactions={**CALM, **reactions}
+        hubo_leg(),
+        controllers,
+        buses={"lower": bus},
+        transmit=True,
+        reactions={**CALM, **reactions},
+        unhomed=True,
     )
     is_done = False
 
@@ -175,6 +180,7 @@ def test_a_controller_that_finishes(twins: Twins) -> None:
         buses={"lower": {"interface": "aces", "channel": f"unix:{twins.path}"}},
         transmit=True,
         reactions=CALM,
+        unhomed=True,
     )
     with run:
         enable(run, twins, BOARDS)
@@ -201,6 +207,7 @@ def test_hold_holds_until_its_time_is_over(twins: Twins) -> None:
         transmit=True,
         reactions={**CALM, "raised": stop("hold")},
         hold_s=0.3,
+        unhomed=True,
     )
     run.handlers.append(handler)
     with run:
@@ -263,7 +270,7 @@ def command(twins: Twins, folder: Path, *words: str) -> Command:
     robot.write_text(print_robot(hubo_leg()))
     return Command(
         *("run", "-r", str(robot), str(program), "-i", "aces", "--bus", f"lower=unix:{twins.path}"),
-        *("--on-trip", "ignore", "--tx", "--quiet", *words),
+        *("--on-trip", "ignore", "--tx", "--quiet", "--unhomed", *words),
     )
 
 

@@ -1,6 +1,7 @@
 """Drawn schedules of faults and commands, in virtual time: a stop is done, or the run says who has not stopped.
 
-Whatever happens before and meanwhile. And no set-point that a board is sent is beyond its joint's limits.
+Whatever happens before and meanwhile. And no set-point that a board is sent is beyond its joint's limits; and after an
+e-stop nothing that moves or enables is sent until somebody enables anew.
 """
 
 from __future__ import annotations
@@ -9,22 +10,25 @@ from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache, partial
 from math import inf
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from aces_bus import load_robot
 from aces_bus.controller import ControlEvent, Controller, parse_reactions
 from aces_bus.controller.trip import Action
-from aces_bus.device import Robot
+from aces_bus.device import Bus, DeviceConfig, Robot
+from aces_bus.device.config import Input
 from aces_bus.errors import CallerError
 from aces_bus.hardware import ListeningNode
 from aces_bus.protocol import make_scanner
 from aces_bus.robot import Runner, VirtualRobot, run_virtual
 from aces_bus.robot.checks import KINDS_OF_FAULTS
 from aces_bus.robot.rig import bus_variants
+from aces_devices.hubo_motor.channel import HOMED
 from tests.robot.walking import second_of
 
 MS = 1_000_000
@@ -80,7 +84,8 @@ def carry_out(run: Runner, drawn: Drawn, kind: str, what: Any) -> None:
                 node.count_errors(8, 0, None)
             run.clock.call_in(round(away_s * 1e9), node.restart)
         case "do", "release":
-            run.release("drawn")
+            with suppress(CallerError):  # an e-stop is pressed
+                run.release("drawn")
         case "do", "flood":
             for _ in range(3_000):
                 run.supervisors[0].handle(ControlEvent("alarm", run.clock.now(), "JMC2"))
@@ -91,11 +96,21 @@ def carry_out(run: Runner, drawn: Drawn, kind: str, what: Any) -> None:
             run.supervisors[0].guard.trip("by hand", action)
         case "twin", (name, fault, is_on):
             misbehave(run.world.twins[name], fault, is_on)
+        case "estop", what:
+            press(run.world.twins["IO"], what)
         case "second", (name, hears_ms):
             second = second_of(run.world, name)
             run.clock.call_in(hears_ms * MS, lambda: second.fault("can_error"))
         case _:
             pass
+
+
+def press(io: Any, what: str) -> None:
+    """Press the e-stop, clear it, or have its module say nothing."""
+    if what in ("pressed", "clear"):
+        io.put("di1", what == "clear")
+    else:
+        io.power(what == "power on")
 
 
 def misbehave(twin: Any, fault: str, is_on: bool) -> None:
@@ -213,6 +228,157 @@ def test_after_a_stop_all_is_off_or_named(
     }
     assert still_on | doubles <= set(ended.not_stopped)
     assert watcher.beyond() == []
+
+
+#: What an e-stop input may do: be pressed, or lose its module.
+PRESSED = ("pressed", "power off")
+#: What moves or enables a board of Hubo's.
+MOVING = frozenset(("Reference", "ControlOn", "Home", "Pwm"))
+#: A stop leaves this long (ns) after its input was received, at the latest; what is on the wire then has left before.
+AT_ONCE = 2 * MS
+ESTOPS: st.SearchStrategy[tuple[str, Any]] = st.tuples(
+    st.just("estop"), st.sampled_from(["pressed", "pressed", "clear", "clear", "power off", "power on"])
+)
+ESTOP_SCHEDULES: st.SearchStrategy[list[Act]] = st.lists(
+    st.builds(lambda at_ms, happens: (at_ms, *happens), st.integers(0, 500), ESTOPS | HAPPENS),
+    min_size=1,
+    max_size=8,
+)
+
+
+@cache
+def leg_with_estop() -> Robot:
+    """Knee and ankle, with an e-stop on a module of its own bus."""
+    leg = lower_leg()
+    io = Bus(name="io", link="can", protocol="canopen", bitrate=1_000_000)
+    module = DeviceConfig(
+        name="IO", driver="cia401", bus="io", credentials={"node": 17}, settings={"every_s": 0.03}
+    )
+    return replace(
+        leg,
+        buses={**leg.buses, "io": io},
+        devices={**leg.devices, "IO": module},
+        estop={"panel": Input(name="panel", signal="IO.di1", clear=True, stale_after_s=0.1)},
+    )
+
+
+def begun_with_estop(drawn: Drawn, **options: Any) -> Runner:
+    """A run with the e-stop clear and all joints homed and enabled."""
+    run = run_virtual(leg_with_estop(), [drawn], rate_hz=100, **options)
+    for name in ("JMC2", "JMC3"):
+        for channel in run.world.twins[name].channels:
+            channel.home = HOMED
+    run.world.twins["IO"].put("di1", True)
+    run.open()
+    run.clock.wait(lambda: not run.rig.chain.pressed, 1_000 * MS)
+    run.clock.wait(lambda: not run.rig.chain.missing(list(run.rig.devices.values())), 2_000 * MS)
+    run.do("enable")
+    return run
+
+
+class Chain:
+    """Notes when the e-stop tripped, and when somebody enabled or homed on purpose, to be compared with the wire."""
+
+    def __init__(self, run: Runner) -> None:
+        self.run = run
+        self.trips: list[int] = []
+        self.begun: list[int] = []
+        self.node = ListeningNode(run.world.wires["lower"])
+        self.scanner = make_scanner(bus_variants(run.rig.robot, "lower"), include_unknown=True)
+        run.rig.on_event(self._happened)
+        run.rig.events.acts.append(self._done)
+
+    def _happened(self, event: Any) -> None:
+        if event.kind == "estop":
+            self.trips.append(event.instant)
+
+    def _done(self, what: str, who: str, detail: str) -> None:
+        if what in ("enable", "home") and not detail:
+            assert not self.run.rig.chain.pressed, "begun while the e-stop is pressed"
+            self.begun.append(self.run.clock.now())
+
+    def broken(self) -> list[str]:
+        """What moved or enabled a board after a trip although nobody had begun anew.
+
+        A reference that was in an adapter's mailbox when its bus was lost may come behind the board's ControlOff.
+        """
+        found: list[str] = []
+        off: dict[int, int] = {}
+        for instant, frame in self.node.received:
+            for record in self.scanner.feed([frame]):
+                trip = max((at for at in self.trips if at + AT_ONCE < instant), default=None)
+                name = type(record).__name__
+                if name == "ControlOff":
+                    off[record.board] = instant
+                if name not in MOVING or trip is None or any(trip <= at <= instant for at in self.begun):
+                    continue
+                if name != "Reference" or off.get(record.board, 0) < trip:
+                    found.append(f"{name} {(instant - trip) / MS:.1f} ms after the e-stop")
+        return found
+
+
+@pytest.mark.slow
+@settings(max_examples=EXAMPLES)
+@given(
+    schedule=ESTOP_SCHEDULES,
+    seconds=st.sampled_from([0.3, 0.6, 1.0]),
+    reactions=REACTIONS,
+    on_trip=st.sampled_from(["disable", "hold"]),
+    at_end=st.sampled_from(["disable", "hold"]),
+)
+def test_an_estop_stops_all_whatever_happens(
+    schedule: list[Act],
+    seconds: float,
+    reactions: dict[str, str],
+    on_trip: Action,
+    at_end: Literal["disable", "hold"],
+) -> None:
+    """After an e-stop nothing that moves or enables is sent until somebody begins anew; while it is pressed, nobody can.
+
+    It trips in time, also by silence; and at the end all is off, or named.
+    """
+    drawn = Drawn()
+    declared = parse_reactions(reactions, kinds=KINDS_OF_FAULTS)
+    run = begun_with_estop(drawn, reactions=declared, on_trip=on_trip, at_end=at_end)
+    watcher, chain = Watcher(run.world), Chain(run)
+    begun = run.clock.now()
+    for at_ms, kind, what in schedule:
+        run.clock.call_in(at_ms * MS, partial(carry_out, run, drawn, kind, what))
+    run.start()
+    run.world.clock.advance(round(seconds * 1e9))
+    estops = sorted((at_ms, what) for at_ms, kind, what in schedule if kind == "estop")
+    now_ms = (run.clock.now() - begun) // MS
+    since = max((at_ms for at_ms, _ in estops if at_ms <= now_ms), default=now_ms)
+    last = {what for at_ms, what in estops if at_ms == since}
+    if last <= set(PRESSED) and now_ms - since > 150:
+        assert run.rig.chain.pressed
+        assert set(run.stopped) == {"drawn"}
+    doubles = {name for name, device in run.rig.devices.items() if device.is_double}
+    was_tripped = bool(run.rig.chain.pressed)
+    ended = run.stop()
+    still_on = {
+        name
+        for name in ("JMC2", "JMC3")
+        if (twin := run.world.twins[name]).is_powered and any(channel.control_on for channel in twin.channels)
+    }
+    assert still_on | doubles - set(ended.held) <= {*ended.not_stopped, *ended.held}
+    if was_tripped:
+        assert ended.held == []
+    assert chain.broken() == []
+    assert watcher.beyond() == []
+
+
+def test_what_is_sent_after_an_estop_is_seen() -> None:
+    """References of a run that goes on are found as soon as a trip is noted; those before it are not."""
+    drawn = Drawn()
+    run = begun_with_estop(drawn)
+    chain = Chain(run)
+    run.start()
+    run.world.clock.advance(100 * MS)
+    assert chain.broken() == []
+    chain.trips.append(run.clock.now() - 50 * MS)
+    assert any("Reference" in one for one in chain.broken())
+    run.stop()
 
 
 def test_the_watcher_sees_what_is_beyond() -> None:

@@ -191,6 +191,32 @@ def test_a_hold_has_an_end_where_one_is_stated() -> None:
     assert found.ended.reason == "every controller was stopped"
 
 
+def test_the_time_of_a_hold_ends_with_its_release() -> None:
+    """The timer of a hold that was released stops nothing: neither the resumed run, nor a later hold before its own time."""
+    run = run_virtual(hubo_leg(), [Walk(HUBO)], rate_hz=100, on_trip="hold", hold_s=0.3)
+    with run:
+        run.do("enable")
+        run.start()
+        run.world.clock.advance(FAULT_AT)
+        guard = run.supervisors[0].guard
+        guard.trip("by hand", "hold")
+        run.world.clock.advance(100 * MS)
+        run.release("walk")
+        run.world.clock.advance(500 * MS)  # over the end of the first hold
+        assert (guard.tripped, run.stopped) == (None, {})
+        assert all(board_is_on(run, f"JMC{number}") for number in range(4))
+        guard.trip("once more", "hold")
+        run.world.clock.advance(100 * MS)
+        run.release("walk")
+        guard.trip("for good", "hold")
+        run.world.clock.advance(250 * MS)  # over the end of the second hold, not of the third
+        assert run.held == {"walk": "for good"}
+        assert all(board_is_on(run, f"JMC{number}") for number in range(4))
+        run.world.clock.advance(100 * MS)
+        assert run.stopped == {"walk": "for good; held for 0.3 s"}
+        assert motors_are_off(run)
+
+
 def test_a_controller_that_hangs_is_held_by_the_buses_thread() -> None:
     """Set-points of a hold do not come from the controller: one that is never stepped again is held all the same."""
     run = run_virtual(hubo_leg(), [Walk(HUBO)], rate_hz=100, on_trip="hold")
@@ -453,7 +479,7 @@ def test_a_board_that_does_not_obey_is_named() -> None:
 
 #: Rows of the table in docs/running.md, and the tests that keep each: of this file, or of another (`FILES`).
 ROWS = {
-    "Ctrl-C, SIGTERM, SIGHUP": ["served:test_signals"],
+    "Ctrl-C, Ctrl-Z, Ctrl-\\, SIGTERM, SIGHUP, SIGUSR1, SIGXCPU …": ["served:test_signals"],
     "the time is up, all is played": [
         "test_a_player_that_ends_stays_where_it_is",
         "test_a_run_may_leave_the_robot_held",

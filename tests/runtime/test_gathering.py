@@ -29,6 +29,8 @@ class Played:
         self.instant = BEGIN
         self.plan: list[tuple[int, Callable[[], Any]]] = []
         self.is_running = False
+        #: Closed with it, once the loop is.
+        self.sockets: list[socket.socket] = []
 
     def at(self, after_us: int, happens: Callable[[], Any]) -> None:
         """Have something happen so long after the beginning."""
@@ -54,8 +56,11 @@ class Played:
 
 
 @pytest.fixture
-def played() -> Played:
-    return Played()
+def played() -> Iterator[Played]:
+    made = Played()
+    yield made
+    for one in made.sockets:
+        one.close()
 
 
 @pytest.fixture
@@ -69,6 +74,7 @@ class Read:
 
     def __init__(self, loop: Loop, played: Played, *, gathers: bool = True) -> None:
         self.ours, self.theirs = socket.socketpair()
+        played.sockets += [self.ours, self.theirs]
         self.seen: list[tuple[int, int, int]] = []
         self.loop, self.played = loop, played
         loop.call(lambda: loop.watch(self.ours.fileno(), self.read, gathers=gathers))

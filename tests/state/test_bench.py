@@ -1,10 +1,10 @@
-"""`aces bench control`: contenders do the same work, and rows say what they should."""
+"""`python -m tests.bench control`: contenders do the same work, and rows say what they should."""
 
 from __future__ import annotations
 
 import pytest
 
-from aces_tools.benchmarks import control
+from tests.bench import control
 
 
 @pytest.mark.slow
@@ -21,6 +21,7 @@ def test_contenders_agree() -> None:
             call()
 
 
+@pytest.mark.slow
 def test_rows_have_targets_and_ratios(monkeypatch: pytest.MonkeyPatch) -> None:
     """A contender of ours has the target and, where the peer does the same work, a ratio; a peer has neither."""
     monkeypatch.setattr(control, "fastest", lambda loops, rounds: dict.fromkeys(loops, 0.001))

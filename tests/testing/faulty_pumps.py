@@ -13,7 +13,7 @@ from aces_bus.device.ticket import Steps
 from aces_bus.errors import DeviceError
 from aces_bus.protocol import Enumeration, IdField, InvertedSum, Protocol, Quantity
 from aces_bus.runtime import Timer
-from aces_bus.testing.device_trial import Expectations
+from aces_lab.device_fuzz.trial import Expectations
 
 #: Without a set-point for so long (ns) the pump stops.
 WATCHDOG_NS = 200_000_000

@@ -11,9 +11,9 @@ from aces_bus.device import Driver, load_driver, on
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError, UnknownNameError
 from aces_bus.protocol import make_scanner
 from aces_bus.robot import VirtualRobot
-from aces_bus.testing.device_fuzz import DeviceFuzzer, capture_steps, example_of, fuzz_device
-from aces_bus.testing.device_live import LiveDeviceFuzzer
-from aces_bus.testing.device_trial import Expectations, TwinTrial
+from aces_lab.device_fuzz.fuzzer import DeviceFuzzer, capture_steps, example_of, fuzz_device
+from aces_lab.device_fuzz.live import LiveDeviceFuzzer
+from aces_lab.device_fuzz.trial import Expectations, TwinTrial
 from tests.testing.faulty_pumps import (
     FAULTS,
     WATCHDOG_NS,

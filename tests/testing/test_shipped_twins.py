@@ -9,8 +9,8 @@ import pytest
 
 from aces_bus.device import load_driver
 from aces_bus.device.drivers import list_drivers
-from aces_bus.testing.device_fuzz import DeviceFuzzer, example_of, fuzz_device
-from aces_bus.testing.device_tester import SentStep
+from aces_lab.device_fuzz.fuzzer import DeviceFuzzer, example_of, fuzz_device
+from aces_lab.device_fuzz.tester import SentStep
 
 #: Behind each frame (ns): an answer has come, and a heartbeat.
 PAUSE_NS = 120_000_000

@@ -82,6 +82,7 @@ left_out 'aces device RHP home -r hubo2plus --bus lower=can0 -i socketcan --tx' 
 left_out 'aces sim -r hubo2plus' 'does not end by itself'
 says 'devices are there' 'aces sim -r hubo2plus --for 0.2s' # instead
 left_out 'aces discover -p robotis --bus /dev/ttyUSB0 > found.toml' 'needs a line'
+left_out 'aces stop hubo2plus -i socketcan' 'needs a bus'
 says 'at twice the rate' 'aces bus budget hubo2plus'
 says 'nothing found' 'aces device fuzz hubo_ft --twin --frames 2000'
 left_out 'aces run -r hubo2plus examples/walk_controller.py --virtual' 'does not end by itself'

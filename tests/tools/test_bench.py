@@ -1,4 +1,4 @@
-"""`aces bench`: what is saved and compared, and lines beside a peer; figures themselves are of the machine."""
+"""`python -m tests.bench`: what is saved and compared, and lines beside a peer; figures themselves are of the machine."""
 
 from __future__ import annotations
 
@@ -8,14 +8,32 @@ from pathlib import Path
 
 import pytest
 
-from aces_tools.benchmarks import BenchRow, control, text, transports
-from aces_tools.benchmarks.saved import this_machine
-from tests.tools.conftest import Aces
+from tests.bench import __main__ as command
+from tests.bench import control, text, transports
+from tests.bench.rows import BenchRow
+from tests.bench.saved import this_machine
+from tests.tools.conftest import Aces, Result
+
+
+@pytest.fixture
+def bench(capsys: pytest.CaptureFixture[str]) -> Aces:
+    """`bench("control", …)` measures in this process."""
+
+    def run(*arguments: str | Path) -> Result:
+        capsys.readouterr()
+        try:
+            status = command.main([str(argument) for argument in arguments])
+        except SystemExit as ended:
+            status = int(ended.code or 0)
+        out, err = capsys.readouterr()
+        return Result(status, out, err)
+
+    return run
 
 
 @pytest.fixture
 def figures(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
-    """What `aces bench control` measures: a figure, and a ratio to a peer."""
+    """What `python -m tests.bench control` measures: a figure, and a ratio to a peer."""
     made = {"figure": 10.0, "ratio": 2.0}
 
     def run(*, quick: bool) -> Iterable[BenchRow]:
@@ -26,41 +44,45 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> dict[str, float]:
     return made
 
 
-def test_what_has_changed_since_an_earlier_run(figures: dict[str, float], aces: Aces, tmp_path: Path) -> None:
+def test_what_has_changed_since_an_earlier_run(
+    figures: dict[str, float], bench: Aces, tmp_path: Path
+) -> None:
     """Where there is a ratio, that is compared, as it does not depend on the machine; else the figure."""
     saved = tmp_path / "before.json"
-    first = aces("bench", "control", "--save", saved)
+    first = bench("control", "--save", saved)
     assert (first.status, "change" in first.out) == (0, False)
     figures.update(figure=5.0, ratio=3.0)
-    rows = aces("bench", "control", "--compare", saved, "--json").objects
+    rows = bench("control", "--compare", saved, "--json").objects
     assert [(row["contender"], row["change"]) for row in rows] == [("ours", 1.5), ("plain", 0.5)]
-    table = aces("bench", "control", "--compare", saved)
+    table = bench("control", "--compare", saved)
     assert "1.50 ×" in table.out
     assert "0.50 ×" in table.out
     assert "compared with" in table.err
 
 
-def test_each_run_says_of_which_machine_it_is(figures: dict[str, float], aces: Aces, tmp_path: Path) -> None:
+def test_each_run_says_of_which_machine_it_is(figures: dict[str, float], bench: Aces, tmp_path: Path) -> None:
     """Processor, cores, Python, versions and load, beside the figures and in the file."""
     saved = tmp_path / "figures.json"
-    done = aces("bench", "control", "--save", saved)
+    done = bench("control", "--save", saved)
     machine = json.loads(saved.read_text())["machine"]
     assert machine["cores"] == this_machine().cores
     for part in (machine["cpu"], machine["python"], f"{machine['cores']} cores", "numpy", "python-can"):
         assert part in done.err
 
 
-def test_figures_of_something_else_are_refused(figures: dict[str, float], aces: Aces, tmp_path: Path) -> None:
+def test_figures_of_something_else_are_refused(
+    figures: dict[str, float], bench: Aces, tmp_path: Path
+) -> None:
     """A file that is not there, is no figures, or is of another benchmark: said before anything is measured."""
     saved, other = tmp_path / "figures.json", tmp_path / "notes.txt"
-    assert aces("bench", "control", "--save", saved).status == 0
+    assert bench("control", "--save", saved).status == 0
     other.write_text("nothing")
     for subject, path, why in (
         ("control", tmp_path / "none", "No such file"),
         ("control", other, "not figures that --save has written"),
-        ("bus", saved, "figures of `aces bench control`"),
+        ("bus", saved, "figures of `python -m tests.bench control`"),
     ):
-        done = aces("bench", subject, "--compare", path)
+        done = bench(subject, "--compare", path)
         assert (done.status, why in done.err) == (2, True)
 
 
@@ -88,3 +110,11 @@ def test_loops_with_accounts_have_those_of_columns() -> None:
         transports.accounts(protocol, transports.taking_turns(senders), peers)
     reasons = {reason for _, reason in by_hand.losses}
     assert {"repeated", "no first frame", "restarted", "timed out", "frame 3 missing"} <= reasons
+
+
+@pytest.mark.parametrize("frames", ["0", "-5"])
+def test_a_benchmark_needs_frames(bench: Aces, frames: str) -> None:
+    """With too few it would never end, or end in a traceback."""
+    result = bench("columns", "--frames", frames)
+    assert result.status == 2
+    assert f"--frames: '{frames}' is not a whole number from 100 on" in result.err

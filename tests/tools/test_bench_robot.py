@@ -1,4 +1,4 @@
-"""`aces bench robot`: host and twins in two processes, on served buses, in real time."""
+"""`python -m tests.bench robot`: host and twins in two processes, on served buses, in real time."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ import json
 
 import pytest
 
-from aces_tools.benchmarks import played, robot
+from tests.bench import played, robot
 
 
+@pytest.mark.slow
 def test_a_host_alone_is_measured_in_lock_step(capsys: pytest.CaptureFixture[str]) -> None:
     """Recorded answers come to every poll in its tick, on real sockets; nothing is missed, however busy the machine is."""
     played.measure("200", "0.1", "loop")

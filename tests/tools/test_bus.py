@@ -25,8 +25,10 @@ from aces_bus.hardware.served import BusServer, ServedChannel
 from aces_bus.hardware.simulated.bus import Faults
 from aces_bus.hardware.simulated.frame_time import INTERMISSION, frame_bits
 from aces_tools.bus import parse_faults
+from aces_tools.bus_arg import chosen_end
 
 from .conftest import Aces
+from .live import Opened
 
 pytestmark = pytest.mark.skipif(not hasattr(socket, "AF_UNIX"), reason="no Unix sockets on this system")
 
@@ -129,6 +131,32 @@ def load_of_traffic(aces: Aces, *how: str) -> dict[str, Any]:
             return measure
 
 
+def test_a_load_and_a_served_bus_end_after_their_time(aces: Aces) -> None:
+    """--for ends both with status 0, the load with a line for the rest of a second."""
+    served = aces("bus", "serve", "short", "--for", "0.05s")
+    assert (served.status, "Ctrl-C" in served.err) == (0, False)
+    with BusServer([ServedChannel("can0")], unix=""):
+        load = aces("bus", "load", "can0", "--for", "0.05s", "--json")
+    assert (load.status, len(load.objects)) == (0, 1)
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (["load", "--once", "--for", "1s"], "--once measures one second; leave --for away"),
+        (["load", "--faults", "drop=0.1"], "--faults belongs to 'aces bus serve'"),
+        (["list", "--once"], "--once belongs to 'aces bus load'"),
+        (["list", "can0"], "lists all buses"),
+        (["serve", "--json"], "--json belongs to 'aces bus load'"),
+    ],
+)
+def test_an_option_of_another_action_is_refused(aces: Aces, call: list[str], said: str) -> None:
+    """What an action would ignore ends with status 2."""
+    result = aces("bus", *call)
+    assert result.status == 2
+    assert said in result.err
+
+
 @pytest.mark.parametrize("how", [["can0"], ["-c", "unix:can0"], ["-i", "aces", "-c", "can0"], []])
 def test_load_of_a_served_bus(aces: Aces, how: list[str]) -> None:
     """By its name, its address, or as the only one there is: load, frames/s and nodes, as the server counts them."""
@@ -213,9 +241,45 @@ def test_faults_are_read_as_written() -> None:
 
 def test_the_benchmark_s_bus_is_the_same_twice() -> None:
     """One seed, one bus; another seed, another; and it has the load that it is named for."""
-    from aces_tools.benchmarks.bus import simulate_bus
+    from tests.bench.bus import simulate_bus
 
     first, again, other = simulate_bus(0.2, 1), simulate_bus(0.2, 1), simulate_bus(0.2, 2)
     assert first.digest == again.digest != other.digest
     assert (first.frames, first.load) == (again.frames, again.load)
     assert 0.65 < first.load < 0.75
+
+
+def test_a_served_bus_is_called_what_the_user_typed(
+    aces: Aces, opened: Opened, arm: str, tmp_path: Path
+) -> None:
+    """`can0` names a served bus in filters, protocols, lines and recordings, which can-utils reads; never its socket."""
+    record = tmp_path / "walk.log"
+    with (
+        BusServer([ServedChannel("can0", physics=False), ServedChannel("can1", physics=False)]),
+        can.Bus("unix:can0", "aces") as sender,
+    ):
+        data = bytes.fromhex("0A000000F6FFFFFF")
+        opened.then(lambda: sender.send(can.Message(arbitration_id=0x060, data=data, is_extended_id=False)))
+        found = aces(
+            "sniff", "can0", "-p", f"can0={arm}", "--filter", "can0,060:7F0", "--record", record, "-n", 1,
+            "--format", "jsonl", "--for", "10s",
+        )  # fmt: skip
+    (one,) = found.objects
+    assert (one["channel"], one["fields"]) == ("can0", {"board": 0, "position": [10, -10]})
+    assert found.summary["filtered"] == 0
+    (line,) = record.read_text(encoding="utf-8").splitlines()
+    assert line.split()[1:][:2] == ["can0", "060#0A000000F6FFFFFF"]
+    assert "unix:" not in found.out + found.err
+
+
+def test_another_channel_of_a_served_bus_is_found_by_name() -> None:
+    """`aces play -c can0 --map a=can1` plays onto the served can1, not onto a bus inside the program."""
+    with BusServer([ServedChannel("can0"), ServedChannel("can1")]) as server:
+        one = chosen_end("can0")
+        other = one.on("can1")
+    assert (one.name, one.options["channel"]) == ("can0", server.addresses["can0"][0])
+    assert (other.name, other.options["channel"], other.options["name"]) == (
+        "can1",
+        server.addresses["can1"][0],
+        "can1",
+    )

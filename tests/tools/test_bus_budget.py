@@ -55,7 +55,7 @@ def test_a_deadline_that_is_missed_is_status_1(aces: Aces) -> None:
     ("arguments", "said"),
     [
         (["omnibott"], "did you mean 'omnibot'"),
-        (["omnibot", "rover"], "one robot"),
+        (["omnibot", "rover"], "one too many: rover"),
         (["omnibot", "--queue", "host"], "write NODE=fifo"),
         (["omnibot", "--queue", "hos=fifo"], "hos"),
         (["omnibot", "--errors", "many"], "how many at once"),

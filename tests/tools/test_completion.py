@@ -54,7 +54,7 @@ def test_names_are_those_that_are_installed(aces: Aces, monkeypatch: pytest.Monk
     assert "RKN" in fuzzed
     assert "fuzz" not in fuzzed
     assert "odrive" in names("devices", "aces device fuzz --twin od")
-    assert "hubo2plus" in names("channels", "aces bus budget ")
+    assert "hubo2plus" in names("robots", "aces bus budget ")
     assert "hubo2plus" not in names("channels", "aces bus load ")
     monkeypatch.setenv("ACES_ROBOT", "hubo2plus")
     assert {"JMC3", "RKN"} <= set(names("devices"))

@@ -113,6 +113,7 @@ def test_what_came_before_damage_is_shown(aces: Aces, tmp_path: Path) -> None:
     assert "the gzip data ends too early" in result.err
 
 
+@pytest.mark.slow
 def test_many_identifiers(aces: Aces, tmp_path: Path) -> None:
     """Only so many have a row; the frames of the others are counted."""
     log = tmp_path / "many.log"

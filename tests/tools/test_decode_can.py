@@ -232,14 +232,13 @@ def test_a_missing_file_spoils_nothing_else(aces: Aces, log: Path, arm: str, tmp
 
 @pytest.mark.parametrize("content", [bytes(range(256)) * 4, b"\x1f\x8b" + bytes(100), b"time,x\n1,2\n" * 300])
 def test_a_file_that_is_no_log(aces: Aces, tmp_path: Path, arm: str, content: bytes) -> None:
-    """A binary or other file is refused with one line, and counted as nothing."""
+    """A binary or other file is refused with one line, without counts behind it."""
     path = tmp_path / "x.log"
     path.write_bytes(content)
     result = aces("decode", path, "-p", arm)
     assert result.status == 2
-    assert len(result.messages) == 1
-    assert result.messages[0].startswith(str(path))
-    assert result.summary["frames"] == 0
+    assert result.err.startswith(f"aces: {path}")
+    assert result.err.count("\n") == 1
 
 
 @pytest.mark.parametrize("content", ["", "\n\n", "# only a remark\n"])
@@ -523,3 +522,23 @@ def test_what_let_nothing_pass_is_named(
 def test_files_may_stand_on_both_sides_of_options(aces: Aces, log: Path, arm: str) -> None:
     """`aces decode a.log -p arm b.log` decodes both."""
     assert aces("decode", log, "-p", arm, log, "-q").summary["frames"] == 2 * FRAMES
+
+
+@pytest.mark.parametrize("more", [(), ("-o", "out.parquet")])
+def test_where_offers_fields_of_the_wanted_messages(
+    aces: Aces, log: Path, arm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: tuple[str, ...]
+) -> None:
+    """With --message a field that only other messages have is refused, and not offered."""
+    monkeypatch.chdir(tmp_path)
+    result = aces("decode", log, "-p", arm, "--message", "Encoder", "--where", "mode=torque", *more)
+    assert result.status == 2
+    assert "no field named 'mode'" in result.err
+    assert "mode" not in result.err.partition("there are: ")[2]
+
+
+def test_a_file_that_is_not_there_has_no_summary(aces: Aces, arm: str, tmp_path: Path) -> None:
+    """Nothing was counted, so no counts are printed behind the reason."""
+    result = aces("decode", tmp_path / "nowhere.log", "-p", arm)
+    assert result.status != 0
+    assert "no such file" in result.err
+    assert "frames=" not in result.err

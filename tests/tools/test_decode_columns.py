@@ -239,6 +239,17 @@ def test_one_message_is_a_file(aces: Aces, log: Path, arm: str, tmp_path: Path) 
     assert pq.read_table(out).num_rows == 0
 
 
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_folder_is_of_parquet(aces: Aces, log: Path, arm: str, tmp_path: Path, jobs: str) -> None:
+    """`-o DIR/` is a folder of tables, as with --cluster: new or there already, also of a single message."""
+    (tmp_path / "there").mkdir()
+    for where in (f"{tmp_path}/new/", f"{tmp_path}/there"):
+        result = aces("decode", log, "-p", arm, "-o", where, "--message", "Encoder", "--jobs", jobs)
+        assert result.status == 0, result.err
+        (table,) = [pq.read_table(path) for path in Path(where).rglob("*.parquet") if path.is_file()]
+        assert table["position.1"].to_pylist() == [-10]
+
+
 def test_signals_choose_columns(aces: Aces, log: Path, arm: str, tmp_path: Path) -> None:
     """Globs on Message.field: other columns are dropped, messages without one are filtered."""
     out = tmp_path / "out.parquet"

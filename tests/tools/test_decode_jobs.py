@@ -93,6 +93,7 @@ def test_parts_are_in_order(log: Path, tmp_path: Path, capfd: Any) -> None:
         assert [row for part in found for row in parquet.read_table(part).to_pylist()] == one[name]
 
 
+@pytest.mark.slow
 def test_a_small_recording_among_large_ones_is_decoded_here(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
 ) -> None:

@@ -226,7 +226,7 @@ def test_set_without_enabling(virtual: Any) -> None:
     assert made.messages == ["YAW: not enabled, so it follows no set-points; add --enable"]
 
 
-ENDS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+ENDS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT, signal.SIGUSR1, signal.SIGXCPU]
 
 
 @pytest.mark.parametrize("ends", [[], *[[end] for end in ENDS], ENDS], ids=str)
@@ -518,3 +518,29 @@ def test_the_command_line_puts_twins_somewhere(aces: Aces) -> None:
         assert (wrong.status, said in wrong.err) == (2, True)
     real = aces("device", "RHP", "get", "-r", "minihubo_1", "--bus", "/dev/ttyX", "--pose", "RHP=0")
     assert (real.status, "--pose is for twins" in real.err) == (2, True)
+
+
+def test_a_drive_that_was_switched_off_meanwhile_is_said(
+    aces: Aces, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its own watchdog cut it off while this program was held up: the end says so, status 1, not only what was set."""
+    from aces_devices.damiao.twin import DamiaoTwin
+
+    robot = tmp_path / "arm.toml"
+    robot.write_text(
+        'name = "arm"\nrate_hz = 100\n[buses]\nb = { link = "can", protocol = "damiao" }\n[devices]\n'
+        'M = { driver = "damiao", bus = "b", model = "4310", credentials = { motor = 1 } }\n'
+        '[joints]\nJ = { device = "M", gains = { kp = 50, kd = 1 } }\n'
+    )
+    call = ("device", "J", "set", "position=0.2", "--enable", "--for", "1s", "--robot", robot, "--virtual")
+    assert aces(*call).status == 0
+
+    def cut_off(twin: DamiaoTwin) -> None:
+        twin.clock.call_in(500_000_000, twin.lost)
+
+    monkeypatch.setattr(DamiaoTwin, "watch_over", cut_off)
+    result = aces(*call)
+    assert result.status == 1
+    assert any(
+        "takes no set-points any more: it was switched off meanwhile" in one for one in result.messages
+    )

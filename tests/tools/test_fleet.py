@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from aces_bus.fleet import FleetProgress
-from aces_tools.decode_fleet import duration_text, progress_line
+from aces_lab.fleet import FleetProgress
+from aces_lab.fleet.decode_verb import duration_text, progress_line
 from aces_tools.main import main
 from tests.fleet.recordings import needs_fleet, record, truck
 

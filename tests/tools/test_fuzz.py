@@ -68,6 +68,7 @@ def test_a_good_protocol_passes_and_says_what_was_reached(aces: Aces, here: Path
     assert result.err.endswith("seed=1: no failure\n")
 
 
+@pytest.mark.slow
 def test_what_was_never_reached_is_named(aces: Aces, here: Path) -> None:
     """A single example reaches little; the rest is listed."""
     out = aces("fuzz", "good.py", "--seed", "1", "--examples", "1").out

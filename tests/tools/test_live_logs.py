@@ -149,6 +149,38 @@ def test_mcap_that_was_not_closed(tmp_path: Path) -> None:
     export.close()
 
 
+def test_an_empty_journal_is_passed_over(tmp_path: Path) -> None:
+    """One that was killed before its first row goes, and those behind it become parts."""
+    pytest.importorskip("pyarrow")
+    export = exported(tmp_path / "walk.parquet")
+    left = left_behind(tmp_path / "walk.parquet")
+    export.close()
+    for folder in (left / "A.parquet", left / "Z.parquet"):
+        folder.mkdir()
+        (folder / "_part-00000.arrows").touch()
+    (left / "Encoder.parquet" / "_part-00000.arrow").touch()  # of another name
+    assert recover_parts(left) >= 350
+    assert list(left.rglob("_part-*.arrows")) == []
+    assert list((left / "Encoder.parquet").glob("part-*.parquet"))
+
+
+def test_rows_are_written_in_groups(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A group is closed as soon as it has its rows: what waits never grows with the recording."""
+    from aces_bus.export import parquet
+
+    class Batch:
+        def __init__(self, rows: int) -> None:
+            self.num_rows = rows
+
+    monkeypatch.setattr(parquet, "GROUP_ROWS", 10)
+    batches = map(Batch, (4, 6, 3, 3, 3, 3, 1))
+    groups = parquet._grouped(batches)  # pyright: ignore[reportPrivateUsage]
+    assert [batch.num_rows for batch in next(groups)] == [4, 6]
+    assert [batch.num_rows for batch in next(groups)] == [3, 3, 3, 3]
+    assert next(batches, None) is not None  # nothing was read ahead
+    assert list(groups) == []
+
+
 @pytest.mark.slow
 def test_parquet_that_was_not_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whole parts are Parquet, the rest is Arrow's stream; `recover_parts` makes it one table, as closing does."""

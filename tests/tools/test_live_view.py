@@ -124,7 +124,7 @@ def test_sniff_shows_what_it_prints(aces: Aces, monkeypatch: pytest.MonkeyPatch)
             "before other words --foxglove=8765",
         ),
         (("sniff", "-i", "virtual", "-c", "x", "--foxglove-origin", "http://a"), "is for --foxglove: add it"),
-        (("play", str(HUBO), "-p", "hubo"), "-p is for --foxglove"),
+        (("play", str(HUBO), "-p", "hubo"), "-p is for a live view (--foxglove)"),
     ],
 )
 def test_wrong_calls(aces: Aces, call: tuple[str, ...], said: str) -> None:

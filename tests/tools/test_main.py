@@ -8,14 +8,14 @@ import io
 import os
 import subprocess
 import sys
-from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 from aces_bus import __version__
-from aces_tools.main import ACTIONS, VERBS, main
+from aces_tools.main import main
 from aces_tools.options import add_arguments
+from aces_tools.verbs import options_of, top_verbs, verbs
 
 from .conftest import Aces
 
@@ -37,7 +37,7 @@ def test_help_lists_every_verb(aces: Aces, arguments: list[str]) -> None:
     """Without a verb, and when asked, `aces` lists the verbs."""
     result = aces(*arguments)
     assert result.status == 0
-    assert all(f"  {verb} " in result.out for verb in VERBS)
+    assert all(f"  {verb} " in result.out for verb in top_verbs())
     assert max(map(len, result.out.splitlines())) <= 80
 
 
@@ -57,11 +57,11 @@ def test_python_runs_the_package() -> None:
 def test_one_word_for_one_thing() -> None:
     """An option has one spelling and one letter in all verbs, and a letter one meaning."""
     spellings: dict[str, set[str]] = {}
-    for name in [name for name, _ in VERBS.values() if name] + [
-        n for some in ACTIONS.values() for n, _ in some.values()
-    ]:
+    for name, verb in verbs().items():
         parser = argparse.ArgumentParser(add_help=False)
-        add_arguments(parser, import_module(f"aces_tools.{name}").ARGUMENTS)
+        add_arguments(parser, verb.load().ARGUMENTS)
+        for module in options_of(name):
+            add_arguments(parser, module.ARGUMENTS)
         for action in parser._actions:
             for option in action.option_strings:
                 spellings.setdefault(option, set()).add(" ".join(sorted(action.option_strings)))
@@ -162,9 +162,7 @@ def test_an_unknown_option_names_those_that_exist(aces: Aces) -> None:
     assert "--version" in result.err
 
 
-@pytest.mark.parametrize(
-    "verb", [*VERBS, *(f"{verb} {one}" for verb, some in ACTIONS.items() for one in some)]
-)
+@pytest.mark.parametrize("verb", [*verbs(), *(verb for verb in top_verbs() if verb not in verbs())])
 def test_every_verb_explains_itself(aces: Aces, verb: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """`aces VERB --help` and `aces help VERB` print what the verb is for, on a terminal of 80 columns."""
     monkeypatch.setenv("COLUMNS", "80")
@@ -210,14 +208,6 @@ def test_an_output_without_unicode(arguments: list[str]) -> None:
     assert len(marks) == 1
 
 
-@pytest.mark.parametrize("frames", ["0", "-5"])
-def test_a_benchmark_needs_frames(aces: Aces, frames: str) -> None:
-    """With too few it would never end, or end in a traceback."""
-    result = aces("bench", "columns", "--frames", frames)
-    assert (result.status, result.err.count("\n")) == (2, 1)
-    assert f"--frames: '{frames}' is not a whole number from 100 on" in result.err
-
-
 def test_files_behind_two_dashes(
     aces: Aces, log: Path, arm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -232,9 +222,7 @@ def test_quiet_is_valid_everywhere_and_switches_notes_off(
     aces: Aces, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Every verb takes -q; with it, or with ACES_NOTES=off, no notes are printed, and what is wrong still is."""
-    for name in [name for name in VERBS if name not in ACTIONS] + [
-        f"spec {name}" for name in ACTIONS["spec"]
-    ]:
+    for name in verbs():
         assert "  -q, --quiet" in aces(*name.split(), "--help").out, name
     monkeypatch.chdir(tmp_path)
     assert aces("spec", "new", "one", "--link", "can").messages[0] == "wrote one/one.py"

@@ -128,7 +128,7 @@ with UdpStates({"RHY": State("RHY", clock=clock)}, ["RHY"], clock=clock):
         (),
         "ready",
         """
-from aces_bus.access import Publisher
+from aces_lab.zenoh import Publisher
 from aces_bus.runtime import RealClock
 from aces_bus.state import State
 one = Publisher(["RHY"], 100, "tcp/127.0.0.1:{port}", robot="audit", clock=RealClock())

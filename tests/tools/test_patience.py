@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from aces_tools.patience import Patience
+from aces_tools.patience import ENDING, Patience
 
 
 class _Hasty(Patience):
@@ -51,3 +51,31 @@ def test_a_second_ctrl_c_interrupts() -> None:
         assert patience.is_over
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
+
+
+def test_ctrl_z_ends_what_drives(capfd: pytest.CaptureFixture[str]) -> None:
+    """It is no pause where motors are on: it ends the waiting, and says why; elsewhere it suspends as ever."""
+    with Patience(is_driving=True) as patience:
+        signal.raise_signal(signal.SIGTSTP)
+        assert patience.is_over
+        assert signal.getsignal(signal.SIGTTOU) is signal.SIG_IGN
+    assert "Ctrl-Z ends this" in capfd.readouterr().err
+    with Patience():
+        assert signal.getsignal(signal.SIGTSTP) is signal.SIG_DFL
+    assert signal.getsignal(signal.SIGTTOU) is signal.SIG_DFL
+
+
+@pytest.mark.parametrize("name", ENDING)
+def test_no_signal_ends_a_command_without_its_end(name: str) -> None:
+    """Whatever would kill it by default ends the waiting, as Ctrl-C does."""
+    number = getattr(signal, f"SIG{name}", None)
+    if number is None:
+        pytest.skip("this system has no such signal")
+    before = signal.signal(number, signal.SIG_DFL)  # pytest or a plug-in may have one of its own
+    try:
+        with Patience() as patience:
+            signal.raise_signal(number)
+            assert patience.is_over
+        assert signal.getsignal(number) is signal.SIG_DFL
+    finally:
+        signal.signal(number, before)

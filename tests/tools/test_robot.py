@@ -347,3 +347,26 @@ def test_three_tables_together(aces: Aces, shared_captures: Path) -> None:
     robot, _ = imported(aces, shared_captures, *names)
     assert (len(robot.joints), len(robot.devices), len(robot.sensors)) == (41, 25, 7)
     assert robot.name == "huboplus"
+
+
+def test_strict_names_the_joints_that_no_watchdog_stops(aces: Aces, tmp_path: Path) -> None:
+    """--strict says of each axis that nothing in it watches over the host, and what it does then; status 0."""
+    robot = tmp_path / "arm.toml"
+    robot.write_text(
+        'name = "arm"\nrate_hz = 100\n[buses]\nb = { link = "can", protocol = "odrive" }\n[devices]\n'
+        'O1 = { driver = "odrive", bus = "b", credentials = { node = 1 } }\n'
+        'O2 = { driver = "odrive", bus = "b", credentials = { node = 2 }, settings = { watchdog_s = 0.3 } }\n'
+        '[joints]\nELBOW = { device = "O1" }\nWRIST = { device = "O2" }\n'
+    )
+    result = aces("robot", "check", robot, "--strict")
+    named = "O1: no watchdog of its own: without its host it follows its last set-point (ELBOW)"
+    assert [line for line in result.out.splitlines() if "watchdog" in line] == [f"{robot}: {named}"]
+    assert result.status == 0
+    assert not any("watchdog" in line for line in aces("robot", "check", robot).out.splitlines())
+
+
+def test_without_a_word_it_says_what_there_is_to_do(aces: Aces) -> None:
+    """`aces robot` alone names its actions."""
+    result = aces("robot")
+    assert result.status == 2
+    assert "what is to be done? aces robot check|list|show|import" in result.err

@@ -55,8 +55,8 @@ def test_something_is_missing(aces: Aces, leg: str, monkeypatch: pytest.MonkeyPa
     from aces_tools import discover as scan
 
     whole = chosen_robot(leg)
-    hosts = scan._hosts
-    monkeypatch.setattr(scan, "_hosts", lambda robot, *rest: hosts(load_robot(other), *rest))
+    hosts = scan.open_hosts
+    monkeypatch.setattr(scan, "open_hosts", lambda robot, *rest: hosts(load_robot(other), *rest))
     found = aces("discover", "-r", leg, "--virtual")
     assert found.status == 1
     assert "can: hubo_motor board 0x05  not in the robot's file\n" in found.out

@@ -12,6 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import can
 import pytest
 
 from aces_bus.errors import CallerError, UnknownNameError
@@ -130,6 +131,47 @@ def test_a_listener_sees_what_a_lone_device_sends(aces: Aces, tmp_path: Path) ->
         SimulatedRobot(robot, {"can": {}}, 0, stack)
         got = aces("sniff", "unix:lone0", "-p", "odrive", "-n", "3", "--for", "20s")
     assert (got.status, got.summary["decoded"]) == (0, 3)
+
+
+def test_a_file_may_name_a_served_bus(aces: Aces, tmp_path: Path) -> None:
+    """`channel = "unix:NAME"` in a robot's file is the bus that `aces sim` serves, as it is the one that others join."""
+    file = tmp_path / "lone.toml"
+    file.write_text(LONE.replace('"lone0"', '"unix:lone1"'))
+    assert aces("robot", "check", file).status == 0
+    robot = chosen_robot(str(file))
+    with ExitStack() as stack:
+        SimulatedRobot(robot, {"can": {}}, 0, stack)
+        got = aces("sniff", "unix:lone1", "-p", "odrive", "-n", "1", "--for", "20s")
+        asked = aces("device", "AXIS0", "get", "-r", file, "--ask")
+    assert (got.status, got.summary["decoded"]) == (0, 1)
+    assert (asked.status, "AXIS0.position" in asked.out) == (0, True), asked.err
+
+
+FD = """
+name = "fd"
+rate_hz = 50
+[buses]
+can = { link = "can", protocol = "moteus", bitrate = 1_000_000, data_bitrate = 5_000_000, channel = "fd0" }
+[devices]
+M1 = { driver = "moteus", bus = "can", credentials = { id = 1 } }
+[joints]
+KNEE = { device = "M1" }
+"""
+
+
+def test_the_data_bitrate_of_the_file_is_that_of_the_bus(aces: Aces, tmp_path: Path) -> None:
+    """A served bus has the file's data bit rate, hosts open it so, and CAN FD frames both ways are switched to it."""
+    file = tmp_path / "fd.toml"
+    file.write_text(FD)
+    robot = chosen_robot(str(file))
+    with ExitStack() as stack:
+        SimulatedRobot(robot, {"can": {}}, 0, stack)
+        with can.Bus("unix:fd0", "aces", fd=True, data_bitrate=5_000_000) as listener:
+            assert aces("device", "M1", "get", "-r", file, "-i", "aces", "--ask").status == 0
+            seen = [listener.recv(WAIT_S) for _ in range(2)]
+        with pytest.raises(can.CanInitializationError, match="5"):
+            can.Bus("unix:fd0", "aces", fd=True, data_bitrate=2_000_000)
+    assert [one is not None and one.is_fd and one.bitrate_switch for one in seen] == [True, True]
 
 
 def test_datagrams(aces: Aces) -> None:

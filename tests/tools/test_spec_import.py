@@ -28,6 +28,7 @@ from aces_bus.protocol.exchange import load_database
 from aces_bus.protocol.exchange.export_source import print_source
 from aces_bus.protocol.exchange.names import python_name
 from aces_bus.protocol.plan.flatten import flatten
+from aces_tools.main import main
 from tests.protocol.test_dbc_equal import databases
 from tests.tools.conftest import Aces
 
@@ -368,3 +369,13 @@ def test_what_is_no_database(tmp_path: Path, aces: Aces) -> None:
     (tmp_path / "a.txt").write_text("x")
     result = aces("spec", "import", tmp_path / "a.txt")
     assert (result.status, len(result.err.splitlines())) == (2, 1)
+
+
+def test_stubs_of_a_database_say_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Stubs need a Python file: for a database the command names the one that makes it, without a traceback."""
+    path = tmp_path / "car.dbc"
+    path.write_text(
+        'VERSION ""\nBO_ 100 Speed: 8 ECU\n SG_ v : 0|16@1+ (0.1,0) [0|100] "km/h" ECU\n', "utf-8"
+    )
+    assert main(["spec", "stubs", str(path)]) == 2
+    assert f"aces spec import {path} > car.py" in capsys.readouterr().err

@@ -8,9 +8,11 @@ import pytest
 from construct import Array, Byte, Bytes, Float32l, GreedyRange, Int16sl, Struct
 
 from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.frame_table import FrameTable
 from aces_bus.frames import Frame
 from aces_bus.protocol import BitLayout, Enumeration, Flags, Multiplexed, Protocol, Quantity, Text, bits
-from aces_bus.recordings.where import Where, parse_condition
+from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.recordings.where import Where, WhereColumns, parse_condition
 from aces_tools.output.shape import plans_of
 
 spec = Protocol("where_spec", link="can")
@@ -181,3 +183,34 @@ def test_a_value_that_cannot_hold(text: str) -> None:
     """So is a value of the wrong kind."""
     with pytest.raises(CallerError, match="--where"):
         holds(STATE, text)
+
+
+@pytest.mark.parametrize(
+    ("condition", "wanted"),
+    [
+        ("angle=0.3", True),
+        ("angle<=0.3", True),
+        ("angle>=0.3", True),
+        ("angle<0.3", False),
+        ("angle>0.3", False),
+        ("angle!=0.3", False),
+        ("angle=0.3..1", True),
+        ("angle=-1..0.3", True),
+        ("angle<=0.29999", False),
+        ("angle>0.29999", True),
+        ("meta.time=1500000000.25", True),
+        ("meta.time<=1500000000.25", True),
+        ("meta.time<1500000000.25", False),
+        ("meta.time=1500000000.24", False),
+        ("meta.time>1500000000.24", True),
+        ("meta.time=1500000000.25..1500000001", True),
+    ],
+)
+def test_a_printed_number_is_equal_for_every_sign(condition: str, wanted: bool) -> None:
+    """A value that prints as the written number is at it, neither above nor below: of a record, and in columns."""
+    frame = Frame(0x10, bytes.fromhex("0289 0300 0000803F"), 1_500_000_000.25, "can0")
+    (record,) = spec.scanner().feed([frame])
+    assert record.angle == 0.1 * 3 != 0.3
+    assert holds(record, condition) is wanted
+    (table,) = make_column_scanner([spec.variant()]).feed(FrameTable.from_frames([frame]))
+    assert WhereColumns([condition], PLANS).holds(table).tolist() == [wanted]

@@ -39,7 +39,7 @@ PROTOCOLS: dict[str, Protocol] = {name: load_protocol(name) for name in list_pro
 #: One variant of each, in one direction: writers know neither dialects nor configurations.
 CASES = [next(iter(laws.wires(protocol))) for protocol in PROTOCOLS.values()]
 #: A writer knows no protocols either: the cases share the examples.
-EXAMPLES = max(4, settings().max_examples // 3)
+EXAMPLES = max(3, settings().max_examples // 4)
 
 
 def items_of(variant: Variant, way: Any, scene: Any) -> list[Any]:

@@ -63,6 +63,8 @@ AGE_S = 1.0
 #: Refusals of a bus that are named.
 FEW = 3
 
+SUMMARY = "forward between two buses, whole or filtered; only with --tx"
+
 EPILOG = """\
 an end (A, B):
   can0  unix:can0            a network interface, a channel of 'aces bus serve'
@@ -161,7 +163,7 @@ class Selection:
         return self.where is None or self.where.holds(item)
 
     def frame(self, frame: Any, end: str) -> bool:
-        """Whether a frame passes."""
+        """Return whether a frame passes."""
         named = msgspec.structs.replace(frame, channel=end)
         is_wanted = self.filter is None or self.filter.matches(named)
         scanner = self.scanners[end]
@@ -182,7 +184,7 @@ class Selection:
             return self._sorted(items, end)
 
     def idle(self, end: str) -> list[tuple[bytes, bool]]:
-        """What is incomplete, after a silence."""
+        """Return what is incomplete, after a silence."""
         with self._lock:
             return self._sorted(self.scanners[end].idle(), end)
 
@@ -280,7 +282,7 @@ class OneWay:
         return 0 if self.target is None else self.target.counters.sent
 
     def summary(self) -> str:
-        """What was forwarded, in one line."""
+        """Return what was forwarded, in one line."""
         unit = unit_of(self.source, self.target)
         parts = [f"{unit}={self.total}"]
         if self.target is None:
@@ -299,7 +301,7 @@ class OneWay:
 
 
 def unit_of(source: AnyGate, target: AnyGate | None) -> str:
-    """What a way counts: frames, the datagrams that it sends, or bytes."""
+    """Return what a way counts: frames, the datagrams that it sends, or bytes."""
     end = source if target is None else target
     return {"frames": "frames", "datagrams": "datagrams"}.get(end.items, "bytes")
 
@@ -411,7 +413,7 @@ class Bridge:
 
 
 def same_bus(a: ChosenBus, b: ChosenBus) -> bool:
-    """Whether two names are of one bus, as far as names say it."""
+    """Return whether two names are of one bus, as far as names say it."""
 
     def place(end: ChosenBus) -> tuple[Any, ...]:
         if end.kind == "can":

@@ -1,4 +1,4 @@
-"""Virtual buses, what is going on on a bus, and what a robot's buses must carry.
+"""Virtual buses, and what is going on on a bus.
 
   aces bus serve                        can0 at 500 kbit/s, for this user
   aces bus serve can0 can1 -b 1000000 --socketcand
@@ -7,10 +7,6 @@
                                         that python-can finds
   aces bus load can0                    frames, load, errors: a line a second
   aces bus load -i socketcan -c can0 -b 500000
-  aces bus budget hubo2plus             how full a robot's buses are, how long a
-                                        message takes at most; 1 when a deadline
-                                        cannot be kept
-  aces bus budget arm.toml --rate 500 -o budget.png
 
 Any program with python-can joins: -i aces -c unix:can0, or -i socketcand.
 A served bus has bit rate, arbitration, acknowledgement and errors like a real
@@ -24,6 +20,7 @@ import json
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
@@ -39,13 +36,9 @@ from .options import (
     Arguments,
     Group,
     argument,
-    duration_or_none,
     flag,
-    positive,
-    several,
 )
 from .patience import Patience
-from .robot_arg import DRIVER_FILES
 
 if TYPE_CHECKING:
     from aces_bus.hardware.simulated.bus import Faults
@@ -56,22 +49,34 @@ _NOT_ASKED = frozenset({"aces", "virtual"})
 INTERVAL_NS = 1_000_000_000
 #: socketcand's beacon comes every three seconds.
 _BEACON_NS = 3_500_000_000
+#: How long `list` looks.
+_LOOK_NS = 1_000_000_000
+#: Options that belong to some of the actions alone.
+_ACTIONS = {
+    **dict.fromkeys(
+        ("unix", "tcp", "socketcand", "bind_anywhere", "faults", "no_ack", "no_physics"), ("serve",)
+    ),
+    "once": ("load",),
+    "json": ("load", "list"),
+}
 
+
+SUMMARY = "serve virtual buses, list buses, measure the load of a bus"
 
 ARGUMENTS: Arguments = (
     argument(
         "what",
-        choices=["serve", "load", "list", "budget"],
-        metavar="{serve,load,list,budget}",
+        choices=["serve", "load", "list"],
+        metavar="{serve,load,list}",
         help="what to do",
     ),
     argument(
         "channels",
         nargs="*",
         metavar="CHANNEL",
-        help="names (default: can0); load: one, or an address; budget: a robot, or its file",
+        help="names (default: can0); load: one, or an address",
     ),
-    can_options("bit rates of a bus, or of a robot's; which bus to measure (python-can's)"),
+    can_options("bit rates of a bus; which bus to measure (python-can's)"),
     Group(
         "serve",
         (
@@ -103,58 +108,12 @@ ARGUMENTS: Arguments = (
         "load, list",
         (
             flag("--once", help="load: one second, and every node; then end"),
-            JSON.but(help="one JSON object a line; budget: one object"),
-            FOR.but(
-                default="1s",
-                help="list: how long to look (default: %(default)s; from 3.5s on for socketcand's beacons too)",
-            ),
+            JSON.but(help="one JSON object a line"),
         ),
     ),
-    Group(
-        "budget",
-        (
-            argument(
-                "--rate",
-                type=positive,
-                metavar="HZ",
-                help="of the host's ticks, where the file states none for a bus (default: the robot's, else 100)",
-            ),
-            several(
-                "--queue",
-                metavar="NODE=KIND",
-                help="how a node sends: fifo, or priority (default: host=fifo, devices by priority)",
-            ),
-            argument(
-                "--errors",
-                metavar="N,EVERY",
-                help="CAN: so many frames destroyed at once, and one in each such time, as 2,100ms (default: none)",
-            ),
-            argument(
-                "--jitter",
-                type=duration_or_none,
-                default=0,
-                metavar="DURATION",
-                help="a tick is so late at most",
-            ),
-            argument(
-                "--answer",
-                type=duration_or_none,
-                default=0,
-                metavar="DURATION",
-                help="devices take so long to answer (default: as their twins)",
-            ),
-            argument(
-                "--latency",
-                type=duration_or_none,
-                default=0,
-                metavar="DURATION",
-                help="the host takes so long from an answer to the next request, on half-duplex lines",
-            ),
-            flag("--together", help="polls that are not sent in each tick may all be due in one"),
-            flag("--all", help="each message of each device in the table"),
-            argument("-o", "--output", metavar="FILE", help="draw it, too: .png, .svg or .pdf"),
-            DRIVER_FILES,
-        ),
+    FOR.but(
+        help="load, serve: end after so long; list: how long to look (default: 1s; from 3.5s on for socketcand's"
+        " beacons too)"
     ),
 )
 #: What `chosen_bus` also asks for.
@@ -162,14 +121,15 @@ DEFAULTS: dict[str, Any] = {"serial": None, "udp": None, "baud": None, "half_dup
 
 
 def run(arguments: argparse.Namespace) -> int:
+    for option, actions in _ACTIONS.items():
+        if getattr(arguments, option) not in (None, False) and arguments.what not in actions:
+            raise CallerError(f"--{option.replace('_', '-')} belongs to 'aces bus {actions[0]}'")
+    if arguments.what == "list" and arguments.channels:
+        raise CallerError("'aces bus list' lists all buses; leave the names away")
     if arguments.what == "serve":
         return _serve(arguments)
     if arguments.what == "list":
         return _list(arguments)
-    if arguments.what == "budget":
-        from .bus_budget import show_budget
-
-        return show_budget(arguments)
     return _load(arguments)
 
 
@@ -210,6 +170,7 @@ def _serve(arguments: argparse.Namespace) -> int:
     before = {
         number: signal.signal(number, lambda *_: server.stop()) for number in (signal.SIGINT, signal.SIGTERM)
     }
+    timer: threading.Timer | None = None
     try:
         for name in names:
             for address in server.addresses[name]:
@@ -220,9 +181,16 @@ def _serve(arguments: argparse.Namespace) -> int:
                 print(f"{name}  -i socketcand -c {name} --bus-kwargs host={host.strip('[]')} port={port}")
         if sys.stdout is not None:
             sys.stdout.flush()
-        say_note(ENDLESS)
+        if arguments.duration is None:
+            say_note(ENDLESS)
+        else:
+            timer = threading.Timer(arguments.duration / 1e9, server.stop)
+            timer.daemon = True
+            timer.start()
         server.serve()
     finally:
+        if timer is not None:
+            timer.cancel()
         server.close()
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -279,14 +247,13 @@ def _list(arguments: argparse.Namespace) -> int:
         for status in servers()
         for channel in status["channels"]
     ]
-    asked = sorted(
-        can.VALID_INTERFACES - _NOT_ASKED - ({"socketcand"} if arguments.duration < _BEACON_NS else set())
-    )
+    duration: int = _LOOK_NS if arguments.duration is None else arguments.duration
+    asked = sorted(can.VALID_INTERFACES - _NOT_ASKED - ({"socketcand"} if duration < _BEACON_NS else set()))
     log = logging.getLogger("can")
     before = log.level
     log.setLevel(logging.CRITICAL)  # what backends say about drivers that are not there
     try:
-        configs = can.detect_available_configs(asked, timeout=arguments.duration / 1e9)
+        configs = can.detect_available_configs(asked, timeout=duration / 1e9)
     finally:
         log.setLevel(before)
     if arguments.json:
@@ -325,18 +292,21 @@ def _described(channel: dict[str, Any]) -> str:
 def _load(arguments: argparse.Namespace) -> int:
     if len(arguments.channels) > 1:
         raise CallerError("load looks at one bus; name one channel")
+    if arguments.once and arguments.duration is not None:
+        raise CallerError("--once measures one second; leave --for away")
     text = arguments.channels[0] if arguments.channels else getattr(arguments, "channel", None)
     address = _served_address(text, getattr(arguments, "interface", None))
     if address is not None:
-        measures = _served_load(address)
+        measures = _served_load(address, arguments.duration)
     else:
         if arguments.channels:
             arguments.channel = text
         bitrate = getattr(arguments, "bitrate", None)
         if bitrate is None:
             raise CallerError("a load needs the bit rate of the bus: -b 500000")
-        measures = _received_load(chosen_bus(arguments), bitrate, getattr(arguments, "data_bitrate", None))
-    if not arguments.once:
+        data_bitrate = getattr(arguments, "data_bitrate", None)
+        measures = _received_load(chosen_bus(arguments), bitrate, data_bitrate, arguments.duration)
+    if not arguments.once and arguments.duration is None:
         say_note(f"{ENDLESS}; --once measures one second")
     with Patience() as patience:
         for measure in patience.each(measures):
@@ -353,7 +323,7 @@ def _load(arguments: argparse.Namespace) -> int:
 
 
 def _served_address(text: str | None, interface: str | None) -> str | None:
-    """The address of a served bus, when that is what is meant."""
+    """Return the address of a served bus, when that is what is meant."""
     from aces_bus.hardware.served import is_served, served_channels
 
     if interface not in (None, "aces"):
@@ -374,8 +344,8 @@ def _is_network(name: str) -> bool:
     return os.path.exists(f"/sys/class/net/{os.path.basename(name)}")
 
 
-def _served_load(text: str) -> Iterator[dict[str, Any]]:
-    """A measure a second, as the server knows it."""
+def _served_load(text: str, seconds_ns: int | None) -> Iterator[dict[str, Any]]:
+    """Yield a measure a second, as the server knows it."""
     from aces_bus.hardware.served.address import parse_address
     from aces_bus.hardware.served.stream import ask
 
@@ -402,7 +372,7 @@ def _served_load(text: str) -> Iterator[dict[str, Any]]:
         )
 
     before = look()
-    for _ in _seconds():
+    for _ in _seconds(seconds_ns):
         now = look()
         duration = max(1, now["now_ns"] - before["now_ns"]) / 1e9
         yield {
@@ -416,8 +386,10 @@ def _served_load(text: str) -> Iterator[dict[str, Any]]:
         before = now
 
 
-def _received_load(bus: ChosenBus, bitrate: int, data_bitrate: int | None) -> Iterator[dict[str, Any]]:
-    """A measure a second from what a listening node receives, which is without retransmissions and errors."""
+def _received_load(
+    bus: ChosenBus, bitrate: int, data_bitrate: int | None, seconds_ns: int | None
+) -> Iterator[dict[str, Any]]:
+    """Yield a measure a second from what a listening node receives, which is without retransmissions and errors."""
     from aces_bus.hardware.simulated.frame_time import INTERMISSION, frame_bits
 
     pause = INTERMISSION * 1_000_000_000 // bitrate
@@ -426,7 +398,7 @@ def _received_load(bus: ChosenBus, bitrate: int, data_bitrate: int | None) -> It
     try:
         inbox = gate.subscribe()
         start = time.monotonic_ns()
-        for _ in _seconds():
+        for _ in _seconds(seconds_ns):
             busy = frames = errors = 0
             for item in inbox.get(0):
                 if item.content.is_error_frame:
@@ -451,15 +423,16 @@ def _received_load(bus: ChosenBus, bitrate: int, data_bitrate: int | None) -> It
         gate.stop()
 
 
-def _seconds() -> Iterator[int]:
-    """One after each interval, on absolute deadlines."""
+def _seconds(duration: int | None) -> Iterator[int]:
+    """Yield a number after each interval, on absolute deadlines; with a duration (ns) the last interval ends with it."""
     from aces_bus.runtime import RealClock
 
     clock = RealClock()
     due = clock.now()
+    end = None if duration is None else due + duration
     number = 0
-    while True:
-        due += INTERVAL_NS
+    while end is None or due < end:
+        due = due + INTERVAL_NS if end is None else min(due + INTERVAL_NS, end)
         clock.sleep_until(due)
         number += 1
         yield number

@@ -126,11 +126,17 @@ class ChosenBus:
         return f"{self.name} (interface {self.options.get('interface')})" if self.kind == "can" else self.name
 
     def on(self, channel: str) -> ChosenBus:
-        """The same kind of CAN bus, another channel of it."""
-        return replace(self, name=channel, options={**self.options, "channel": channel})
+        """Return the same kind of CAN bus, another channel of it; a name that is served on this machine is that served
+        channel.
+        """
+        other = {**self.options, "channel": channel}
+        other.pop("name", None)
+        if other.get("interface") == "aces" and (address := served_address(channel)):
+            other.update(channel=address, name=channel)
+        return replace(self, name=channel, options=other)
 
     def gate(self, *, listen_only: bool, send_rate: float | None = None) -> AnyGate:
-        """Its gatekeeper, not yet started. With `listen_only` the gate has no way to send."""
+        """Return its gatekeeper, not yet started. With `listen_only` the gate has no way to send."""
         if self.kind == "can":
             from aces_bus.hardware import CanGate
 
@@ -159,7 +165,7 @@ class ChosenBus:
 
 
 def chosen_bus(arguments: argparse.Namespace, variants: Sequence[Variant] = ()) -> ChosenBus:
-    """The bus that the options name; raises `CallerError` when they name none or two, or none for these protocols."""
+    """Return the bus that the options name; raises `CallerError` when they name none or two, or none for these protocols."""
     if getattr(arguments, "bus", None) is not None:
         _take_name(arguments)
     given = [f"--{name.replace('_', '-')}" for name in CAN_OPTIONS if name in arguments]
@@ -187,7 +193,7 @@ _END = re.compile(r"(?P<name>.*?)(?:@(?P<rate>[0-9]+))?(?:\?(?P<options>[^?]*))?
 
 
 def chosen_end(text: str, variants: Sequence[Variant] = ()) -> ChosenBus:
-    """A bus that is named in one word: `can0`, `slcan:/dev/ttyACM0@500000?ttyBaudrate=115200`, `/dev/ttyUSB0@57600`,
+    """Return a bus that is named in one word: `can0`, `slcan:/dev/ttyACM0@500000?ttyBaudrate=115200`, `/dev/ttyUSB0@57600`,
     `udp:14550`. Raises `CallerError` as `chosen_bus` does."""
     from can.interfaces import VALID_INTERFACES
     from can.util import cast_from_string
@@ -240,21 +246,23 @@ def _take_name(arguments: argparse.Namespace) -> None:
 
 
 def served_address(channel: str) -> str | None:
-    """The address of a channel that is served on this machine, by its name or address; None of any other."""
+    """Return the address of a channel that is served on this machine, by its name or address; None of any other."""
     from aces_bus.hardware.served import is_served, served_channels
 
     return channel if is_served(channel) else served_channels().get(channel)
 
 
 def buses_here() -> list[str]:
-    """The names of this machine's CAN buses: those that are served, then network interfaces that are called so."""
+    """Return the names of this machine's CAN buses: those that are served, then network interfaces that are called so."""
     from aces_bus.hardware.served import served_channels
 
     return [*served_channels(), *sorted(map(os.path.basename, glob("/sys/class/net/*can*")))]
 
 
 def near_buses(channel: str) -> str:
-    """What buses there are on this machine, the one that may have been meant first; for messages about one that is not."""
+    """Return what buses there are on this machine, the one that may have been meant first; for messages about one that
+    is not.
+    """
     from difflib import get_close_matches
 
     from aces_bus.hardware.served import served_channels
@@ -264,10 +272,10 @@ def near_buses(channel: str) -> str:
 
 
 def _named(channel: str) -> Mapping[str, Any]:
-    """The interface of a channel that is named without one; raises `CallerError` where there is none."""
+    """python-can's keywords of a channel that is named without an interface; raises `CallerError` where there is none."""
     address = served_address(channel)
     if address is not None:
-        return {"interface": "aces", "channel": address}
+        return {"interface": "aces", "channel": address, "name": channel}
     if os.path.exists(f"/sys/class/net/{os.path.basename(channel)}"):
         return {"interface": "socketcan", "channel": channel}
     raise CallerError(
@@ -309,7 +317,8 @@ def _can(arguments: argparse.Namespace) -> ChosenBus:
     options["interface"] = interface
     if channel is not None:
         options["channel"] = channel
-    return ChosenBus("can", str(channel if channel is not None else interface), options)
+    # What the user typed names the bus everywhere: `--filter`, `-p can0=…` and recordings go by it.
+    return ChosenBus("can", str(options.get("name") or channel or interface), options)
 
 
 def _serial(arguments: argparse.Namespace, variants: Sequence[Variant]) -> ChosenBus:

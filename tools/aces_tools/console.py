@@ -231,7 +231,7 @@ def terminal_width() -> int:
 
 
 def wants_colour(chosen: bool | None, is_terminal: bool) -> bool:
-    """What the option says; else a terminal that can, and a user who has not set NO_COLOR (no-color.org)."""
+    """Return what the option says; else a terminal that can, and a user who has not set NO_COLOR (no-color.org)."""
     if chosen is not None:
         return chosen
     return is_terminal and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"

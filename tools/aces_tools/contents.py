@@ -15,8 +15,8 @@ import numpy as np
 
 from aces_bus.errors import CallerError, CaptureError
 from aces_bus.frame_table import NO_TIME, FrameTable, widened
-from aces_bus.guess import TRIED_BYTES, TRIED_FRAMES, fitting_protocols
 from aces_bus.plain_text import printable
+from aces_bus.protocol.fitting import TRIED_BYTES, TRIED_FRAMES, fitting_protocols
 from aces_bus.recordings import CanFilter, CanRecording, Chunk, parse_filter
 from aces_bus.recordings.filters import passing
 from aces_bus.recordings.pieces import open_any

@@ -33,9 +33,16 @@ from aces_bus.recordings import CanRecording, SerialRecording, formats, open_rec
 from aces_bus.recordings.filters import passing
 from aces_bus.recordings.merge import Relabel, merge_by_time
 from aces_bus.recordings.window import TimeWindow
-from aces_bus.recordings.write import FORMATS, FormatOut, OpenWriter, open_writer, split_suffix, writer_format
+from aces_bus.recordings.write import (
+    FormatOut,
+    OpenWriter,
+    open_writer,
+    split_suffix,
+    writer_format,
+    writer_formats,
+)
 
-from .console import SHOWN, Progress, abandon_stdout, report_unreadable, say
+from .console import SHOWN, Progress, abandon_stdout, counted, report_unreadable, say, say_note
 from .options import FILTER, FROM, MAP, STRICT, TO, Arguments, argument, flag
 from .patience import Patience
 
@@ -48,8 +55,10 @@ def _listed(title: str, names: Iterable[str]) -> str:
     return textwrap.fill(f"{title}: {' '.join(names)}", 78, subsequent_indent="  ") + "\n"
 
 
+SUMMARY = "convert recordings: candump, ASC, BLF, TRC, MF4, pcapng, serial"
+
 EPILOG = f"""\
-{_listed("formats written", FORMATS)}{_listed("formats read", formats())}
+{_listed("formats written", writer_formats())}{_listed("formats read", formats())}
 times (--from, --to; in seconds):
   12.5           from the first frame of each file (with --merge: of all)
   1436509052.25  above 100000000: since 1970, as in the recording
@@ -132,12 +141,14 @@ class Conversion:
     def _form(self) -> FormatOut:
         name: str | None = self.arguments.format
         if name is None and self.target == "-":
-            raise CallerError(f"standard output has no suffix; name the format: --format {'|'.join(FORMATS)}")
-        if name is not None and name not in FORMATS:
-            raise UnknownNameError("format", name, FORMATS)
-        form = FORMATS[name] if name is not None else writer_format(self.target)
+            raise CallerError(
+                f"standard output has no suffix; name the format: --format {'|'.join(writer_formats())}"
+            )
+        if name is not None and name not in writer_formats():
+            raise UnknownNameError("format", name, writer_formats())
+        form = writer_formats()[name] if name is not None else writer_format(self.target)
         suffix = split_suffix(self.target)[1].lower()
-        for other in FORMATS.values() if suffix not in (*form.suffixes, *PLAIN) else ():
+        for other in writer_formats().values() if suffix not in (*form.suffixes, *PLAIN) else ():
             if suffix in other.suffixes:
                 raise CallerError(
                     f"{self.target}: the suffix says {other.name}, and --format {form.name}; leave one of them away,"
@@ -148,7 +159,7 @@ class Conversion:
         return form
 
     def _measured(self) -> list[str]:
-        """The files whose reading shows how far it is: of files that are read side by side the largest."""
+        """Return the files whose reading shows how far it is: of files that are read side by side the largest."""
         files = [name for name in self.inputs if os.path.isfile(name)]
         return [max(files, key=os.path.getsize)] if self.arguments.merge and files else files
 
@@ -189,7 +200,7 @@ class Conversion:
             if form is None and os.path.isfile(name) and (other := _link(name)) not in (None, self.form.link):
                 raise CallerError(
                     f"{name}: {KINDS[other]}, which {self.form.what} does not hold; write one of "
-                    + " ".join(f.suffixes[0] for f in FORMATS.values() if f.link == other)
+                    + " ".join(f.suffixes[0] for f in writer_formats().values() if f.link == other)
                 ) from None
             raise
         self.captures.append(capture)
@@ -241,7 +252,7 @@ class Conversion:
         self._after(writer)
 
     def _passing(self, table: FrameTable) -> FrameTable:
-        """What --filter lets pass, which goes by the names in the recording."""
+        """Return what --filter lets pass, which goes by the names in the recording."""
         self.total += len(table)
         self.progress.step(len(table))
         if self.window is not None and (known := table.time != NO_TIME).any():
@@ -284,12 +295,14 @@ class Conversion:
         unit = "frame" if self.form.link == "can" else "byte"
         self._absences()
         if self.dropped:
-            say(f"the recorder says that it lost {self.dropped} frames")
+            say(f"the recorder says that it lost {counted(self.dropped, 'frame')}")
         if self.window is not None and self.window.untimed:
             what = "frames" if self.form.link == "can" else "chunks"
             say(f"{what} without a time, which are outside of --from and --to: {self.window.untimed}")
         for kind, count in self.others.items():
             say(f"not written, being no {unit}s: {count} {kind}")
+        for note in writer.notes:
+            say_note(f"{self.form.what}: {note}")
         for kind, count in writer.lossy.items():
             say(f"{self.form.what} does not hold: {count} {kind}")
         faults = [f"{count} {kind}" for kind, count in (*self.others.items(), *writer.lossy.items())]

@@ -68,6 +68,8 @@ BATCH = 1024
 #: Unknown items that are looked at for one that can be explained.
 EXPLAINED = 20
 
+SUMMARY = "decode recordings: candump, BLF, ASC, MF4, serial captures, pipes"
+
 EPILOG = """\
 protocols (-p):
   hubo                an installed protocol; `aces protocols` lists them
@@ -101,6 +103,8 @@ tables (-o FILE, by its suffix; millions of frames a second):
   .parquet .arrow .feather   a folder with one file a message, or with a single
                   --message that file; units, enumerations and docs are in
                   the schema's metadata
+  DIR/            a folder of Parquet, one file a message (with --cluster, one
+                  folder a message)
   .csv/           (with the slash) a folder with one CSV a message
   .npz            arrays by Message/field
   .sqlite .db     one table a message; _messages and _columns describe them
@@ -161,12 +165,6 @@ ARGUMENTS: Arguments = (
         help="tables: so many processes (default: 1; 0: one a processor); each message is then a folder of parts"
         " (Parquet, Arrow)",
     ),
-    argument(
-        "--cluster",
-        metavar="WHERE",
-        help="tables, of many files and URIs, into a dataset: here (this process), local:4 (processes) or a Dask"
-        " scheduler's address; see below",
-    ),
     TIME,
     COUNT.but(help="end after so many lines"),
     COLOR,
@@ -175,10 +173,6 @@ ARGUMENTS: Arguments = (
 
 def run(arguments: argparse.Namespace) -> int:
     arguments.jobs = arguments.jobs or os.cpu_count() or 1
-    if arguments.cluster is not None and arguments.protocol:
-        from .decode_fleet import decode_fleet
-
-        return decode_fleet(arguments)
     for name in [*arguments.files, arguments.output or ""]:
         if "://" in name and not os.path.exists(name):
             raise CallerError(
@@ -244,10 +238,10 @@ class LiveDecoding(Decoding):
             return None
         from aces_bus.recordings.where import Where
 
-        return Where(texts, self.plans)
+        return Where(texts, self.plans.only(self.messages))
 
     def _registers(self) -> RegisterNotes | None:
-        """What to say of registers, where a protocol has any."""
+        """Return what to say of registers, where a protocol has any."""
         variants = [variant for variants in self.variants.values() for variant in variants]
         if not any(variant.protocol.register_maps for variant in variants):
             return None
@@ -261,13 +255,13 @@ class LiveDecoding(Decoding):
         if form == "jsonl":
             from .output.jsonl import JsonLines
 
-            return JsonLines(self.plans, stated)
+            return self._safe(JsonLines(self.plans, stated), "\\u{:04x}")
         if form == "csv":
             from .output.csv import CsvOutput
 
             only = next(iter(self.messages)) if len(self.messages) == 1 else None
             links = frozenset(link for link, variants in self.variants.items() if variants)
-            return CsvOutput(self.plans, stated, only=only, links=links)
+            return self._safe(CsvOutput(self.plans, stated, only=only, links=links), "\\x{:02x}")
         from .live_text import LiveText, Times
         from .output.text import make_paint, no_paint
 
@@ -281,6 +275,14 @@ class LiveDecoding(Decoding):
             width=terminal_width() if is_terminal else None,
             encoding=self.output.encoding,
         )
+
+    def _safe(self, writer: Writer, spelling: str) -> Writer:
+        """Return a writer that a terminal may show: control characters of payloads are spelt out there, never in files."""
+        if not self.output.is_terminal:
+            return writer
+        from .output import SpeltOut
+
+        return SpeltOut(writer, spelling)
 
     # ------------------------------------------------------------------ running
 
@@ -405,7 +407,7 @@ class LiveDecoding(Decoding):
     # ------------------------------------------------------------------ items
 
     def _in_window(self, items: list[Any]) -> list[bool] | None:
-        """Which items --from and --to let pass; None: all."""
+        """Return which items --from and --to let pass; None: all."""
         if self.window is None or not items:
             return None
         import numpy as np
@@ -417,7 +419,7 @@ class LiveDecoding(Decoding):
     def _kept(
         self, items: list[Any], passed: list[bool] | None, totals: Totals, *, is_can: bool
     ) -> list[Any]:
-        """The items that pass; the others go into the bin `filtered`."""
+        """Return the items that pass; the others go into the bin `filtered`."""
         if passed is None or all(passed):
             return items
         for item in (item for item, is_kept in zip(items, passed, strict=True) if not is_kept):
@@ -478,7 +480,7 @@ class LiveDecoding(Decoding):
 
 
 def _frame_of(item: Any) -> Frame:
-    """A frame with the identifier and channel of an item, for filters."""
+    """Return a frame with the identifier and channel of an item, for filters."""
     meta = item.meta
     return Frame(
         meta.identifier,

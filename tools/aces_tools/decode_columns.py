@@ -90,11 +90,11 @@ class TableDecoding(Decoding):
         self._take(self._inside(items, totals), totals)
 
     def _kept(self, frames: FrameTable) -> Rows | None:
-        """Which frames go on to `_take`, by their identifiers and times; None: all."""
+        """Return which frames go on to `_take`, by their identifiers and times; None: all."""
         return self.selection.kept(frames)
 
     def _inside(self, tables: Sequence[MessageTable], totals: Totals) -> Sequence[MessageTable]:
-        """What of a serial line goes on to `_take`, by its times."""
+        """Return what of a serial line goes on to `_take`, by its times."""
         return self.selection.inside(tables, totals)
 
     def _after(self, capture: Recording, frames: int = 0) -> None:
@@ -110,7 +110,7 @@ class TableDecoding(Decoding):
 
     @staticmethod
     def _first_contested(contested: Any, tables: Sequence[MessageTable]) -> int | None:
-        """The key of the first decoded frame that two protocols claim."""
+        """Return the key of the first decoded frame that two protocols claim."""
         keys = np.fromiter(contested, np.uint32, len(contested))
         found: list[tuple[int, int]] = []
         for table in tables:
@@ -132,7 +132,7 @@ class ColumnDecoding(TableDecoding):
             self.window,
             self.messages,
             self.columns,
-            WhereColumns(arguments.where, self.plans) if arguments.where else None,
+            WhereColumns(arguments.where, self.plans.only(self.messages)) if arguments.where else None,
             arguments.unknown or "hide",
         )
         self.include_unknown = self.selection.include_unknown
@@ -155,7 +155,7 @@ class ColumnDecoding(TableDecoding):
         )
 
     def _only(self) -> str | None:
-        """The one message that is wanted: it is written as a file and not as a folder."""
+        """Return the one message that is wanted: it is written as a file and not as a folder."""
         if len(self.messages) != 1 or self.selection.shows_losses:
             return None
         name = next(iter(self.messages))
@@ -198,7 +198,7 @@ class ColumnDecoding(TableDecoding):
 
 
 def wanted_columns(texts: Sequence[str], plans: Plans) -> dict[str, list[str]] | None:
-    """The columns that --signals names, of each message that has some; None: all."""
+    """Return the columns that --signals names, of each message that has some; None: all."""
     globs = [one.strip() for text in texts for one in text.split(",")]
     if not globs:
         return None

@@ -93,7 +93,7 @@ class JobsDecoding(ColumnDecoding):
         return Parts(self, path)  # type: ignore[return-value]  # what this class uses of an export
 
     def part(self, path: str) -> Export:
-        """An export of its own for a part."""
+        """Return an export of its own for a part."""
         return super()._open_export(path)
 
     # ------------------------------------------------------------------ this process
@@ -311,7 +311,7 @@ class Parts:
         self.notes: list[str] = []
 
     def piece(self, number: int) -> str:
-        """Where a process writes piece `number`."""
+        """Return where a process writes piece `number`."""
         return os.path.join(self._folder, f"{number}{self.suffix}")
 
     def adopt(self) -> None:

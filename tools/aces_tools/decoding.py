@@ -28,7 +28,7 @@ from aces_bus.recordings.pieces import CaptureReading, Direction, SerialWays, op
 from aces_bus.recordings.totals import Totals
 from aces_bus.recordings.window import TimeWindow
 
-from .console import abandon_stdout, report_unreadable, say, say_note
+from .console import abandon_stdout, counted, report_unreadable, say, say_note
 from .output.shape import Plans, plans_of
 from .patience import Patience
 from .protocols_arg import parse_protocols
@@ -45,7 +45,7 @@ FILTERS = (
 
 
 def named_messages(texts: Sequence[str], plans: Plans) -> frozenset[str]:
-    """The messages of these names, which may be in any case, with `*` and `?`. Raises `UnknownNameError`."""
+    """Return the messages of these names, which may be in any case, with `*` and `?`. Raises `UnknownNameError`."""
     known, found = plans.names, set[str]()
     for name in (name.strip() for text in texts for name in text.split(",")):
         fits = [name] if name in known else [k for k in known if fnmatchcase(k.lower(), name.lower())]
@@ -128,11 +128,11 @@ class Decoding(ABC):
 
     @abstractmethod
     def _stream_scanner(self, direction: Direction | None) -> Any:
-        """A scanner for the bytes of one direction."""
+        """Return a scanner for the bytes of one direction."""
 
     @abstractmethod
     def _feed(self, scanner: Any, data: bytes, time: float | None) -> Any:
-        """What a scanner makes of bytes."""
+        """Return what a scanner makes of bytes."""
 
     @abstractmethod
     def _found(self, items: Any, totals: Totals) -> None:
@@ -259,6 +259,8 @@ class Decoding(ABC):
 
     def _summarise(self) -> None:
         totals: dict[Link, Totals] = self.totals
+        if not totals and self.status:
+            return  # no file could be opened: what is wrong was said, and there is nothing to count
         if not totals:
             totals = {link: Totals() for link, variants in self.variants.items() if variants}
         there = ", ".join(sorted(self.present - {"None"})) or "none with a name"
@@ -269,9 +271,10 @@ class Decoding(ABC):
             say(f"--from and --to need times: {self.window.untimed} items have none, and are filtered")
         for total in totals.values():
             if total.dropped:
-                say(f"the recorder says that it lost {total.dropped} frames")
+                say(f"the recorder says that it lost {counted(total.dropped, 'frame')}")
             if total.missed:
-                say(f"rolling counters say that {total.missed} messages are missing")
+                are = "is" if total.missed == 1 else "are"
+                say(f"rolling counters say that {counted(total.missed, 'message')} {are} missing")
             if not self.plans or not total["total"] or total["decoded"]:
                 continue
             if not total["filtered"]:
@@ -286,10 +289,10 @@ class Decoding(ABC):
             say(self._summary(link, total), who="")
 
     def _summary(self, link: Link, total: Totals) -> str:
-        """The last line of a kind of link."""
+        """Return the last line of a kind of link."""
         return total.line(link)
 
 
 def utf8(name: str) -> str:
-    """A file's name as JSON and terminals take it."""
+    """Return a file's name as JSON and terminals take it."""
     return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")

@@ -44,6 +44,8 @@ PICTURE = "aces-demo.png"
 MOVE_S, REST_S = 1.4, 0.7
 BENDS = (0.0, 0.9, 0.9, 0.2, 1.3, 1.3, 0.5, 0.9, 0.0, 0.0)
 
+SUMMARY = "a simulated robot follows a trajectory, drawn"
+
 EPILOG = """\
 exit status: 0; 1 when the robot did not do it; 2 a wrong call
 """
@@ -103,7 +105,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _can_draw(path: str) -> bool:
-    """Whether there will be a picture; raises `CallerError` for a path that cannot be one."""
+    """Return whether there will be a picture; raises `CallerError` for a path that cannot be one."""
     from .plotting import figure
 
     suffix = os.path.splitext(path)[1].lower()
@@ -184,12 +186,12 @@ class MemoryLog:
         return self._table()[:, 0]
 
     def __getitem__(self, name: str) -> Array:
-        """The samples of a state."""
+        """Return the samples of a state."""
         return self._table()[:, 1 + self.states.index(name)]
 
 
 def panel_of(title: str, unit: str, seconds: Array, curves: Mapping[str, tuple[Array, str]]) -> PlotPanel:
-    """A panel with these curves, values and line style by label, over one time axis (s)."""
+    """Return a panel with these curves, values and line style by label, over one time axis (s)."""
     lines = [
         PlotLine(
             Series(PlotSignal("run", title, label, label, ColumnKind(label, unit)), ()),

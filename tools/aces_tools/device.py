@@ -10,6 +10,7 @@
   aces device RHY set position=0.2 --enable --for 3s --tx
   aces device RHY set position=30deg --enable --tx
   aces device RHY set_gains kp=200 ki=0 kd=500 --tx
+  aces device RHY stop                  stop it, whoever drives it, without --tx
   aces device fuzz RHY --virtual        search for what breaks it ('aces device
                                         fuzz --help')
 
@@ -25,6 +26,7 @@ its device is found. Nothing is sent to other devices.
 from __future__ import annotations
 
 import argparse
+from contextlib import ExitStack
 from typing import Any
 
 from aces_bus.device import Device, DeviceConfig, Robot
@@ -37,14 +39,25 @@ from .device_text import parse_pairs
 from .devices import show_device, show_devices
 from .options import ASK, EVERY, FOR, JSON, TX, Arguments, argument, flag
 from .patience import Patience
-from .robot_arg import ROBOT_OR_TWINS, chosen_pose, chosen_robot, open_robot
+from .robot_arg import (
+    ACTS,
+    REDUCED,
+    ROBOT_OR_TWINS,
+    at_reduced_speed,
+    bus_options,
+    chosen_pose,
+    chosen_robot,
+    open_robot,
+)
 
 #: The rate of the host where the robot's file says none (Hz).
 RATE = 50.0
 #: Between two lines of `watch`.
 EVERY_NS = 100_000_000
-#: What every device can: these ask, and change nothing, but for `set`.
-VERBS = ("get", "watch", "set")
+#: What every device can: these ask, and change nothing, but for `set` and `stop`.
+VERBS = ("get", "watch", "set", "stop")
+
+SUMMARY = "read, set, watch, enable, home a device; motion only with --tx"
 
 EPILOG = """\
 exit status:
@@ -59,22 +72,25 @@ exit status:
 USAGE = "%(prog)s [NAME [ACTION] [SIGNAL|NAME=VALUE …]] [options]"
 ARGUMENTS: Arguments = (
     argument("name", nargs="?", metavar="NAME", help="a device, joint or sensor of the robot"),
-    argument("action", nargs="?", metavar="ACTION", help="get, set, watch, or an action of the device"),
+    argument("action", nargs="?", metavar="ACTION", help="get, set, watch, stop, or an action of the device"),
     argument(
         "values", nargs="*", metavar="SIGNAL|NAME=VALUE", help="signals to read; values to set; arguments"
     ),
     TX.but(help="really change something; nothing else makes it"),
     ASK.but(help="get, watch: ask the device; without, only listen to what other programs ask"),
     flag("--enable", help="set: enable the device before, and stop it after"),
+    flag("--unhomed", help="set: a joint that is not homed, too: where it says it is, it is not"),
     FOR.but(help="set: keep it up so long (default: until it is there, and 2s); watch: end after so long"),
     EVERY.but(help="watch: between two lines (default: 0.1s)"),
+    REDUCED,
+    ACTS,
     JSON.but(help="JSON; watch: an object a line"),
     ROBOT_OR_TWINS,
 )
 
 
 def run(arguments: argparse.Namespace) -> int:
-    robot = chosen_robot(arguments.robot, arguments.driver)
+    robot = at_reduced_speed(chosen_robot(arguments.robot, arguments.driver), arguments.reduced)
     if arguments.name is None:
         return show_devices(robot, arguments.json)
     if arguments.name in VERBS:
@@ -85,6 +101,13 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.values.insert(0, signal)
     elif signal is not None:
         raise CallerError(f"{name} is the device: aces device {name} {action or 'get'} {signal} …")
+    if action == "stop" and not arguments.virtual:
+        from .stop import stop_now
+
+        if arguments.values:
+            raise CallerError(f"stop takes no values: aces device {name} stop")
+        part_of_robot = alone(robot, config_of(robot, name).name)
+        return stop_now(part_of_robot, bus_options(part_of_robot, arguments))
     if action == "fuzz":
         raise CallerError(f"the device comes behind it: aces device fuzz {arguments.name} …")
     config = config_of(robot, name)
@@ -96,13 +119,14 @@ def run(arguments: argparse.Namespace) -> int:
     every, duration = arguments.every or EVERY_NS, arguments.duration
     values: Any = arguments.values if action in ("get", "watch") else parse_pairs(arguments.values)
     checked(described, part, action, values)
-    asks = action in ("get", "watch") or action in described.asking
+    asks = action in ("get", "watch", "stop") or action in described.asking
     if not asks and not arguments.tx and not arguments.virtual:
         say(f"{action!r} changes {config.name}: nothing was sent; add --tx")
         return 1
     passive = action in ("get", "watch") and not (arguments.ask or arguments.tx)
     with (
-        Patience() as patience,
+        ExitStack() as acts,
+        Patience(is_driving=not passive and not arguments.virtual) as patience,
         open_robot(
             alone(robot, config.name),
             arguments,
@@ -111,9 +135,13 @@ def run(arguments: argparse.Namespace) -> int:
             pose=chosen_pose(robot, arguments.pose),
         ) as live,
     ):
+        from aces_bus.robot import ActLog
+
         from .live import DeviceEventLines
 
         events = DeviceEventLines(live.rig, robot)
+        if arguments.acts is not None:
+            acts.enter_context(ActLog(arguments.acts, "aces device").keep(live.rig))
         doing = Doing(live, live.rig.devices[config.name], part, arguments, patience, events)
         try:
             match action:
@@ -123,6 +151,8 @@ def run(arguments: argparse.Namespace) -> int:
                     return doing.watch(every, duration)
                 case "set":
                     return doing.set(values, duration)
+                case "stop":
+                    return doing.stop_twin()
                 case _:
                     return doing.act(action, values)
         except NotStoppedError as error:
@@ -137,6 +167,8 @@ def _check_options(arguments: argparse.Namespace, action: str) -> None:
     """Options that mean nothing here are mistakes."""
     if arguments.enable and action != "set":
         raise CallerError(f"--enable is for 'set', not for {action!r}")
+    if arguments.unhomed and action != "set":
+        raise CallerError(f"--unhomed is for 'set', not for {action!r}")
     if arguments.duration is not None and action not in ("set", "watch"):
         raise CallerError(f"--for is for 'set' and 'watch', not for {action!r}")
     if arguments.ask and action not in ("get", "watch"):
@@ -157,7 +189,7 @@ def _split(robot: Robot, name: str) -> tuple[str, str | None]:
 
 
 def config_of(robot: Robot, name: str) -> DeviceConfig:
-    """The device that is meant by its name, a joint's or a sensor's; raises `UnknownNameError`, `CallerError`."""
+    """Return the device that is meant by its name, a joint's or a sensor's; raises `UnknownNameError`, `CallerError`."""
     parts: dict[str, Any] = {**robot.sensors, **robot.joints}
     aliases = {alias: part.name for part in parts.values() for alias in part.aliases}
     whole = aliases.get(name, name)
@@ -170,7 +202,7 @@ def config_of(robot: Robot, name: str) -> DeviceConfig:
 
 
 def described_device(robot: Robot, name: str) -> Device:
-    """The device, on no bus: what it has can be looked at."""
+    """Return the device, on no bus: what it has can be looked at."""
     from aces_bus.robot import VirtualRobot
 
     device: Device = VirtualRobot(alone(robot, name)).devices[name]

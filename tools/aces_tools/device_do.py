@@ -20,7 +20,7 @@ from aces_bus.device import Device, Signal, stop_devices, wait_stopped
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError, UnknownNameError
 
 from .console import ENDLESS, StatusLine, print_json, say, say_note
-from .device_text import reading, result_lines, shown_value, value_for
+from .device_text import host_loss_text, reading, result_lines, shown_value, value_for
 from .output.shape import json_value
 from .patience import Patience
 
@@ -36,7 +36,7 @@ SET_FOR, LONGEST, STEP = 2_000_000_000, 300_000_000_000, 200_000_000
 
 
 def signals_of(device: Device, part: str | None) -> list[Signal]:
-    """All signals, or those of one joint or sensor with those of the device itself."""
+    """Return all signals, or those of one joint or sensor with those of the device itself."""
     if part is None:
         return list(device.signals.values())
     names = {part, *(joint.name for joint in device.joints if part in joint.aliases)}
@@ -48,7 +48,7 @@ def signals_of(device: Device, part: str | None) -> list[Signal]:
 
 
 def chosen_signals(device: Device, part: str | None, names: list[str]) -> list[Signal]:
-    """The signals of these names, with or without their owner's; raises `UnknownNameError`."""
+    """Return the signals of these names, with or without their owner's; raises `UnknownNameError`."""
     signals = signals_of(device, part)
     found: list[Signal] = []
     for name in names:
@@ -61,6 +61,8 @@ def chosen_signals(device: Device, part: str | None, names: list[str]) -> list[S
 
 def checked(device: Device, part: str | None, action: str, values: Any) -> None:
     """Whether a device has such signals, such an action with such arguments; raises `CallerError`."""
+    if action == "stop":
+        return
     if action in ("get", "watch"):
         for one in chosen_signals(device, part, values):
             if one.name not in device.readable:
@@ -74,7 +76,7 @@ def checked(device: Device, part: str | None, action: str, values: Any) -> None:
         _targets(device, part, values)
         return
     if action not in device.actions:
-        known = ["get", "set", "watch", *device.actions]
+        known = ["get", "set", "watch", "stop", *device.actions]
         raise UnknownNameError(f"action of {device.name} ({device.config.driver})", action, known)
     signature = inspect.signature(getattr(device, action))
     takes_any = any(one.kind is inspect.Parameter.VAR_KEYWORD for one in signature.parameters.values())
@@ -94,7 +96,7 @@ def checked(device: Device, part: str | None, action: str, values: Any) -> None:
 
 
 def _targets(device: Device, part: str | None, values: dict[str, Any]) -> list[tuple[Signal, Any]]:
-    """What is to be set to what; raises `CallerError`."""
+    """Return what is to be set to what; raises `CallerError`."""
     targets: list[tuple[Signal, Any]] = []
     for name, value in values.items():
         for one in chosen_signals(device, part, [name]):
@@ -124,10 +126,12 @@ class Doing:
         while not until() and not self.patience.is_over and clock.now() < end:
             clock.wait(lambda: until() or self.patience.is_over, min(STEP, end - clock.now()))
             self.events.report()
+            if self.live.rig.stopped_by:
+                self.patience.is_over = True
         return bool(until())
 
     def readable(self, names: list[str]) -> list[Signal]:
-        """What is to be read: those of these names, by default all that the device reports."""
+        """Return what is to be read: those of these names, by default all that the device reports."""
         if names:
             return chosen_signals(self.device, self.part, names)
         return [one for one in signals_of(self.device, self.part) if one.name in self.device.readable]
@@ -135,7 +139,7 @@ class Doing:
     # ------------------------------------------------------------------ get and watch
 
     def get(self) -> int:
-        """All that is known, once; 1 when something is unknown."""
+        """Return all that is known, once; 1 when something is unknown."""
         signals = self.readable(self.arguments.values)
         self.wait(lambda: all(one.instant is not None for one in signals), round(HEARD_S * 1e9))
         if self.arguments.json:
@@ -211,6 +215,7 @@ class Doing:
             say(f"{device.name} does not answer: nothing was set")
             return 1
         self.events.holding.add("not sent")
+        self.live.rig.door.takes_unhomed = self.arguments.unhomed
         targets = _targets(device, self.part, values)  # again: now it is known what kind of value each has
         if not self.arguments.enable:
             return self._set(targets, duration)
@@ -231,6 +236,9 @@ class Doing:
                 self.wait(lambda: not door.goals or bool(door.tripped), LONGEST)
                 duration = SET_FOR
             self.wait(lambda: False, duration)
+            if self.live.rig.stopped_by:
+                say(f"{self.arguments.name} set: stopped by {self.live.rig.stopped_by}")
+                return 1
             return self._show_set(targets)
         except DeviceError as error:
             self.events.report(without=("no reply",))
@@ -251,8 +259,10 @@ class Doing:
                 raise CallerError(f"{one.name} cannot be set to {value!r}: {error}") from None
 
     def _is_there(self) -> bool:
-        """Whether the device has answered; one that is never polled may be there."""
+        """Return whether the device has answered; one that is never polled may be there."""
         device = self.device
+        chain = self.live.rig.chain
+        self.wait(lambda: not chain.waits_for or self.patience.is_over, round(ANSWERS_S * 1e9))
         return not device.polls or self.wait(
             lambda: device.last_received is not None or self.patience.is_over, round(ANSWERS_S * 1e9)
         )
@@ -273,6 +283,10 @@ class Doing:
             self.events.drop("not sent")
             say(f"{', '.join(sorted(idle))}: not enabled, so it follows no set-points; add --enable")
             return 1
+        if self.arguments.enable and (off := self._no_longer_driven(targets)):
+            self.events.drop("not sent")
+            say(f"{', '.join(off)}: takes no set-points any more: it was switched off meanwhile")
+            return 1
         is_deaf = bool(device.polls) and device.is_silent
         missing = self.live.clock.call(device.waited_for)
         if missing:
@@ -283,8 +297,15 @@ class Doing:
         # What it has not taken is reported at the end.
         return 1 if is_deaf or self.live.rig.events.count("not sent", device.name) else 0
 
+    def _no_longer_driven(self, targets: list[tuple[Signal, Any]]) -> list[str]:
+        """Return what takes no set-points now, though it was enabled; the device is heard once more before that."""
+        device, since = self.device, self.live.clock.now()
+        if device.polls:  # this program may have been held up, and not know yet what became of it
+            self.wait(lambda: (device.last_received or 0) > since, round(ANSWERS_S * 1e9))
+        return [one.name for one, _ in targets if device.takes(one) is False]
+
     def _is_changed(self, targets: list[tuple[Signal, Any]]) -> bool:
-        """Whether a set-point was limited, has not been led all the way, or was refused; which is said."""
+        """Return whether a set-point was limited, has not been led all the way, or was refused; which is said."""
         door = self.live.rig.door
         changed = False
         for one, value in targets:
@@ -303,6 +324,12 @@ class Doing:
                 continue
             changed = True
         return changed
+
+    def stop_twin(self) -> int:
+        """Stop a simulated device."""
+        self.stop()
+        print(f"{self.arguments.name} stop: done")
+        return 0
 
     def stop(self) -> None:
         """Stop what moves, whatever was interrupted. Raises `NotStoppedError`."""
@@ -331,8 +358,8 @@ class Doing:
             return 1
         except (TypeError, ValueError, AttributeError, ArithmeticError) as error:
             raise CallerError(f"{action}: one of its arguments is not of the right kind: {error}") from None
-        if action == "enable" and device.alone_s and self.live.virtual is None:
-            say(f"{device.name}: its own watchdog stops it {device.alone_s:g} s after this program has ended")
+        if action == "enable" and self.live.virtual is None:
+            say(host_loss_text(device))
         found = json_value(result)
         if self.arguments.json:
             print_json({"action": action, "result": found}, None)
@@ -381,7 +408,7 @@ Show = Callable[[float, "list[Signal]"], None]
 
 @contextmanager
 def watched(signals: list[Signal]) -> Generator[Show]:
-    """A function that shows them, at so many seconds; messages on stderr meanwhile appear above."""
+    """Yield a function that shows them, at so many seconds; messages on stderr meanwhile appear above."""
     from rich.live import Live
     from rich.text import Text
 

@@ -16,7 +16,7 @@ from .output.text import no_paint
 from .values import parse_value
 
 if TYPE_CHECKING:
-    from aces_bus.device import Signal
+    from aces_bus.device import Device, Signal
 
 #: Words for yes and no.
 WORDS: Mapping[str, bool] = {"true": True, "false": False, "yes": True, "no": False, "on": True, "off": False}
@@ -27,7 +27,7 @@ _DEGREES = re.compile(r"([-+]?[0-9.]+(?:e[-+]?[0-9]+)?)\s*(?:deg|°)(/s)?")
 
 
 def shown_value(value: Any) -> str:
-    """A plain value for people, in one line."""
+    """Return a plain value for people, in one line."""
     match value:
         case None:
             return "unknown"
@@ -44,7 +44,7 @@ def shown_value(value: Any) -> str:
 
 
 def reading(one: Signal) -> str:
-    """A signal's value with its unit; what is unknown or stale says so."""
+    """Return a signal's value with its unit; what is unknown or stale says so."""
     if one.instant is None:
         return "unknown"
     whole = f"{shown_value(json_value(one.last))} {one.unit}".rstrip()
@@ -53,7 +53,7 @@ def reading(one: Signal) -> str:
 
 
 def result_lines(value: Any, indent: str = "") -> list[str]:
-    """What an action has found, a line a name."""
+    """Return what an action has found, a line a name."""
     if not isinstance(value, dict):
         return [] if value is None else [f"{indent}{shown_value(value)}"]
     lines: list[str] = []
@@ -97,7 +97,7 @@ def parse_pairs(texts: Sequence[str]) -> dict[str, Any]:
 
 
 def value_for(one: Signal, value: Any) -> Any:
-    """What is to be set, as the signal takes it: a finite number in its unit, `30deg` where that is rad; yes and no.
+    """Return what is to be set, as the signal takes it: a finite number in its unit, `30deg` where that is rad; yes and no.
 
     Raises `CallerError`.
     """
@@ -116,3 +116,10 @@ def value_for(one: Signal, value: Any) -> Any:
         also = ", or degrees: 30deg" if one.unit == "rad" else ""
         raise CallerError(f"{one.name}: {value!r} is no number of {one.unit}{also}")
     return value
+
+
+def host_loss_text(device: Device) -> str:
+    """Return what a device does without this program, and that it has no watchdog where it has none."""
+    loss = device.host_loss
+    none = "it has no watchdog of its own; " if loss.lacks_watchdog else ""
+    return f"{device.name}: {none}without this program it {loss}"

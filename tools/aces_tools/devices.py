@@ -21,6 +21,8 @@ from .console import print_json, say
 from .device_text import aligned_rows
 from .options import JSON, Arguments, argument
 
+SUMMARY = "list the drivers, and what their devices can do"
+
 ARGUMENTS: Arguments = (
     argument("driver", nargs="?", metavar="NAME", help="a driver"),
     JSON,
@@ -51,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def describe_driver(driver: Driver) -> dict[str, Any]:
-    """A driver with what the devices of its example robot have."""
+    """Return a driver with what the devices of its example robot have."""
     signals: dict[str, dict[str, Any]] = {}
     actions = dict(driver.device.actions)
     asking = set(driver.device.asking)
@@ -115,7 +117,7 @@ def _table(title: str, rows: Sequence[tuple[str, ...]]) -> None:
 
 
 def show_devices(robot: Robot, as_json: bool) -> int:
-    """The devices of a robot with their joints and sensors."""
+    """Return the devices of a robot with their joints and sensors."""
     rows: list[dict[str, Any]] = [
         {
             "device": name,
@@ -143,7 +145,7 @@ def show_devices(robot: Robot, as_json: bool) -> int:
 
 
 def show_device(device: Device, config: DeviceConfig, signals: list[Signal], as_json: bool) -> int:
-    """The signals and actions of a device."""
+    """Return the signals and actions of a device."""
     if as_json:
         whole = {
             "device": device.name,
@@ -185,7 +187,7 @@ def show_device(device: Device, config: DeviceConfig, signals: list[Signal], as_
 
 
 def arguments_of(device: Device, action: str) -> dict[str, bool]:
-    """The names of an action's arguments; True: must be given."""
+    """Return the names of an action's arguments; True: must be given."""
     parameters = inspect.signature(getattr(device, action)).parameters.values()
     return {
         one.name: one.default is inspect.Parameter.empty

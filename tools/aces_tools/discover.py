@@ -48,6 +48,8 @@ from .robot_arg import (
 #: Seconds of the bus's time that a scan may take at most.
 LONGEST_S = 600
 
+SUMMARY = "find the devices on a bus, and write a robot's file of them"
+
 EPILOG = """\
 exit status: 0; 1 when a device is missing, none was found, or the search of a
 bus was not completed; 2 a wrong call, or a bus that cannot be opened
@@ -79,10 +81,10 @@ def run(arguments: argparse.Namespace) -> int:
     is_whole = True
     with ExitStack() as stack:
         patience = stack.enter_context(Patience())
-        for name, host in _hosts(robot, arguments, stack).items():
+        for name, host in open_hosts(robot, arguments, stack).items():
             for driver in scanners:
                 if driver.protocol in host.variants and not patience.is_over:
-                    these = _scanned(name, host, driver, patience)
+                    these = scan_bus(name, host, driver, patience)
                     is_whole = is_whole and these is not None
                     found += these or []
     expected = {(c.bus, tuple(sorted(c.credentials.items()))): c for c in robot.devices.values() if c.active}
@@ -124,7 +126,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _robot(arguments: argparse.Namespace) -> Robot:
-    """The robot of the call, or one without devices on the bus that is named."""
+    """Return the robot of the call, or one without devices on the bus that is named."""
     arguments.robot_given = arguments.protocol is None
     if arguments.protocol is None:
         return chosen_robot(arguments.robot, arguments.driver)
@@ -153,8 +155,10 @@ def _robot(arguments: argparse.Namespace) -> Robot:
     return Robot(name="found", buses={"bus": bus}, devices={}, joints={}, sensors={})
 
 
-def _hosts(robot: Robot, arguments: argparse.Namespace, stack: ExitStack) -> dict[str, Host]:
-    """A host without devices for each bus, open."""
+def open_hosts(
+    robot: Robot, arguments: argparse.Namespace, stack: ExitStack, *, is_locked: bool = True
+) -> dict[str, Host]:
+    """Open a host without devices for each bus; `is_locked` False: beside the program that drives it."""
     from aces_bus.robot.rig import bus_variants
 
     hosts: dict[str, Host] = {}
@@ -182,7 +186,7 @@ def _hosts(robot: Robot, arguments: argparse.Namespace, stack: ExitStack) -> dic
         for name in used:
             bus = robot.buses[name]
             gate = gate_of(bus, load_protocol(bus.protocol), options[name])
-            gate.lock = lock_of(bus, options[name])
+            gate.lock = lock_of(bus, options[name]) if is_locked else None
             ports[name] = port_for(gate, bus, loop)
     for name, port in ports.items():
         hosts[name] = Host(port, bus_variants(robot, name), name=name)
@@ -192,7 +196,9 @@ def _hosts(robot: Robot, arguments: argparse.Namespace, stack: ExitStack) -> dic
 
 
 def _scanners(robot: Robot) -> list[Driver]:
-    """The drivers that can find their devices on the robot's buses; one that cannot be loaded is said, and left out."""
+    """Return the drivers that can find their devices on the robot's buses; one that cannot be loaded is said, and left
+    out.
+    """
     wanted = {bus.protocol for bus in robot.buses.values()}
     wanted |= {robot.protocol_of(config)[0] for config in robot.devices.values() if config.active}
     found: list[Driver] = []
@@ -211,8 +217,8 @@ def _scanners(robot: Robot) -> list[Driver]:
     return found
 
 
-def _scanned(name: str, host: Host, driver: Driver, patience: Patience) -> list[Any] | None:
-    """What a driver finds on a bus; None: it was interrupted, or failed."""
+def scan_bus(name: str, host: Host, driver: Driver, patience: Patience) -> list[Any] | None:
+    """Return what a driver finds on a bus; None: it was interrupted, or failed."""
     scan = driver.scan
     assert scan is not None
     job = Job(host.clock, f"{driver.name} scan", lambda job: scan(host, job))

@@ -38,6 +38,8 @@ TASK = 128
 #: Seconds between two looks at the progress on a terminal, and in a log.
 STEP_S, LOG_S = 0.25, 30.0
 
+SUMMARY = "search for a stream that breaks a protocol: laws and coverage"
+
 EPILOG = """\
 laws (--law takes a number or a name, several times):
   1 round trip         what is built is read again, bit for bit
@@ -174,7 +176,7 @@ class _Budget:
         self.began = time.monotonic()
 
     def tasks(self) -> Iterator[FuzzTask]:
-        """The tasks, for as long as there is something to do."""
+        """Yield the tasks, for as long as there is something to do."""
         from .fuzz_work import FuzzTask
 
         if self.only is not None:
@@ -192,14 +194,14 @@ class _Budget:
             at += count
 
     def part(self, examples: int) -> float:
-        """How much of it is done."""
+        """Return how much of it is done."""
         if self.seconds is not None:
             return min(1.0, (time.monotonic() - self.began) / self.seconds)
         return min(1.0, examples / max(1, self.examples))
 
 
 def _all(job: FuzzJob, budget: _Budget, jobs: int) -> Generator[TaskResult, None, None]:
-    """What each task did, as they finish."""
+    """Yield what each task did, as they finish."""
     from .fuzz_work import ignore_interrupts, places, work, worker_of
 
     for name in job.names:
@@ -260,7 +262,7 @@ class Tally:
         return 60 * self.examples / self.seconds
 
     def coverage(self) -> Coverage:
-        """What was reached, by all processes."""
+        """Return what was reached, by all processes."""
         from aces_bus.testing.coverage import Coverage
 
         whole = Coverage()
@@ -287,7 +289,7 @@ class Tally:
             say(line, who="")
 
     def numbers(self, is_over: bool) -> dict[str, object]:
-        """The run in numbers."""
+        """Return the run in numbers."""
         return {
             "seed": self.job.seed,
             "laws": list(self.job.laws),
@@ -300,7 +302,7 @@ class Tally:
         }
 
     def summary(self, is_over: bool) -> str:
-        """The run in one line."""
+        """Return the run in one line."""
         failed = f"{len(self.found)} failed" if self.found else "no failure"
         kept = sum(done.kept for done in self._latest.values())
         return (

@@ -98,7 +98,9 @@ def rare_collections() -> None:
 
 
 def places(text: str) -> list[tuple[Variant, Way]]:
-    """The wires of a protocol as the command line names it: all of a name alone, else those of dialect or configuration."""
+    """Return the wires of a protocol as the command line names it: all of a name alone, else those of dialect or
+    configuration.
+    """
     what = named_protocol(text)
     if what.channel is not None:
         raise CallerError(f"{text}: a channel makes no difference here; write {text.partition('=')[2]}")
@@ -162,7 +164,7 @@ MOST_KEPT = 1000
 
 
 def corpus_files(folder: str) -> tuple[str, ...]:
-    """The files of a corpus to judge: scenes, and captures that users put there; not those that scenes come with."""
+    """Return the files of a corpus to judge: scenes, and captures that users put there; not those that scenes come with."""
     try:
         names = sorted(path for path in Path(folder).iterdir() if path.is_file() and path.name[0] != ".")
     except FileNotFoundError:
@@ -175,7 +177,7 @@ def corpus_files(folder: str) -> tuple[str, ...]:
 
 @lru_cache(maxsize=1)
 def worker_of(job: FuzzJob) -> FuzzWorker:
-    """The worker of this process."""
+    """Return the worker of this process."""
     return FuzzWorker(job)
 
 
@@ -226,7 +228,7 @@ def _captured(fuzzer: Fuzzer, name: str) -> None:
 
 
 def failure_report(job: FuzzJob, failure: Failure) -> FoundFailure:
-    """A failure, saved and in words."""
+    """Return a failure, saved and in words."""
     folder = Path(job.failures)
     wire, direction, law = failure.wire, failure.direction, failure.law
     saved = save_scene(folder, wire, direction, failure.scene, failure.cuts, law=law.number)
@@ -257,7 +259,7 @@ def failure_report(job: FuzzJob, failure: Failure) -> FoundFailure:
 
 
 def chosen_laws(texts: Sequence[str]) -> tuple[int, ...]:
-    """The numbers of laws that are named: `3`, `chunking`, `3-chunking`; all when none is."""
+    """Return the numbers of laws that are named: `3`, `chunking`, `3-chunking`; all when none is."""
     found = {_law(one.strip()).number for text in texts for one in text.split(",")}
     return tuple(sorted(found)) or tuple(law.number for law in laws.LAWS)
 
@@ -278,7 +280,7 @@ PLURALS = {"message": "messages", "field": "fields", "value": "named values", "t
 
 
 def failure_text(found: FoundFailure) -> str:
-    """A failure, drawn, with the lines that repeat it."""
+    """Return a failure, drawn, with the lines that repeat it."""
     where = f"{found.label}, {found.direction or 'any direction'}"
     lines = [f"FAILED law {found.law} ({found.name}) of {where}", ""]
     lines += textwrap.wrap(found.text.replace("\n", " "), 108, initial_indent="  ", subsequent_indent="    ")[
@@ -290,7 +292,7 @@ def failure_text(found: FoundFailure) -> str:
 
 
 def coverage_table(coverage: Coverage, width: int) -> str:
-    """What was reached, a line a message; then what never was."""
+    """Return what was reached, a line a message; then what never was."""
     lines: list[str] = []
     for protocol in coverage.protocols:
         parts = [(PLURALS[kind], *coverage.parts(protocol, kind)) for kind in KINDS]
@@ -333,7 +335,7 @@ def _part(numbers: tuple[int, int]) -> str:
 def as_json(
     names: Sequence[str], numbers: Mapping[str, Any], found: Sequence[FoundFailure], coverage: Coverage
 ) -> str:
-    """The whole run as one JSON object."""
+    """Return the whole run as one JSON object."""
     protocols = {
         protocol: {
             **{

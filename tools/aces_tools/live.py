@@ -83,7 +83,7 @@ class BusEventLines:
 
 
 def received_frame(item: Received[Frame], name: str, epoch_ns: int) -> Frame:
-    """A frame as it was received, with the host's time and the bus's name where the adapter gives none."""
+    """Return a frame as it was received, with the host's time and the bus's name where the adapter gives none."""
     frame = item.content
     if frame.channel is None or not frame.timestamp:
         return msgspec.structs.replace(
@@ -95,7 +95,7 @@ def received_frame(item: Received[Frame], name: str, epoch_ns: int) -> Frame:
 
 
 def losses(gate: CanGate | SerialGate | DatagramGate, dropped: int) -> str:
-    """What was lost on the way, for the end of a summary line; `dropped`: came faster than the command took it."""
+    """Return what was lost on the way, for the end of a summary line; `dropped`: came faster than the command took it."""
     counters = gate.counters
     return (
         f"dropped={dropped} kernel_dropped={counters.kernel_dropped} bad_input={counters.bad_input}"
@@ -104,7 +104,7 @@ def losses(gate: CanGate | SerialGate | DatagramGate, dropped: int) -> str:
 
 
 def silence_s(scanner: Any) -> float:
-    """The silence after which what is incomplete to a stream's scanner never will be whole."""
+    """Return the silence after which what is incomplete to a stream's scanner never will be whole."""
     return max(getattr(scanner, "gap", 0.0) or SILENCE_S, LEAST_SILENCE_S)
 
 
@@ -237,12 +237,14 @@ class DeviceEventLines:
                 say(f"{event.source}: {event.kind}{detail}{f'; {hint}' if hint else ''}")
 
     def _is_known(self, detail: str) -> bool:
-        """Whether an unknown device ("Encoder of board 0x01, sensor 0x02, which …") is another device of the robot."""
+        """Return whether an unknown device ("Encoder of board 0x01, sensor 0x02, which …") is another device of the
+        robot.
+        """
         numbers = set(detail.partition(" of ")[2].partition(", which")[0].split(", "))
         return any(numbers <= other for other in self._others)
 
     def _look_at(self, name: str) -> str:
-        """What to look at when a device does not answer."""
+        """Return what to look at when a device does not answer."""
         config = self.robot.devices.get(name)
         if config is None:
             return "is it powered?"

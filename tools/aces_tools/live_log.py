@@ -31,7 +31,7 @@ from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.scanner import RecordColumns
 from aces_bus.recordings import CanRecording, open_recording
 from aces_bus.recordings.base import Link
-from aces_bus.recordings.write import FORMATS, PACKED, open_writer, writer_format
+from aces_bus.recordings.write import PACKED, open_writer, writer_format, writer_formats
 from aces_bus.recordings.write.canlog import CREATE, INSERT, CanlogSqliteWriter
 
 from .console import say
@@ -179,12 +179,12 @@ class LiveRecording:
         self.link: Link = link
         kept, suffix = KEPT[link]
         has_suffix = bool(os.path.splitext(os.path.basename(path))[1])
-        form = FORMATS[self._format(path)] if has_suffix else FORMATS[kept]
+        form = writer_formats()[self._format(path)] if has_suffix else writer_formats()[kept]
         is_direct = (form.grows or form.name == "sqlite") and not path.lower().endswith(tuple(PACKED))
         #: What is written now, and what it becomes at the end.
         self.journal = path if is_direct else path + suffix
         self.final = None if is_direct else form.name
-        self._kind = form if is_direct else FORMATS[kept]
+        self._kind = form if is_direct else writer_formats()[kept]
         self.is_independent = self._kind.name in INDEPENDENT
         self._check()
         try:
@@ -207,7 +207,7 @@ class LiveRecording:
     def _format(self, path: str) -> str:
         form = writer_format(path, self.link)
         if form.link != self.link:
-            known = " ".join(f.suffixes[0] for f in FORMATS.values() if f.link == self.link)
+            known = " ".join(f.suffixes[0] for f in writer_formats().values() if f.link == self.link)
             what = "CAN frames" if self.link == "can" else "bytes of a serial line"
             raise CallerError(f"{self._option} {path}: {form.what} does not hold {what}; there are {known}")
         return form.name

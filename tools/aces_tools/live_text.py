@@ -31,7 +31,7 @@ class Times:
         self._last: float | None = None
 
     def number(self, time: float) -> float | None:
-        """What is shown for an instant (s); None where that is a date."""
+        """Return what is shown for an instant (s); None where that is a date."""
         if self.mode == "date":
             return None
         if self.mode == "absolute":
@@ -45,7 +45,7 @@ class Times:
 
     @staticmethod
     def date(time: float) -> str:
-        """An instant as date and local time."""
+        """Return an instant as date and local time."""
         try:
             return f"{datetime.datetime.fromtimestamp(time):%Y-%m-%d %H:%M:%S.%f}"
         except (OverflowError, ValueError, OSError):
@@ -121,7 +121,7 @@ class CandumpLines:
 
 
 def notation(frame: Frame) -> str:
-    """A frame as cansend takes it: `123#DEADBEEF`, `12345678#`, `123##1AABB` (FD), `123#R8`.
+    """Return a frame as cansend takes it: `123#DEADBEEF`, `12345678#`, `123##1AABB` (FD), `123#R8`.
 
     >>> notation(Frame(0x123, b"\\xde\\xad"))
     '123#DEAD'

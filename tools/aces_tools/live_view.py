@@ -1,24 +1,88 @@
-"""`--foxglove`: what a command sees and does, live, for who looks on.
+"""What a command sees and does, live, for who looks on: the contract of views that other packages open.
 
-1. It is opened before anything else is, and closed last: a wrong port is found before a bus is touched.
-2. How to look on is a note; who else can, and what was dropped, is said in any case.
+1. A view is opened before anything else is, and closed last: a wrong port is found before a bus is touched.
+2. Which views there are, their options say (`verbs.OPTIONS_GROUP`): `--foxglove` is the lab's.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Generator
-from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+import logging
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
-from aces_bus.errors import CallerError
-
-from .console import say, say_note
+from .verbs import wanted_options
 
 if TYPE_CHECKING:
-    from aces_bus.access.foxglove import LiveView
     from aces_bus.controller.events import EventLike
     from aces_bus.device.station import BusEndpoint
+    from aces_bus.kinematics import Body
+    from aces_bus.protocol import Variant
+    from aces_bus.robot.run_base import RunLogger
+
+    Link = Literal["can", "serial", "datagram"]
+
+    class ShownStates(RunLogger, Protocol):
+        """A logger of a run that also takes quantities directly."""
+
+        def read(self, reads: Mapping[str, tuple[str, Callable[[], Any]]]) -> None:
+            """Show these quantities: name → unit, and what reads the value."""
+            ...
+
+
+class ShownRecords(Protocol):
+    """Takes records and `Unknown`s as a scanner gave them."""
+
+    def put(self, items: Iterable[Any]) -> None:
+        """Show them; never waits."""
+        ...
+
+
+class ShownBus(Protocol):
+    """Takes what passes one side of a bus."""
+
+    def passed(self, packet: Any, instant: int, is_sent: bool) -> None:
+        """Show a frame or piece of bytes, of an instant in ns of the view's clock; never waits."""
+        ...
+
+
+class LiveView(Protocol):
+    """Shows events, buses, records and states; instants are ns of its clock, from any thread, and nothing waits."""
+
+    epoch_ns: int
+
+    def now(self) -> int:
+        """Return the instant of the view's clock (ns)."""
+        ...
+
+    def event(self, instant: int, kind: str, source: str, detail: str = "", level: Any = "info") -> None:
+        """Show an event of a bus, device or controller; `level` is info, warning or error."""
+        ...
+
+    def records(self, variants: Sequence[Variant], *, scanner: Any = None) -> ShownRecords:
+        """Return what shows a scanner's records."""
+        ...
+
+    def states(self, rate_hz: float, body: Body | None) -> ShownStates:
+        """Return what shows states at a rate, and the transforms of a body."""
+        ...
+
+    def bus(
+        self,
+        variants: Sequence[Variant],
+        *,
+        name: str,
+        link: Link,
+        is_host: bool = True,
+        direction: Any = None,
+    ) -> ShownBus:
+        """Return what shows the packets of one side of a bus, decoded."""
+        ...
+
+    def lines(self) -> logging.Handler:
+        """Return what shows lines of Python's `logging`."""
+        ...
 
 
 #: Events that are worth a look, and those that are more.
@@ -43,34 +107,17 @@ _LEVELS: dict[str, Any] = {
 }
 
 
-@contextmanager
-def live_view(arguments: argparse.Namespace, name: str) -> Generator[LiveView | None]:
-    """The view that a call asks for, or None. Raises `CallerError` for a missing extra and a port that is taken."""
-    if arguments.foxglove is None:
-        if arguments.foxglove_origin:
-            raise CallerError("--foxglove-origin is for --foxglove: add it")
-        yield None
-        return
-    from aces_bus.access.foxglove import LiveView, parse_live_address
+def wants_view(verb: str, arguments: argparse.Namespace) -> bool:
+    """Return whether the call asks to be shown live. Raises `CallerError` for options that do not go together."""
+    return any(wanted_options(verb, arguments, "open_view"))
 
-    try:
-        parse_live_address(arguments.foxglove)
-    except CallerError:
-        raise CallerError(
-            f"--foxglove {arguments.foxglove}: write PORT or HOST:PORT, such as 8765; before other words --foxglove=8765"
-        ) from None
-    view = LiveView(arguments.foxglove, name=name, origins=arguments.foxglove_origin, report=say)
-    try:
-        say_note(f"live view: {view.address} (in Foxglove: Open connection, Foxglove WebSocket)")
-        if not view.is_local:
-            say(
-                f"live view: every program that reaches {view.host} sees it: nothing is encrypted, and there is no log-in"
-            )
-        yield view
-    finally:
-        view.close()
-        if view.dropped or view.published:
-            (say if view.dropped else say_note)(str(view))
+
+def live_view(verb: str, arguments: argparse.Namespace, name: str) -> AbstractContextManager[LiveView | None]:
+    """Open the view that a call asks for, or None. Raises `CallerError` for a missing extra and a port that is taken."""
+    for module in wanted_options(verb, arguments, "open_view"):
+        view: AbstractContextManager[LiveView] = module.open_view(arguments, name)
+        return view
+    return nullcontext()
 
 
 def show_event(view: LiveView, event: EventLike) -> None:
@@ -80,12 +127,10 @@ def show_event(view: LiveView, event: EventLike) -> None:
 
 def show_bus_event(view: LiveView, bus: str, kind: str, detail: str) -> None:
     """What has just happened to a bus."""
-    view.event(view.clock.now(), kind, bus, detail, _LEVELS.get(kind, "warning"))
+    view.event(view.now(), kind, bus, detail, _LEVELS.get(kind, "warning"))
 
 
 def show_bus(view: LiveView, name: str, side: BusEndpoint[Any], *, is_host: bool) -> None:
     """What passes one side of a bus; before it is opened."""
-    from aces_bus.access.foxglove import LiveBus
-
-    bus = LiveBus(view, list(side.variants.values()), name=name, link=side.port.link, is_host=is_host)
+    bus = view.bus(list(side.variants.values()), name=name, link=side.port.link, is_host=is_host)
     side.watch(bus.passed)

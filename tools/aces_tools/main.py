@@ -1,6 +1,7 @@
 """`aces VERB …`: finds the verb, runs it, turns what goes wrong into one line.
 
-1. A verb's module is imported when that verb runs and not before: `aces --help` imports argparse and nothing else.
+1. Verbs are entry points (`verbs`). A verb's module is imported when that verb runs and not before: `aces --help` imports
+   argparse and nothing else.
 2. Whatever goes wrong on purpose (`AcesError`) is one line on stderr and status 2, and so is what a Python file of the
    user's raises; a traceback is a bug of ours.
 3. `main` returns a status and never exits, so that tests and programs can call it.
@@ -12,8 +13,7 @@ import argparse
 import errno
 import gc
 import sys
-from collections.abc import Iterator, Sequence
-from importlib import import_module
+from collections.abc import Iterable, Iterator, Sequence
 from io import TextIOWrapper
 from typing import Any, NoReturn
 
@@ -22,60 +22,13 @@ from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.plain_text import LOOKALIKES
 
 from .console import abandon_stdout, say, show_notes
-
-#: Verb → its module in this package, and what it is for. The module has a table ARGUMENTS (see `options`) and
-#: `run(arguments)`, where it needs them also EPILOG, USAGE and DEFAULTS, and its docstring is what `aces VERB --help` says.
-VERBS: dict[str, tuple[str, str]] = {
-    "decode": ("decode", "decode recordings: candump, BLF, ASC, MF4, serial captures, pipes"),
-    "plot": ("plot", "draw signals over time: in the terminal, PNG, SVG, PDF"),
-    "diff": ("diff", "compare recordings, or times of one: identifiers, bits, signals"),
-    "convert": ("convert", "convert recordings: candump, ASC, BLF, TRC, MF4, pcapng, serial"),
-    "sniff": ("sniff", "listen to a bus: decoded lines, filters, recordings; cannot send"),
-    "send": ("send", "send a message, once or periodically; only with --tx"),
-    "play": ("play", "play recordings onto a bus at their pace; only with --tx"),
-    "bridge": ("bridge", "forward between two buses, whole or filtered; only with --tx"),
-    "bus": ("bus", "serve virtual buses, list buses, measure the load of a bus"),
-    "robot": ("robot", "robots as files: check, show, list; import from other programs"),
-    "devices": ("devices", "list the drivers, and what their devices can do"),
-    "device": ("device", "read, set, watch, enable, home a device; motion only with --tx"),
-    "discover": ("discover", "find the devices on a bus, and write a robot's file of them"),
-    "sim": ("sim", "put a robot's simulated devices on a bus"),
-    "run": ("run", "run controllers on a robot, simulated, real (--tx) or recorded"),
-    "protocols": ("protocols", "list protocols, their messages, and the layout of a message"),
-    "spec": ("", "for authors of protocols: new, check, guess, show, explain, …"),
-    "fuzz": ("fuzz", "search for a stream that breaks a protocol: laws and coverage"),
-    "demo": ("demo", "a simulated robot follows a trajectory, drawn"),
-    "bench": ("bench", "measure decoding speed beside other libraries"),
-    "fleet": ("", "datasets that many recordings became: status"),
-    "completion": ("shell.completion", "print what completes aces in bash, zsh and fish"),
-}
+from .verbs import actions_of, options_of, summary_of, top_verbs, verbs, wanted_options
 
 #: What the system says of a write where there is no room: a full disk, a file that has its largest size, a quota.
 NO_ROOM = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
 
 #: Other names of verbs.
 ALIASES = {"scan": "discover"}
-
-#: Verb → its actions, of the same form. A verb with a module of its own has these beside what it takes.
-ACTIONS: dict[str, dict[str, tuple[str, str]]] = {
-    "fleet": {
-        "status": ("fleet_status", "say what a dataset of a fleet consists of, and what is missing"),
-    },
-    "device": {"fuzz": ("device_fuzz", "search for what breaks a device: a twin, or a real one (--tx)")},
-    "spec": {
-        "new": ("authoring.new", "begin a protocol: a commented spec, a test, a README"),
-        "check": (
-            "authoring.check",
-            "find what is wrong or doubtful in a spec, with file and line",
-        ),
-        "guess": ("authoring.guess", "guess the spec of a recording that no protocol reads"),
-        "show": ("authoring.show", "show how messages are laid out and decoded; compare specs"),
-        "explain": ("authoring.explain", "explain why bytes are decoded as they are"),
-        "stubs": ("authoring.stubs", "write the types of records, for editors and type checkers"),
-        "export": ("authoring.export", "write a DBC, a Wireshark dissector, C source, a page"),
-        "import": ("authoring.importing", "turn a DBC, KCD, SYM, ARXML or EDS file into a spec"),
-    },
-}
 
 
 class Parser(argparse.ArgumentParser):
@@ -87,7 +40,16 @@ class Parser(argparse.ArgumentParser):
             message = _unknown_options(message.partition(": ")[2].split(), known)
         if message.startswith("the following arguments are required: -p/--protocol"):
             message = "what is spoken? -p NAME; 'aces decode FILE' says what fits a recording"
+        if message.startswith("the following arguments are required: "):
+            message = self._missing(message)
         self.exit(2, f"aces: {message.removeprefix('argument ')} (see '{self.prog} --help')\n")
+
+    def _missing(self, message: str) -> str:
+        """Return what is said of missing words: where one has choices, what it may be."""
+        for action in self._actions:
+            if not action.option_strings and action.choices is not None and action.required:
+                return f"what is to be done? {self.prog} {'|'.join(map(str, action.choices))} …"
+        return message
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         """Raise `UnknownNameError` for a value that is none of an argument's choices."""
@@ -102,7 +64,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def _unknown_options(given: list[str], known: list[str]) -> str:
-    """What is said of arguments that a verb does not take: of a mistyped option, what was meant."""
+    """Return what is said of arguments that a verb does not take: of a mistyped option, what was meant."""
     from difflib import get_close_matches
 
     option = next((one.partition("=")[0] for one in given if one.startswith("-")), None)
@@ -154,7 +116,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _raised_by_user(error: Exception) -> str | None:
-    """What a file that the user has named raised, with its line; None for an exception of our own."""
+    """Return what a file that the user has named raised, with its line; None for an exception of our own."""
     files = sys.modules.get("aces_bus.protocol.files")
     place = files.line_in_loaded(error) if files is not None else None
     if place is None:
@@ -169,7 +131,7 @@ def _run(arguments: list[str]) -> int:
         if arguments[1:] and not arguments[1].startswith("-"):
             return _run([arguments[1], "--help"])
         print(f"aces {__version__}: devices on CAN and serial lines, from one declared protocol\n")
-        print(f"usage: aces VERB …\n\n{_listed(VERBS)}\n")
+        print(f"usage: aces VERB …\n\n{_listed(top_verbs())}\n")
         print("'aces VERB --help' says more; 'aces --version' prints the version.")
         print("-q: no notes, no progress; ACES_NOTES=off in the environment: no notes at all.")
         return 0
@@ -179,16 +141,17 @@ def _run(arguments: list[str]) -> int:
     verb = ALIASES.get(arguments[0], arguments[0])
     if verb.startswith("-"):
         raise UnknownNameError("option", verb, ["--help", "--version"])
-    if verb not in VERBS:
-        raise UnknownNameError("verb", verb, [*VERBS, *_with_action(verb)])
-    actions = ACTIONS.get(verb)
-    if actions and not (VERBS[verb][0] and (len(arguments) < 2 or arguments[1] not in actions)):
+    if verb not in top_verbs():
+        raise UnknownNameError("verb", verb, [*top_verbs(), *_with_action(verb)])
+    actions = actions_of(verb)
+    if actions and not (verb in verbs() and (len(arguments) < 2 or arguments[1] not in actions)):
         if len(arguments) < 2:
             raise CallerError(
                 f"which action of 'aces {verb}'? {', '.join(actions)} (see 'aces {verb} --help')"
             )
         if arguments[1] in ("-h", "--help"):
-            print(f"aces {verb}: {VERBS[verb][1]}\n\nusage: aces {verb} ACTION …\n\n{_listed(actions)}\n")
+            print(f"aces {verb}: {summary_of(verb)}\n\nusage: aces {verb} ACTION …\n")
+            print(f"{_listed(actions, verb)}\n")
             print(f"'aces {verb} ACTION --help' says more.")
             return 0
         if arguments[1] not in actions:
@@ -199,37 +162,36 @@ def _run(arguments: list[str]) -> int:
     if not gc.isenabled():  # to look for garbage in all that was imported takes a twentieth of a short run
         gc.freeze()
         gc.enable()
-    return int(_module(verb).run(given))
+    for module in wanted_options(verb, given, "run"):
+        return int(module.run(given))
+    return int(verbs()[verb].load().run(given))
 
 
 def _with_action(action: str) -> Iterator[str]:
-    """The verbs that have an action of this name, with it: `bus serve` for `serve`."""
-    for verb in VERBS:
-        arguments = () if verb in ACTIONS else parser_of(verb).arguments
-        if action in ACTIONS.get(verb, {}) or any(action in (one.choices or ()) for one in arguments):
+    """Yield the verbs that have an action of this name, with it: `bus serve` for `serve`."""
+    for verb in top_verbs():
+        arguments = parser_of(verb).arguments if verb in verbs() else ()
+        if action in actions_of(verb) or any(action in (argument.choices or ()) for argument in arguments):
             yield f"{verb} {action}"
 
 
 def parser_of(verb: str, parser: Parser | None = None) -> Parser:
-    """The parser of a verb, or of `spec check` and its like: a new one, or this one with all that the verb takes."""
+    """Return the parser of a verb, or of `spec check` and its like: a new one, or this one with all that the verb takes."""
     from .options import QUIET, add_arguments
 
-    module = _module(verb)
+    module = verbs()[verb].load()
     if parser is None:
         parser = Parser(prog=f"aces {verb}", allow_abbrev=False)
     parser.usage, parser.description = getattr(module, "USAGE", None), module.__doc__
     parser.epilog = getattr(module, "EPILOG", None)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     add_arguments(parser, module.ARGUMENTS)
+    for options in options_of(verb):
+        add_arguments(parser, options.ARGUMENTS)
     if not any("-q" in one.option_strings for one in parser.arguments):
         add_arguments(parser, [QUIET])
     parser.set_defaults(**getattr(module, "DEFAULTS", {}))
     return parser
-
-
-def _module(verb: str) -> Any:
-    name, _, action = verb.partition(" ")
-    return import_module(f"{__package__}.{(ACTIONS[name][action] if action else VERBS[name])[0]}")
 
 
 def _plain(arguments: list[str]) -> list[str]:
@@ -240,6 +202,7 @@ def _plain(arguments: list[str]) -> list[str]:
     return arguments[:end] + [f"./{a}" if a[:1] == "-" and a != "-" else a for a in arguments[end + 1 :]]
 
 
-def _listed(names: dict[str, tuple[str, str]]) -> str:
-    width = max(map(len, names))
-    return "\n".join(f"  {name:<{width}}  {text}" for name, (_, text) in names.items())
+def _listed(names: Iterable[str], verb: str = "") -> str:
+    lines = [(name, summary_of(f"{verb} {name}".strip())) for name in names]
+    width = max(len(name) for name, _ in lines)
+    return "\n".join(f"  {name:<{width}}  {text}" for name, text in lines)

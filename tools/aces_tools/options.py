@@ -15,8 +15,6 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
-_DIRECTIONS = {"to": "to device", "from": "from device", "both": "both"}
-
 _DURATION = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*(ns|us|µs|ms|s|min|h)?")
 _UNITS_NS: Mapping[str | None, float] = {
     "ns": 1,
@@ -37,7 +35,7 @@ class Argument(NamedTuple):
     keywords: Mapping[str, Any]
 
     def but(self, **keywords: Any) -> Argument:
-        """The same with other keywords: another help, another default."""
+        """Return the same with other keywords: another help, another default."""
         return self._replace(keywords={**self.keywords, **keywords})
 
 
@@ -54,17 +52,17 @@ Arguments = Iterable[Argument | Group | Callable[[argparse.ArgumentParser], None
 
 
 def argument(*names: str, **keywords: Any) -> Argument:
-    """What argparse's `add_argument` takes, as an entry of a table."""
+    """Return what argparse's `add_argument` takes, as an entry of a table."""
     return Argument(names, keywords)
 
 
 def flag(*names: str, help: str, **keywords: Any) -> Argument:
-    """An option without a value."""
+    """Return an option without a value."""
     return Argument(names, {"action": "store_true", "help": help, **keywords})
 
 
 def several(*names: str, metavar: str, help: str) -> Argument:
-    """An option that may be given several times; a list."""
+    """Return an option that may be given several times; a list."""
     return Argument(names, {"action": "append", "default": [], "metavar": metavar, "help": help})
 
 
@@ -88,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser, arguments: Arguments) -> None
 
 
 def duration(text: str, least: int = 1) -> int:
-    """A duration in ns: `10ms`, `0.5s`, `2min`, or plain seconds."""
+    """Return a duration in ns: `10ms`, `0.5s`, `2min`, or plain seconds."""
     found = _DURATION.fullmatch(text.strip())
     ns = round(float(found[1]) * _UNITS_NS[found[2]]) if found else -1
     if not least <= ns < 1 << 62:
@@ -97,19 +95,24 @@ def duration(text: str, least: int = 1) -> int:
 
 
 def duration_or_none(text: str) -> int:
-    """A duration in ns, or 0."""
+    """Return a duration in ns, or 0."""
     return duration(text, least=0)
 
 
 def direction(text: str) -> Any:
-    """Which way bytes went, as scanners name it."""
-    if text not in _DIRECTIONS:
-        raise argparse.ArgumentTypeError(f"{text!r} is none of {', '.join(_DIRECTIONS)}")
-    return _DIRECTIONS[text]
+    """Return which way bytes went, as scanners name it."""
+    from aces_bus.errors import CallerError
+    from aces_bus.protocol.declare.message import way_of
+
+    given: Any = text
+    try:
+        return way_of(given)
+    except CallerError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def at_least(least: int) -> Callable[[str], int]:
-    """A whole number from `least` on; 0x10 is one, too."""
+    """Return a whole number from `least` on; 0x10 is one, too."""
 
     def number(text: str) -> int:
         try:
@@ -124,7 +127,7 @@ def at_least(least: int) -> Callable[[str], int]:
 
 
 def positive(text: str) -> float:
-    """A number above 0."""
+    """Return a number above 0."""
     try:
         found = float(text)
     except ValueError:
@@ -194,18 +197,6 @@ ROTATE = several(
     "--rotate",
     metavar="SIZE|DURATION",
     help="begin the next file (FILE-00002 …) after so much, such as 100MB, or so long, such as 10min",
-)
-FOXGLOVE = argument(
-    "--foxglove",
-    nargs="?",
-    const="",
-    metavar="[HOST:]PORT",
-    help="show it live to Foxglove, at this port of this machine (default: 8765); needs 'aces-bus[foxglove]'",
-)
-FOXGLOVE_ORIGIN = several(
-    "--foxglove-origin",
-    metavar="ORIGIN",
-    help="let web pages of ORIGIN look on, beside Foxglove's own and this machine's, such as http://lab:8080",
 )
 JSON = flag("--json", help="JSON on standard output, for programs")
 #: Every verb takes it: `main` adds it to those that say nothing more about it.

@@ -1,38 +1,45 @@
 """How a command ends that reads or waits.
 
-1. Ctrl-C, SIGTERM and SIGHUP end it as if its time were up: what was received is shown and counted, and what is not whole
-   is not written.
+1. Ctrl-C, SIGTERM and every other signal that would kill it end it as if its time were up: what was received is shown and
+   counted, and what is not whole is not written. Only SIGKILL and a fault of the interpreter do not.
 2. Waiting is done in steps, so that a signal never waits long; the last step ends at the deadline.
 """
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 import time
 from collections.abc import Generator, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, Self, TypeVar
 
 T = TypeVar("T")
 #: Seconds after which a waiting command looks at other things than its bus: a signal never waits longer.
 STEP_S = 0.1
+#: Signals beside Ctrl-C whose default is to kill a program.
+ENDING = ("TERM", "HUP", "QUIT", "USR1", "USR2", "XCPU", "ALRM", "VTALRM", "PROF", "IO", "PWR", "STKFLT")
+#: Signals that would suspend a program which reads or writes its terminal from the background.
+OF_TERMINALS = ("TTIN", "TTOU")
+SUSPENDED = b"\naces: Ctrl-Z ends this and stops what moves: a suspended program cannot look after motors\n"
 
 
 class Patience:
-    """While it is entered, Ctrl-C, SIGTERM and SIGHUP let the work in hand be finished and end the waiting for more.
+    """While it is entered, Ctrl-C, SIGTERM and their like let the work in hand be finished and end the waiting for more.
 
         with Patience() as patience:
             for batch in patience.each(batches):
                 …                                  # never interrupted
         patience.is_over                           # whether a signal ended it
 
-    A second signal interrupts at once, but not in `stopping`. One that is ignored, as under `nohup`, stays so.
+    A second signal interrupts at once, but not in `stopping`. One that is ignored, as under `nohup`, stays so. With
+    `is_driving` Ctrl-Z does the same, and says so: suspended, a program leaves motors on.
     """
 
-    def __init__(self) -> None:
-        self.is_over = False
+    def __init__(self, *, is_driving: bool = False) -> None:
+        self.is_over, self.is_driving = False, is_driving
         self._is_waiting = self._is_stopping = False
         self._before: dict[int, Any] = {}
         self._is_ours = threading.current_thread() is threading.main_thread()
@@ -40,11 +47,23 @@ class Patience:
     def __enter__(self) -> Self:
         if self._is_ours:
             self._before[signal.SIGINT] = signal.signal(signal.SIGINT, self._interrupted)
-            for name in ("SIGTERM", "SIGHUP"):
-                number = getattr(signal, name, None)
-                if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-                    self._before[number] = signal.signal(number, self._interrupted)
+            for name in ENDING:
+                self._take(name, self._interrupted)
+            if self.is_driving:
+                self._take("TSTP", self._suspended)
+                for name in OF_TERMINALS:
+                    self._take(name, signal.SIG_IGN)
         return self
+
+    def _take(self, name: str, handler: Any) -> None:
+        number = getattr(signal, f"SIG{name}", None)
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            self._before[number] = signal.signal(number, handler)
+
+    def _suspended(self, number: int, frame: FrameType | None) -> None:
+        with suppress(OSError):
+            os.write(2, SUSPENDED)  # a stream may be in the middle of a line
+        self._interrupted(number, frame)
 
     def __exit__(self, *_: object) -> None:
         for number, before in self._before.items():

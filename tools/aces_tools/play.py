@@ -27,12 +27,10 @@ from aces_bus.recordings import CanRecording, Chunk, SerialRecording, open_recor
 from .bus_arg import BUS_ARGUMENTS, CAN_OPTIONS, ChosenBus, chosen_bus
 from .console import ENDLESS, StatusLine, report_unreadable, say, say_note
 from .live import LINGER_S, BusEventLines, SendQueue
-from .live_view import live_view
+from .live_view import live_view, wants_view
 from .options import (
     DIRECTION,
     FILTER,
-    FOXGLOVE,
-    FOXGLOVE_ORIGIN,
     LOOP,
     MAP,
     PROTOCOL,
@@ -46,8 +44,9 @@ from .patience import Patience
 from .protocols_arg import parse_protocols
 
 if TYPE_CHECKING:
-    from aces_bus.access.foxglove import LiveBus, LiveView
     from aces_bus.hardware.replay import Pace
+
+    from .live_view import LiveView, ShownBus
 
 BATCH = 256
 #: What recordings are counted in, by the kind of bus.
@@ -62,6 +61,8 @@ PATIENCE_S = 5.0
 PROGRESS_S = 0.2
 #: Identifiers that are listed.
 LISTED = 24
+
+SUMMARY = "play recordings onto a bus at their pace; only with --tx"
 
 EPILOG = """\
 channels: all frames go to the bus that -c names. With --map OLD=NEW those of
@@ -89,11 +90,6 @@ ARGUMENTS: Arguments = (
     RATE,
     FILTER.but(help="CAN: only what candump's filters pass, such as 060:7F0; by the recording's channels"),
     MAP.but(help="CAN: channel OLD onto the bus NEW"),
-    FOXGLOVE.but(
-        help="show it live to Foxglove as it is played, also without --tx, at this port of this machine (default: 8765);"
-        " needs 'aces-bus[foxglove]'"
-    ),
-    FOXGLOVE_ORIGIN,
     PROTOCOL.but(help="with --foxglove: what is spoken, as of 'aces decode'; the first wins"),
     DIRECTION.but(metavar="{to,from}", help="serial: only what went to, or came from, the device"),
     *BUS_ARGUMENTS,
@@ -102,9 +98,9 @@ ARGUMENTS: Arguments = (
 
 def run(arguments: argparse.Namespace) -> int:
     playing = Playing(arguments)
-    if arguments.foxglove is None and not arguments.foxglove_origin:
+    if not wants_view("play", arguments):
         return playing.run() if arguments.tx else playing.show()
-    with live_view(arguments, f"play {', '.join(arguments.files)}") as playing.view:
+    with live_view("play", arguments, f"play {', '.join(arguments.files)}") as playing.view:
         return playing.run()
 
 
@@ -133,11 +129,13 @@ class Playing:
         self.total = self.filtered = self.skipped = self.unsent = 0
         self.unit = "frames" if self.bus is None else UNITS[self.bus.kind]
         self.variants = parse_protocols(arguments.protocol)
-        if self.variants and arguments.foxglove is None:
-            raise CallerError("-p is for --foxglove: what is played onto a bus is played as it is")
+        if self.variants and not wants_view("play", arguments):
+            raise CallerError(
+                "-p is for a live view (--foxglove): what is played onto a bus is played as it is"
+            )
         #: Who looks on live, and what is shown of each link.
         self.view: LiveView | None = None
-        self.live: dict[str, LiveBus] = {}
+        self.live: dict[str, ShownBus] = {}
         self.buses = self._buses()
         self.status = 0
         #: Of a recording that is shown: frames by identifier, channels, first and last time.
@@ -158,7 +156,7 @@ class Playing:
         return open_recording(name, link="serial" if is_serial else None)
 
     def _items(self, capture: CanRecording | SerialRecording, patience: Patience) -> Iterator[Frame | Chunk]:
-        """What of a recording is to be sent; the rest is counted."""
+        """Yield what of a recording is to be sent; the rest is counted."""
         if isinstance(capture, CanRecording):
             for frames in patience.each(capture.batches(BATCH)):
                 for frame in frames:
@@ -277,7 +275,7 @@ class Playing:
         return self.status
 
     def _buses(self) -> dict[str, ChosenBus]:
-        """The buses that are played onto, by name."""
+        """Return the buses that are played onto, by name."""
         if self.bus is None:
             return {}
         found = {self.bus.name: self.bus} if not self.map or "channel" in self.arguments else {}
@@ -356,12 +354,10 @@ class Playing:
         instant = (time.time_ns() if stamp == NO_TIME else stamp) - view.epoch_ns
         shown = self.live.get(link)
         if shown is None:
-            from aces_bus.access.foxglove import LiveBus
-
             variants = [variant for variant in self.variants if (variant.link == "can") is is_can]
             if not variants and not is_can:
-                raise CallerError("--foxglove: what do these bytes mean? name a protocol: -p NAME")
-            shown = self.live[link] = LiveBus(view, variants, name="", link=link, direction="both")
+                raise CallerError("live view: what do these bytes mean? name a protocol: -p NAME")
+            shown = self.live[link] = view.bus(variants, name="", link=link, direction="both")
         if isinstance(item, Frame):
             shown.passed(item, instant, True)
         else:
@@ -406,7 +402,7 @@ class _Line:
         self._free = 0.0
 
     def pieces(self, item: Any, stamp: int, *, is_split: bool) -> Iterable[tuple[int, Frame | bytes]]:
-        """The pieces of a frame or chunk, each with its instant; where there are no times, as fast as the line."""
+        """Yield the pieces of a frame or chunk, each with its instant; where there are no times, as fast as the line."""
         due = self._pace.due_at(stamp)
         if isinstance(item, Frame):
             yield due, item

@@ -27,13 +27,15 @@ from aces_bus.protocol.columns.table import MessageTable
 from aces_bus.recordings import Recording
 from aces_bus.recordings.totals import Totals
 
-from .console import check_not_read, say, say_note
+from .console import check_not_read, counted, say, say_note
 from .decode_columns import TableDecoding
 from .options import COLOR, DIRECTION, FROM, OUTPUT, PROTOCOL, TIME, TO, Arguments, argument, flag, several
 from .plotting.picture import LARGEST, Limits, LineNames, Picture, PlotPanel, panels_of
 from .plotting.select import Wanted, declared_signals, parse_groups, parse_pattern, select
 from .plotting.series import Collector, Series, TimeAxis
 from .plotting.telling import telling_signals
+
+SUMMARY = "draw signals over time: in the terminal, PNG, SVG, PDF"
 
 EPILOG = """\
 signals:
@@ -62,7 +64,7 @@ of what is asked for occurs; 130 after Ctrl-C, with what was read so far drawn
 
 
 def axis_number(text: str) -> float:
-    """A number that an axis can go to; for argparse."""
+    """Return a number that an axis can go to; for argparse."""
     try:
         value = float(text)
     except ValueError:
@@ -283,7 +285,7 @@ class Plotting(TableDecoding):
         return math.inf if self.clock.origin is None or (given is not None and given < 0) else given
 
     def _place(self, one: Series) -> Any:
-        """What series are sorted by: messages as they are declared, then devices."""
+        """Return what series are sorted by: messages as they are declared, then devices."""
         return list(self.declared).index(one.signal.owner), _natural(one.key)
 
     def _absent(self) -> str:
@@ -352,7 +354,8 @@ class Plotting(TableDecoding):
                 "there are more signals than a picture or a list shows: some are left out; name those wanted: [board=3]"
             )
         if self.clock.timeless:
-            say(f"{self.clock.timeless} messages have no time, and are left out")
+            has = "has no time, and is" if self.clock.timeless == 1 else "have no time, and are"
+            say(f"{counted(self.clock.timeless, 'message')} {has} left out")
         super()._summarise()
 
 

@@ -164,7 +164,8 @@ class BitDrawing(FrameDrawing):
                 f"left out: {counted(len(images.left_out), 'identifier')}, which came behind {len(images.images)} others"
             )
         if images.timeless:
-            say(f"{images.timeless} frames have no time, and are left out")
+            has = "has no time, and is" if images.timeless == 1 else "have no time, and are"
+            say(f"{counted(images.timeless, 'frame')} {has} left out")
         picture = BitPicture(images, chosen, arguments.title, arguments.style)
         if arguments.output is not None:
             save_bits(picture, arguments.output)
@@ -172,7 +173,7 @@ class BitDrawing(FrameDrawing):
             print_bits(picture, arguments.color, is_by_byte=len(chosen) > 1)
 
     def _all(self) -> list[BitImage]:
-        """Those that have data and are no errors, by channel and identifier; of too many those with most frames."""
+        """Return those that have data and are no errors, by channel and identifier; of too many those with most frames."""
         every = [one for one in self.images.images.values() if one.length and not one.identifier.is_error]
         some = [one for one in every if one.steps.any()]
         if len(some) < len(every):
@@ -272,7 +273,7 @@ class ByteDrawing(FrameDrawing):
             terminal.print_picture(picture, arguments.color)
 
     def _panels(self, name: str, series: list[Series]) -> list[PlotPanel]:
-        """A panel a byte; where some change, those that do not are said and not drawn."""
+        """Return a panel a byte; where some change, those that do not are said and not drawn."""
         still = [one for one in series if one.low == one.high]
         moving = [one for one in series if one.low != one.high] or series
         if len(moving) < len(series):

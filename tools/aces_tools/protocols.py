@@ -42,7 +42,10 @@ from aces_bus.protocol.plan.scalars import NotFlat, scalar_of
 from .console import counted, print_json, say
 from .options import COLOR, JSON, Arguments, argument, flag
 from .output.columns import Page
+from .proofs import badge_text, read_badges
 from .protocols_arg import named_protocol
+
+SUMMARY = "list protocols, their messages, and the layout of a message"
 
 ARGUMENTS: Arguments = (
     argument("protocol", nargs="?", metavar="NAME", help="as -p of 'aces decode'"),
@@ -76,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def chosen_messages(arguments: argparse.Namespace) -> list[Message]:
-    """The message that a call asks for, or all of its protocol; raises `UnknownNameError`."""
+    """Return the message that a call asks for, or all of its protocol; raises `UnknownNameError`."""
     chosen = named_protocol(arguments.protocol)
     messages = list(chosen.protocol.declared)
     if chosen.dialect is not None or chosen.configuration is not None:
@@ -177,6 +180,7 @@ def _print_protocol(protocol: Protocol, messages: Sequence[Message], page: Page)
         *_facts(protocol),
         *([f"source: {protocol.source}"] if protocol.source else []),
         f"declared in {protocol.place}",
+        *([f"proofs: {badge_text(protocol)}"] if protocol.name in read_badges() else []),
     ]
     page.beside(protocol.name, facts, "message")
     page.lines([""])
@@ -209,7 +213,7 @@ _ARROWS = {None: "", "to device": "→", "from device": "←"}
 
 
 def _recognised_by(message: Message) -> str:
-    """What distinguishes a message from others: identifier, matched head fields, constants of the payload."""
+    """Return what distinguishes a message from others: identifier, matched head fields, constants of the payload."""
     parts = []
     if message.protocol.link == "can":
         parts.append(message.identifier.describe(8 if message.extended else 3))
@@ -308,7 +312,7 @@ def _print_messages(messages: Sequence[Message], page: Page) -> None:
 
 
 def _template(message: Message) -> list[tuple[str, str]]:
-    """What says which frames or packets are this message."""
+    """Return what says which frames or packets are this message."""
     values = draw.captured_values(message) if message.protocol.link == "can" else {}
     kinds = (("29 bits", message.extended), ("remote", message.remote), ("CAN FD", message.fd))
     parts = [

@@ -63,7 +63,7 @@ class Named(NamedTuple):
     channel: str | None = None
 
     def variant(self) -> Variant:
-        """The protocol in this dialect and configuration; raises `CallerError` for one that it does not have."""
+        """Return the protocol in this dialect and configuration; raises `CallerError` for one that it does not have."""
         dialect, configuration = self.decided()
         found = self.protocol.variant(dialect, configuration)
         return found if self.channel is None else found.on(self.channel)
@@ -78,12 +78,12 @@ class Named(NamedTuple):
 
 
 def parse_protocols(texts: Iterable[str]) -> list[Variant]:
-    """The variants of several `-p`, each once, in the order given."""
+    """Return the variants of several `-p`, each once, in the order given."""
     return list(dict.fromkeys(named_protocol(text).variant() for text in texts))
 
 
 def named_protocol(text: str) -> Named:
-    """What a `-p` names; raises `CallerError` with what would have worked."""
+    """Return what a `-p` names; raises `CallerError` with what would have worked."""
     if (bound := _CHANNEL.fullmatch(text)) and not os.path.exists(text):
         return named_protocol(bound["rest"])._replace(channel=bound["channel"])
     if found := _FILE.fullmatch(text):
@@ -136,7 +136,7 @@ def _say_problems(imported: ImportedProtocol) -> None:
 
 
 def read_configuration(path: str, protocol: Protocol) -> tuple[dict[str, Mapping[int, Any]], str | None]:
-    """The configuration tables of a TOML file, and the dialect that it names; None: none.
+    """Return the configuration tables of a TOML file, and the dialect that it names; None: none.
 
     Raises `CallerError` naming file and entry.
     """
@@ -156,7 +156,7 @@ def read_configuration(path: str, protocol: Protocol) -> tuple[dict[str, Mapping
 
 
 def _of_robot(path: str, data: bytes, protocol: Protocol) -> tuple[dict[str, Mapping[int, Any]], str | None]:
-    """What a robot's file says of a protocol; raises `CallerError` with all that is wrong with the file."""
+    """Return what a robot's file says of a protocol; raises `CallerError` with all that is wrong with the file."""
     from aces_bus.robot import RobotError, parse_robot
 
     robot, problems = parse_robot(data, path)
@@ -166,7 +166,7 @@ def _of_robot(path: str, data: bytes, protocol: Protocol) -> tuple[dict[str, Map
 
 
 def _of_tables(path: str, content: Mapping[str, Any], protocol: Protocol) -> dict[str, Mapping[int, Any]]:
-    """The tables of a file that holds nothing else."""
+    """Return the tables of a file that holds nothing else."""
     needed = {key for tables in protocol.configurations.values() for key in tables}
     needed |= {condition.key for message in protocol.declared for condition in message.when}
     if not needed:

@@ -51,7 +51,7 @@ class RegisterNotes:
                 self._notes[id(item)] = notes
 
     def of(self, record: Any) -> Sequence[PrintedField]:
-        """The registers of a record, as text shows them behind its fields."""
+        """Return the registers of a record, as text shows them behind its fields."""
         return self._notes.get(id(record), ())
 
 
@@ -86,7 +86,7 @@ class _Tables:
         return self._values(address, getattr(record, "data", b""))
 
     def _names(self, start: int, count: int) -> list[PrintedField]:
-        """The first and the last of the registers that begin in a stretch."""
+        """Return the first and the last of the registers that begin in a stretch."""
         tables = [[one for one in _ordered(map_) if 0 <= one.address - start < count] for map_ in self._maps]
         names = {(found[0].name, found[-1].name) if found else ("", "") for found in tables}
         if len(names) != 1 or any(found and found[0].address != start for found in tables):
@@ -195,7 +195,7 @@ def with_registers(message: Message, texts: Sequence[str]) -> list[str]:
 
 
 def _agreed(message: Message, name: str) -> Register:
-    """The register of this name, where it is at one place and of one size in all tables."""
+    """Return the register of this name, where it is at one place and of one size in all tables."""
     maps = message.protocol.register_maps
     found = [table[name] for table in maps if name in table]
     if not found:

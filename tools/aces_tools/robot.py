@@ -12,6 +12,10 @@
 
 A name is a robot that ships; what ends in .toml is a file. The file says which
 board is what too: aces decode walk.log -p hubo@robot.toml
+
+Checking and showing a robot runs no code. Other commands run the Python file of
+a protocol that a robot's file names, if it lies below the file's folder; one
+that lies elsewhere is used only when you name it with --driver.
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -30,11 +34,21 @@ from .console import check_suffix, counted, print_json, say, say_note, write_tex
 from .options import COLOR, JSON, OUTPUT, STRICT, Arguments, argument
 from .robot_arg import DRIVER_FILES, use_driver_files
 
+if TYPE_CHECKING:
+    from aces_bus.device import Robot
+
+#: The tick (Hz) of robots whose file states none, where it decides how long a watchdog waits.
+USUAL_RATE_HZ = 100.0
+
+SUMMARY = "robots as files: check, show, list; import from other programs"
+
 ARGUMENTS: Arguments = (
     argument("what", choices=["check", "list", "show", "import"], help="what to do"),
     argument("robots", nargs="*", metavar="NAME|FILE", help="robots; import: description files"),
     JSON,
-    STRICT.but(help="check: what is not installed or looks wrong is an error"),
+    STRICT.but(
+        help="check: what is not installed or looks wrong is an error; joints that no watchdog stops are named"
+    ),
     OUTPUT.but(metavar="FILE.toml", help="import: write there (default: standard output)"),
     argument("--base", metavar="NAME", help="import: the robot that a .home table changes"),
     argument("--name", metavar="NAME", help="import: the name of the robot"),
@@ -78,12 +92,14 @@ def _check(names: Sequence[str], arguments: argparse.Namespace) -> int:
     for name in names:
         robot, problems = check_robot(name, is_strict=arguments.strict)
         is_right = robot is not None
+        without = _without_watchdog(robot) if robot is not None and arguments.strict else {}
         status = status if is_right else 1
         objects.append(
             {
                 "robot": name,
                 "ok": is_right,
                 "counts": _counts(robot) if robot is not None else None,
+                "without_watchdog": without,
                 "problems": [
                     {
                         "file": one.file,
@@ -99,12 +115,33 @@ def _check(names: Sequence[str], arguments: argparse.Namespace) -> int:
         if not arguments.json:
             for one in problems:
                 print(one)
+            for device, text in without.items():
+                print(f"{name}: {device}: no watchdog of its own: without its host it {text}")
             errors = sum(not one.is_warning for one in problems)
             facts = _facts(robot) if robot is not None else counted(errors, "error")
             print(f"{name}: {'ok: ' if is_right else ''}{facts}")
     if arguments.json:
         print_json(objects)
     return status
+
+
+def _without_watchdog(robot: Robot) -> dict[str, str]:
+    """Return the devices with joints that nothing stops when the host is gone: name → what they do then.
+
+    Empty where its drivers are not installed, or are files that are not run here; a note says so.
+    """
+    from aces_bus.robot import VirtualRobot
+
+    try:
+        rig = VirtualRobot(robot, rate_hz=robot.rate_hz or USUAL_RATE_HZ).rig
+    except AcesError as error:
+        say_note(f"{robot.name}: whether its devices have watchdogs is not known: {error}")
+        return {}
+    return {
+        device.name: f"{device.host_loss} ({', '.join(joint.name for joint in device.joints)})"
+        for device in rig.devices.values()
+        if device.joints and device.host_loss.lacks_watchdog
+    }
 
 
 def _counts(robot: Any) -> dict[str, int]:
@@ -170,9 +207,7 @@ def _list(arguments: argparse.Namespace) -> int:
 
 
 def _show(names: Sequence[str], arguments: argparse.Namespace) -> int:
-    from aces_bus import load_robot
-
-    robots = [load_robot(name) for name in names]
+    robots = [_looked_at(name) for name in names]
     if arguments.json:
         shown = [msgspec.to_builtins(robot) for robot in robots]
         print_json(shown[0] if len(shown) == 1 else shown)
@@ -192,8 +227,18 @@ def _show(names: Sequence[str], arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _looked_at(name: str) -> Robot:
+    """Return a robot without running the Python files that it names; raises `RobotError`."""
+    from aces_bus.robot import RobotError, check_robot
+
+    robot, problems = check_robot(name)
+    if robot is None:
+        raise RobotError([problem for problem in problems if not problem.is_warning])
+    return robot
+
+
 def _tables(robot: Any) -> Iterable[tuple[Sequence[str], list[tuple[str, ...]]]]:
-    """The tables of `show`: head and rows; what is unknown is an empty cell."""
+    """Yield the tables of `show`: head and rows; what is unknown is an empty cell."""
     yield (
         ("bus", "link", "protocol", "speed", "channel"),
         [
@@ -302,6 +347,36 @@ def _tables(robot: Any) -> Iterable[tuple[Sequence[str], list[tuple[str, ...]]]]
         ],
     )
     yield (
+        ("input", "reads", "bit", "clear", "pressed", "stale after"),
+        [
+            tuple(
+                map(
+                    printable,
+                    (
+                        " ".join(path),
+                        one.signal or one.message or f"key {one.key}",
+                        _cell(one.bit),
+                        _cell(one.clear),
+                        _cell(one.pressed),
+                        "" if one.key else f"{one.stale_after_s:g} s",
+                    ),
+                )
+            )
+            for path, one in robot.inputs.items()
+        ],
+    )
+    yield (
+        ("reduced speed", "active"),
+        [
+            (
+                f"{one.scale:.3g} of every limit",
+                "yes" if one.active else "--reduced" if one.input is None else "--reduced, or by its input",
+            )
+            for one in (robot.reduced,)
+            if one is not None
+        ],
+    )
+    yield (
         ("bus, device, controller", "rate", "priority"),
         [
             (printable(one.name), "" if one.rate_hz is None else f"{one.rate_hz:g} Hz", _cell(one.priority))
@@ -327,7 +402,8 @@ def _joined(protocol: str, dialect: str | None) -> str:
 
 def _speed(bus: Any) -> str:
     if bus.bitrate is not None:
-        return f"{bus.bitrate / 1000:g} kbit/s"
+        data = f", data {bus.data_bitrate / 1000:g}" if bus.data_bitrate is not None else ""
+        return f"{bus.bitrate / 1000:g}{data} kbit/s"
     return f"{bus.baud} baud" if bus.baud is not None else ""
 
 

@@ -23,7 +23,10 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from msgspec.structs import replace
+
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
+from aces_bus.hardware.served.address import is_served
 
 from .bus_arg import near_buses, served_address
 from .options import SEED, Group, argument, at_least, flag, several
@@ -39,7 +42,7 @@ VARIABLE = "ACES_ROBOT"
 DRIVER_FILES = several(
     "--driver",
     metavar="FILE.py",
-    help="use the drivers (and twins) of a Python file, too; it is run with your rights",
+    help="use the drivers, twins and protocols of a Python file, too; it is run with your rights",
 )
 _TITLE = "the robot and its buses"
 #: What `sim` takes, and the others.
@@ -47,7 +50,10 @@ ROBOT_AND_BUSES = Group(
     _TITLE,
     (
         argument(
-            "-r", "--robot", metavar="NAME|FILE", help=f"a robot that ships, or a file (default: ${VARIABLE})"
+            "-r",
+            "--robot",
+            metavar="NAME|FILE",
+            help=f"a robot that ships, or a file; protocols in Python below its folder are run (default: ${VARIABLE})",
         ),
         several(
             "--bus",
@@ -73,6 +79,22 @@ ROBOT_OR_TWINS = Group(
         POSE,
     ),
 )
+REDUCED = flag("--reduced", help="at the reduced speed that the robot's file states")
+#: Where what is done is written.
+ACTS = argument(
+    "--acts", metavar="FILE", help="append who did what, a line each: enabled, stopped, limits, e-stop"
+)
+
+
+def at_reduced_speed(robot: Robot, is_wanted: bool) -> Robot:
+    """Return the robot at its reduced speed, where that is wanted; raises `CallerError` where its file states none."""
+    if not is_wanted:
+        return robot
+    if robot.reduced is None:
+        raise CallerError(
+            f"--reduced: the file of {robot.name} states no reduced speed: [reduced] scale = 0.25"
+        )
+    return replace(robot, reduced=replace(robot.reduced, active=True))
 
 
 def use_driver_files(paths: Sequence[str]) -> None:
@@ -87,7 +109,7 @@ def use_driver_files(paths: Sequence[str]) -> None:
 def chosen_robot(
     name: str | None, driver_files: Sequence[str] = (), *, how: str = "--robot NAME or FILE.toml"
 ) -> Robot:
-    """The robot of a name, a file or the variable, whose drivers may be in files. `how` says how one is named.
+    """Return the robot of a name, a file or the variable, whose drivers may be in files. `how` says how one is named.
 
     Raises `CallerError` when there is none, `RobotError` for a bad file.
     """
@@ -101,7 +123,7 @@ def chosen_robot(
 
 
 def chosen_pose(robot: Robot, texts: Sequence[str]) -> dict[str, float]:
-    """Where `--pose` puts joints (rad, m); raises `CallerError` for what is no joint's angle."""
+    """Return where `--pose` puts joints (rad, m); raises `CallerError` for what is no joint's angle."""
     found: dict[str, float] = {}
     for text in texts:
         name, _, value = text.partition("=")
@@ -132,11 +154,11 @@ def bus_options(robot: Robot, arguments: argparse.Namespace) -> dict[str, dict[s
         found[name]["channel"] = channel
     for name, bus in robot.buses.items():
         channel = str(found[name].get("channel", ""))
-        if bus.link == "can" and channel.startswith(("unix:", "tcp:")):
+        if bus.link == "can" and is_served(channel):
             found[name]["interface"] = "aces"
         elif bus.link == "can" and arguments.interface:
             found[name]["interface"] = arguments.interface
-            if arguments.interface == "aces" and not channel and bus.channel and ":" not in bus.channel:
+            if arguments.interface == "aces" and not channel and bus.channel and not is_served(bus.channel):
                 # A virtual bus within this program would have no other node on it.
                 found[name]["channel"] = f"unix:{bus.channel}"
         elif bus.link == "can" and channel and not bus.interface and (address := served_address(channel)):
@@ -166,8 +188,8 @@ def open_robot(
     passive: bool = False,
     pose: Mapping[str, float] | None = None,
 ) -> Generator[Opened]:
-    """The robot on its buses, or in virtual time with its twins; closed again at the end. `passive`: real buses are only
-    listened to. `pose` is where twins are at first.
+    """Yield the robot on its buses, or in virtual time with its twins; closed again at the end. `passive`: real buses
+    are only listened to. `pose` is where twins are at first.
 
     Raises `CallerError` naming the bus that cannot be opened.
     """
@@ -197,7 +219,7 @@ def open_robot(
 
 
 def channel_of(robot: Robot, name: str, options: Mapping[str, Mapping[str, Any]]) -> str | None:
-    """Where a bus is: what the call says, else the robot's file."""
+    """Return where a bus is: what the call says, else the robot's file."""
     return options[name].get("channel") or robot.buses[name].channel
 
 
@@ -226,13 +248,13 @@ def open_host(name: str, station: Any, channel: str | None) -> None:
 
 #: python-can, where nothing says which of its interfaces a channel is of.
 NO_INTERFACE = 'Unknown interface type "None"'
+INTERFACE_HELP = (
+    "which interface? -i socketcan for one, -i aces for those of `aces sim` (also CAN_INTERFACE, or"
+    " interface = in the robot's file)"
+)
 #: What backends say when they cannot open a bus, and what helps.
 _SAYINGS = (
-    (
-        re.compile(NO_INTERFACE),
-        "which interface? -i socketcan for one, -i aces for those of `aces sim` (also CAN_INTERFACE, or"
-        " interface = in the robot's file)",
-    ),
+    (re.compile(NO_INTERFACE), INTERFACE_HELP),
     (re.compile(r"\[Errno \d+\] could not open port \S+ \[Errno \d+\] ([^:]+):.*"), r"\1"),
     (re.compile(r"\[Errno \d+\] (Address family not supported.*)"), r"\1: this system has no SocketCAN"),
     (
@@ -243,7 +265,7 @@ _SAYINGS = (
 
 
 def _clearer(said: str) -> str:
-    """What a backend says, without what says nothing, and with what helps."""
+    """Return what a backend says, without what says nothing, and with what helps."""
     for pattern, instead in _SAYINGS:
         found = pattern.fullmatch(said)
         if found:

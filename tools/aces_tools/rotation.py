@@ -57,7 +57,7 @@ class Rotation:
 
 
 def numbered(path: str, number: int | str) -> str:
-    """The name of a file of a series.
+    """Return the name of a file of a series.
 
     >>> numbered("logs/walk.asc.gz", 3)
     'logs/walk-00003.asc.gz'

@@ -25,11 +25,10 @@ import argparse
 
 from aces_bus.errors import CallerError
 
+from .live_view import wants_view
 from .options import (
     ASK,
     FOR,
-    FOXGLOVE,
-    FOXGLOVE_ORIGIN,
     LOOP,
     QUIET,
     RATE,
@@ -42,7 +41,9 @@ from .options import (
     positive,
     several,
 )
-from .robot_arg import ROBOT_OR_TWINS, chosen_robot
+from .robot_arg import ACTS, REDUCED, ROBOT_OR_TWINS, at_reduced_speed, chosen_robot
+
+SUMMARY = "run controllers on a robot, simulated, real (--tx) or recorded"
 
 EPILOG = """\
 exit status:
@@ -67,9 +68,12 @@ ARGUMENTS: Arguments = (
         metavar="FILE[:STATE,…]",
         help="record states (default: those of the controllers) into .csv, .txt, .db, .parquet, .mcap",
     ),
-    FOXGLOVE,
-    FOXGLOVE_ORIGIN,
+    REDUCED,
+    ACTS.but(
+        help="append who did what, a line each: enabled, stopped, limits, e-stop (with --tx and --log: beside the log)"
+    ),
     flag("--home", help="make what is driven find its home position first"),
+    flag("--unhomed", help="drive joints that are not homed, too: where they say they are, they are not"),
     argument(
         "--no-enable", dest="enable", action="store_false", help="do not enable what is driven before it runs"
     ),
@@ -84,9 +88,10 @@ ARGUMENTS: Arguments = (
     ),
     argument(
         "--at-end",
-        choices=("disable", "hold"),
+        choices=("disable", "hold", "park"),
         default="disable",
-        help="hold: leave the robot enabled, where it is (default: disable)",
+        help="hold: leave the robot enabled, where it is; park: lead it to the pose of its file first, slowly; Ctrl-C then"
+        " stops it (default: disable)",
     ),
     flag(
         "--real-time",
@@ -118,18 +123,20 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.virtual and arguments.replay:
         raise CallerError("choose one of --virtual and --replay")
-    if (arguments.virtual or arguments.replay) and (arguments.bus or arguments.interface):
+    if arguments.virtual and (arguments.bus or arguments.interface):
+        raise CallerError("--virtual has no buses; leave --bus and -i away")
+    if arguments.replay and arguments.interface:
         raise CallerError(
-            f"{'--virtual' if arguments.virtual else '--replay'} has no buses; leave --bus and -i away"
+            "--replay opens no bus; leave -i away (--bus BUS=CHANNEL: the recording's channel of a bus)"
         )
     if arguments.replay and (arguments.tx or arguments.home or arguments.ask):
         raise CallerError("--replay moves nothing; leave --tx, --ask and --home away")
     if arguments.pose and not arguments.virtual:
         raise CallerError("--pose is for twins: add --virtual, or give it to aces sim")
-    robot = chosen_robot(arguments.robot, arguments.driver)
+    robot = at_reduced_speed(chosen_robot(arguments.robot, arguments.driver), arguments.reduced)
     rate = arguments.rate or robot.rate_hz or 100.0
     controllers = load_controllers(arguments.items, robot, rate, arguments)
-    if not controllers and not arguments.log and arguments.foxglove is None:
+    if not controllers and not arguments.log and not wants_view("run", arguments):
         raise CallerError("what is to run? name a controller (FILE.py, a trajectory), or what to --log")
     loggers = make_loggers(arguments.log, controllers, robot, rate)
     from .running.session import Session

@@ -47,6 +47,8 @@ from .values import parse_fields
 #: Frames a second, unless --rate says otherwise.
 LIMIT_HZ = 1000.0
 
+SUMMARY = "send a message, once or periodically; only with --tx"
+
 EPILOG = """\
 values:
   board=3  mode=torque  error=hot|cold  data=0a00  name="left arm"
@@ -165,7 +167,7 @@ class Sending:
         return lambda: _packets(encoder.next(name, **self.fields))
 
     def _often(self) -> tuple[int | None, int | None, int | None]:
-        """The period, how many times, and for how long, in ns."""
+        """Return the period, how many times, and for how long, in ns."""
         arguments = self.arguments
         if arguments.every is None:
             for option, value in (("--count", arguments.count), ("--for", arguments.duration)):
@@ -214,14 +216,14 @@ class Sending:
         return "can" if self.is_can else "serial"
 
     def _receiver(self) -> Any:
-        """A scanner for what is sent."""
+        """Return a scanner for what is sent."""
         if not self.variants:
             return CanScanner((), include_unknown=True)
         direction = self.message.direction if self.message is not None else None
         return make_scanner(self.variants, direction=direction or "both", include_unknown=True)
 
     def _decoded(self, scanner: Any, packet: Packet) -> list[Any]:
-        """What a receiver would make of it; of a packet in several frames, with its last one."""
+        """Return what a receiver would make of it; of a packet in several frames, with its last one."""
         if not self.variants and isinstance(packet, bytes):
             return [
                 Unknown("unknown", Meta(None, None, None, None, None, packet, offset=0, size=len(packet)))
@@ -229,7 +231,7 @@ class Sending:
         return list(scanner.feed([packet]) if isinstance(packet, Frame) else scanner.datagram(packet))
 
     def writer(self) -> Any:
-        """What prints records in the format that was asked for."""
+        """Return what prints records in the format that was asked for."""
         if self.arguments.format == "jsonl":
             from .output.jsonl import JsonLines
 
@@ -295,7 +297,9 @@ class Sending:
         return status
 
     def _handshakes(self, gate: Any) -> Any:
-        """What sends packets that take a handshake, or pauses, and lets their answers go on; None where there is neither."""
+        """Return what sends packets that take a handshake, or pauses, and lets their answers go on; None where there
+        is neither.
+        """
         carrier = None if self.message is None else self.message.transport
         if carrier is None or self.variant is None or (len(self.first) == 1 and self.reply_ns is None):
             return None
@@ -304,7 +308,7 @@ class Sending:
         return PacketSender(gate, [self.variant], self._is_answer)
 
     def _is_answer(self, key: int, data: bytes) -> bool:
-        """Whether the packet that a frame begins may be the reply that is waited for."""
+        """Return whether the packet that a frame begins may be the reply that is waited for."""
         if self.variant is None or self.reply_ns is None:
             return False
         sent = [self.message] if self.message is not None else []
@@ -364,7 +368,7 @@ class Sending:
 
 
 def raw_packet(text: str) -> Packet:
-    """A raw frame from `123#DEADBEEF`, or bytes from `#DEADBEEF`; raises `CallerError`."""
+    """Return a raw frame from `123#DEADBEEF`, or bytes from `#DEADBEEF`; raises `CallerError`."""
     if text.startswith("#"):
         try:
             data = bytes.fromhex(text[1:].replace(".", ""))
@@ -389,7 +393,7 @@ def raw_packet(text: str) -> Packet:
 
 
 def _packets(made: Any) -> list[Packet]:
-    """What an encoder made: python-can messages as frames, bytes as they are."""
+    """Return what an encoder made: python-can messages as frames, bytes as they are."""
     if isinstance(made, bytes):
         return [made]
     return [message_to_frame(one) for one in (made if isinstance(made, list) else [made])]
@@ -513,7 +517,7 @@ class Replies:
 
 
 def answers(variant: Variant | None, message: Message | None) -> frozenset[str]:
-    """The messages that the protocol says answer this one."""
+    """Return the messages that the protocol says answer this one."""
     if variant is None or message is None:
         return frozenset()
     return frozenset(

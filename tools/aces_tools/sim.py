@@ -32,7 +32,7 @@ from aces_bus.errors import CallerError, UnknownNameError
 
 from .console import ENDLESS, counted, print_json, say, say_note
 from .live_view import live_view, show_bus, show_bus_event
-from .options import FOR, FOXGLOVE, FOXGLOVE_ORIGIN, JSON, SEED, Arguments, flag, several
+from .options import FOR, JSON, SEED, Arguments, flag, several
 from .patience import Patience
 from .robot_arg import (
     POSE,
@@ -45,11 +45,14 @@ from .robot_arg import (
 )
 
 if TYPE_CHECKING:
-    from aces_bus.access.foxglove import LiveView
     from aces_bus.device import Robot
     from aces_bus.device.twin import JointModel
     from aces_bus.robot import Simulation
 
+    from .live_view import LiveView
+
+
+SUMMARY = "put a robot's simulated devices on a bus"
 
 EPILOG = """\
 exit status: 0; 2 a wrong call, or a bus that cannot be served or opened
@@ -64,8 +67,7 @@ ARGUMENTS: Arguments = (
     FOR.but(help="end after so long (default: Ctrl-C)"),
     SEED,
     POSE,
-    FOXGLOVE,
-    FOXGLOVE_ORIGIN,
+    flag("--unhomed", help="joints are as after power-up: what needs homing is not homed"),
     JSON.but(help="the buses, and at the end the counts, as JSON"),
     ROBOT_AND_BUSES,
 )
@@ -82,8 +84,8 @@ def run(arguments: argparse.Namespace) -> int:
     with ExitStack() as stack:
         patience = stack.enter_context(Patience())
         pose = chosen_pose(robot, arguments.pose)
-        view = stack.enter_context(live_view(arguments, f"{robot.name}, simulated"))
-        stand = SimulatedRobot(robot, options, arguments.seed, stack, pose, view)
+        view = stack.enter_context(live_view("sim", arguments, f"{robot.name}, simulated"))
+        stand = SimulatedRobot(robot, options, arguments.seed, stack, pose, view, homed=not arguments.unhomed)
         for names, fault, amount in faults:
             for name in names:
                 stand.simulation[name].fault(fault, amount)
@@ -121,7 +123,7 @@ def parse_fault(robot: Robot, text: str) -> tuple[list[str], str, float | None]:
 
 
 def fault_names(robot: Robot, device: str) -> dict[str, str]:
-    """How a device can misbehave: name → what it does."""
+    """Return how a device can misbehave: name → what it does."""
     from aces_bus.device import load_driver
     from aces_bus.device.twin import FAULTS
 
@@ -189,6 +191,8 @@ class SimulatedRobot:
         stack: ExitStack,
         pose: Mapping[str, float] | None = None,
         view: LiveView | None = None,
+        *,
+        homed: bool = True,
     ) -> None:
         from aces_bus.robot import gate_of, port_for, simulate
         from aces_bus.robot.rig import spoken_on
@@ -213,7 +217,7 @@ class SimulatedRobot:
             if name not in lines:
                 bus = robot.buses[name]
                 ports[name] = port_for(gate_of(bus, protocol, options[name]), bus, self.loop)
-        self.simulation: Simulation = simulate(robot, ports, seed=seed, pose=pose)
+        self.simulation: Simulation = simulate(robot, ports, seed=seed, pose=pose, homed=homed)
         stack.callback(self.simulation.close)
         if view is not None:
             self._show_live(view)
@@ -225,7 +229,6 @@ class SimulatedRobot:
 
     def _show_live(self, view: LiveView) -> None:
         """Where its joints are, and what passes its buses."""
-        from aces_bus.access.foxglove import LiveStates
         from aces_bus.kinematics import load_body
 
         for name, twins in self.simulation.buses.items():
@@ -233,7 +236,7 @@ class SimulatedRobot:
             twins.port.on_event(partial(show_bus_event, view, name))
         body, loop = self.robot.body, self.loop
         period_ns = round(1e9 / (self.robot.rate_hz or 100.0))
-        states = LiveStates(view, 1e9 / period_ns, body=None if body is None else load_body(body))
+        states = view.states(1e9 / period_ns, None if body is None else load_body(body))
         joints = self.simulation.world.joints
 
         def reader(joint: JointModel) -> Callable[[], float]:
@@ -254,7 +257,7 @@ class SimulatedRobot:
     # ------------------------------------------------------------------ serial lines
 
     def _own_lines(self, names: list[str], stack: ExitStack) -> dict[str, Any]:
-        """A simulated line for each of these buses, with a pseudo-terminal as its other end."""
+        """Return a simulated line for each of these buses, with a pseudo-terminal as its other end."""
         if not names:
             return {}
         from aces_bus.hardware import SerialPort
@@ -280,9 +283,12 @@ class SimulatedRobot:
     # ------------------------------------------------------------------ CAN
 
     def _wanted(self, name: str, options: Mapping[str, Any]) -> str | None:
-        """The served bus's address for a CAN bus, `unix:NAME`; None: it is a bus that is there."""
-        if not options:
-            return f"unix:{self.robot.buses[name].channel or name}"
+        """Return the served bus's address for a CAN bus, `unix:NAME`; None: it is a bus that is there."""
+        from aces_bus.hardware.served import is_served
+
+        written = self.robot.buses[name].channel or name
+        if not options and not written.startswith("tcp:"):
+            return written if is_served(written) else f"unix:{written}"
         channel = str(options.get("channel", ""))
         is_ours = channel.startswith("unix:") and options.get("interface") == "aces"
         return channel if is_ours else None
@@ -312,13 +318,18 @@ class SimulatedRobot:
             if is_served:
                 continue
             protocol = spoken_on(self.robot)[name]
-            bitrate = self.robot.buses[name].bitrate or protocol.bitrate or 1_000_000
+            bus = self.robot.buses[name]
+            bitrate = bus.bitrate or protocol.bitrate or 1_000_000
             _warm()
             plain = text.removeprefix("unix:")
             is_path = "/" in plain
             # Devices acknowledge one another, and all twins are one node here: what they send by themselves is to arrive.
             channel = ServedChannel(
-                name if is_path else plain, bitrate=bitrate, fd=protocol.has_fd, acknowledge=True
+                name if is_path else plain,
+                bitrate=bitrate,
+                data_bitrate=bus.data_bitrate,
+                fd=protocol.has_fd,
+                acknowledge=True,
             )
             server = BusServer([channel], unix=plain if is_path else "", tcp=None, socketcand=None, said=say)
             stack.callback(server.close)
@@ -344,7 +355,7 @@ class SimulatedRobot:
     # ------------------------------------------------------------------ how others join
 
     def listen_with(self, name: str, robot: str) -> str:
-        """A command that shows what happens on a bus; a serial line, which has one other end, is scanned."""
+        """Return a command that shows what happens on a bus; a serial line, which has one other end, is scanned."""
         from aces_bus.protocol import list_protocols
         from aces_bus.protocol.files import python_file
         from aces_bus.robot.rig import spoken_on
@@ -377,7 +388,7 @@ class SimulatedRobot:
 
 
 def _answers(address: Any) -> bool:
-    """Whether a bus is served there."""
+    """Return whether a bus is served there."""
     try:
         address.connect(1.0).close()
     except OSError:

@@ -37,15 +37,13 @@ from .decode import LiveDecoding
 from .decoding import utf8
 from .live import BusEventLines, losses, received_frame, silence_s
 from .live_text import CandumpLines, LiveText, Times
-from .live_view import live_view, show_bus_event
+from .live_view import live_view, show_bus_event, wants_view
 from .options import (
     COLOR,
     COUNT,
     DIRECTION,
     FILTER,
     FOR,
-    FOXGLOVE,
-    FOXGLOVE_ORIGIN,
     MESSAGE,
     OUTPUT,
     PROTOCOL,
@@ -64,16 +62,17 @@ from .protocols_arg import parse_protocols
 from .rotation import Rotation
 
 if TYPE_CHECKING:
-    from aces_bus.access.foxglove import LiveRecords, LiveView
-
     from .bus_arg import AnyGate
     from .live_log import LogSeries
+    from .live_view import LiveView, ShownRecords
     from .recorder import RecordingFile
 
 #: Frames that come close behind each other are shown together, once in this time (s): less work, and not visible.
 TOGETHER_S = 0.01
 #: Seconds between two times at which a log is handed to the system.
 LOG_S = 0.25
+
+SUMMARY = "listen to a bus: decoded lines, filters, recordings; cannot send"
 
 EPILOG = """\
 times (-t): with jsonl they are always absolute.
@@ -127,8 +126,6 @@ ARGUMENTS: Arguments = (
     ROTATE,
     QUIET.but(help="print no lines, only the summary"),
     argument("--record", metavar="FILE", help="write all that is received there; see below"),
-    FOXGLOVE,
-    FOXGLOVE_ORIGIN,
     flag("--screen", help="a table of all that repeats, live; needs 'aces-bus[screen]'"),
     COLOR,
     *BUS_ARGUMENTS,
@@ -164,7 +161,7 @@ class Sniffing(LiveDecoding):
         self.log: LogSeries | None = None
         self._logged = 0.0
         #: Who looks on live.
-        self.live: LiveRecords | None = None
+        self.live: ShownRecords | None = None
         self.times = Times(arguments.time)
         #: Where no protocol is named: candump's lines.
         self.lines: CandumpLines | None = None
@@ -220,7 +217,7 @@ class Sniffing(LiveDecoding):
     def run(self) -> int:
         if self.arguments.screen:
             return _run_on_screen(self)
-        with live_view(self.arguments, f"sniff {self.name}") as view:
+        with live_view("sniff", self.arguments, f"sniff {self.name}") as view:
             return self._run(view)
 
     def _run(self, view: LiveView | None) -> int:
@@ -228,10 +225,8 @@ class Sniffing(LiveDecoding):
         events, inbox = BusEventLines(gate), gate.subscribe()
         recorder = self.recorder()
         if view is not None:
-            from aces_bus.access.foxglove import LiveRecords
-
             gate.on_event(lambda event: show_bus_event(view, event.bus, event.kind, event.detail))
-            self.live = LiveRecords(view, self.variants[self.link], scanner=self.scanner)
+            self.live = view.records(self.variants[self.link], scanner=self.scanner)
             self.is_watched = True
         with Patience() as patience:
             self.open(gate, recorder)
@@ -272,7 +267,7 @@ class Sniffing(LiveDecoding):
             raise
 
     def _log(self) -> LogSeries | None:
-        """What -o writes, where that is no lines."""
+        """Return what -o writes, where that is no lines."""
         if self.kind == "lines":
             return None
         from .live_log import LiveFile, LiveRecording, LiveTables, LogSeries
@@ -515,8 +510,8 @@ def _run_on_screen(sniffing: Sniffing) -> int:
     for option in _OF_LINES:
         if getattr(arguments, option):
             raise CallerError(f"--{option} is about lines, and --screen prints none; press / there to filter")
-    if arguments.foxglove is not None:
-        raise CallerError("choose one of --screen and --foxglove: two of 'aces sniff' may listen to one bus")
+    if wants_view("sniff", arguments):
+        raise CallerError("choose one of --screen and a live view: two of 'aces sniff' may listen to one bus")
     if len(sniffing.messages) > 1:
         raise CallerError("--screen takes one --message; press / there to filter")
     if bus.kind != "can" and not arguments.protocol:

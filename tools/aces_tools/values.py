@@ -31,7 +31,7 @@ DEEPEST = 16
 
 
 def parse_fields(message: Message, texts: Iterable[str]) -> dict[str, Any]:
-    """The values of `field=value` arguments, as the encoder takes them.
+    """Return the values of `field=value` arguments, as the encoder takes them.
 
     Raises `CallerError` for what cannot be read, is given twice or is half a list, and `UnknownNameError` for a field that
     the message has not.
@@ -51,7 +51,7 @@ def parse_fields(message: Message, texts: Iterable[str]) -> dict[str, Any]:
 
 
 def _node_of(node: p.Node | None, path: Sequence[str | int]) -> p.Node | None:
-    """The node at the end of a path; None where the spec leaves the shape open."""
+    """Return the node at the end of a path; None where the spec leaves the shape open."""
     for step in path:
         inside = dict(node.children) if node is not None else {}
         node = inside[step].node if step in inside else None
@@ -90,7 +90,7 @@ def _whole(value: Any, name: str) -> Any:
 
 
 def parse_value(text: str, node: p.Node | None, name: str, depth: int = 0) -> Any:
-    """A value from its text; `node` says what is expected, None leaves it to the text."""
+    """Return a value from its text; `node` says what is expected, None leaves it to the text."""
     if depth > DEEPEST:
         raise CallerError(f"{name}: lists in lists deeper than {DEEPEST}")
     is_scalar_text = isinstance(node, p.Scalar) and node.kind == "text"
@@ -130,7 +130,7 @@ def _of_number(text: str, node: p.Scalar | p.FromIdentifier | p.DelimitedField, 
 
 
 def _open(text: str, name: str, depth: int) -> Any:
-    """A value whose kind only its text shows."""
+    """Return a value whose kind only its text shows."""
     if text[:1] == "[":
         return _list(text, [], name, depth)
     if text[:1] == "{":
@@ -179,7 +179,7 @@ def _record(text: str, nodes: Mapping[str, p.Node], name: str, depth: int) -> di
 
 
 def _parts(text: str, name: str) -> list[str]:
-    """The parts between commas that are in no bracket and no quotes."""
+    """Return the parts between commas that are in no bracket and no quotes."""
     parts, start, quote = [], 0, ""
     open_ = 0
     for place, letter in enumerate(text):

@@ -56,7 +56,7 @@ class About(msgspec.Struct, frozen=True):
 
 
 def about_of(text: str | bytes) -> About | None:
-    """What `to_json` gave; None for anything else."""
+    """Return what `to_json` gave; None for anything else."""
     try:
         return msgspec.json.decode(text, type=About)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
@@ -137,7 +137,7 @@ class Log:
         return isinstance(name, str) and self._place(name) is not None
 
     def __getitem__(self, name: str) -> Floats:
-        """A column's values; raises `UnknownNameError` with those that exist."""
+        """Return a column's values; raises `UnknownNameError` with those that exist."""
         place = self._place(name)
         if place is None:
             raise UnknownNameError(f"column of {self.path}", name, self.names)
@@ -159,14 +159,14 @@ class Log:
 
 
 def made_log(path: str, format: str, about: About, table: Any, notes: list[str], time_s: Any = None) -> Log:
-    """A log of a table (rows, 1 + columns) whose first column is the time, or of `time_s` beside the columns."""
+    """Return a log of a table (rows, 1 + columns) whose first column is the time, or of `time_s` beside the columns."""
     if time_s is None:
         time_s, table = table[:, 0], table[:, 1:]
     return Log(path, format, about.columns, time_s, table, about, notes)
 
 
 def about_columns(path: str, text: str | bytes, names: list[str]) -> About:
-    """What a file says of itself, or its columns' names alone where it says nothing about just these."""
+    """Return what a file says of itself, or its columns' names alone where it says nothing about just these."""
     about = about_of(text)
     return about if about is not None and about.names == names else About(named_columns(path, names))
 

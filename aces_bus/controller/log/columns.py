@@ -60,7 +60,7 @@ class LogColumn(msgspec.Struct, frozen=True):
 
 
 def parse_column(text: str) -> LogColumn:
-    """A column of its name; raises `CallerError`, for an attribute that does not exist `UnknownNameError`.
+    """Return a column of its name; raises `CallerError`, for an attribute that does not exist `UnknownNameError`.
 
     >>> parse_column("RHY(diff)").name, parse_column("RHY.velocity").original
     ('RHY(rate)', 'RHY.velocity(value)')
@@ -97,7 +97,7 @@ def check_log_columns(where: str, names: Iterable[str]) -> None:
 
 
 def finite_number(value: Any) -> float:
-    """A value as a float, NaN when it is none that is finite."""
+    """Return a value as a float, NaN when it is none that is finite."""
     if value.__class__ is float:
         return value if -_INFINITY < value < _INFINITY else NAN
     if value is None:
@@ -110,7 +110,9 @@ def finite_number(value: Any) -> float:
 
 
 def attribute_reader(column: LogColumn, state: Any) -> tuple[Read, str]:
-    """How the column is read from its state, and its unit; raises `CallerError` when the state has no such attribute."""
+    """Return how the column is read from its state, and its unit; raises `CallerError` when the state has no such
+    attribute.
+    """
     attribute, unit = column.attribute, "s"
     owner = state
     try:

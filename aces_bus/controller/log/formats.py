@@ -34,7 +34,7 @@ READERS: Mapping[bytes, Callable[[str, int], Log]] = {
 
 
 def log_format(path: str | os.PathLike[str], format: str | None = None) -> str:
-    """The format of a log at `path`; raises `CallerError` for an unknown suffix, `UnknownNameError` for a format.
+    """Return the format of a log at `path`; raises `CallerError` for an unknown suffix, `UnknownNameError` for a format.
 
     >>> log_format("walk.db"), log_format("walk.log", "text")
     ('sqlite', 'text')
@@ -52,7 +52,7 @@ def log_format(path: str | os.PathLike[str], format: str | None = None) -> str:
 
 
 def open_sink(path: str, format: str, about: About, digits: int | None = None) -> LogSink:
-    """A log of that format; raises `OSError`, `sqlite3.Error`, and `CallerError` when a library is missing."""
+    """Return a log of that format; raises `OSError`, `sqlite3.Error`, and `CallerError` when a library is missing."""
     return FORMATS[format](path, about) if digits is None else TextSink(path, about, digits)
 
 

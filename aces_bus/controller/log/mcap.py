@@ -53,7 +53,7 @@ class McapSink(LogSink):
 
 
 def _declared(channel: Fields) -> tuple[int, About | None]:
-    """The number of a channel, and what a log says of itself there."""
+    """Return the number of a channel, and what a log says of itself there."""
     number, _ = channel.take("HH")
     channel.text()
     encoding, metadata = channel.text(), Fields(channel.bytes())

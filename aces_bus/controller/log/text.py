@@ -34,7 +34,7 @@ NUMBER = re.compile(rb"[+-]?(?:(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|nan|inf)", r
 
 
 def shortest(value: float) -> str:
-    """The shortest text of a float, as C++ streams write whole numbers.
+    """Return the shortest text of a float, as C++ streams write whole numbers.
 
     >>> shortest(-2.0), shortest(0.1), shortest(-0.0), shortest(1e22)
     ('-2', '0.1', '-0', '1e+22')
@@ -44,7 +44,7 @@ def shortest(value: float) -> str:
 
 
 def shortest_row(values: Iterable[float], mark: str) -> str:
-    """The shortest texts of many floats at once, `mark` behind each.
+    """Return the shortest texts of many floats at once, `mark` behind each.
 
     >>> shortest_row([-2.0, 0.5, 10.0], ",")
     '-2,0.5,10,'
@@ -93,7 +93,7 @@ class CsvSink(TextSink):
 
 
 def _names(text: NumberText, number: int, line: bytes, is_csv: bool) -> list[str]:
-    """The names in the first line, the time's left out."""
+    """Return the names in the first line, the time's left out."""
     try:
         names = line.decode("utf-8").split()
         if is_csv:

@@ -49,7 +49,7 @@ class ServedAddress:
         return f"tcp:{host}:{self.port}" + (f"/{self.channel}" if self.channel else "")
 
     def connect(self, timeout: float) -> socket.socket:
-        """A stream to the server, `timeout` in s; raises `OSError`, and `CallerError` as `check_timeout`."""
+        """Return a stream to the server, `timeout` in s; raises `OSError`, and `CallerError` as `check_timeout`."""
         check_timeout(timeout)
         if not self.path:
             stream = socket.create_connection((self.host, self.port), timeout)
@@ -72,7 +72,7 @@ def check_timeout(timeout: float) -> None:
 
 
 def is_served(channel: object) -> bool:
-    """Whether a channel's name is an address of a served bus."""
+    """Return whether a channel's name is an address of a served bus."""
     return isinstance(channel, str) and channel.startswith(("unix:", "tcp:"))
 
 
@@ -124,7 +124,7 @@ def _unix() -> int:
 
 
 def runtime_folder(*, create: bool = False) -> Path:
-    """Where this user's sockets and notes are. Raises `CallerError` when it belongs to another user."""
+    """Return where this user's sockets and notes are. Raises `CallerError` when it belongs to another user."""
     given = os.environ.get("XDG_RUNTIME_DIR")
     user = os.getuid() if hasattr(os, "getuid") else 0
     folder = Path(given, "aces") if given else Path(tempfile.gettempdir(), f"aces-{user}")
@@ -143,7 +143,7 @@ def runtime_folder(*, create: bool = False) -> Path:
 
 
 def default_socket(channel: str) -> Path:
-    """The default socket of a channel."""
+    """Return the default socket of a channel."""
     return runtime_folder() / f"{channel}.sock"
 
 
@@ -160,7 +160,7 @@ def write_note(content: dict[str, Any]) -> Path:
 
 
 def notes() -> Iterator[tuple[Path, dict[str, Any]]]:
-    """What this user's servers have left."""
+    """Yield what this user's servers have left."""
     try:
         paths = sorted(runtime_folder().glob("server-*.json"))
     except CallerError:
@@ -180,7 +180,7 @@ def notes() -> Iterator[tuple[Path, dict[str, Any]]]:
 
 
 def bind_unix(path: str) -> socket.socket:
-    """A listening socket at `path`, 0600. Raises `CallerError` when it is served already or cannot be made."""
+    """Return a listening socket at `path`, 0600. Raises `CallerError` when it is served already or cannot be made."""
     if len(os.fsencode(path)) > _PATH_MOST:
         raise CallerError(f"{path}: longer than the {_PATH_MOST} bytes that a Unix socket's path can have")
     listener = socket.socket(_unix())
@@ -236,7 +236,7 @@ def _alone(folder: str) -> Generator[None]:
 
 
 def bind_tcp(host: str, port: int) -> socket.socket:
-    """A listening TCP socket. Raises `CallerError`."""
+    """Return a listening TCP socket. Raises `CallerError`."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     try:

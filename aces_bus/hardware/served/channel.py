@@ -91,7 +91,7 @@ class BusClient:
         return self.node is not None and self.node.state == "bus-off"
 
     def status(self) -> dict[str, Any]:
-        """What there is to know, for people and programs."""
+        """Return what there is to know, for people and programs."""
         node = self.node
         return {
             "name": self.name,
@@ -166,7 +166,7 @@ class ServedChannel:
         own: bool = False,
         restart_ns: int | None = None,
     ) -> BusClient:
-        """A new member. `own`: it receives what it sends."""
+        """Return a new member. `own`: it receives what it sends."""
         member = BusClient(self, name, connection, fd=fd, own=own)
         if self.physics:
             node = self.wire.attach(
@@ -203,7 +203,7 @@ class ServedChannel:
     # ------------------------------------------------------------------ frames
 
     def send(self, member: BusClient, identifier: int, flags: int, length: int, data: bytes) -> bool:
-        """A checked frame of a member; False when the bus does not take it."""
+        """Return a checked frame of a member; False when the bus does not take it."""
         flags &= _FLAGS
         if flags & FD and not member.fd:
             member.rejected += 1
@@ -242,7 +242,7 @@ class ServedChannel:
     # ------------------------------------------------------------------ what it is doing
 
     def status(self) -> dict[str, Any]:
-        """What there is to know, for people and programs; instants in ns of the server's clock."""
+        """Return what there is to know, for people and programs; instants in ns of the server's clock."""
         load = self.wire.load
         return {
             "channel": self.name,
@@ -319,7 +319,7 @@ class ServerLink:
         raise NotImplementedError
 
     def output(self) -> bytes:
-        """The next bytes for the client; none when there is nothing."""
+        """Return the next bytes for the client; none when there is nothing."""
         raise NotImplementedError
 
     def woken(self) -> None:
@@ -490,7 +490,7 @@ class PacketLink(ServerLink):
 
 
 def _status(status: dict[str, Any]) -> bytes:
-    """A status as a packet; of a server with very many members, as many as fit."""
+    """Return a status as a packet; of a server with very many members, as many as fit."""
     text = json.dumps(status).encode()
     while len(text) > packets.MOST:
         longest = max(status["channels"], key=lambda channel: len(channel["members"]))
@@ -500,7 +500,7 @@ def _status(status: dict[str, Any]) -> bytes:
 
 
 def peer_of(stream: socket.socket, where: Any) -> str:
-    """What to call the other end: its process, or its address."""
+    """Return what to call the other end: its process, or its address."""
     option = getattr(socket, "SO_PEERCRED", None)
     if stream.family == getattr(socket, "AF_UNIX", -1):
         if option is None:

@@ -53,14 +53,14 @@ class PacketError(AcesError):
 
 
 def packet(kind: int, body: bytes = b"") -> bytes:
-    """A packet."""
+    """Return a packet."""
     if len(body) > MOST:
         raise CallerError(f"a packet of {len(body)} bytes; {MOST} is the most")
     return HEAD.pack(len(body), kind) + body
 
 
 def split_packets(data: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
-    """The whole packets at the front of `data` as (kind, body), and what is left."""
+    """Return the whole packets at the front of `data` as (kind, body), and what is left."""
     found: list[tuple[int, bytes]] = []
     at, end = 0, len(data)
     while end - at >= 4:
@@ -105,7 +105,9 @@ def _check(identifier: int, flags: int, length: int, most: int) -> None:
 
 
 def single_frames(data: bytes) -> list[Frame] | None:
-    """The frames of packets that hold a plain one each, as they come while a bus is busy; None where one is another."""
+    """Return the frames of packets that hold a plain one each, as they come while a bus is busy; None where one is
+    another.
+    """
     if len(data) % CLASSIC_PACKET.size:
         return None
     found: list[Frame] = []
@@ -120,7 +122,7 @@ def single_frames(data: bytes) -> list[Frame] | None:
 
 
 def pack_record(time_ns: int, identifier: int, flags: int, length: int, data: bytes) -> bytes:
-    """A frame as a record; short where it fits."""
+    """Return a frame as a record; short where it fits."""
     form = LONG_RECORD if len(data) > 8 and length > 8 and not flags & REMOTE else CLASSIC_RECORD
     return form.pack(time_ns, identifier, flags, length, data)
 
@@ -134,7 +136,7 @@ def unpacked(one: bytes) -> tuple[int, int, int, int, bytes]:
 
 
 def frame_record(frame: Frame, time_ns: int, more: int = 0) -> bytes:
-    """A frame as a record; `more` is added to its flags."""
+    """Return a frame as a record; `more` is added to its flags."""
     if not (
         frame.is_extended_id
         or frame.is_remote_frame
@@ -163,7 +165,7 @@ def record_to_frame(
     seconds: float | None = None,
     is_rx: bool | None = None,
 ) -> Frame:
-    """The frame of a checked record, with a time (s) and direction where they are given."""
+    """Return the frame of a checked record, with a time (s) and direction where they are given."""
     if not flags:
         return Frame(
             identifier, data[:length], seconds, None, False, False, False, False, False, False, is_rx
@@ -221,7 +223,7 @@ def frames_packet(frames: Sequence[Frame], time_ns: int) -> bytes:
 
 
 def message_packet(message: Message, time_ns: int = 0) -> bytes:
-    """A message as a packet of its own. Raises `CallerError` when it cannot exist on a bus."""
+    """Return a message as a packet of its own. Raises `CallerError` when it cannot exist on a bus."""
     data = message.data
     identifier, length = message.arbitration_id, message.dlc
     flags = EXTENDED if message.is_extended_id else 0
@@ -286,7 +288,7 @@ def value_packet(value: Hello | Welcome | TransmitReport | SimulatedBusEvent) ->
 
 
 def read_value(body: bytes, wanted: type[T]) -> T:
-    """What `value_packet` packed."""
+    """Return what `value_packet` packed."""
     try:
         return msgspec.msgpack.decode(body, type=wanted)
     except (msgspec.MsgspecError, AcesError) as error:

@@ -5,7 +5,9 @@
 3. What comes from the server is checked like anything else from outside.
 
 There is no thread: whoever receives reads the socket, and keeps what it finds besides. One reader at a time; others wait for
-it. `frames` and `offer` are the same for a loop, which waits for the socket itself (`fileno`) and builds no messages.
+it. `frames` and `offer` are the same for a loop, which waits for the socket itself (`socket_fileno`) and builds no messages.
+One read of the socket may bring many frames, so the socket is not the file for a program that takes one frame for each time
+that a file is readable, as python-can's asyncio Notifier does: `fileno` stays readable while frames wait in the queue.
 
 Frames under way are counted: the server says how many the bus has taken, and a client with all mailboxes full waits, or its
 frame is refused, as with a controller in hardware.
@@ -28,6 +30,7 @@ from ..simulated.bus_event import SimulatedBusEvent
 from . import packets
 from .address import parse_address
 from .packets import FRAMES, OWN, PacketError
+from .readable import ReadableFile
 from .stream import ANSWER_S, ServerConnection, read_status, wait
 
 _is_fd = attrgetter("is_fd")
@@ -40,7 +43,8 @@ class ServedBus(VirtualBus):
 
     `channel`: an address (`address`). `bitrate`, `data_bitrate`: what the bus is expected to have; another is refused, as
     frames would be on a real one. `fd`: takes CAN FD. `listen_only`, `receive_own_messages`, `restart_ms`, `rx_queue_size`:
-    as of `AcesBus`. `timeout`: seconds to wait for the server.
+    as of `AcesBus`. `timeout`: seconds to wait for the server. `name`: the channel of received messages, for a program whose
+    user typed `can0` and that found the address by itself (default: `channel`).
 
     Raises `CanInitializationError` when there is no such server, or it refuses.
     """
@@ -58,6 +62,7 @@ class ServedBus(VirtualBus):
         restart_ms: float | None = None,
         rx_queue_size: int = QUEUE,
         timeout: float = ANSWER_S,
+        name: str | None = None,
         **more: Any,
     ) -> None:
         try:
@@ -89,10 +94,12 @@ class ServedBus(VirtualBus):
         self._status: list[dict[str, Any]] = []
         self._reading = threading.Lock()
         self._sending = threading.Lock()
+        #: What `fileno` gave away, once somebody asked for it.
+        self._readable: ReadableFile | None = None
         # Instants of `events` are ns since 1970; whoever reads calls `on_event`.
         super().__init__(
-            channel,
-            f"aces served bus {channel}",
+            name or channel,
+            f"aces served bus {name or channel}",
             can_filters,
             fd=fd,
             listen_only=listen_only,
@@ -103,13 +110,25 @@ class ServedBus(VirtualBus):
             self._understand(kind, body)
 
     def fileno(self) -> int:
-        """The socket's file."""
+        """Return a file that is readable while `recv(0)` has something to do; -1 once the bus is closed.
+
+        Raises `NotImplementedError`, as python-can's buses without a file do, on a system without epoll and eventfd.
+        """
+        if self._is_shutdown:
+            return -1
+        if self._readable is None:
+            self._readable = ReadableFile(self._stream.number)
+            self._readable.show(self._queue)
+        return self._readable.number
+
+    def socket_fileno(self) -> int:
+        """Return the socket's file, for a reader that takes all frames each time it is readable."""
         return self._stream.number
 
     # ------------------------------------------------------------------ receiving
 
     def recv(self, timeout: float | None = None) -> Message | None:
-        """The next message that passes the filters; None when none came in `timeout` seconds (None: for ever).
+        """Return the next message that passes the filters; None when none came in `timeout` seconds (None: for ever).
 
         Raises `CanOperationError` when the server has gone or the bus is closed.
         """
@@ -117,7 +136,10 @@ class ServedBus(VirtualBus):
         until = None if timeout is None else time.monotonic() + timeout
         left = timeout
         while True:
-            if (message := self._next()) is not None:
+            message = self._next()
+            if self._readable is not None:
+                self._readable.show(queue)
+            if message is not None:
                 return message
             self._pump(left)
             if until is not None:
@@ -299,6 +321,9 @@ class ServedBus(VirtualBus):
                 timeout = 0.0
         except (OSError, EOFError, PacketError, ValueError) as error:
             raise self._lost(error) from error
+        finally:
+            if self._readable is not None:
+                self._readable.show(self._queue)
 
     def _put(self, packet: bytes, timeout: float | None = None) -> None:
         with self._sending:
@@ -327,13 +352,13 @@ class ServedBus(VirtualBus):
         return self._state
 
     def _node_state(self) -> str:
-        """The state that the server reported last."""
+        """Return the state that the server reported last."""
         if not self._why:
             self._look()
         return self._state
 
     def status(self) -> dict[str, Any]:
-        """What the server knows about itself and its channels. Raises `CanOperationError` when it does not answer."""
+        """Return what the server knows about itself and its channels. Raises `CanOperationError` when it does not answer."""
         self._check_open()
         self._put(packets.packet(packets.QUERY))
         until = time.monotonic() + ANSWER_S
@@ -344,7 +369,7 @@ class ServedBus(VirtualBus):
         return self._status.pop(0)
 
     def take_dropped(self) -> int:
-        """How many frames were lost since the last call."""
+        """Return how many frames were lost since the last call."""
         found, self.dropped = self.dropped, 0
         return found
 
@@ -358,10 +383,12 @@ class ServedBus(VirtualBus):
         if self._reading.acquire(timeout=1):
             self._reading.release()
         self._stream.close()
+        if self._readable is not None:
+            self._readable.close()
 
 
 def _frame_of(record: tuple[int, int, int, int, bytes]) -> Frame:
-    """The frame of a checked record."""
+    """Return the frame of a checked record."""
     time_ns, identifier, flags, length, data = record
     if not flags:  # nearly always
         return Frame(

@@ -301,7 +301,7 @@ class BusServer:
             self._cut(link, f"it did not say within {INTRODUCTION_S} s who it is")
 
     def find(self, name: str) -> ServedChannel:
-        """A channel by its name."""
+        """Return a channel by its name."""
         channel = self.channels.get(name)
         if channel is None:
             names = ", ".join(self.channels)
@@ -313,7 +313,7 @@ class BusServer:
         return channel
 
     def status(self) -> dict[str, Any]:
-        """What there is to know about the server and its channels."""
+        """Return what there is to know about the server and its channels."""
         return {
             "pid": os.getpid(),
             "clients": len(self._links),

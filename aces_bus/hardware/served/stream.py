@@ -28,7 +28,9 @@ _READ = 16_384
 
 
 def wait(number: int, timeout: float | None, *, writing: bool = False) -> bool:
-    """Whether a socket has something to read (or room to write) within `timeout` seconds (None: however long it takes)."""
+    """Return whether a socket has something to read (or room to write) within `timeout` seconds (None: however long it
+    takes).
+    """
     timeout = None if timeout is None else max(0.0, timeout)
     if number < 1000:
         numbers = (number,)
@@ -79,11 +81,11 @@ class ServerConnection:
         return welcome
 
     def read(self) -> list[tuple[int, bytes]]:
-        """The packets that have come. Raises `EOFError` at the end."""
+        """Return the packets that have come. Raises `EOFError` at the end."""
         return self.split(self.receive())
 
     def receive(self) -> bytes:
-        """The bytes that have come, with what was left of those before: for `split`. Raises as `read`."""
+        """Return the bytes that have come, with what was left of those before: for `split`. Raises as `read`."""
         try:
             data = self._socket.recv(_READ)
         except BlockingIOError:
@@ -95,7 +97,7 @@ class ServerConnection:
         return data
 
     def split(self, data: bytes) -> list[tuple[int, bytes]]:
-        """The whole packets of what `receive` gave; the rest is kept."""
+        """Return the whole packets of what `receive` gave; the rest is kept."""
         found, rest = packets.split_packets(data)
         if rest:
             self._buffer = rest
@@ -164,7 +166,7 @@ class ServerConnection:
 
 
 def ask(address: ServedAddress, timeout: float = 1.0) -> dict[str, Any]:
-    """A server's status, without joining a bus. Raises `OSError` or `PacketError`."""
+    """Return a server's status, without joining a bus. Raises `OSError` or `PacketError`."""
     stream = ServerConnection(address, packets.Hello(address.channel, looks=True), timeout)
     try:
         stream.write(packets.packet(packets.QUERY), timeout)
@@ -181,7 +183,7 @@ def ask(address: ServedAddress, timeout: float = 1.0) -> dict[str, Any]:
 
 
 def read_status(body: bytes) -> dict[str, Any]:
-    """What a server says about itself."""
+    """Return what a server says about itself."""
     try:
         found = json.loads(body)
     except ValueError as error:
@@ -192,7 +194,7 @@ def read_status(body: bytes) -> dict[str, Any]:
 
 
 def servers(timeout: float = ANSWER_S) -> list[dict[str, Any]]:
-    """The status of each server of this user on this machine that answers within `timeout` seconds.
+    """Return the status of each server of this user on this machine that answers within `timeout` seconds.
 
     A server that is dead refuses at once, and its note is removed; only one that hangs is waited for.
     Raises `CallerError` for a time-out that is none.
@@ -237,7 +239,7 @@ def _lives(pid: object) -> bool:
 
 
 def served_channels() -> dict[str, str]:
-    """The channels that are served on this machine by this user: one address of each, by its name."""
+    """Return the channels that are served on this machine by this user: one address of each, by its name."""
     return {
         channel["channel"]: channel["addresses"][0]
         for status in servers()

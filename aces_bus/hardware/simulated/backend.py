@@ -195,7 +195,7 @@ class AcesBus(VirtualBus):
             bus._keep(copy_message(msg, msg.dlc, stamp, self.channel, bus is not self))
 
     def recv(self, timeout: float | None = None) -> Message | None:
-        """The next message that passes the filters; None when none came in `timeout` seconds (None: for ever)."""
+        """Return the next message that passes the filters; None when none came in `timeout` seconds (None: for ever)."""
         queue = self._queue
         if queue and self._filters is None and not self._medium.physics and not self._why:
             first: Message = queue.popleft()  # appended to and popped from in one step each: no lock needed

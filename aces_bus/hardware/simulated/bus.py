@@ -55,7 +55,7 @@ class Faults:
                 )
 
     def start(self) -> FaultSource:
-        """The faults, from the seed's beginning."""
+        """Return the faults, from the seed's beginning."""
         return FaultSource(self)
 
 
@@ -70,13 +70,13 @@ class FaultSource:
         self._random = random.Random(faults.seed)
 
     def corrupts(self, bits: int) -> int | None:
-        """The bit at which a frame of so many bits is destroyed; None: not at all."""
+        """Return the bit at which a frame of so many bits is destroyed; None: not at all."""
         if self._faults.corrupt and self._random.random() < self._faults.corrupt:
             return self._random.randrange(1, bits)
         return None
 
     def arrivals(self) -> tuple[int, ...]:
-        """The delays (ns) with which a frame comes to a receiver: none, one or two."""
+        """Return the delays (ns) with which a frame comes to a receiver: none, one or two."""
         faults, draw = self._faults, self._random.random
         if faults.drop and draw() < faults.drop:
             return ()
@@ -107,7 +107,7 @@ class Load:
     since: int = 0
 
     def ratio(self, now: int) -> float:
-        """The share of time in which the bus was busy, intermissions included."""
+        """Return the share of time in which the bus was busy, intermissions included."""
         return self.busy_ns / (now - self.since) if now > self.since else 0.0
 
 
@@ -270,7 +270,7 @@ class BusNode:
 
 
 def arbitration(frame: Frame) -> int:
-    """What nodes contend with, as a number: the lower one wins."""
+    """Return what nodes contend with, as a number: the lower one wins."""
     identifier = frame.arbitration_id
     remote = 1 if frame.is_remote_frame else 0
     if frame.is_extended_id:
@@ -327,7 +327,7 @@ class SimulatedBus:
         mailboxes: int = 1024,
         restart_ns: int | None = None,
     ) -> BusNode:
-        """A new node. `restart_ns` is when it comes back from bus-off by itself, None: only by `restart`."""
+        """Return a new node. `restart_ns` is when it comes back from bus-off by itself, None: only by `restart`."""
         node = BusNode(
             self,
             name or f"node{len(self.nodes)}",
@@ -354,7 +354,7 @@ class SimulatedBus:
         self._present = None
 
     def _look(self) -> tuple[BusNode, ...]:
-        """The nodes that take part."""
+        """Return the nodes that take part."""
         present = tuple(node for node in self.nodes if node.is_connected and node.state != "bus-off")
         self._acknowledging = sum(1 for node in present if not node.listen_only)
         self._present = present
@@ -563,5 +563,5 @@ class ListeningNode:
         )
 
     def frames(self) -> Iterable[Frame]:
-        """The frames, in order."""
+        """Return the frames, in order."""
         return (frame for _, frame in self.received)

@@ -51,7 +51,7 @@ class FrameBits(NamedTuple):
 
 
 def frame_bits(frame: Frame) -> FrameBits:
-    """The bits of a frame. An error frame has the bits of an error flag and its delimiter.
+    """Return the bits of a frame. An error frame has the bits of an error flag and its delimiter.
 
     >>> frame_bits(Frame(0x123, bytes.fromhex("55AA55AA55AA55AA")))
     FrameBits(nominal=109, data=0)
@@ -62,7 +62,7 @@ def frame_bits(frame: Frame) -> FrameBits:
 
 
 def classic_bits(frame: Frame) -> int:
-    """The same of a frame that is not CAN FD, whose bits all have the nominal rate."""
+    """Return the same of a frame that is not CAN FD, whose bits all have the nominal rate."""
     data, key = frame.data, frame.arbitration_id
     if frame.is_extended_id:
         key |= _EXTENDED
@@ -96,7 +96,7 @@ def classic_bits(frame: Frame) -> int:
 def longest_bits(
     size: int, *, extended: bool = False, fd: bool = False, bitrate_switch: bool = False
 ) -> FrameBits:
-    """The most bits that a data frame of `size` bytes can have, whatever its identifier and content.
+    """Return the most bits that a data frame of `size` bytes can have, whatever its identifier and content.
 
     A stuff bit behind the fifth equal bit and then behind each fourth, as it begins a run of its own (Davis, Burns, Bril,
     Lukkien 2007, 3.1, of classic frames: 55 + 10 × size bits with 11-bit identifiers, 80 + 10 × size with 29, of which 3 are
@@ -124,8 +124,8 @@ _HEADS: dict[int, tuple[int, int, int, dict[bytes, int]]] = {}
 
 
 def _classic_head(head: int) -> tuple[int, int, int, dict[bytes, int]]:
-    """The stuffing state behind a header, the bits of all but stuff bits behind it, the header's CRC, and what is remembered
-    of short frames; `head` is the key and four bits of length."""
+    """Return the stuffing state behind a header, the bits of all but stuff bits behind it, the header's CRC, and what
+    is remembered of short frames; `head` is the key and four bits of length."""
     key, code = head >> 4, head & 15
     remote = key >= _REMOTE
     word, width = _head(key & _EXTENDED - 1, bool(key & _EXTENDED), remote, code)
@@ -193,7 +193,7 @@ _START = 10
 
 
 def _step(state: int, bit: int) -> tuple[int, int]:
-    """The state after a bit, and the stuff bits sent behind it."""
+    """Return the state after a bit, and the stuff bits sent behind it."""
     if state == _START:
         return bit, 0
     level, run = state & 1, (state >> 1) + 1
@@ -220,7 +220,7 @@ def _table(width: int) -> bytes:
 
 @cache
 def _wide(first: int, second: int) -> bytes:
-    """The same for first + second bits, made of both, from all states but the one before all bits."""
+    """Return the same for first + second bits, made of both, from all states but the one before all bits."""
     high, low = _table(first), _table(second)
     out: list[int] = []
     for state in range(_START):
@@ -233,7 +233,7 @@ def _wide(first: int, second: int) -> bytes:
 
 @cache
 def _tables() -> tuple[bytes, bytes, bytes, list[int]]:
-    """What eight bits, sixteen, and a CRC of fifteen make of a stuffing state, and `_crc15`."""
+    """Return what eight bits, sixteen, and a CRC of fifteen make of a stuffing state, and `_crc15`."""
     return _table(8), _wide(8, 8), _wide(8, 7), _crc15()
 
 
@@ -274,7 +274,9 @@ def _ends_full(word: int, width: int) -> int:
 
 @cache
 def _crc15() -> list[int]:
-    """What 16 bits make of a CRC of 0 (CRC-15: x¹⁵ + x¹⁴ + x¹⁰ + x⁸ + x⁷ + x⁴ + x³ + 1, ISO 11898-1:2015, 10.4.2.6)."""
+    """Return what 16 bits make of a CRC of 0 (CRC-15: x¹⁵ + x¹⁴ + x¹⁰ + x⁸ + x⁷ + x⁴ + x³ + 1, ISO 11898-1:2015,
+    10.4.2.6).
+    """
     table, step = [0], 1 << 14
     for _ in range(16):
         step = (step << 1 ^ (0x4599 if step & 0x4000 else 0)) & 0x7FFF

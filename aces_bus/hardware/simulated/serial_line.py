@@ -120,7 +120,7 @@ class _Chunk:
         return range(first, min(len(self.data), -(-(other.end - self.start) // self.byte_ns)))
 
     def arrived(self, number: int) -> int:
-        """What is read of a byte where several drive the wire: a dominant zero of either, and bits out of step."""
+        """Return what is read of a byte where several drive the wire: a dominant zero of either, and bits out of step."""
         byte = self.data[number]
         start = self.start + number * self.byte_ns
         alone = _Chunk(self.node, self.data[number : number + 1], start, self.byte_ns)
@@ -166,7 +166,7 @@ class SimulatedSerialLine:
         echo: bool | None = None,
         whole: bool = False,
     ) -> SerialNode:
-        """A new node. `echo`: it hears itself; None: on a half-duplex line.
+        """Return a new node. `echo`: it hears itself; None: on a half-duplex line.
 
         `whole`: it may be given all bytes of one `send` together, at their end, as adapters do; otherwise byte by byte. That
         is what happens on a line without noise whose nodes all agree to it, and it is much cheaper.
@@ -345,7 +345,7 @@ class PtyPort:
                     self.node.send(data)
 
     def _pause_s(self) -> float:
-        """How long to wait for bytes: until something happens on the wire."""
+        """Return how long to wait for bytes: until something happens on the wire."""
         with self.lock:
             event = self.wire.clock.next_event
         if event is None:

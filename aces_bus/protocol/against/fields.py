@@ -175,7 +175,7 @@ class FieldWatch:
         return self._first_value
 
     def observations(self) -> Iterator[Observation]:
-        """What the recording says of this field."""
+        """Yield what the recording says of this field."""
         name = f"{self.message.name}.{self.leaf.path}"
         if self.is_unnamed:
             yield from self._of_unnamed_bits()
@@ -314,7 +314,7 @@ class MessageWatch:
             one.take(table[one.leaf.path], table, devices, locate, shared)
 
     def _devices_of(self, table: MessageTable) -> Array:
-        """The device of each row, numbered; −1 beyond `DEVICES`."""
+        """Return the device of each row, numbered; −1 beyond `DEVICES`."""
         parts: list[Array] = [table.channel.astype(np.int64)]
         if not table.is_stream:
             parts.append(table.key.astype(np.int64))
@@ -336,7 +336,7 @@ class MessageWatch:
         return found
 
     def observations(self) -> Iterator[Observation]:
-        """What the recording says of this message's fields."""
+        """Yield what the recording says of this message's fields."""
         for one in self.fields:
             yield from one.observations()
         outer = self.message.outer_names

@@ -34,7 +34,7 @@ class HiddenCheck(NamedTuple):
 
 
 def hidden_check(samples: Sequence[PacketSample]) -> HiddenCheck | None:
-    """The check that all samples have and that no field is said to be; None when there is none."""
+    """Return the check that all samples have and that no field is said to be; None when there is none."""
     by_length: dict[int, list[PacketSample]] = {}
     for sample in samples:
         by_length.setdefault(len(sample.data), []).append(sample)

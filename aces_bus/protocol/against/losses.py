@@ -79,7 +79,7 @@ class Losses:
 def lost_frames(
     losses: Losses, variants: Sequence[Variant], seen: Mapping[tuple[str, str], int]
 ) -> Iterator[Observation]:
-    """What lost frames say; `seen` counts the messages that were decoded, by protocol and name."""
+    """Yield what lost frames say; `seen` counts the messages that were decoded, by protocol and name."""
     messages = [(variant, message) for variant in variants for message in variant.messages.values()]
     undeclared: list[LostGroup] = []
     for group in losses.groups.values():
@@ -233,7 +233,7 @@ def _of_undeclared(
 
 
 def _near(never: Sequence[Message], group: LostGroup) -> Message | None:
-    """The message that never occurs and whose identifier is one slip away: the next number, another bit, a shift."""
+    """Return the message that never occurs and whose identifier is one slip away: the next number, another bit, a shift."""
     number = group.key & IDENTIFIER
     for other in (
         number + 1,
@@ -307,17 +307,17 @@ class Opcodes:
                     places[offset, len(data)] = f"byte {offset}"
 
     def owner(self, data: bytes) -> Message | None:
-        """The message whose head a packet has, whatever is behind it."""
+        """Return the message whose head a packet has, whatever is behind it."""
         framing = self.framing_of(data)
         return next((m for m in self.messages if m.framing is framing and m.outer(data, 0) is not None), None)
 
     def framing_of(self, data: bytes) -> Framing | None:
-        """The framing whose sync bytes a packet has, the longest ones."""
+        """Return the framing whose sync bytes a packet has, the longest ones."""
         fitting = [one for one in self._places if data.startswith(one.sync) and len(data) >= one.head_end]
         return max(fitting, key=lambda one: len(one.sync), default=None)
 
     def of(self, data: bytes) -> dict[str, bytes]:
-        """What of a packet says which message it is."""
+        """Return what of a packet says which message it is."""
         framing = self.framing_of(data)
         if framing is None:
             return {}
@@ -328,7 +328,7 @@ class Opcodes:
         }
 
     def group(self, reason: str, data: bytes) -> tuple[object, ...]:
-        """The group of a lost packet: its reason and, where its framing is right, its opcode."""
+        """Return the group of a lost packet: its reason and, where its framing is right, its opcode."""
         return (reason, *self.of(data).items()) if reason.startswith("unknown") else (reason,)
 
 
@@ -345,7 +345,7 @@ def lost_packets(
     seen: Mapping[tuple[str, str], int],
     way: Direction | Literal["both"] | None,
 ) -> Iterator[Observation]:
-    """What packets say that went `way` and are lost; `seen` counts what was decoded, by protocol and name."""
+    """Yield what packets say that went `way` and are lost; `seen` counts what was decoded, by protocol and name."""
     place = variants[0].protocol.place
     packets = sum(seen.values())
     never = [m.name for v in variants for m in v.messages_for(way) if not seen.get((v.name, m.name))]
@@ -442,7 +442,7 @@ def _opcode_text(opcodes: Opcodes, group: LostGroup) -> str:
 def lost_bytes(
     variants: Sequence[Variant], skipped: int, size: int, framings: Sequence[Framing]
 ) -> Iterator[Observation]:
-    """What it says that `skipped` of `size` bytes of a stream begin no packet."""
+    """Yield what it says that `skipped` of `size` bytes of a stream begin no packet."""
     if size and skipped > max(LOST * size, max((one.max_size for one in framings), default=0)):
         yield Observation(
             "warning",
@@ -463,7 +463,7 @@ _REMEDIES = {
 
 
 def _fitting_check(framing: Framing, samples: Sequence[bytes]) -> str:
-    """Where a check of the declared kind would hold on most samples: another first byte, or another size."""
+    """Return where a check of the declared kind would hold on most samples: another first byte, or another size."""
     check = framing.check
     if check is None or framing.stuffing is not None or check.text is not None:
         return ""

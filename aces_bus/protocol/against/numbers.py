@@ -91,7 +91,7 @@ def _magnitude(words: Array, width: int) -> Array:
 
 
 def readings_of(node: p.Scalar) -> list[BitReading]:
-    """The other ways to read an integer's bytes or parts, most likely first; the spec's own sign is kept."""
+    """Return the other ways to read an integer's bytes or parts, most likely first; the spec's own sign is kept."""
     width = len(node.place)
 
     def by_bytes(order: tuple[int, ...]) -> Callable[[Array], Array]:
@@ -217,7 +217,7 @@ class IntegerSteps:
         return self._steps >= STEPS and self._rises >= 0.95 * self._steps
 
     def suspicion(self) -> Suspicion | None:
-        """What the steps say against the spec; None when they say nothing."""
+        """Return what the steps say against the spec; None when they say nothing."""
         return self._of_order() or self._of_sign()
 
     def _of_order(self) -> Suspicion | None:
@@ -322,7 +322,7 @@ class FloatSteps:
         self._wins += int((other < own - 1).sum())
 
     def suspicion(self) -> Suspicion | None:
-        """What the steps say against the spec; None when they say nothing."""
+        """Return what the steps say against the spec; None when they say nothing."""
         if self._steps < STEPS or len(self._values) < VALUES or self._wins < SHARE * self._steps:
             return None
         own, other = self._bits / self._steps
@@ -345,7 +345,7 @@ def _magnitude_bits(values: Array) -> Array:
 
 
 def steps_of(node: p.Node) -> IntegerSteps | FloatSteps | None:
-    """What watches a field's steps; None for what is no number, or has names or flags."""
+    """Return what watches a field's steps; None for what is no number, or has names or flags."""
     if (
         not isinstance(node, p.Scalar)
         or node.flags

@@ -12,10 +12,10 @@ from typing import Any
 
 from ...errors import CallerError
 from ...frame_table import NO_TIME, FrameTable, to_ns
-from ..columns.decode import Way, capture_pieces, feed
+from ..columns.decode import capture_pieces, feed
 from ..columns.scanner import ColumnScanner, make_column_scanner
 from ..columns.table import MessageTable
-from ..declare.message import Message
+from ..declare.message import GivenWay, Message, Way, way_of
 from ..declare.protocol import Protocol, Variant
 from ..lint.finding import sort_key
 from .fields import AGAIN, MessageWatch
@@ -30,9 +30,12 @@ PIECE, REMEMBERED = 1 << 20, 1 << 22
 
 
 def check_recordings(
-    spec: Protocol | Variant | Sequence[Variant], captures: Iterable[Any], *, direction: Way | None = None
+    spec: Protocol | Variant | Sequence[Variant],
+    captures: Iterable[Any],
+    *,
+    direction: GivenWay | None = None,
 ) -> list[Observation]:
-    """What recordings say against a spec, by file and line; what comments in the spec allow is left out.
+    """Return what recordings say against a spec, by file and line; what comments in the spec allow is left out.
 
     `spec` is a protocol (in its default dialect and configuration), a variant, or all variants that share the wire.
     `captures` are recordings of `aces_bus.recordings`, or whatever else `Protocol.decode` takes, one after the other.
@@ -50,13 +53,15 @@ def check_recordings(
 class RecordingCheck:
     """Recordings read one after the other, then asked what they say; see `check_recordings`."""
 
-    def __init__(self, spec: Protocol | Variant | Sequence[Variant], *, direction: Way | None = None) -> None:
+    def __init__(
+        self, spec: Protocol | Variant | Sequence[Variant], *, direction: GivenWay | None = None
+    ) -> None:
         if isinstance(spec, Protocol):
             spec = spec.variant()
         self.variants = (spec,) if isinstance(spec, Variant) else tuple(spec)
         if not self.variants:
             raise CallerError("a recording is held against one protocol at least")
-        self.direction: Way | None = direction
+        self.direction = way_of(direction)
         self.is_can = self.variants[0].link == "can"
         #: Frames, or bytes, that were read.
         self.size = 0
@@ -177,7 +182,7 @@ class RecordingCheck:
     # ------------------------------------------------------------------ what it comes to
 
     def observations(self) -> list[Observation]:
-        """What the recordings say, by file and line; what comments in the spec allow is left out."""
+        """Return what the recordings say, by file and line; what comments in the spec allow is left out."""
         return sorted((one for one in self._every() if not one.is_allowed), key=sort_key)
 
     def _every(self) -> Iterator[Observation]:
@@ -291,7 +296,7 @@ def _of_ways(watches: Iterable[MessageWatch]) -> Iterator[Observation]:
         return  # who only listens receives everything
 
     def is_host(watch: MessageWatch) -> bool | None:
-        """Whether the recorder is the host by this message; None where it went both ways."""
+        """Return whether the recorder is the host by this message; None where it went both ways."""
         if watch.received and watch.sent:
             return None
         return bool(watch.sent) == (watch.message.direction == "to device")
@@ -334,6 +339,6 @@ class _Window:
             self._base += gone
 
     def get(self, offset: int, size: int) -> bytes:
-        """The bytes from an offset on; fewer where they are gone, or not there yet."""
+        """Return the bytes from an offset on; fewer where they are gone, or not there yet."""
         start = offset - self._base
         return bytes(self._data[start : start + size]) if start >= 0 else b""

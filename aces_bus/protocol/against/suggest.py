@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ...frame_table import FrameTable
-from ..columns.decode import Way, capture_pieces
+from ..columns.decode import capture_pieces
 from ..declare.examples import Example, ExampleFrame
 from ..declare.fields import FlagSet
-from ..declare.message import Message
+from ..declare.message import GivenWay, Message, Way, way_of
 from ..declare.protocol import Protocol, Variant
 from ..lint.examples import failure, read_example
 from ..live.scanner import make_scanner
@@ -50,7 +50,7 @@ class SuggestedExample:
 
 
 def _is_text(packet: ExampleFrame) -> bool:
-    """Whether a packet reads better as characters."""
+    """Return whether a packet reads better as characters."""
     return packet.identifier is None and str(packet).startswith(("b'", 'b"'))
 
 
@@ -68,7 +68,7 @@ def suggest_examples(
     spec: Protocol | Variant | Sequence[Variant],
     captures: Iterable[Any],
     *,
-    direction: Way | None = None,
+    direction: GivenWay | None = None,
     each: int = 1,
 ) -> list[SuggestedExample]:
     """Up to `each` examples of every message that recordings have, in declared order; replies with their requests.
@@ -80,7 +80,7 @@ def suggest_examples(
     found: dict[tuple[str | None, str], _Candidates] = {}
     for capture in captures:
         asked: dict[tuple[str | None, str], deque[ExampleFrame]] = {}
-        for record in _records(variants, capture, direction):
+        for record in _records(variants, capture, way_of(direction)):
             _take(record, found, asked)
     suggested: list[SuggestedExample] = []
     for variant in variants:
@@ -147,7 +147,7 @@ def _packet(meta: Meta) -> ExampleFrame:
 
 
 def _frames(message: Message, meta: Meta) -> tuple[ExampleFrame, ...]:
-    """The frames that a transport carried a packet in, where they have its identifier."""
+    """Return the frames that a transport carried a packet in, where they have its identifier."""
     is_fd = message.transport is not None and message.transport.fd
     return tuple(ExampleFrame(data, meta.identifier, meta.extended, fd=is_fd) for data in meta.frames)
 
@@ -170,7 +170,7 @@ def _holding(variant: Variant, message: Message, candidates: _Candidates) -> Ite
 
 
 def _plain(value: Any) -> Any:
-    """A value as examples have it: flags as their names, short floats."""
+    """Return a value as examples have it: flags as their names, short floats."""
     if isinstance(value, FlagSet):
         return int(value) if value.unknown else list(value)
     value = plain_value(value)
@@ -184,7 +184,7 @@ def _plain(value: Any) -> Any:
 
 
 def _values(value: Any) -> Iterator[Any]:
-    """The single values of nested ones."""
+    """Yield the single values of nested ones."""
     if isinstance(value, Mapping):
         for one in value.values():
             yield from _values(one)

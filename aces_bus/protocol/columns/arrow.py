@@ -51,7 +51,7 @@ DICTIONARY_BYTES = 2
 
 
 def load_pyarrow() -> Any:
-    """The library; raises `CallerError` with how to install it."""
+    """Return the library; raises `CallerError` with how to install it."""
     try:
         import pyarrow as pa
     except ImportError as missing:
@@ -70,7 +70,7 @@ class GrowingDictionary:
         self._codes = {number: self.labels.number(name) for number, name in self.known.items()}
 
     def codes(self, values: Array) -> Array:
-        """The codes of raw numbers; a number without a name is its own digits."""
+        """Return the codes of raw numbers; a number without a name is its own digits."""
         numbers, places = np.unique(values, return_inverse=True)
         codes = self._codes
         for number in numbers.tolist():
@@ -93,7 +93,7 @@ class ArrowLayout:
     def of(
         cls, layout: DatasetLayout, labels: Labels, sources: Labels, *, absolute: bool, names: bool = False
     ) -> ArrowLayout:
-        """The schema. `absolute`: whether times count from 1970; `names`: enumerations as texts."""
+        """Return the schema. `absolute`: whether times count from 1970; `names`: enumerations as texts."""
         pa = load_pyarrow()
         enumerations = {
             slot.name: GrowingDictionary(slot.kind.names)
@@ -112,7 +112,7 @@ class ArrowLayout:
         return cls(layout, schema, enumerations, labels, sources)
 
     def batch(self, block: Block) -> Any:
-        """A block as a record batch."""
+        """Return a block as a record batch."""
         pa = load_pyarrow()
         arrays = [
             self._array(pa, slot, type_, values)
@@ -189,7 +189,7 @@ def _type(pa: Any, slot: DatasetColumn, *, absolute: bool, is_named: bool) -> An
 
 
 def field_metadata(slot: DatasetColumn) -> dict[str, str]:
-    """What is known of a column, as texts."""
+    """Return what is known of a column, as texts."""
     found: dict[str, str] = {}
     if slot.unit:
         found["unit"] = slot.unit
@@ -209,7 +209,7 @@ def field_metadata(slot: DatasetColumn) -> dict[str, str]:
 
 
 def schema_metadata(layout: DatasetLayout, *, absolute: bool) -> dict[str, str]:
-    """What is known of a dataset, as texts."""
+    """Return what is known of a dataset, as texts."""
     found = {
         "protocol": layout.protocol,
         "message": layout.message,
@@ -227,7 +227,7 @@ def json_text(value: Any) -> str:
 
 
 def is_absolute(time: Array) -> bool | None:
-    """Whether instants (int64, ns) count from 1970; None when none of them is known."""
+    """Return whether instants (int64, ns) count from 1970; None when none of them is known."""
     known = time[time != NO_TIME]
     return None if not len(known) else bool(known[0] >= ABSOLUTE_NS)
 
@@ -239,7 +239,8 @@ def to_arrow(
     float32: bool = False,
     objects: Mapping[str, Holds] | None = None,
 ) -> pyarrow.Table:
-    """The table as a `pyarrow.Table`. With `names` enumerations are dictionaries of names; with `float32` physical values
+    """Return the table as a `pyarrow.Table`. With `names` enumerations are dictionaries of names; with `float32`
+    physical values
     have half the size. `objects` says what columns of Python objects hold (`layout.objects_of`), else their values do.
 
     Raises `CallerError` where pyarrow is missing.
@@ -256,7 +257,8 @@ def to_arrow(
 def to_polars(
     table: MessageTable, *, names: bool = False, float32: bool = False, **options: Any
 ) -> polars.DataFrame:
-    """The table as a `polars.DataFrame`; arguments as `to_arrow`. Units are in the metadata of `to_arrow(table).schema`.
+    """Return the table as a `polars.DataFrame`; arguments as `to_arrow`. Units are in the metadata of
+    `to_arrow(table).schema`.
 
     Raises `CallerError` where polars or pyarrow is missing.
     """
@@ -268,7 +270,7 @@ def to_polars(
 
 
 def to_pandas(table: MessageTable, *, names: bool = False, float32: bool = False) -> pandas.DataFrame:
-    """The table as a `pandas.DataFrame`.
+    """Return the table as a `pandas.DataFrame`.
 
     `time` is datetime64[ns, UTC] or timedelta64[ns]; integers that may be absent are pandas' nullable ones; with `names`
     enumerations are categories; objects are as records have them. `frame.attrs` holds "protocol", "message",

@@ -14,14 +14,14 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ...frame_table import FrameTable
 from ..counts import ScanCounts, sum_counts
 from ..declare.ambiguity import ordered
-from ..declare.message import Direction, Message
+from ..declare.message import GivenWay, Message
 from ..declare.protocol import Variant
 from ..declare.transport import Transport
 from ..live.can import CanScanner
@@ -81,7 +81,7 @@ class CanColumns:
         self,
         variants: Sequence[Variant],
         *,
-        direction: Direction | Literal["both"] | None = None,
+        direction: GivenWay | None = None,
         include_unknown: bool = False,
         raw: bool = False,
         defer: bool = False,
@@ -124,8 +124,8 @@ class CanColumns:
     # ------------------------------------------------------------------ which messages a key may be
 
     def _slot(self, key: int, transport: Transport | None = None) -> int:
-        """The slot of a key: the messages that it may be, in the order in which they are tried. Of a frame that a transport
-        carries, the transport; with `transport` the key is that of its packets."""
+        """Return the slot of a key: the messages that it may be, in the order in which they are tried. Of a frame that
+        a transport carries, the transport; with `transport` the key is that of its packets."""
         if transport is None and (carried := self._scanner.transport_of(key)) is not None:
             return self._carrier_slot(carried)
         names: list[tuple[int, str]] = []
@@ -145,14 +145,14 @@ class CanColumns:
         return self._by_names[chosen]
 
     def _is_live(self, number: int, message: Message) -> bool:
-        """Whether a message hangs on others, or has no columns."""
+        """Return whether a message hangs on others, or has no columns."""
         candidate = self._candidate(number, message)
         is_contextual = message.name in self._wires[number].contextual
         return candidate.is_live or is_contextual or bool(candidate.decoder.reason)
 
     def _carrier_slot(self, transport: Transport) -> int:
-        """The slot of a transport's frames. Where one of its messages is decided by the live scanner, so are all of them: in
-        which order packets are whole, frames say."""
+        """Return the slot of a transport's frames. Where one of its messages is decided by the live scanner, so are
+        all of them: in which order packets are whole, frames say."""
         known = next((slot for slot, one in self._carriers.items() if one.transport == transport), None)
         if known is not None:
             return known
@@ -169,7 +169,7 @@ class CanColumns:
         return slot
 
     def _extra_of(self, transport: Transport, key: int) -> bytes:
-        """The `check_extra` of the first message that a packet's key may be of."""
+        """Return the `check_extra` of the first message that a packet's key may be of."""
         candidates = (m for wire in self._wires for m in wire.candidates(key, transport))
         return next((m.check_extra for m in candidates), b"")
 
@@ -186,7 +186,7 @@ class CanColumns:
     # ------------------------------------------------------------------ feeding
 
     def feed(self, table: FrameTable, rows: Array | None = None, /) -> list[MessageTable]:
-        """The tables of a piece of a capture, one a message that occurs in it.
+        """Return the tables of a piece of a capture, one a message that occurs in it.
 
         `rows` are the frames' numbers in the capture, rising; by default they go on where the last piece ended.
         """
@@ -271,7 +271,7 @@ class CanColumns:
         ]
 
     def close(self) -> list[MessageTable]:
-        """The end of a capture: frames of packets that are not whole are pending. Other frames are whole."""
+        """Return the end of a capture: frames of packets that are not whole are pending. Other frames are whole."""
         tables = self._slow.close()
         for carrier in self._carriers.values():
             left, rows = carrier.reassembler.close()
@@ -289,8 +289,8 @@ class CanColumns:
         tables: list[MessageTable],
         lost: list[_Lost],
     ) -> list[Array]:
-        """The frames [start, end) of the sorted batch, which may be these messages. Gives the places of those that are left
-        to the live scanner."""
+        """Return the frames [start, end) of the sorted batch, which may be these messages. Gives the places of those
+        that are left to the live scanner."""
         live: list[Array] = []
         rows: PacketRows = batch.rows(start, end).reaching(max(c.decoder.extent for c in candidates))
         left: Array | None = None  # places in [start, end) that no message has accepted yet; None: all
@@ -420,7 +420,7 @@ class CanColumns:
     # ------------------------------------------------------------------ several processes
 
     def hand_over(self) -> Handover:
-        """What has been seen since the last call, for `adopt`; this scanner then begins anew."""
+        """Return what has been seen since the last call, for `adopt`; this scanner then begins anew."""
         given = Handover(self._counts, self._deferred, self._counters, self._fed)
         self._counts, self._deferred, self._counters, self._fed = ScanCounts(), [], {}, 0
         return given

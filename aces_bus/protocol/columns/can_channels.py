@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 
 from ...frame_table import FrameTable
-from ..declare.message import Direction
+from ..declare.message import GivenWay
 from ..declare.protocol import Variant
 from ..live.channels import ChannelScanners
 from .can import CanColumns, Handover
@@ -24,7 +23,7 @@ class ChannelColumns(ChannelScanners[CanColumns]):
         self,
         variants: Sequence[Variant],
         *,
-        direction: Direction | Literal["both"] | None = None,
+        direction: GivenWay | None = None,
         include_unknown: bool = False,
         raw: bool = False,
         defer: bool = False,
@@ -38,7 +37,7 @@ class ChannelColumns(ChannelScanners[CanColumns]):
         self._fed = 0
 
     def hand_over(self) -> dict[str | None, Handover]:
-        """What has been seen since the last call, by channel; see `CanColumns.hand_over`."""
+        """Return what has been seen since the last call, by channel; see `CanColumns.hand_over`."""
         given = {channel: scanner.hand_over() for channel, scanner in self._scanners.items()}
         frames, self._fed = self._fed, 0
         return {channel: replace(one, frames=frames) for channel, one in given.items()}
@@ -53,7 +52,7 @@ class ChannelColumns(ChannelScanners[CanColumns]):
         return merge_tables(tables)
 
     def feed(self, table: FrameTable, /) -> list[MessageTable]:
-        """The tables of a piece of a capture, one a message that occurs in it."""
+        """Return the tables of a piece of a capture, one a message that occurs in it."""
         tables: list[MessageTable] = []
         for number in np.unique(table.channel).tolist():
             places: Array = np.flatnonzero(table.channel == number)
@@ -63,7 +62,7 @@ class ChannelColumns(ChannelScanners[CanColumns]):
         return merge_tables(tables)
 
     def close(self) -> list[MessageTable]:
-        """The end of a capture; see `CanColumns.close`."""
+        """Return the end of a capture; see `CanColumns.close`."""
         return merge_tables(table for scanner in self._scanners.values() for table in scanner.close())
 
 

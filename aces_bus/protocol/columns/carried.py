@@ -39,6 +39,8 @@ class FrameParts:
     front of the packet's, bytes behind them) of such a frame; the packet's first `address` bytes stand in front of all.
     `following` is the same of frames that follow: all others.
 
+    `broadcast` is the number of the kind that begins a broadcast (−1: none does).
+
     `number` (n): of a following frame. `last` (n): whether it says that it is the last (None: none says so). `piece` (n):
     how many bytes of the packet it has (None: as many as there is room). `reasons` are of frames that are no part of a
     packet, by their places in the table. `tied`: frames whose sessions end one another, which only the rule decides, as
@@ -59,6 +61,7 @@ class FrameParts:
     reasons: list[tuple[Array, str]] = field(default_factory=list)
     tied: list[Array] = field(default_factory=list)
     tied_sessions: int = 0
+    broadcast: int = -1
 
     def lose(self, lost: Sequence[tuple[Array, str]], party: Array | None = None) -> None:
         """Take frames away that are no parts of packets after all (places in `frames`, no place twice), and of the others
@@ -92,16 +95,16 @@ class PartReader(Protocol):
     """Reads the parts of frames, table after table."""
 
     def sessions(self, table: FrameTable) -> Array:
-        """A number for the session of each frame, as narrow as may be."""
+        """Return a number for the session of each frame, as narrow as may be."""
         ...
 
     def read(self, frames: GroupedFrames) -> FrameParts | None:
-        """What each frame is; None where some are of acknowledged packets, which only the rule knows."""
+        """Return what each frame is; None where some are of acknowledged packets, which only the rule knows."""
         ...
 
 
 def can_table(transport: Transport) -> bool:
-    """Whether frames of a transport can be told apart in columns by the table of their kinds."""
+    """Return whether frames of a transport can be told apart in columns by the table of their kinds."""
     kind = type(transport)
     parts = [one for one in transport.kinds if one.role in ("single", "first", "next")]
     # First frames say the size, or last ones that they are the last.
@@ -122,12 +125,12 @@ def can_table(transport: Transport) -> bool:
 
 
 def _reach(bits: FrameNumber | None) -> int:
-    """How many bytes a frame has in which a number is."""
+    """Return how many bytes a frame has in which a number is."""
     return 0 if bits is None else bits.byte + bits.size if bits.byte >= 0 else -bits.byte
 
 
 def _needs(kind: FrameKind) -> int:
-    """How many bytes a frame of a kind has at least, the address aside; a shorter one is malformed."""
+    """Return how many bytes a frame of a kind has at least, the address aside; a shorter one is malformed."""
     if kind.role == "control":
         return 0
     size = None if kind.role == "next" else kind.size
@@ -152,7 +155,7 @@ class KindReader:
         self._around = [(transport.address + kind.head, kind.tail) for kind in kinds]
 
     def _kind(self, value: int) -> int:
-        """What a telling byte says: one kind, none, or that there are several."""
+        """Return what a telling byte says: one kind, none, or that there are several."""
         candidates = self.transport.by_telling[value]
         if not candidates:
             return self._none
@@ -160,7 +163,7 @@ class KindReader:
         return self.transport.kinds.index(kind) if is_sure and not kind.over else _OPEN
 
     def sessions(self, table: FrameTable) -> Array:
-        """A number for the session of each frame."""
+        """Return a number for the session of each frame."""
         keys = bare_keys(table)
         few = few_keys(keys)
         if few is not None:
@@ -177,7 +180,7 @@ class KindReader:
         return joined_numbers(parts)
 
     def read(self, frames: GroupedFrames) -> FrameParts:
-        """What each frame is."""
+        """Return what each frame is."""
         transport, following = self.transport, self.transport.following
         rows = _Rows.of(frames.data, frames.length, transport.address)
         kinds = self._kinds.take(rows.cell(transport.telling))
@@ -213,7 +216,7 @@ class KindReader:
         return parts
 
     def _distinguished(self, rows: _Rows) -> Array:
-        """The kinds of frames whose telling byte does not say all."""
+        """Return the kinds of frames whose telling byte does not say all."""
         found = np.full(len(rows), self._none, np.uint8)
         telling = rows.cell(self.transport.telling)
         for value in numbers_in(telling):
@@ -229,7 +232,9 @@ class KindReader:
     def _read_heads(
         self, rows: _Rows, heads: Array, kinds: Array, lost: list[tuple[Array, str]]
     ) -> tuple[Array, Array]:
-        """The roles and sizes of frames that do not follow, which are of these kinds; `lost` are those that are no part."""
+        """Return the roles and sizes of frames that do not follow, which are of these kinds; `lost` are those that are
+        no part.
+        """
         transport = self.transport
         role, size = self._role_of.take(kinds), np.zeros(len(heads), np.int32)
         for number in numbers_in(kinds):
@@ -273,7 +278,7 @@ class KindReader:
 
 
 def numbers_in(column: Array) -> list[int]:
-    """The small numbers that there are in a column, rising."""
+    """Return the small numbers that there are in a column, rising."""
     if len(column) and (column == column[0]).all():
         return [int(column[0])]
     found: list[int] = np.flatnonzero(np.bincount(column)).tolist()
@@ -302,7 +307,7 @@ class _Rows:
 
     @classmethod
     def of(cls, data: Array, length: Array, address: int) -> _Rows:
-        """Those of frames of these lengths."""
+        """Return those of frames of these lengths."""
         return cls(data, np.maximum(length, address) - np.uint8(address) if address else length, address)
 
     def __len__(self) -> int:
@@ -324,7 +329,7 @@ class _Rows:
         return some
 
     def cell(self, byte: int) -> Array:
-        """A byte of each frame; one from the end (negative) where the frame is long enough."""
+        """Return a byte of each frame; one from the end (negative) where the frame is long enough."""
         found = self._cells.get(byte)
         if found is None:
             data, places = self._data, self._places
@@ -345,7 +350,7 @@ class _Rows:
         return found
 
     def number(self, bits: FrameNumber) -> Array:
-        """A number of each frame; of those that are too short for it, any."""
+        """Return a number of each frame; of those that are too short for it, any."""
         number: Array = self.cell(bits.byte)
         if bits.size > 1:
             steps = range(bits.size) if bits.order == "big" else reversed(range(bits.size))

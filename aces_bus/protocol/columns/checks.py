@@ -38,7 +38,7 @@ _PAIRS, _GATHER = np.uint64(0x00FF00FF00FF00FF), np.uint64(0x0001000100010001)
 
 
 def reason_of(code: int) -> str:
-    """The reason in words, as all scanners give it."""
+    """Return the reason in words, as all scanners give it."""
     if code == LENGTH:
         return "malformed: length"
     if code == CHECKSUM:
@@ -117,7 +117,7 @@ class CheckColumns:
 
     @staticmethod
     def _narrow(sizes: Array) -> int:
-        """The width of rows into which nearly all packets fit without much air; 0: there is none."""
+        """Return the width of rows into which nearly all packets fit without much air; 0: there is none."""
         most = int(sizes.sum()) * 3
         for width in range(8, NARROW + 1, 8):
             if len(sizes) * width > most:
@@ -154,7 +154,7 @@ class CheckColumns:
     # ------------------------------------------------------------------ a byte at the end, over short packets
 
     def _foldable(self, framing: Framing) -> int | None:
-        """The fold of the sync bytes that are not covered, where the check is one byte over all the rest."""
+        """Return the fold of the sync bytes that are not covered, where the check is one byte over all the rest."""
         check, part = self.check, self._parts[0]
         if check.kind not in ("sum", "xor") or check.bytes != 1 or len(self._parts) > 1:
             return None
@@ -164,7 +164,7 @@ class CheckColumns:
         return xor_of(outside) if check.kind == "xor" else sum(outside) & 0xFF
 
     def _folds(self, rows: Array, buffer: bytes, starts: Array, sizes: Array) -> Array:
-        """Which packets pass: all bytes of each are folded at once, the check's own too, eight at a time."""
+        """Return which packets pass: all bytes of each are folded at once, the check's own too, eight at a time."""
         words = rows.view(np.uint64)
         if self.check.kind == "xor":
             folded = np.bitwise_xor.reduce(words, axis=1) if words.shape[1] > 1 else words[:, 0].copy()
@@ -198,7 +198,7 @@ class CheckColumns:
 
     @staticmethod
     def _span(part: slice, starts: Array, ends: Array) -> tuple[Array, Array]:
-        """Where a part of each packet starts and ends in the buffer, as slicing the packet would cut it."""
+        """Return where a part of each packet starts and ends in the buffer, as slicing the packet would cut it."""
         low = starts if part.start is None else (starts if part.start >= 0 else ends) + part.start
         high = ends if part.stop is None else (starts if part.stop >= 0 else ends) + part.stop
         low = np.minimum(np.maximum(low, starts), ends)
@@ -275,7 +275,7 @@ class CheckColumns:
         return one
 
     def _running(self, name: str, fold: Any, data: Array, kind: Any) -> Array:
-        """The running value before each position, and after the last, in memory that is used again."""
+        """Return the running value before each position, and after the last, in memory that is used again."""
         scratch = self._scratch.get(name)
         if scratch is None or len(scratch) <= len(data):
             scratch = self._scratch[name] = np.zeros(len(data) + 1 + len(data) // 8, kind)
@@ -302,11 +302,11 @@ class CrcColumns:
 
     @staticmethod
     def can(check: Crc) -> bool:
-        """Whether the CRC fits a machine word."""
+        """Return whether the CRC fits a machine word."""
         return check.parameters[0] <= 64
 
     def begin(self, count: int) -> Array:
-        """The registers of `count` packets before their first byte."""
+        """Return the registers of `count` packets before their first byte."""
         return np.full(count, self._init, self.dtype)
 
     def words(self, data: Array) -> tuple[Array, Array]:
@@ -318,7 +318,7 @@ class CrcColumns:
         return data, words
 
     def run(self, register: Array, source: tuple[Array, Array], starts: Array, sizes: Array) -> Array:
-        """The registers after `sizes` bytes from `starts` of the buffer."""
+        """Return the registers after `sizes` bytes from `starts` of the buffer."""
         if not len(register):
             return register
         data, words = source
@@ -343,7 +343,7 @@ class CrcColumns:
         return out
 
     def over(self, register: Array, rows: Array) -> Array:
-        """The registers after the bytes of `rows`, a row a packet (or one row for all)."""
+        """Return the registers after the bytes of `rows`, a row a packet (or one row for all)."""
         if self.is_turned:
             rows = _TURN.take(rows)
         for column in range(rows.shape[1]):
@@ -351,7 +351,7 @@ class CrcColumns:
         return register
 
     def end(self, register: Array) -> Array:
-        """The numbers that stand for these registers in a packet."""
+        """Return the numbers that stand for these registers in a packet."""
         if self._turn_out:
             # Each byte turned round, and the bytes read the other way.
             octets = _TURN.take(register.astype(self.dtype.newbyteorder("<")).view(np.uint8))
@@ -374,7 +374,7 @@ class CrcColumns:
 
 
 def done_alone(sizes: Array) -> Array:
-    """Which packets are better done one by one: the few longest, where a step would be for them alone."""
+    """Return which packets are better done one by one: the few longest, where a step would be for them alone."""
     order = np.argsort(-sizes, kind="stable")
     steps = np.append(sizes[order] >> 1, 0)
     best = int(np.argmin(_ALONE * np.arange(len(steps)) + _STEP * steps))
@@ -383,7 +383,7 @@ def done_alone(sizes: Array) -> Array:
 
 
 def _turned(number: int, width: int) -> int:
-    """The lowest `width` bits in reverse."""
+    """Return the lowest `width` bits in reverse."""
     return int(f"{number & ((1 << width) - 1):0{width}b}"[::-1], 2)
 
 
@@ -392,7 +392,7 @@ _TURN = np.array([_turned(n, 8) for n in range(256)], np.uint8)
 
 @cache
 def _tables(width: int, poly: int, size: int) -> tuple[Array, Array]:
-    """What 8 and what 16 bits of a register become, as numbers of `size` bytes."""
+    """Return what 8 and what 16 bits of a register become, as numbers of `size` bytes."""
     kind = np.dtype(f"u{size}").type
     reflected, one = kind(_turned(poly, width)), kind(1)
     octets = np.arange(256, dtype=kind)
@@ -405,12 +405,12 @@ def _tables(width: int, poly: int, size: int) -> tuple[Array, Array]:
 
 
 def can_compute(check: Check) -> bool:
-    """Whether `numbers` knows this check."""
+    """Return whether `numbers` knows this check."""
     return check.bytes <= 4 and check.text is None
 
 
 def check_holds(message: Message, data: Array, lengths: Array, keys: Array) -> Array:
-    """Which rows carry the number that their check gives; rows too short for it do not."""
+    """Return which rows carry the number that their check gives; rows too short for it do not."""
     check = message.check
     assert check is not None
     start, size, order = message.check_span
@@ -426,7 +426,7 @@ def check_holds(message: Message, data: Array, lengths: Array, keys: Array) -> A
 
 
 def _covered(message: Message, rows: Array, keys: Array, start: int, size: int) -> Array:
-    """What the check covers, uint8 (n, k), as `Message.covered` gives it."""
+    """Return what the check covers, uint8 (n, k), as `Message.covered` gives it."""
     check = message.check
     assert check is not None
     if check.over is None:
@@ -449,7 +449,7 @@ def _covered(message: Message, rows: Array, keys: Array, start: int, size: int) 
 
 
 def check_numbers(check: Check, covered: Array) -> Array:
-    """The check's number of each row of `covered`, int64."""
+    """Return the check's number of each row of `covered`, int64."""
     if check.kind == "xor":
         out: Array = np.bitwise_xor.reduce(covered, axis=1, dtype=np.uint8).astype(np.int64)
         return out

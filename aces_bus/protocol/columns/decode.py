@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from inspect import signature
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from ...errors import CallerError, UnknownNameError
 from ...frame_table import FrameTable
 from ..counts import ScanCounts, sum_counts
-from ..declare.message import Direction
+from ..declare.message import GivenWay, Way, way_of
 from ..declare.protocol import Variant
 from .arrow import to_arrow, to_pandas, to_polars
 from .layout import Holds, Objects, empty_table
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 #: Frames that are put into a table at once where a capture gives them one by one.
 PIECE = 16_384
-
-Way = Direction | Literal["both"]
 
 
 class DecodedRecording(Mapping[str, MessageTable]):
@@ -53,7 +51,7 @@ class DecodedRecording(Mapping[str, MessageTable]):
         self._objects = Objects([variant])
 
     def __getitem__(self, message: str) -> MessageTable:
-        """The table of a message, without rows when it did not occur; raises `UnknownNameError`."""
+        """Return the table of a message, without rows when it did not occur; raises `UnknownNameError`."""
         if message in self._tables:
             return self._tables[message]
         if message not in self.variant.messages:
@@ -74,16 +72,16 @@ class DecodedRecording(Mapping[str, MessageTable]):
         return f"<{self.variant.label}: {rows}>"
 
     def to_arrow(self, message: str, *, names: bool = False, float32: bool = False) -> pyarrow.Table:
-        """A message's table as a `pyarrow.Table`; see `aces_bus.export.to_arrow`."""
+        """Return a message's table as a `pyarrow.Table`; see `aces_bus.export.to_arrow`."""
         table = self[message]
         return to_arrow(table, names=names, float32=float32, objects=self._of(table))
 
     def to_pandas(self, message: str, *, names: bool = False, float32: bool = False) -> pandas.DataFrame:
-        """A message's table as a `pandas.DataFrame`; see `aces_bus.export.to_pandas`."""
+        """Return a message's table as a `pandas.DataFrame`; see `aces_bus.export.to_pandas`."""
         return to_pandas(self[message], names=names, float32=float32)
 
     def to_polars(self, message: str, *, names: bool = False, float32: bool = False) -> polars.DataFrame:
-        """A message's table as a `polars.DataFrame`; see `aces_bus.export.to_polars`."""
+        """Return a message's table as a `polars.DataFrame`; see `aces_bus.export.to_polars`."""
         table = self[message]
         return to_polars(table, names=names, float32=float32, objects=self._of(table))
 
@@ -96,21 +94,22 @@ def decode_tables(
     capture: Any,
     *,
     message: str | Iterable[str] | None = None,
-    direction: Way | None = None,
+    direction: GivenWay | None = None,
     include_unknown: bool = False,
     raw: bool = False,
 ) -> DecodedRecording:
-    """All messages of a capture, which is one of `aces_bus.recordings`, or an iterable of frame tables, frames (also of
-    python-can), chunks or bytes; bytes may also be given as they are.
+    """Return all messages of a capture, which is one of `aces_bus.recordings`, or an iterable of frame tables, frames
+    (also of python-can), chunks or bytes; bytes may also be given as they are.
 
     `message` limits what is kept to one or several messages; the counts stay those of the whole. `direction` is that of
-    a stream which does not say it: "to device", "from device" or "both". With `include_unknown`, what was not decoded is the
-    table named "". `raw` leaves out units, scales and names.
+    a stream which does not say it: "to device" ("to"), "from device" ("from") or "both". With `include_unknown`, what was
+    not decoded is the table named "". `raw` leaves out units, scales and names.
 
     Raises `UnknownNameError` for a message that the protocol does not have, `CallerError` where bytes alone do not tell
     the messages apart and no direction is given, `CaptureError` where reading stops.
     """
     wanted = None if message is None else {message} if isinstance(message, str) else set(message)
+    given = way_of(direction)
     for name in wanted or ():
         if name not in variant.messages:
             raise UnknownNameError(f"message of {variant.label}", name, variant.messages)
@@ -123,7 +122,7 @@ def decode_tables(
                 parts.setdefault(table.message, []).append(table)
 
     for traffic, way, time in capture_pieces(capture, variant):
-        way = direction or way
+        way = given or way
         if way not in scanners:
             scanners[way] = make_column_scanner(
                 [variant], direction=way, include_unknown=include_unknown, raw=raw

@@ -11,7 +11,7 @@ DEVICE_NAMES = frozenset(
 
 
 def is_device_column(leaf: p.NodePath) -> bool:
-    """Whether a column is captured from the identifier, or an integer of the payload that is named like a device."""
+    """Return whether a column is captured from the identifier, or an integer of the payload that is named like a device."""
     node = leaf.node
     return isinstance(node, p.FromIdentifier) or (
         len(leaf.way) == 1

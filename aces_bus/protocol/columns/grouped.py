@@ -24,7 +24,7 @@ class GroupedFrames:
 
     @classmethod
     def of(cls, table: FrameTable, session: Array) -> GroupedFrames:
-        """All frames of a table, whose sessions are these."""
+        """Return all frames of a table, whose sessions are these."""
         order = np.argsort(session, kind="stable")
         return cls(table, order, session.take(order))
 
@@ -55,7 +55,7 @@ class GroupedFrames:
         return self.table.channel.take(self.order)
 
     def keys_of(self, which: Array) -> Array:
-        """The keys of some."""
+        """Return the keys of some."""
         return bare_keys(self.table).take(self.order.take(which))
 
     def take(self, which: Array) -> GroupedFrames:
@@ -64,7 +64,7 @@ class GroupedFrames:
 
 
 def bare_keys(table: FrameTable) -> Array:
-    """The keys of frames without the flag of CAN FD."""
+    """Return the keys of frames without the flag of CAN FD."""
     if not len(table.flags) or not int(np.bitwise_or.reduce(table.flags)) & FD_FLAG:
         return table.key
     keys: Array = table.key & np.uint32(~FD & 0xFFFF_FFFF)

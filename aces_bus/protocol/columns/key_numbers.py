@@ -41,11 +41,11 @@ class KeyNumbers:
         return len(self._there) if self._is_scattered else len(self.known)
 
     def by_place(self, values: Array) -> Array:
-        """What is given by the numbers of the known keys, by their `places`."""
+        """Return what is given by the numbers of the known keys, by their `places`."""
         return values.take(self._number) if self._is_scattered else values
 
     def of(self, keys: Array) -> Array:
-        """The numbers of keys, int32 (n,)."""
+        """Return the numbers of keys, int32 (n,)."""
         places = self.places(keys)
         found: Array = self._number.take(places) if self._is_scattered else places
         return found
@@ -104,7 +104,7 @@ class FewKeys(NamedTuple):
     keys: Array
 
     def present(self) -> Array:
-        """The keys that occur."""
+        """Return the keys that occur."""
         some = np.bincount(self.numbers[:_SAMPLE], minlength=len(self.keys))
         return self.keys[some > 0 if some.all() else np.bincount(self.numbers, minlength=len(self.keys)) > 0]
 

@@ -33,7 +33,7 @@ class KeySlots:
         self._by_place = self._slots
 
     def of(self, table: FrameTable) -> Array:
-        """The slot of each frame, int32 (n,)."""
+        """Return the slot of each frame, int32 (n,)."""
         flags = table.flags
         any_flags = int(np.bitwise_or.reduce(flags)) if len(flags) else 0
         if len(self._keys) < REMEMBERED and not any_flags & ERROR and (few := few_keys(table.key)):

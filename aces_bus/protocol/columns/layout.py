@@ -76,7 +76,7 @@ class Labels:
             self.number(name)
 
     def number(self, name: str | None) -> int:
-        """The number of a name, a new one when it is new."""
+        """Return the number of a name, a new one when it is new."""
         if name is None:
             return -1
         found = self._numbers.get(name)
@@ -86,7 +86,7 @@ class Labels:
         return found
 
     def codes(self, channels: Channels, numbers: Array) -> Array:
-        """A table's channel numbers as numbers of these labels."""
+        """Return a table's channel numbers as numbers of these labels."""
         codes = np.array([self.number(name) for name in channels.names] or [-1], np.int32)
         return codes[numbers] if len(channels.names) > 1 else np.full(len(numbers), codes[0], np.int32)
 
@@ -128,8 +128,8 @@ class DatasetLayout:
         float32: bool = False,
         with_source: bool = False,
     ) -> DatasetLayout:
-        """The layout for a message's tables. `objects` says what columns of objects hold (`objects_of`); without it they
-        are JSON texts. `columns` limits the fields to those named."""
+        """Return the layout for a message's tables. `objects` says what columns of objects hold (`objects_of`);
+        without it they are JSON texts. `columns` limits the fields to those named."""
         if table.message == "":
             objects = {"reason": "text", "raw": "bytes"}
         roles: tuple[Role, ...] = STREAM if table.is_stream else CAN if table.message else LOST
@@ -159,13 +159,13 @@ class DatasetLayout:
         )
 
     def fits(self, table: MessageTable) -> bool:
-        """Whether a table of the same name is of the same message in the same dialect."""
+        """Return whether a table of the same name is of the same message in the same dialect."""
         return self.is_stream == table.is_stream and (
             self.kinds is table.kinds or tuple(self.kinds) == tuple(table.kinds)
         )
 
     def block(self, table: MessageTable, labels: Labels, sources: Labels, source: str | None = None) -> Block:
-        """A table's values, one piece a slot."""
+        """Return a table's values, one piece a slot."""
         return [self._values(slot, table, labels, sources, source) for slot in self.slots]
 
     def _values(
@@ -230,12 +230,12 @@ def _transport(role: Role) -> DatasetColumn:
 
 
 def own(values: Array) -> Array:
-    """The array itself when it owns its bytes, else a copy: a view would keep alive what it looks at."""
+    """Return the array itself when it owns its bytes, else a copy: a view would keep alive what it looks at."""
     return values if values.base is None else values.copy()
 
 
 def clean_name(text: str) -> str:
-    """A text that UTF-8 can hold: lone surrogates are spelt out."""
+    """Return a text that UTF-8 can hold: lone surrogates are spelt out."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -258,7 +258,7 @@ def _json(value: Any) -> str:
 
 
 def plain_json(value: Any) -> Any:
-    """A value of any shape as what JSON has: bytes as hexadecimal, integers beyond 64 bits as their digits."""
+    """Return a value of any shape as what JSON has: bytes as hexadecimal, integers beyond 64 bits as their digits."""
     if value is None or isinstance(value, (bool, float)):
         return value
     if isinstance(value, int):
@@ -309,7 +309,7 @@ def size_of(block: Block) -> int:
 
 
 def objects_of(plan: p.MessagePlan) -> dict[str, Holds]:
-    """What the columns of Python objects of a message hold, by the name of the column."""
+    """Return what the columns of Python objects of a message hold, by the name of the column."""
     return {leaf.path: _held(leaf.node) for leaf in plan.columns if dtype_of(leaf.node) is None}
 
 
@@ -336,7 +336,7 @@ class Objects:
                     self._known.setdefault((variant.name, name), []).append((kinds_of(plan), found))
 
     def of(self, table: MessageTable) -> dict[str, Holds]:
-        """What the columns of objects of this table hold; empty when its message is not known."""
+        """Return what the columns of objects of this table hold; empty when its message is not known."""
         known = self._known.get((table.protocol, table.message), [])
         for kinds, found in known:
             if kinds is table.kinds or kinds == table.kinds:
@@ -345,7 +345,7 @@ class Objects:
 
 
 def objects_by_values(table: MessageTable) -> dict[str, Holds]:
-    """What the columns of objects of one table hold, by its values: for a table without its plan."""
+    """Return what the columns of objects of one table hold, by its values: for a table without its plan."""
     found: dict[str, Holds] = {}
     for kind in table.kinds:
         if kind.is_object:
@@ -360,7 +360,7 @@ def objects_by_values(table: MessageTable) -> dict[str, Holds]:
 
 
 def empty_table(variant: Variant, name: str) -> MessageTable:
-    """A table of a message without rows: what its dataset looks like where the message does not occur."""
+    """Return a table of a message without rows: what its dataset looks like where the message does not occur."""
     plan = variant.messages[name].plan
     dtypes = {leaf.path: dtype_of(leaf.node) for leaf in plan.columns}
     is_stream = variant.link != "can"

@@ -49,7 +49,7 @@ class ListColumns:
         self._decoders = {id(plan): make(plan) for plan in plans}
 
     def whole(self, rows: PacketRows) -> Values:
-        """The lists, as records have them."""
+        """Return the lists, as records have them."""
         start, read = self.node.offset, self._read
         ends = (rows.lengths.astype(np.int64) - self.tail).tolist()
         packets = (row.tobytes() for row in rows.data)
@@ -58,7 +58,7 @@ class ListColumns:
         ), None
 
     def inside(self, leaf: p.ItemPath) -> Callable[[PacketRows], Values]:
-        """A function that gives the values of one column of what is inside."""
+        """Return a function that gives the values of one column of what is inside."""
         node = self.node
         if isinstance(node, p.Repeated):
             return lambda rows: self._every(node, leaf.inner, rows)
@@ -96,7 +96,7 @@ class ListColumns:
     def _firsts(
         self, node: p.TaggedItems, kind: p.ItemKind, decoder: RowDecoder, rows: PacketRows
     ) -> FoundItems:
-        """The first good item of a kind in each row that has one."""
+        """Return the first good item of a kind in each row that has one."""
         row, tag, start, size = rows.kept(("items", id(node)), lambda: _items(node, rows, self.tail))
         mine = np.flatnonzero(tag == kind.number)
         found = _cut(rows, row[mine], start[mine], size[mine], decoder.extent)
@@ -121,7 +121,7 @@ def _cut(rows: PacketRows, row: Array, start: Array, size: Array, least: int) ->
 
 
 def _groups(node: p.Repeated, rows: PacketRows, tail: int) -> tuple[FoundItems, Array]:
-    """All groups, and how many each row has."""
+    """Return all groups, and how many each row has."""
     counts = (rows.lengths.astype(np.int64) - (node.offset + tail)) // node.width
     row = np.repeat(np.arange(len(rows)), counts)
     number = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -159,7 +159,7 @@ def _items(node: p.TaggedItems, rows: PacketRows, tail: int) -> tuple[Array, Arr
 
 
 def _numbers(data: Array, base: Array, number: p.Scalar) -> Array:
-    """A tag or size of each item that begins at `base`."""
+    """Return a tag or size of each item that begins at `base`."""
     size = number.size or 0
     found = np.zeros(len(base), np.int64)
     for place in range(size):

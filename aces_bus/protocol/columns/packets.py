@@ -127,7 +127,7 @@ class _Kind:
         return self.decoder.column(kind, rows)
 
     def accepted(self, batch: Batch, which: Array, rows: PacketRows) -> tuple[Array | None, list[Any]]:
-        """Which packets are the message (None: all), and of a message that goes one by one their records."""
+        """Return which packets are the message (None: all), and of a message that goes one by one their records."""
         if self.decode is None:
             return self.decoder.accepts(rows), []
         decode = self.decode

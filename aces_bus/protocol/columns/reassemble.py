@@ -66,7 +66,7 @@ class CarriedTable:
     where: tuple[Array, Array]
 
     def frames_of(self, number: int) -> Array:
-        """The places of the frames of one packet, in the order in which they came, in the table that was decided."""
+        """Return the places of the frames of one packet, in the order in which they came, in the table that was decided."""
         shape, row = self.where
         order, starts = self.shapes[int(shape[number])]
         start = int(starts[int(row[number])])
@@ -104,7 +104,7 @@ class ColumnReassembler:
         return len(self._left_rows)
 
     def feed(self, table: FrameTable, rows: Array) -> DecidedTable:
-        """What frames of the transport decide, which are `rows` of the capture, in order."""
+        """Return what frames of the transport decide, which are `rows` of the capture, in order."""
         if self.pending:
             table = FrameTable.concat([self._left, table])
             rows = np.concatenate([self._left_rows, rows])
@@ -118,7 +118,7 @@ class ColumnReassembler:
         return piece.decided()
 
     def close(self) -> tuple[FrameTable, Array]:
-        """The frames that are pending at the end, and their numbers."""
+        """Return the frames that are pending at the end, and their numbers."""
         if self._talks is not None:
             self._talks.reset()
         left, rows = self._left, self._left_rows
@@ -356,7 +356,8 @@ class _Piece:
     def _bytes(
         self, rows: Array, length: int, around: tuple[int, int], following: tuple[int, int], size: Array
     ) -> Array:
-        """The bytes of packets whose frames are `rows` (m, count, …), the first one of which has `length`: uint8 (m, width)
+        """Return the bytes of packets whose frames are `rows` (m, count, …), the first one of which has `length`:
+        uint8 (m, width)
         with zeros behind each. `around` and `following` say how much of the first and the other frames is not theirs."""
         address = self.transport.address
         m, count, _ = rows.shape
@@ -382,7 +383,7 @@ class _Piece:
 
 
 def _class_of(size: int) -> int:
-    """The size up to which packets are in one table with those of `size` bytes."""
+    """Return the size up to which packets are in one table with those of `size` bytes."""
     return next((most for most in _SIZES if size <= most), -(-size // _STEP) * _STEP)
 
 

@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from ..declare.bits import runs_of, whole_bits
+from ..declare.fields import text_until
 from ..declare.message import Message
 from ..plan import nodes as p
 from .checks import can_compute, check_holds
@@ -50,7 +51,7 @@ class PacketRows:
         return len(self.data)
 
     def word(self, index: int, order: str) -> Array:
-        """The 64-bit word of bytes 8·index to 8·index + 7, read in this byte order; uint64 (n,)."""
+        """Return the 64-bit word of bytes 8·index to 8·index + 7, read in this byte order; uint64 (n,)."""
         found = self._words.get((index, order))
         if found is None:
             words = self.data.view(np.uint64)[:, index]
@@ -61,19 +62,19 @@ class PacketRows:
         return found
 
     def kept(self, key: Any, make: Callable[[], T]) -> T:
-        """What `make` gives, made once for these rows."""
+        """Return what `make` gives, made once for these rows."""
         if key not in self._kept:
             self._kept[key] = make()
         found: T = self._kept[key]
         return found
 
     def whole(self, dtype: Any, offset: int) -> Array:
-        """The numbers at a byte offset, as they stand in the rows; a view."""
+        """Return the numbers at a byte offset, as they stand in the rows; a view."""
         width = self.data.shape[1]
         return np.ndarray((len(self.data),), dtype, self.data, offset, (width,))
 
     def reaching(self, end: int) -> PacketRows:
-        """The rows, at least `end` bytes wide."""
+        """Return the rows, at least `end` bytes wide."""
         if self.data.shape[1] >= end:
             return self
         wide = np.zeros((len(self), end), np.uint8)
@@ -138,7 +139,7 @@ class RowDecoder:
     # ------------------------------------------------------------------ which rows
 
     def accepts(self, rows: PacketRows) -> Array | None:
-        """Which rows are the message: a boolean array, or None when all are. Identifier and framing fit already."""
+        """Return which rows are the message: a boolean array, or None when all are. Identifier and framing fit already."""
         plan = self.plan
         tests: list[Array] = []
         lengths = rows.lengths
@@ -187,11 +188,11 @@ class RowDecoder:
     # ------------------------------------------------------------------ columns
 
     def column(self, kind: ColumnKind, rows: PacketRows) -> Column:
-        """The column of this kind."""
+        """Return the column of this kind."""
         return self._columns[kind.name](kind, rows)
 
     def present(self, when: p.When, rows: PacketRows) -> Array:
-        """Where a condition holds: the selector has one of the values, and is there itself."""
+        """Return where a condition holds: the selector has one of the values, and is there itself."""
         found = among(number_reader(when.selector.number)(rows), when.values)
         outer = when.selector.when
         return found if outer is None else found & self.present(outer, rows)
@@ -239,7 +240,7 @@ class RowDecoder:
             cells = cells_of(rows.data, rows.lengths, start, size, tail)
             if is_text:
                 texts = [cell.decode("latin-1") for cell in cells]
-                out[:] = [text.rstrip("\0") for text in texts] if size is not None else texts
+                out[:] = [text_until(text, scalar.ends) for text in texts] if size is not None else texts
             else:
                 out[:] = cells
             return out, None
@@ -295,7 +296,7 @@ def _given(
 
 @lru_cache(maxsize=65536)
 def number_reader(scalar: p.Scalar) -> Read:
-    """A function from rows to the number of each, as an integer or float array of any width."""
+    """Return a function from rows to the number of each, as an integer or float array of any width."""
     if scalar.kind == "float" and scalar.bits:
         return _float_bits(scalar)
     if scalar.format:
@@ -314,7 +315,7 @@ def _is_little(scalar: p.Scalar) -> bool:
 
 
 def _cut(scalar: p.Scalar) -> Read:
-    """A number of up to 64 bits, cut out of words."""
+    """Return a number of up to 64 bits, cut out of words."""
     plans = []
     for order in ("little", "big"):
         cuts: list[tuple[int, int, int, int]] = []  # word, shift in it, place in the number, width
@@ -367,7 +368,7 @@ def _cut(scalar: p.Scalar) -> Read:
 
 
 def _float_bits(scalar: p.Scalar) -> Read:
-    """A float whose bits stand anywhere."""
+    """Return a float whose bits stand anywhere."""
     size = len(scalar.bits) // 8
     number = number_reader(p.Scalar("uint", scalar.offset, scalar.size, "little", scalar.bits))
     return lambda rows: _doubled(number(rows).astype(f"u{size}").view(f"f{size}"))
@@ -380,7 +381,7 @@ def _doubled(numbers: Array) -> Array:
 
 
 def _long(offset: int, size: int) -> Read:
-    """A little-endian number of more than 64 bits, as Python integers."""
+    """Return a little-endian number of more than 64 bits, as Python integers."""
 
     def read(rows: PacketRows) -> Array:
         width = rows.data.shape[1]
@@ -396,7 +397,7 @@ def _long(offset: int, size: int) -> Read:
 
 
 def _wide(scalar: p.Scalar) -> Read:
-    """A number of more than 64 bits, as Python integers."""
+    """Return a number of more than 64 bits, as Python integers."""
     bits = scalar.bits
     first, last = min(bits) // 8, max(bits) // 8 + 1
     whole = _long(first, last - first)
@@ -419,7 +420,7 @@ def _wide(scalar: p.Scalar) -> Read:
 def _stepped(
     number: Read, steps: Sequence[p.Step], dtype: Any, *, raw: bool
 ) -> Callable[[PacketRows], tuple[Array, Array | None]]:
-    """The number after its steps, as `dtype` (None: objects), and where it is unknown."""
+    """Return the number after its steps, as `dtype` (None: objects), and where it is unknown."""
     scales = [step for step in steps if isinstance(step, p.Scale)] if not raw else []
     magnitude = next((step for step in steps if isinstance(step, p.Magnitude)), None)
 
@@ -483,7 +484,7 @@ def _exact(value: Array, scale: float, offset: float) -> Array:
 
 
 def extent_of(plan: p.MessagePlan) -> int:
-    """Where the last field of fixed size ends."""
+    """Return where the last field of fixed size ends."""
     ends = [0]
     for node in (leaf.node for leaf in plan.leaves):
         if isinstance(node, (p.Scalar, p.Rest)) and node.size is not None:
@@ -494,7 +495,7 @@ def extent_of(plan: p.MessagePlan) -> int:
 
 
 def among(numbers: Array, values: Sequence[float] | range) -> Array:
-    """Where a number is one of `values`; NaN is NaN."""
+    """Return where a number is one of `values`; NaN is NaN."""
     if isinstance(values, range) and len(values) > 16:
         (least, most), step = sorted((values[0], values[-1])), abs(values.step)
         inside: Array = (numbers >= least) & (numbers <= most)

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -75,7 +76,9 @@ class Runs:
             self._judge(firsts, slice(None) if len(firsts) == len(self.starts) else firsts)
 
     def _begun(self) -> tuple[Array, Array, Array, Array, Array]:
-        """Where runs begin: with first and single frames, and where a session does. What is known of their first frames."""
+        """Return where runs begin: with first and single frames, and where a session does. What is known of their
+        first frames.
+        """
         parts = self.parts
         known = parts.heads, parts.role, parts.kind, parts.size, parts.keys
         sessions = np.flatnonzero(self._is_new[:-1])
@@ -102,7 +105,7 @@ class Runs:
         return found
 
     def most_open(self) -> int:
-        """How many packets are under way at once, or more than that."""
+        """Return how many packets are under way at once, or more than that."""
         others = self.parts.tied_sessions
         sessions = int(np.count_nonzero(self._is_new)) - 1
         senders = self.transport.senders
@@ -141,13 +144,15 @@ class Runs:
         if not transport.any_order:
             is_whole &= is_due
         else:
-            is_whole &= sizes <= transport.modulo
+            is_whole &= (sizes <= transport.modulo) & (is_due | ~self._is_broadcast[which])
             may_go_on &= sizes <= transport.modulo
         if parts.piece is not None or parts.last is not None:
             end, is_end, is_even = self._ends(which, begin, sizes, room)
             so_far = piece + (sizes - 2) * room + end
             fits = so_far <= transport.longest + transport.overhead
             is_whole &= is_even & is_end
+            # Which frame is the last one by its number, its place does not say where frames are not in order.
+            is_whole &= is_due | (end == room) if parts.last is None else is_due
             is_whole &= np.where(is_unsized, (end <= room) & fits, (sizes == 1) | (so_far >= size))
             may_go_on &= is_even & (end == room) & (fits | ~is_unsized)
             if parts.last is not None:
@@ -163,8 +168,14 @@ class Runs:
             left = left[~self.good[firsts[left]]]
             self.under_way[firsts[self._in_time(firsts, left)]] = True
 
+    @cached_property
+    def _is_broadcast(self) -> Array:
+        """Which runs begin with the announcement of a broadcast."""
+        found: Array = self._kind == self.parts.broadcast
+        return found
+
     def _are_due(self) -> Array:
-        """Whether the frames of each run have the numbers that are due, one behind the other."""
+        """Return whether the frames of each run have the numbers that are due, one behind the other."""
         transport = self.transport
         due = self.parts.number.copy()
         due[self.starts] = (transport.first_number - 1) % transport.modulo
@@ -198,7 +209,7 @@ class Runs:
         return end, is_end, is_even
 
     def _without(self, is_wrong: Array, *but: Array, begin: int = 0) -> Array:
-        """Whether none of each run's frames is wrong, of those that begin at `begin` of `order`; `but` are never."""
+        """Return whether none of each run's frames is wrong, of those that begin at `begin` of `order`; `but` are never."""
         for some in but:
             is_wrong[some] = False
         found = np.ones(len(self.starts), bool)
@@ -239,17 +250,21 @@ class Runs:
         """Those of some runs (numbers in `firsts`) of which no frame is late."""
         if not len(which):
             return which
-        runs, time, limit = firsts[which], self.time, self.transport.timeout_s * 1e9 - 1000
+        runs, time = firsts[which], self.time
+        limit: Any = self.transport.timeout_s
+        if self.parts.broadcast >= 0:
+            limit = np.where(self._is_broadcast[runs], min(limit, self.transport.broadcast_gap_s), limit)
         starts, sizes = self.starts[runs], self.sizes[runs]
         first, last = self.order.take(starts), self.order.take(starts + (sizes - 1))
         slow = np.arange(len(runs))
         if self._is_in_time_order:
-            slow = np.flatnonzero(time.take(last) - time.take(first) > limit)
+            slow = np.flatnonzero(time.take(last) - time.take(first) > limit * 1e9 - 1000)
         slow = slow[sizes[slow] > 1]
         if not len(slow):
             return which
         sizes = sizes[slow]
-        is_late = np.append(self._late(self.order[_ranges(starts[slow], sizes)]), False)
+        limits = np.repeat(np.broadcast_to(limit, len(runs))[slow], sizes)[:-1]
+        is_late = np.append(self._late(self.order[_ranges(starts[slow], sizes)], limits), False)
         is_late[np.cumsum(sizes) - 1] = False
         is_late = np.logical_or.reduceat(is_late, np.cumsum(sizes) - sizes)
         found: Array = np.delete(which, slow[is_late])
@@ -261,13 +276,13 @@ class Runs:
         time = self.time
         return bool((time[1:] >= time[:-1]).all()) and int(time[0]) != NO_TIME
 
-    def _late(self, frames: Array) -> Array:
-        """Where more than the time-out goes by between two frames (…, n), as the live reassembler computes it (…, n - 1)."""
+    def _late(self, frames: Array, limits: Array) -> Array:
+        """Return where more than `limits` (n - 1, in s) goes by between two of n frames, as the live reassembler says it."""
         time = self.time[frames]
         known = time != NO_TIME
         seconds = time / 1_000_000_000
-        late = np.greater(seconds[..., 1:] - seconds[..., :-1], self.transport.timeout_s)
-        late &= known[..., 1:] & known[..., :-1]
+        late = np.greater(seconds[1:] - seconds[:-1], limits)
+        late &= known[1:] & known[:-1]
         found: Array = late
         return found
 
@@ -283,13 +298,13 @@ class Runs:
 
 
 def _same(column: Array) -> Array:
-    """A column as int32; as one number where all are the same, with which to go on is quicker."""
+    """Return a column as int32; as one number where all are the same, with which to go on is quicker."""
     few = column[:1] if (column == column[0]).all() else column
     return few.astype(np.int32).reshape(-1 if len(few) == len(column) > 1 else ())
 
 
 def _alike(shape: Array) -> Sequence[slice | Array]:
-    """Which have one shape each; their order stays."""
+    """Return which have one shape each; their order stays."""
     if (shape == shape[0]).all():
         return [slice(None)]
     order = np.argsort(shape, kind="stable")
@@ -304,5 +319,5 @@ def _ranges(starts: Array, sizes: Array) -> Array:
 
 
 def sorted_places(places: Array, count: int) -> Array:
-    """The order of places in a table of `count` frames: of a small one by their 16 bits, which is much quicker."""
+    """Return the order of places in a table of `count` frames: of a small one by their 16 bits, which is much quicker."""
     return np.argsort(places.astype(np.uint16) if count <= 1 << 16 else places, kind="stable")

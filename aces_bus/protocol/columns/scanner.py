@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Literal, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from ...frame_table import Channels, FrameTable, to_ns
 from ..counts import ScanCounts
 from ..declare.fields import FlagSet
-from ..declare.message import Direction
+from ..declare.message import GivenWay
 from ..declare.protocol import Variant
 from ..generate.load import OnDemand
 from ..keys import key_of
@@ -34,7 +34,7 @@ class ColumnScanner(Protocol):
         ...
 
     def feed(self, traffic: Any, /) -> list[MessageTable]:
-        """The tables of a piece of a capture, one a message that occurs in it, in declared order."""
+        """Return the tables of a piece of a capture, one a message that occurs in it, in declared order."""
         ...
 
     def close(self) -> list[MessageTable]:
@@ -81,7 +81,7 @@ class RecordColumns:
         self,
         variants: Sequence[Variant],
         *,
-        direction: Direction | Literal["both"] | None = None,
+        direction: GivenWay | None = None,
         include_unknown: bool = False,
         raw: bool = False,
         scanner: Scanner | None = None,
@@ -103,7 +103,7 @@ class RecordColumns:
         return self.scanner.counts
 
     def feed(self, traffic: Any, /) -> list[MessageTable]:
-        """The tables of a piece of a capture."""
+        """Return the tables of a piece of a capture."""
         if isinstance(traffic, FrameTable):
             rows = np.arange(self._rows, self._rows + len(traffic))
             self._rows += len(traffic)
@@ -119,7 +119,7 @@ class RecordColumns:
         return self.tables(self.scanner.close(), None)
 
     def frames(self, table: FrameTable, rows: Array) -> list[MessageTable]:
-        """The tables of frames that are `rows` of the capture, in rising order. Instants stay exact."""
+        """Return the tables of frames that are `rows` of the capture, in rising order. Instants stay exact."""
         self.channels = table.channels
         scanner: Any = self.scanner
         frames = table.frames()
@@ -153,7 +153,7 @@ class RecordColumns:
 
 
 def _timed(made: MessageTable, table: FrameTable, rows: Array) -> MessageTable:
-    """A table with the exact instants of its frames, as far as they are among `rows`."""
+    """Return a table with the exact instants of its frames, as far as they are among `rows`."""
     places = np.minimum(np.searchsorted(rows, made.row), len(rows) - 1)
     return replace(made, time=np.where(rows[places] == made.row, table.time[places], made.time))
 
@@ -161,11 +161,11 @@ def _timed(made: MessageTable, table: FrameTable, rows: Array) -> MessageTable:
 def make_column_scanner(
     variants: Sequence[Variant],
     *,
-    direction: Direction | Literal["both"] | None = None,
+    direction: GivenWay | None = None,
     include_unknown: bool = False,
     raw: bool = False,
 ) -> ColumnScanner:
-    """A column scanner for the protocols of one wire; arguments and errors are those of `make_scanner`.
+    """Return a column scanner for the protocols of one wire; arguments and errors are those of `make_scanner`.
 
     With `include_unknown` there is also a table named "" of what was not decoded, with the columns `reason` and `raw`.
     """
@@ -190,7 +190,7 @@ class Gatherer:
         self._fillers = {leaf.path: _filler(leaf.way, dtype_of(leaf.node, raw)) for leaf in plan.columns}
 
     def table(self, records: Sequence[Any], rows: Array, channels: Channels) -> MessageTable:
-        """The records, of which `rows` are the numbers in the capture; of a stream the packets' offsets."""
+        """Return the records, of which `rows` are the numbers in the capture; of a stream the packets' offsets."""
         n = len(records)
         message = message_of(self.record)
         is_stream, is_carried = message.framing is not None, message.transport is not None
@@ -218,7 +218,7 @@ class Gatherer:
 
 
 def _numbers_of_flags(value: Any) -> Any:
-    """The flags of groups as plain numbers, as those of a column of one value are."""
+    """Return the flags of groups as plain numbers, as those of a column of one value are."""
     if not isinstance(value, list):
         return value
     return [int(one) if isinstance(one, FlagSet) else one for one in value]

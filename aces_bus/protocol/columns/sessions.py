@@ -33,7 +33,7 @@ from .table import Array
 
 
 def part_reader(transport: Transport) -> PartReader | None:
-    """What reads the frames of a transport in columns; None where only the rule can."""
+    """Return what reads the frames of a transport in columns; None where only the rule can."""
     if type(transport) is j1939.J1939Transport:
         return J1939Reader(transport)
     if type(transport) is SdoTransfer:
@@ -48,7 +48,7 @@ class _Ways:
         self._known = KeyNumbers()
 
     def sessions(self, table: FrameTable, way: Array) -> tuple[Array, int]:
-        """A number for the session of each frame, and what all are below; `way` says who sends to whom."""
+        """Return a number for the session of each frame, and what all are below; `way` says who sends to whom."""
         few = few_keys(way)
         number, count = (
             (few.numbers, len(few.keys)) if few is not None else (self._known.places(way), self._known.room)
@@ -70,6 +70,10 @@ def _tied(frames: GroupedFrames, way: Array, back: Callable[[Array], Array], end
     return np.where(np.isin(party, party[ends]), party, -1)
 
 
+#: The number of the kind of frames that announce a broadcast.
+_BROADCAST = 2
+
+
 class J1939Reader:
     """Frames of J1939's transport protocol: what opens and steers sessions, their data, and whole parameter groups."""
 
@@ -78,7 +82,7 @@ class J1939Reader:
         self._ways = _Ways()
 
     def sessions(self, table: FrameTable) -> Array:
-        """A number for the session of each frame."""
+        """Return a number for the session of each frame."""
         keys = bare_keys(table)
         session, count = self._ways.sessions(table, keys & np.uint32(0xFFFF))
         group = _group(keys)
@@ -89,7 +93,7 @@ class J1939Reader:
         return joined_numbers([(np.where(is_single, np.int64(count), session), count + 1)])
 
     def read(self, frames: GroupedFrames) -> FrameParts:
-        """What each frame is."""
+        """Return what each frame is."""
         transport = self.transport
         keys, length, data = frames.keys, frames.length, frames.data
         group = _group(keys)
@@ -127,18 +131,21 @@ class J1939Reader:
         number = np.where(is_addressed, number & ~0xFF | key >> 8 & 0xFF, number) & 0x3FFFF
         packet[opening] = (key & 0x9C00_0000 | number << 8 | key & 0xFF).astype(np.uint32)
         size[opening] = total
+        kind = np.zeros(len(heads), np.uint8)
+        kind[opening] = np.where(to_all, _BROADCAST, 1)
         parts = FrameParts(
             frames,
             heads,
             role,
-            (role == FIRST).astype(np.uint8),
+            kind,
             size,
             packet,
             np.ascontiguousarray(data[:, 0]),
-            [(0, 0), (8, 0)],
+            [(0, 0), (8, 0), (8, 0)],
             (1, 0),
             None,
             None if (length == 8).all() else length - np.uint8(1),
+            broadcast=_BROADCAST,
         )
         party = _tied(frames, keys & np.uint32(0xFFFF), _swapped, aborts)
         if party is not None:
@@ -148,12 +155,12 @@ class J1939Reader:
 
 
 def _group(keys: Array) -> Array:
-    """The parameter groups of keys, without the byte that may be an address."""
+    """Return the parameter groups of keys, without the byte that may be an address."""
     return (keys >> np.uint32(16)).astype(np.uint16) & np.uint16(0x3FF)
 
 
 def _swapped(addresses: Array) -> Array:
-    """The same two addresses, the other way."""
+    """Return the same two addresses, the other way."""
     return (addresses >> np.uint32(8) | addresses << np.uint32(8)) & np.uint32(0xFFFF)
 
 
@@ -186,11 +193,11 @@ class SdoReader:
             self._reasons.append(part.reason)
 
     def sessions(self, table: FrameTable) -> Array:
-        """A number for the session of each frame."""
+        """Return a number for the session of each frame."""
         return self._ways.sessions(table, bare_keys(table))[0]
 
     def read(self, frames: GroupedFrames) -> FrameParts | None:
-        """What each frame is; None where there are block transfers."""
+        """Return what each frame is; None where there are block transfers."""
         keys, data = frames.keys, frames.data
         kinds = self._kinds.of(keys >> np.uint32(self._NODE_BITS))
         for one in range(len(self._said) // 256, len(self._kinds)):
@@ -233,6 +240,6 @@ class SdoReader:
         return parts
 
     def _back(self, keys: Array) -> Array:
-        """The keys of the other ways: of the sessions that an abort may end, too."""
+        """Return the keys of the other ways: of the sessions that an abort may end, too."""
         abort = bytes([0x80, 0, 0, 0, 0, 0, 0, 0])
         return np.array([self.transport.part(key, abort).other for key in keys.tolist()], np.uint32)

@@ -111,7 +111,7 @@ class SlotBatch:
         return self._in_order(_way(flags)) if is_said else np.full(len(flags), 2, np.uint8)
 
     def _in_order(self, column: Array) -> Array:
-        """A column in the order of slots; one that is the same throughout, as most are, costs little."""
+        """Return a column in the order of slots; one that is the same throughout, as most are, costs little."""
         if self._is_sorted:
             return column
         first = column[0]
@@ -121,25 +121,25 @@ class SlotBatch:
         return found
 
     def some(self, start: int, end: int, which: Array | None) -> Array:
-        """The places of those of [start, end) that are named (None: all)."""
+        """Return the places of those of [start, end) that are named (None: all)."""
         places = self.order[start:end]
         return places if which is None else places[which]
 
     def frames_of(self, places: Any) -> int:
-        """How many frames there are at some places."""
+        """Return how many frames there are at some places."""
         counts = (
             self.carried.counts[places] if self.carried is not None else np.ones(np.shape(places), np.int64)
         )
         return int(counts.sum())
 
     def rows(self, start: int, end: int) -> PacketRows:
-        """The frames [start, end) as rows."""
+        """Return the frames [start, end) as rows."""
         return PacketRows(self._data[start:end], self._lengths[start:end], self._keys[start:end])
 
     def message_table(
         self, start: int, end: int, which: Array | None, candidate: MessageCandidate, rows: PacketRows
     ) -> MessageTable:
-        """The table of the frames `which` (None: all) of [start, end), whose bytes are `rows`."""
+        """Return the table of the frames `which` (None: all) of [start, end), whose bytes are `rows`."""
 
         def some(column: Array) -> Array:
             part = column[start:end]
@@ -172,7 +172,7 @@ class SlotBatch:
 
 
 def table_of_lost(table: FrameTable, rows: Array, places: Array, reasons: Sequence[str]) -> MessageTable:
-    """The table of frames that are lost, by their places, in the order of the capture."""
+    """Return the table of frames that are lost, by their places, in the order of the capture."""
     by_place = np.argsort(places, kind="stable")
     places = places[by_place]
     some = table.take(places)

@@ -12,12 +12,12 @@ a false header before it that promised more. With `include_unknown`, pieces of d
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from ..counts import ScanCounts
-from ..declare.message import Direction
+from ..declare.message import GivenWay
 from ..declare.protocol import Variant
 from ..live.scanner import make_scanner
 from ..live.stream import RUN, WORTH, StreamScanner
@@ -40,7 +40,7 @@ class StreamColumns:
         self,
         variants: Sequence[Variant],
         *,
-        direction: Direction | Literal["both"] | None = None,
+        direction: GivenWay | None = None,
         include_unknown: bool = False,
         raw: bool = False,
     ) -> None:
@@ -77,7 +77,7 @@ class StreamColumns:
     # ------------------------------------------------------------------ feeding
 
     def feed(self, data: bytes, time: float | None = None) -> list[MessageTable]:
-        """The tables of what `data` completes, one a message, in declared order; none while little is gathered.
+        """Return the tables of what `data` completes, one a message, in declared order; none while little is gathered.
 
         `time` (seconds) becomes the time of the packets. Raises nothing, whatever the bytes.
         """
@@ -213,7 +213,7 @@ class StreamColumns:
 def _instants(
     decided: Decided, base: int, marks: Sequence[tuple[int, float | None]]
 ) -> tuple[list[float | None], Array | None]:
-    """The instants of pieces, and which of them each packet has; see the text above."""
+    """Return the instants of pieces, and which of them each packet has; see the text above."""
     times = [time for _, time in marks]
     if all(time == times[0] for time in times):
         return times[-1:], None

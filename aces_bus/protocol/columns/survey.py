@@ -69,7 +69,9 @@ class Survey(PacketHeaders):
         return CheckColumns.why_not(framing, extras)
 
     def decide(self, buffer: bytes, size: int) -> Decided:
-        """What everything in the first `size` bytes is that can be decided before more come; behind are only zeros."""
+        """Return what everything in the first `size` bytes is that can be decided before more come; behind are only
+        zeros.
+        """
         framing = self.framing
         data = np.frombuffer(buffer, np.uint8, size)
         stop = max(len(data) - self.reach + 1, 0)
@@ -121,7 +123,7 @@ class Survey(PacketHeaders):
 
 
 def _untangled(starts: Array, ends: Array) -> Array:
-    """The rule where candidates overlap: the lowest is accepted, what begins inside it is none. Which stay.
+    """Return the rule where candidates overlap: the lowest is accepted, what begins inside it is none. Which stay.
 
     What begins behind an incomplete candidate that no packet covers is not decided; it may stay, the caller leaves it out.
     """
@@ -143,7 +145,7 @@ def _untangled(starts: Array, ends: Array) -> Array:
 def _outside(
     bad: Sequence[tuple[Array, Array, Array]], starts: Array, ends: Array, stop: int
 ) -> tuple[Array, Array, Array]:
-    """The failed candidates that stand before `stop` and in no packet: (where, how far to look, code), rising."""
+    """Return the failed candidates that stand before `stop` and in no packet: (where, how far to look, code), rising."""
     if not bad:
         return _NONE, _NONE, _NONE
     at, end, code = bad[0] if len(bad) == 1 else (np.concatenate(some) for some in zip(*bad, strict=True))

@@ -18,6 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from ...errors import UnknownNameError
 from ...frame_table import NO_TIME, Channels
 from ..plan import nodes as p
 
@@ -63,7 +64,7 @@ class Column:
         return len(self.values)
 
     def to_list(self) -> list[Any]:
-        """The values as records have them: names for numbers, None where absent; flags as plain numbers."""
+        """Return the values as records have them: names for numbers, None where absent; flags as plain numbers."""
         values: list[Any] = self.values.tolist()
         names = self.kind.names
         if names is not None:
@@ -77,7 +78,9 @@ class Column:
         return values
 
     def to_float(self) -> Array:
-        """The values as float64, NaN where absent: for plots and arithmetic. Raises `TypeError` for texts and bytes."""
+        """Return the values as float64, NaN where absent: for plots and arithmetic. Raises `TypeError` for texts and
+        bytes.
+        """
         if self.kind.is_object:
             out = np.full(len(self.values), np.nan)
             for index, value in enumerate(self.values.tolist()):
@@ -107,7 +110,7 @@ class _Piece(Protocol):
 
 
 def join_pieces(pieces: Sequence[_Piece]) -> tuple[Array, Array | None]:
-    """The values of several pieces of a column, and where they are absent (None: nowhere)."""
+    """Return the values of several pieces of a column, and where they are absent (None: nowhere)."""
     absent: Array | None = None
     if any(piece.absent is not None for piece in pieces):
         absent = np.concatenate(
@@ -121,7 +124,7 @@ def concat_columns(kind: ColumnKind, columns: Sequence[Column]) -> Column:
     return columns[0] if len(columns) == 1 else Column(kind, *join_pieces(columns))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class MessageTable:
     """The messages of one kind in a piece of a capture.
 
@@ -129,7 +132,7 @@ class MessageTable:
     flags of `aces_bus.protocol.keys`; of a stream int64, the packet's offset in bytes. `row`: int64, the frame's number in
     the capture from 0; of a stream the same as `key`. `rx`: uint8, 1 received, 0 sent, 2 not said.
 
-    Columns are computed when asked for, and kept.
+    Columns are computed when asked for, and kept; `table["speed"]` raises `UnknownNameError` with the nearest name.
     """
 
     protocol: str
@@ -166,18 +169,26 @@ class MessageTable:
 
     def __getitem__(self, name: str) -> Column:
         if name not in self._made:
+            if name not in self._by_name:
+                raise UnknownNameError(f"column of {self.message}", str(name), self.names)
             self._made[name] = self.make(self._by_name[name])
         return self._made[name]
+
+    def __repr__(self) -> str:
+        names = ", ".join(self.names[:8]) + (", …" if len(self.names) > 8 else "")
+        return f"<{self.protocol} {self.message}: {len(self)} rows of {len(self.names)} columns ({names})>"
 
     def __contains__(self, name: object) -> bool:
         return name in self._by_name
 
     def columns(self, names: Sequence[str] | None = None) -> Iterator[Column]:
-        """The columns, all or those named."""
+        """Return the columns, all or those named."""
         return (self[name] for name in (self.names if names is None else names))
 
     def take(self, which: Any) -> MessageTable:
-        """The lines `which`: an index array, a boolean array or a slice. Columns that are not computed yet stay so."""
+        """Return the lines `which`: an index array, a boolean array or a slice. Columns that are not computed yet stay
+        so.
+        """
 
         def make(kind: ColumnKind) -> Column:
             column = self[kind.name]
@@ -252,7 +263,7 @@ def _together(parts: Sequence[Array | None]) -> Array | None:
 
 
 def by_message(tables: Iterable[MessageTable]) -> list[list[MessageTable]]:
-    """The tables that have lines, those of a message together."""
+    """Return the tables that have lines, those of a message together."""
     found: dict[tuple[str, str], list[MessageTable]] = {}
     for table in tables:
         if len(table):
@@ -268,7 +279,9 @@ LOST = (
 
 
 def lost_table(reasons: Array, raw: Callable[[], Array], **transport: Any) -> MessageTable:
-    """What was not decoded, as a table; `raw` makes the bytes when they are asked for, `transport` are the other arrays."""
+    """Return what was not decoded, as a table; `raw` makes the bytes when they are asked for, `transport` are the
+    other arrays.
+    """
 
     def make(kind: ColumnKind) -> Column:
         return Column(kind, reasons if kind.name == "reason" else raw())
@@ -284,7 +297,7 @@ _MASKS = np.array([(1 << 8 * n) - 1 for n in range(9)], np.uint64)
 
 
 def packet_rows(buffer: bytes, starts: Array, sizes: Array, width: int) -> Array:
-    """The packets at `starts` as rows of `width` bytes."""
+    """Return the packets at `starts` as rows of `width` bytes."""
     missing = int(starts[-1]) + width - len(buffer)
     if missing > 0:
         buffer += bytes(missing)
@@ -366,7 +379,7 @@ _WIDTHS = (8, 16, 32, 64)
 
 @lru_cache(maxsize=4096)
 def kinds_of(plan: p.MessagePlan, raw: bool = False) -> tuple[ColumnKind, ...]:
-    """What the columns of a message are, in the order of its fields."""
+    """Return what the columns of a message are, in the order of its fields."""
     return tuple(_kind(leaf, raw) for leaf in plan.columns)
 
 
@@ -385,7 +398,9 @@ def _kind(leaf: p.NodePath, raw: bool) -> ColumnKind:
 
 
 def dtype_of(node: p.Node, raw: bool = False) -> Any:
-    """The dtype of a value's column: the narrowest that holds all that the record may show; None for Python objects."""
+    """Return the dtype of a value's column: the narrowest that holds all that the record may show; None for Python
+    objects.
+    """
     if isinstance(node, p.Rest):
         return np.dtype(f"u{_bytes(8 * node.size)}") if node.size <= 8 else None
     if isinstance(node, p.DelimitedField):

@@ -18,8 +18,8 @@ from .table import Array
 def without_check(
     check: AddedCheck, extra_of: Callable[[int], bytes], keys: Array, length: Array, data: Array
 ) -> tuple[Array, Array, Array]:
-    """Which of some packets (bytes in rows of `data`, `length` of each) have the right check, and sizes and bytes of these
-    without it. `extra_of` gives the bytes with which a key's check begins."""
+    """Return which of some packets (bytes in rows of `data`, `length` of each) have the right check, and sizes and
+    bytes of these without it. `extra_of` gives the bytes with which a key's check begins."""
     size, (count, width) = check.crc.bytes, data.shape
     long_enough = np.flatnonzero(length >= size)
     sizes = length[long_enough] - size

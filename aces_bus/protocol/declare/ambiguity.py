@@ -64,7 +64,7 @@ class Neighbours:
             table.setdefault(constant & shared, []).append(numbered)
 
     def of(self, pattern: IdPattern) -> list[Message]:
-        """The messages that a glance does not show to be apart from `pattern`, as declared."""
+        """Return the messages that a glance does not show to be apart from `pattern`, as declared."""
         found: list[tuple[int, Message]] = []
         for mask, tables in self._tables.items():
             shared = mask & pattern.fixed
@@ -97,7 +97,7 @@ class StreamNeighbours:
         self._count += 1
 
     def of(self, message: Message) -> list[Message]:
-        """The messages that a glance does not show to be apart from `message`, as declared."""
+        """Return the messages that a glance does not show to be apart from `message`, as declared."""
         found: dict[int, Message] = {}
         numbers = _selected(message)
         for (framing, dialects), group in self._groups.items():
@@ -113,7 +113,7 @@ _Group = tuple[Framing | None, frozenset[str] | None]
 
 
 def _selected(message: Message) -> tuple[int, ...] | None:
-    """The few numbers that select a message of its framing; None where they are many, or it has none."""
+    """Return the few numbers that select a message of its framing; None where they are many, or it has none."""
     pattern = message.selecting
     return tuple(pattern) if pattern is not None and len(pattern) <= 16 else None
 
@@ -166,7 +166,7 @@ def _check_apart(made: Message, other: Message) -> None:
 
 
 def unresolved(one: Message, other: Message) -> Conflict | None:
-    """The conflict of two messages when neither the bytes nor anything else in the spec settles it."""
+    """Return the conflict of two messages when neither the bytes nor anything else in the spec settles it."""
     from .protocol import may_coexist
 
     is_apart = None not in (one.direction, other.direction) and one.direction != other.direction
@@ -180,7 +180,7 @@ def ordered_by_spec(one: Message, other: Message) -> bool:
 
 
 def contexts_exclude(one: Message, other: Message) -> bool:
-    """Whether no outstanding request, or no sticky mode, allows both."""
+    """Return whether no outstanding request, or no sticky mode, allows both."""
     return _exclude(one.reply_to, other.reply_to) or _exclude(one.after, other.after)
 
 
@@ -190,7 +190,7 @@ def _exclude(mine: Sequence[Request], theirs: Sequence[Request]) -> bool:
 
 @lru_cache(maxsize=65536)
 def conflict(one: Message, other: Message) -> Conflict | None:
-    """The conflict of two messages by their bytes alone, or None when they are disjoint."""
+    """Return the conflict of two messages by their bytes alone, or None when they are disjoint."""
     if one.framing is None or other.framing is None:
         return _can_conflict(one, other)
     if one.framing is not other.framing:
@@ -260,7 +260,9 @@ class Demands(NamedTuple):
 
 
 def demands(message: Message, length: int | None) -> Demands | None:
-    """What a message demands of its bytes: bits that are fixed, and choices. None when it never has `length` bytes."""
+    """Return what a message demands of its bytes: bits that are fixed, and choices. None when it never has `length`
+    bytes.
+    """
     plan = message.plan
     fixed: dict[int, int] = {}
     for constant in plan.constants:
@@ -314,7 +316,7 @@ def solved(fixed: dict[int, int], choices: Sequence[_Choice]) -> dict[int, int] 
 
 
 def _numbers(choice: _Choice, fixed: Mapping[int, int]) -> Iterator[int]:
-    """The numbers that a choice allows and that agree with the bits already fixed."""
+    """Yield the numbers that a choice allows and that agree with the bits already fixed."""
     known = {i: fixed[bit] for i, bit in enumerate(choice.bits) if bit in fixed}
     if len(known) == len(choice.bits):
         number = sum(value << i for i, value in known.items())
@@ -365,7 +367,7 @@ def _can_conflict(one: Message, other: Message) -> Conflict | None:
 def _confirmed(
     one: Message, other: Message, identifier: int, fixed: Mapping[int, int], size: int
 ) -> bytes | None:
-    """A frame's data of this size that both messages accept, checks aside; None when none was found."""
+    """Return a frame's data of this size that both messages accept, checks aside; None when none was found."""
     opaque = [message for message in (one, other) if not message.plan.is_flat or message.plan.lists]
     rng = random.Random(0)
     for fill in ("zero", "one", *("any",) * 10) if opaque else ("zero",):
@@ -421,7 +423,7 @@ def _stream_conflict(one: Message, other: Message) -> Conflict | None:
 
 
 def _search(one: Message, other: Message) -> bytes | None:
-    """A packet that both constructs accept, or of which `other` accepts a beginning."""
+    """Return a packet that both constructs accept, or of which `other` accepts a beginning."""
     framing = one.framing
     assert framing is not None
     fixed = _merge(one, other, None) or {}
@@ -448,7 +450,7 @@ def _search(one: Message, other: Message) -> bytes | None:
 
 
 def _accepts(message: Message, packet: bytes) -> bool:
-    """Whether the message's construct accepts the packet, whatever its request."""
+    """Return whether the message's construct accepts the packet, whatever its request."""
     try:
         message.struct.parse(packet, raw=True)
     except WrongCheckError:
@@ -459,7 +461,7 @@ def _accepts(message: Message, packet: bytes) -> bool:
 
 
 def ordered(messages: Iterable[Message]) -> list[Message]:
-    """The messages in the order of trial."""
+    """Return the messages in the order of trial."""
     left = list(messages)
     if not any(message.overrides for message in left):
         return left

@@ -33,7 +33,7 @@ FLOATS = {16: ">e", 32: ">f", 64: ">d"}
 
 
 def whole_bits(offset: int, size: int, order: str) -> tuple[int, ...]:
-    """The canonical numbers of the bits of a number of `size` whole bytes, lowest bit first."""
+    """Return the canonical numbers of the bits of a number of `size` whole bytes, lowest bit first."""
     places = range(offset, offset + size)
     return tuple(8 * byte + bit for byte in (places[::-1] if order == "big" else places) for bit in range(8))
 
@@ -85,7 +85,7 @@ class Bits(Construct):
         return self.raw_of(int.from_bytes(data, "big"))
 
     def raw_of(self, number: int) -> int:
-        """The raw value whose bits, read as an unsigned number, are `number`."""
+        """Return the raw value whose bits, read as an unsigned number, are `number`."""
         return number - (1 << self.width) if self.signed and number >> self.width - 1 else number
 
     @property
@@ -124,7 +124,7 @@ class Bits(Construct):
 
 
 def bits(width: int, at: int | None = None, *, signed: bool = False, order: str | None = None) -> Bits:
-    """An integer of `width` bits.
+    """Return an integer of `width` bits.
 
     `at` is the number of its first bit in the layout's order, by default the one behind the field before it: in "lsb"
     order bit 0 is the least significant bit of byte 0 and a field grows upward; in "msb" order bit 0 is the most
@@ -134,7 +134,7 @@ def bits(width: int, at: int | None = None, *, signed: bool = False, order: str 
 
 
 def float_bits(width: int, at: int | None = None, *, order: str | None = None) -> Bits:
-    """An IEEE 754 number of 16, 32 or 64 bits, placed as an integer of `bits` is."""
+    """Return an IEEE 754 number of 16, 32 or 64 bits, placed as an integer of `bits` is."""
     return Bits(width, None if at is None else ((at, width),), order=order, is_float=True)
 
 
@@ -204,16 +204,16 @@ class LayoutSlot:
         self.mask = reduce(or_, (1 << position for position in positions), 0)
 
     def is_present(self, raws: Mapping[str, int | None]) -> bool:
-        """Whether the field is there, by the raw numbers of the selectors before it."""
+        """Return whether the field is there, by the raw numbers of the selectors before it."""
         return self.mux is None or raws.get(self.mux.selector) in self.mux.when
 
     def read(self, word: int) -> int:
-        """The field's bits in the little-endian word of the layout, as an unsigned number."""
+        """Return the field's bits in the little-endian word of the layout, as an unsigned number."""
         number = sum((word >> position & 1) << index for index, position in enumerate(self.positions))
         return number
 
     def write(self, number: int) -> int:
-        """The word in which the field has this unsigned number, and all other bits are 0."""
+        """Return the word in which the field has this unsigned number, and all other bits are 0."""
         word = sum((number >> index & 1) << position for index, position in enumerate(self.positions))
         return word
 
@@ -414,7 +414,7 @@ class BitLayout(Construct):
         return obj
 
     def _sharing(self, slot: LayoutSlot) -> str:
-        """The names of the fields before this one that have bits of it."""
+        """Return the names of the fields before this one that have bits of it."""
         names = [s.name for s in self.slots[: self.slots.index(slot)] if s.mask & slot.mask]
         return " or ".join(dict.fromkeys(names))
 

@@ -90,7 +90,7 @@ class Check:
                 raise SpecError(f"{self.place}: a check covers runs of bytes; {part} has a step")
 
     def compute(self, data: bytes) -> int:
-        """The check's number over `data`."""
+        """Return the check's number over `data`."""
         raise NotImplementedError
 
     @property
@@ -99,7 +99,7 @@ class Check:
         return self.compute
 
     def _text_size(self, text: str) -> int:
-        """How many characters the check has as text; raises `SpecError` when that is not the format of one number."""
+        """Return how many characters the check has as text; raises `SpecError` when that is not the format of one number."""
         try:
             parts = list(Formatter().parse(text))
             least, most = (text.format(number).encode("ascii") for number in (0, (1 << 8 * self.bytes) - 1))
@@ -122,7 +122,7 @@ class Check:
         return len(least)
 
     def same(self, stored: bytes, wanted: bytes) -> bool:
-        """Whether the bytes in a packet are the number that `encode` wrote as `wanted`."""
+        """Return whether the bytes in a packet are the number that `encode` wrote as `wanted`."""
         if stored == wanted or self.digits is None:
             return stored == wanted
         digits = self.digits
@@ -133,11 +133,11 @@ class Check:
         )
 
     def encode(self, data: bytes) -> bytes:
-        """The check's bytes in a packet whose covered bytes are `data`."""
+        """Return the check's bytes in a packet whose covered bytes are `data`."""
         return self.write(self.compute(data))
 
     def write(self, number: int) -> bytes:
-        """The check's bytes in a packet whose check is `number`."""
+        """Return the check's bytes in a packet whose check is `number`."""
         if self.text is not None:
             return self.text.format(number).encode("ascii")
         return number.to_bytes(self.bytes, self.order)
@@ -145,7 +145,7 @@ class Check:
     def covered(
         self, packet: bytes, start: int, end: int, *, identifier: int = 0, extra: bytes = b""
     ) -> bytes:
-        """The covered bytes of `packet`, whose sync ends at `start` and whose check starts at `end`."""
+        """Return the covered bytes of `packet`, whose sync ends at `start` and whose check starts at `end`."""
         if self.over is None:
             return packet[start:end]
         parts: list[bytes] = []
@@ -189,7 +189,7 @@ class Sum(Check):
         return int(self.signed(sum(data))) & self.mask
 
     def signed(self, total: Any) -> Any:
-        """The check's number of a sum, or of an array of sums, not yet cut to its size."""
+        """Return the check's number of a sum, or of an array of sums, not yet cut to its size."""
         return ~total if self.inverted else -total if self.negated else total
 
     @property
@@ -198,12 +198,12 @@ class Sum(Check):
 
 
 def InvertedSum(size: int = 1, **more: Any) -> Sum:
-    """The complement of the sum of the covered bytes (Dynamixel 1.0)."""
+    """Return the complement of the sum of the covered bytes (Dynamixel 1.0)."""
     return Sum(size, inverted=True, **more)
 
 
 def xor_of(data: bytes) -> int:
-    """The exclusive or of bytes: halves laid over each other until one byte is left."""
+    """Return the exclusive or of bytes: halves laid over each other until one byte is left."""
     number = int.from_bytes(data, "little")
     for shift in _FOLDS[(len(data) - 1).bit_length() if data else 0]:
         number ^= number >> shift
@@ -215,7 +215,7 @@ _FOLDS = [tuple(8 << step for step in reversed(range(halvings))) for halvings in
 
 
 def fletcher_of(data: bytes) -> int:
-    """The 8-bit Fletcher pair of bytes, the first in the low byte."""
+    """Return the 8-bit Fletcher pair of bytes, the first in the low byte."""
     return sum(data) & 0xFF | (sum(accumulate(data)) & 0xFF) << 8
 
 
@@ -360,8 +360,8 @@ def _engine(name: str | None, parameters: tuple[int, int, int, bool, bool, int])
 
 
 def _quick(name: str) -> Callable[[bytes], int] | None:
-    """A CRC of the catalogue by `fastcrc`, where that is installed and has it: most of a packet's check by `anycrc` is
-    what a call costs."""
+    """Return a CRC of the catalogue by `fastcrc`, where that is installed and has it: most of a packet's check by
+    `anycrc` is what a call costs."""
     family, _, model = name.lower().partition("-")
     try:
         found: Callable[[bytes], int] | None = getattr(
@@ -412,7 +412,7 @@ class Sums:
         self._first, self._second = first, second
 
     def compute(self, buffer: bytes, base: int, start: int, end: int) -> int:
-        """The check's number over [start, end) of the stream, `start` not behind the sums' end.
+        """Return the check's number over [start, end) of the stream, `start` not behind the sums' end.
 
         `buffer` begins at stream offset `base`.
         """
@@ -450,7 +450,7 @@ class Sums:
             self._start = start
 
     def _run(self, start: int, end: int) -> tuple[int, int]:
-        """The sum of [start, end), and the sum of its sums."""
+        """Return the sum of [start, end), and the sum of its sums."""
         low, high = start - self._start, end - self._start
         before, after = int(self._first[low]), int(self._first[high])
         if self.check.kind == "xor":

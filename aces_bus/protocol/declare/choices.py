@@ -50,7 +50,7 @@ class _Both(int):
 
 
 def enumerations_asked(expression: Any, known: Known) -> tuple[dict[tuple[str, ...], Any], Any]:
-    """Which enumerations an expression asks for, and what it gives when it is handed stand-ins for them."""
+    """Return which enumerations an expression asks for, and what it gives when it is handed stand-ins for them."""
     found: dict[tuple[str, ...], Any] = {}
     if not callable(expression) or not known:
         return found, None
@@ -61,7 +61,7 @@ def enumerations_asked(expression: Any, known: Known) -> tuple[dict[tuple[str, .
 
 
 def switch_by_both(switch: c.Switch, known: Known) -> c.Switch:
-    """A `Switch` over an enumeration, its cases under the names that records show and the numbers of raw mode."""
+    """Return a `Switch` over an enumeration, its cases under the names that records show and the numbers of raw mode."""
     found, answer = enumerations_asked(switch.keyfunc, known)
     for path, marker in found.items():
         if answer is not marker:
@@ -75,7 +75,9 @@ def switch_by_both(switch: c.Switch, known: Known) -> c.Switch:
 
 
 def equal_in_both(expression: Any, known: Known) -> Any:
-    """An expression that gives the same answer in both modes: enumerations are numbers to it that equal their names."""
+    """Return an expression that gives the same answer in both modes: enumerations are numbers to it that equal their
+    names.
+    """
     found, _ = enumerations_asked(expression, known)
     return _Expression(expression, {path: known[path] for path in found}) if found else expression
 
@@ -94,7 +96,7 @@ class _Expression:
 
 
 def _view(context: Any, known: Known) -> Any:
-    """A context in which some enumerations equal number and name."""
+    """Return a context in which some enumerations equal number and name."""
     made = c.Container(context)
     below: dict[str, dict[tuple[str, ...], Enumeration]] = {}
     for (name, *rest), enumeration in known.items():
@@ -114,7 +116,7 @@ def _view(context: Any, known: Known) -> Any:
 
 
 def enumerations_of(name: str | None, con: c.Construct) -> dict[tuple[str, ...], Enumeration]:
-    """The enumerations that a field brings, by the way to them from beside it."""
+    """Return the enumerations that a field brings, by the way to them from beside it."""
     if name is None:
         return {}
     while isinstance(con, (c.Renamed, c.Default, c.Prefixed, c.FixedSized)):
@@ -133,5 +135,5 @@ def enumerations_of(name: str | None, con: c.Construct) -> dict[tuple[str, ...],
 
 
 def enumerations_around(known: Known) -> dict[tuple[str, ...], Enumeration]:
-    """The same enumerations seen from inside a nested record."""
+    """Return the same enumerations seen from inside a nested record."""
     return {("_", *path): enumeration for path, enumeration in known.items()}

@@ -82,7 +82,7 @@ def frame_text(frame: Any) -> str:
 
 
 def parse_packet(text: str | bytes, *, is_can: bool) -> ExampleFrame:
-    """A frame or packet as the module writes them; raises `ValueError` saying what is wrong."""
+    """Return a frame or packet as the module writes them; raises `ValueError` saying what is wrong."""
     if isinstance(text, bytes):
         if is_can:
             raise ValueError(f"{text!r} is not a frame such as '063#78 00 FC'")
@@ -118,7 +118,7 @@ def as_examples(
     transport: Transport | None = None,
     extra: bytes = b"",
 ) -> tuple[Example, ...]:
-    """What a spec wrote after `examples=`; raises `SpecError` for what is none. `transport` carries the message, with
+    """Return what a spec wrote after `examples=`; raises `SpecError` for what is none. `transport` carries the message, with
     `extra` in its check."""
     found: list[Example] = []
     for item in given:
@@ -154,7 +154,7 @@ def as_examples(
 
 
 def _packet_of(frames: Sequence[ExampleFrame], transport: Transport, extra: bytes) -> ExampleFrame:
-    """The packet that some frames are; raises `ValueError` where they are none."""
+    """Return the packet that some frames are; raises `ValueError` where they are none."""
     from .packet_rule import PacketRule, packet_image
 
     rule = PacketRule(transport)

@@ -35,7 +35,7 @@ MOST_LISTED = 8
 
 
 def is_raw(context: Any) -> bool:
-    """Whether the outermost call asked for raw values."""
+    """Return whether the outermost call asked for raw values."""
     return bool(context._params.get("raw", False))
 
 
@@ -85,11 +85,11 @@ class Field(Adapter):
         return obj if is_raw(context) else self.to_raw(obj, path)
 
     def to_physical(self, raw: Any) -> Any:
-        """The value a record shows, from the number on the wire."""
+        """Return the value a record shows, from the number on the wire."""
         raise NotImplementedError
 
     def to_raw(self, value: Any, path: str = "") -> Any:
-        """The number on the wire; raises `FieldError` when the value does not fit."""
+        """Return the number on the wire; raises `FieldError` when the value does not fit."""
         raise NotImplementedError
 
 
@@ -101,7 +101,7 @@ class TopValues(msgspec.Struct, frozen=True):
     place: SourceLine
 
     def of(self, con: Construct) -> range:
-        """The values of this construct, the highest first; raises `SpecError` where it has none, or no others."""
+        """Return the values of this construct, the highest first; raises `SpecError` where it has none, or no others."""
         limits = raw_limits(con)
         if limits is None:
             raise SpecError(f"{self.place}: top({self.count}) is of an integer of fixed width")
@@ -118,7 +118,7 @@ class TopValues(msgspec.Struct, frozen=True):
 
 
 def top(count: int, *, bits: int | None = None) -> TopValues:
-    """The `count` highest raw values of a number, whatever its width, for a quantity's `unknown=`.
+    """Return the `count` highest raw values of a number, whatever its width, for a quantity's `unknown=`.
 
     With `bits`, those whose highest `bits` bits are the `count` highest. SAE J1939-71 has FE (error) and FF (not available)
     in the highest byte of numbers of 1, 2 and 4 bytes: `top(2, bits=8)`. NMEA 2000 has the highest values themselves.
@@ -133,6 +133,7 @@ class Quantity(Field):
     values that mean "not known" (`top` says the highest ones): they decode to None. `names` names raw values that are no
     quantity: they decode to their name. A number that would be sent as one of these is refused. `rounding` says how a
     physical value becomes an integer: "nearest" (ties to even) or "truncate" (toward zero), as the device's sheet has it.
+    A quotient that only rounding errors keep from an integer is that integer: what was decoded is sent as it was.
     """
 
     def __init__(
@@ -196,7 +197,7 @@ class Quantity(Field):
         return found
 
     def _unknown_values(self, values: Collection[float]) -> tuple[float, ...] | range:
-        """The raw values that mean unknown: a range where they are many, such as the highest of 32 bits."""
+        """Return the raw values that mean unknown: a range where they are many, such as the highest of 32 bits."""
         if isinstance(values, range) and len(values) > MOST_LISTED and not self.is_float:
             return values
         found = tuple(self._number(value, "value that is unknown") for value in values)
@@ -217,7 +218,7 @@ class Quantity(Field):
 
     @classmethod
     def span(cls, subcon: Construct, low: float, high: float, *, bits: int, **more: Any) -> Quantity:
-        """An unsigned `bits`-wide number that spans [`low`, `high`] in 2**bits − 1 steps (MIT motor frames)."""
+        """Return an unsigned `bits`-wide number that spans [`low`, `high`] in 2**bits − 1 steps (MIT motor frames)."""
         return cls(subcon, scale=(high - low) / (2**bits - 1), offset=low, range=(low, high), **more)
 
     def to_physical(self, raw: Any) -> Any:
@@ -249,7 +250,11 @@ class Quantity(Field):
             if self.scale != 1 or self.offset:
                 number = exact_ratio(value - self.offset, self.scale)
             if not self.is_float and isinstance(number, float):
-                number = round(number) if self.rounding == "nearest" else int(number)
+                number = (
+                    round(number)
+                    if self.rounding == "nearest"
+                    else truncated(number, self.offset / self.scale)
+                )
         except (OverflowError, ValueError):  # infinite, NaN, or an integer that no float holds
             raise FieldError(f"{path}: {value!r} cannot be sent with a scale of {self.scale}") from None
         self._refuse_sentinel(number, value, path)
@@ -286,8 +291,21 @@ def exact_ratio(number: float, scale: float) -> float:
     return number / scale
 
 
+#: The sum of the rounding errors of scale, offset, value and quotient, relative to quotient and offset.
+ROUNDING_ERROR = 2**-49
+
+
+def truncated(number: float, offset: float) -> int:
+    """Return the integer part of a quotient, or the nearest integer where rounding errors alone may lie between.
+
+    `offset` is the quantity's in raw numbers. Raises `OverflowError` and `ValueError` as `int` does.
+    """
+    nearest = round(number)
+    return nearest if abs(number - nearest) <= ROUNDING_ERROR * (abs(number) + abs(offset)) else int(number)
+
+
 def names_by_value(names: Mapping[str, int], place: SourceLine) -> dict[int, str]:
-    """The names by their numbers; raises `SpecError` where a number has two."""
+    """Return the names by their numbers; raises `SpecError` where a number has two."""
     values: dict[int, str] = {}
     for name, value in names.items():
         if not isinstance(name, str) or not isinstance(value, int):  # pyright: ignore[reportUnnecessaryIsInstance]
@@ -303,7 +321,7 @@ def names_by_value(names: Mapping[str, int], place: SourceLine) -> dict[int, str
 
 
 def named_number(name: str, names: Mapping[str, int], path: str) -> int:
-    """The number of a name; raises `FieldError` with the names that there are."""
+    """Return the number of a name; raises `FieldError` with the names that there are."""
     if name not in names:
         raise FieldError(f"{path}: no value named {name!r} (there are: {', '.join(names)})")
     return names[name]
@@ -460,15 +478,20 @@ class Counter(Field):
 
 
 class Text(Field):
-    """A text of `size` bytes, or of what is left, padded with NUL. Each byte is one character (Latin-1), so all survive."""
+    """A text of `size` bytes, or of what is left, padded with NUL. Each byte is one character (Latin-1), so all survive.
 
-    def __init__(self, size: int | None = None) -> None:
+    With `ends`, a text of `size` bytes stops at the first of these bytes, and is padded with the first one of them.
+    """
+
+    def __init__(self, size: int | None = None, *, ends: bytes = b"") -> None:
         super().__init__(GreedyBytes if size is None else Bytes(size))
-        self.size = size
+        if ends and size is None:
+            raise SpecError(f"{self.place}: a text of open size ends with its packet; ends= takes a size")
+        self.size, self.ends = size, ends.decode("latin-1")
 
     def to_physical(self, raw: Any) -> Any:
         text = raw.decode("latin-1")
-        return text.rstrip("\0") if self.size is not None else text
+        return text if self.size is None else text_until(text, self.ends)
 
     def to_raw(self, value: Any, path: str = "") -> Any:
         try:
@@ -479,7 +502,20 @@ class Text(Field):
             return data
         if len(data) > self.size:
             raise FieldError(f"{path}: {value!r} is longer than {self.size} bytes")
-        return data.ljust(self.size, b"\0")
+        if text_until(value, self.ends) != value and self.ends:
+            raise FieldError(
+                f"{path}: {value!r} would be read as {text_until(value, self.ends)!r}, which ends there"
+            )
+        return data.ljust(self.size, self.ends[:1].encode("latin-1") or b"\0")
+
+
+def text_until(text: str, ends: str) -> str:
+    """Return a text up to the first of these characters; without any, the text without the NULs at its end."""
+    if not ends:
+        return text.rstrip("\0")
+    for end in ends:
+        text = text.partition(end)[0]
+    return text
 
 
 #: The fields that take integers, an outer one of a pair first.

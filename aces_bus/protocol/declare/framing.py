@@ -107,21 +107,21 @@ class Affine(msgspec.Struct, frozen=True):
     more: int = 0
 
     def invert(self, size: int) -> int | None:
-        """The length field of a packet of `size` bytes; None when it has no number for that."""
+        """Return the length field of a packet of `size` bytes; None when it has no number for that."""
         number, rest = divmod(size - self.constant, self.factor)
         if self.wide is not None and self.escape is not None and number >= self.escape:
             return self.escape if self.invert_wide(size) is not None else None
         return number if not rest and 0 <= number < 1 << 8 * self.length.size else None
 
     def invert_wide(self, size: int) -> int | None:
-        """The wider length of a packet of `size` bytes; None when it has no number for that."""
+        """Return the wider length of a packet of `size` bytes; None when it has no number for that."""
         assert self.wide is not None
         assert self.escape is not None
         number, rest = divmod(size - self.wide.size - self.constant, self.factor)
         return number if not rest and self.escape <= number < 1 << 8 * self.wide.size else None
 
     def size_of(self, packet: bytes) -> int | None:
-        """The size of a packet that begins so: None while its length is not there, 0 where that is no length."""
+        """Return the size of a packet that begins so: None while its length is not there, 0 where that is no length."""
         head = self.length
         if len(packet) < head.offset + head.size:
             return None
@@ -140,7 +140,7 @@ class Affine(msgspec.Struct, frozen=True):
         return self.factor * number + self.constant + self.wide.size if number >= self.escape else 0
 
     def trailing(self, packet: bytes) -> int:
-        """How many bytes are behind the check of a packet that begins so."""
+        """Return how many bytes are behind the check of a packet that begins so."""
         return self.more if self.flags is not None and self.flags.number(packet) & self.mask else 0
 
     @property
@@ -307,7 +307,7 @@ class Framing:
         return Affine(length, factor, base)
 
     def _matched(self, match: Mapping[str, Collection[int]]) -> tuple[tuple[Head, frozenset[int]], ...]:
-        """The header fields by which packets are of this framing at all, in the order of their bytes."""
+        """Return the header fields by which packets are of this framing at all, in the order of their bytes."""
         if match and self.sync:
             raise SpecError(
                 f"{self.place}: match= of a framing is for packets without sync bytes; behind these, match= of messages does"
@@ -390,7 +390,7 @@ class Framing:
     def judge(
         self, data: bytes, start: int, *, silent: bool = False, extras: dict[int, bytes] | None = None
     ) -> Judgement:
-        """What begins at `start` of `data`.
+        """Return what begins at `start` of `data`.
 
         `silent` says that the line fell silent at the end of `data`. `extras` are the `check_extra` bytes by the number
         that selects them (see `Message.extra_key`).
@@ -442,7 +442,7 @@ class Framing:
         return self._checked(data[start : start + size], extras)
 
     def parted(self, packet: bytes) -> tuple[bytes, bytes]:
-        """A packet up to its check, and what is behind that."""
+        """Return a packet up to its check, and what is behind that."""
         size = self.affine.trailing(packet) if self.affine is not None else 0
         return (packet[:-size], packet[-size:]) if size else (packet, b"")
 
@@ -462,7 +462,7 @@ class Framing:
         return judged
 
     def judge_data(self, covered: bytes, packet: bytes, extras: dict[int, bytes] | None) -> Judgement:
-        """What a packet is by its length and its check, which covers `covered`: the packet, or its unstuffed form."""
+        """Return what a packet is by its length and its check, which covers `covered`: the packet, or its unstuffed form."""
         if len(covered) < self.min_size:
             return BAD("length")
         if self.check is not None:
@@ -480,11 +480,11 @@ class Framing:
         return Judgement(Verdict.WHOLE, len(packet), "", covered)
 
     def strays(self, data: bytes, start: int, stop: int) -> bool:
-        """Whether a byte of `not_inside` is in [start, stop)."""
+        """Return whether a byte of `not_inside` is in [start, stop)."""
         return any(data.find(byte, start, stop) >= 0 for byte in self.not_inside)
 
     def logical(self, packet: bytes) -> bytes:
-        """The packet without stuffing; raises `ValueError` when it cannot have been stuffed so."""
+        """Return the packet without stuffing; raises `ValueError` when it cannot have been stuffed so."""
         if self.stuffing is None:
             return packet
         if self.stuffing.is_inside:
@@ -516,13 +516,15 @@ class Framing:
         return named[-1] if named else None
 
     def extras_of(self, messages: Iterable[Message]) -> dict[int, bytes] | None:
-        """The `check_extra` bytes of those of the messages that have this framing, by the number that selects them; None
-        where the check has none."""
+        """Return the `check_extra` bytes of those of the messages that have this framing, by the number that selects
+        them; None where the check has none."""
         known = [m.extras for m in messages if m.framing is self and m.extras is not None]
         return {number: extra for extras in known for number, extra in extras.items()} if known else None
 
     def checks_of(self, packet: bytes, extra: bytes) -> tuple[bytes, bytes]:
-        """The check that a packet should have, and the one that it has; raises `ValueError` where it cannot be unstuffed."""
+        """Return the check that a packet should have, and the one that it has; raises `ValueError` where it cannot be
+        unstuffed.
+        """
         assert self.check is not None
         inserted = self.stuffing is not None and self.stuffing.is_inside
         whole = self.parted(packet)[0] if inserted else self.logical(packet)

@@ -42,7 +42,7 @@ class Head(msgspec.Struct, frozen=True):
         )
 
     def number(self, packet: bytes) -> int:
-        """The unsigned number in these bytes."""
+        """Return the unsigned number in these bytes."""
         return int.from_bytes(packet[self.offset : self.offset + self.size], self.order)
 
     def bytes(self, number: int) -> bytes:
@@ -59,7 +59,7 @@ class Head(msgspec.Struct, frozen=True):
         return self.pattern.describe(2 * self.size)
 
     def matched(self, value: Any, place: SourceLine) -> Head:
-        """The same field, bound to what a spec's `match` says of it."""
+        """Return the same field, bound to what a spec's `match` says of it."""
         if isinstance(value, bytes):
             if len(value) != self.size:
                 raise SpecError(f"{place}: {self.name} is {self.size} bytes, matched with {value!r}")
@@ -78,7 +78,7 @@ class Head(msgspec.Struct, frozen=True):
 
 
 def enumeration_of(field: Construct) -> Enumeration | None:
-    """The enumeration among a field's adapters."""
+    """Return the enumeration among a field's adapters."""
     while True:
         if isinstance(field, Enumeration):
             return field
@@ -88,7 +88,7 @@ def enumeration_of(field: Construct) -> Enumeration | None:
 
 
 def heads_of(struct: Struct | None, offset: int, place: SourceLine, what: str) -> tuple[Head, ...]:
-    """The head fields that a struct declares, from `offset`; raises `SpecError` when one is not a fixed integer."""
+    """Return the head fields that a struct declares, from `offset`; raises `SpecError` when one is not a fixed integer."""
     found: list[Head] = []
     for item in struct.subcons if struct is not None else ():
         name = item.name if isinstance(item, Renamed) else None

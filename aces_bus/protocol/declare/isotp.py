@@ -107,7 +107,7 @@ class IsoTp(Transport):
         return tuple((one, self.extended) for one in (self.to_device, self.from_device) if one is not None)
 
     def answered_by(self, key: int, address: bytes = b"") -> tuple[int, bytes] | None:
-        """The key and the address of frames that go the other way; None where the transport does not say both."""
+        """Return the key and the address of frames that go the other way; None where the transport does not say both."""
         ways = (self.to_device, self.device_address), (self.from_device, self.tester_address)
         for (one, its), (other, others) in (ways, ways[::-1]):
             captures = one.match(key & 0x1FFF_FFFF) if one is not None else None
@@ -126,13 +126,13 @@ class IsoTp(Transport):
         return None
 
     def _within(self, pattern: IdPattern | None, address: bytes) -> dict[str, int] | None:
-        """What the address of a frame captures; None where it is another's."""
+        """Return what the address of a frame captures; None where it is another's."""
         if self.addressing != "extended" or pattern is None:
             return {}
         return pattern.match(address[0]) if address else None
 
     def addressed(self, key: int, data: bytes) -> dict[str, int] | None:
-        """What the address byte of a frame captures, where that is declared; None where it is not for this way."""
+        """Return what the address byte of a frame captures, where that is declared; None where it is not for this way."""
         ways = (self.to_device, self.device_address), (self.from_device, self.tester_address)
         for one, its in ways:
             if one is not None and one.match(key & 0x1FFF_FFFF) is not None:
@@ -148,8 +148,8 @@ class IsoTp(Transport):
         return back[0], self.padded(back[1] + b"\x30\x00\x00")
 
     def steering(self, key: int, data: bytes) -> Steering | None:
-        """What flow control says: status, block size, the least time between frames (ISO 15765-2: up to 127 ms, or 100 µs to
-        900 µs; reserved values mean 127 ms)."""
+        """Return what flow control says: status, block size, the least time between frames (ISO 15765-2: up to 127 ms,
+        or 100 µs to 900 µs; reserved values mean 127 ms)."""
         body, back = data[self.address :], self.answered_by(key, data[: self.address])
         if back is None or len(body) < 3 or body[0] >> 4 != 3:
             return None
@@ -162,7 +162,7 @@ class IsoTp(Transport):
         return Steering(go, back[0], block, gap_ns, opening=((0, back[1]),))
 
     def identifier(self, direction: str | None) -> IdPattern | None:
-        """The identifier of packets in a direction, where the transport names it."""
+        """Return the identifier of packets in a direction, where the transport names it."""
         found: IdPattern | None = {"to device": self.to_device, "from device": self.from_device}.get(
             direction or ""
         )

@@ -99,13 +99,13 @@ class Items(c.Construct):
         return list(self.data.values())
 
     def changed(self, change: Callable[[str, c.Construct], c.Construct]) -> Items:
-        """The same list with the constructs of its data changed."""
+        """Return the same list with the constructs of its data changed."""
         made = copy.copy(self)
         made.data = {name: change(name, data) for name, data in self.data.items()}
         return made
 
     def fixed_size(self, name: str | None) -> int | None:
-        """The bytes of a kind's data, where it has no other number of bytes."""
+        """Return the bytes of a kind's data, where it has no other number of bytes."""
         try:
             return None if name is None else int(self.data[name].sizeof())
         except Exception:  # it depends on a field, by whatever program
@@ -123,7 +123,7 @@ class Items(c.Construct):
         return items
 
     def _item(self, rest: bytes, context: Any, path: str) -> tuple[c.Container, int]:
-        """The first item of what is left, and how many bytes it takes."""
+        """Return the first item of what is left, and how many bytes it takes."""
         if len(rest) < self.head:
             reason = f"malformed: {len(rest)} of the {self.head} bytes before an item's data"
             return c.Container(kind=None, data=rest, reason=reason), len(rest)

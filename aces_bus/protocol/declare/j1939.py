@@ -3,8 +3,10 @@
 Facts: TP.CM (PGN EC00) opens a session and steers it, TP.DT (PGN EB00) has a number from 1 on and seven bytes; a data
 frame says no PGN, it belongs to the session of its source and destination. Control bytes, fields and times are those of
 can-j1939 2.0.12 (`j1939_21.py`); reasons of an abort from 5 on are those of Linux (`j1939-priv.h`).
-Choice: data frames may come again and late, as a receiver that misses one asks for it anew. A packet's priority is that of
-its TP.CM. A session's frames are judged as a bystander sees them: what steers it (CTS, acknowledgement) is counted apart.
+Choice: data frames to one address may come again and late, as a receiver that misses one asks for it anew; those of a
+broadcast have one order and T1 (0.75 s) between them, or the frames of two broadcasts would become one packet. A packet's
+priority is that of its TP.CM. A session's frames are judged as a bystander sees them: what steers it (CTS, acknowledgement)
+is counted apart.
 """
 
 from __future__ import annotations
@@ -75,10 +77,12 @@ class J1939Transport(Transport):
     with pauses of 50 ms, and those to one address with the handshake of RTS, CTS and acknowledgement; they answer those that
     come to an address of theirs. `encode` gives their frames as a bystander sees them.
 
-    `timeout_s` is that between two frames of a session, and the sender's for an answer (T3, 1.25 s).
+    `timeout_s` is that between two frames of a session, and the sender's for an answer (T3, 1.25 s); between two frames of
+    a broadcast it is 0.75 s at most (T1).
     """
 
     title: ClassVar[str] = "J1939 transport"
+    broadcast_gap_s: ClassVar[float] = _NEXT_S
 
     fd: bool = field(default=False, init=False, repr=False)
     address: int = field(default=0, init=False, repr=False)
@@ -108,7 +112,7 @@ class J1939Transport(Transport):
         return ((_OF_CONNECTION, True), (_OF_DATA, True))
 
     def part(self, key: int, data: bytes) -> FramePart:
-        """What a frame is: of a parameter group itself, or of a session."""
+        """Return what a frame is: of a parameter group itself, or of a session."""
         group = key >> 16 & 0x3FF
         source, destination = key & 0xFF, key >> 8 & 0xFF
         if group == DATA:
@@ -136,7 +140,7 @@ class J1939Transport(Transport):
         if number >> 8 & 0xFF < BROADCAST:
             number = number & ~0xFF | destination
         packet = key & (EXTENDED | 7 << 26) | (number & 0x3FFFF) << 8 | source
-        return FramePart("first", (source, destination), b"", packet, size)
+        return FramePart("first", (source, destination), b"", packet, size, is_broadcast=data[0] == BAM)
 
     def pause_s(self, key: int) -> float:
         """That of a broadcast."""
@@ -173,7 +177,7 @@ class J1939Transport(Transport):
         return to, bytes([ABORT, _GIVEN_UP[why]]) + b"\xff\xff\xff" + data[5:8]
 
     def steering(self, key: int, data: bytes) -> Steering | None:
-        """What a receiver says: clear to send (no frames: wait), end of message, abort."""
+        """Return what a receiver says: clear to send (no frames: wait), end of message, abort."""
         if key >> 16 & 0x3FF != CONNECTION or len(data) < 8:
             return None
         to, of_group = _back(key), ((5, data[5:8]),)
@@ -204,11 +208,11 @@ class J1939Transport(Transport):
         return key >> 8 & 0xFF in own
 
     def _is_request(self, key: int, data: bytes) -> bool:
-        """Whether a frame opens a packet to one address."""
+        """Return whether a frame opens a packet to one address."""
         return self.part(key, data).role == "first" and data[0] == RTS
 
     def split(self, key: int, data: bytes, sequence: int = 0, extra: bytes = b"") -> list[tuple[int, bytes]]:
-        """The frames of a packet: one, or those of a session without what the receiver says."""
+        """Return the frames of a packet: one, or those of a session without what the receiver says."""
         if len(data) > self.max_size:
             raise FieldError(f"a packet of {len(data)} bytes; {self.title} has {self.max_size} at most")
         if len(data) < LEAST:
@@ -233,12 +237,12 @@ class J1939Transport(Transport):
 
 
 def _back(key: int) -> int:
-    """The key of a connection frame that goes the other way."""
+    """Return the key of a connection frame that goes the other way."""
     return EXTENDED | _LOWEST << 26 | CONNECTION << 16 | (key & 0xFF) << 8 | key >> 8 & 0xFF
 
 
 def _byte_of(pattern: IdPattern, shift: int, known: Mapping[str, object]) -> int | None:
-    """The byte of an identifier from bit `shift` on; None where a field in it is not known."""
+    """Return the byte of an identifier from bit `shift` on; None where a field in it is not known."""
     number, mask = pattern.constant, 0xFF << shift
     for one in pattern.captures:
         if one.bits << one.shift & mask:

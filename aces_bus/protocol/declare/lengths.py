@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 
 def lengths_of(message: Message, length: int | Collection[int] | None) -> Collection[int] | None:
-    """The numbers of data bytes that a message's frames or packets may have, of those that its spec states as `length`.
+    """Return the numbers of data bytes that a message's frames or packets may have, of those that its spec states as
+    `length`.
 
     None on streams; raises `SpecError` where its fields do not go with them.
     """
@@ -71,7 +72,7 @@ def lengths_of(message: Message, length: int | Collection[int] | None) -> Collec
 def _packet_lengths(
     message: Message, transport: Transport, length: int | Collection[int] | None, low: int, high: int | None
 ) -> Collection[int]:
-    """How long packets are that a transport carries."""
+    """Return how long packets are that a transport carries."""
     if message.fd or message.remote or message.any_format:
         raise SpecError(
             f"{message.place}: fd, remote and any_format are of frames; those of {message.name} are made by its transport"

@@ -16,7 +16,7 @@ import construct as c
 import msgspec
 from msgspec.structs import replace
 
-from ...errors import SpecError, UnknownNameError
+from ...errors import CallerError, SpecError, UnknownNameError
 from .bits import BitLayout, whole_bits
 from .checks import Check, Extra
 from .delimited import Delimited
@@ -38,6 +38,20 @@ if TYPE_CHECKING:
 
 Direction = Literal["to device", "from device"]
 DIRECTIONS: tuple[Direction, ...] = ("to device", "from device")
+#: Which way traffic goes; "both" pairs requests and replies.
+Way = Direction | Literal["both"]
+#: The same as callers may write it, with the short words of the command line.
+GivenWay = Way | Literal["to", "from"]
+_WAYS: dict[str, Way] = {"to": "to device", "from": "from device", "both": "both"}
+
+
+def way_of(word: GivenWay | None) -> Way | None:
+    """Return which way a caller means; raises `CallerError` for a word that says no direction."""
+    way = _WAYS.get(word, word) if isinstance(word, str) else word
+    if way is not None and way != "both" and way not in DIRECTIONS:
+        words = ", ".join(map(repr, (*DIRECTIONS, "both")))
+        raise CallerError(f"{word!r} is no direction: write {words}, or in short 'to' and 'from'")
+    return way
 
 
 class ConfigurationCondition(msgspec.Struct, frozen=True):
@@ -51,7 +65,7 @@ class ConfigurationCondition(msgspec.Struct, frozen=True):
         return frozenset(number for number, entry in table.items() if entry in self.values)
 
     def excludes(self, other: ConfigurationCondition) -> bool:
-        """Whether no configuration can make both true for one device."""
+        """Return whether no configuration can make both true for one device."""
         return (self.key, self.capture) == (other.key, other.capture) and not self.values & other.values
 
 
@@ -72,7 +86,7 @@ class Request(msgspec.Struct, frozen=True):
         return True
 
     def excludes(self, other: Request) -> bool:
-        """Whether no request satisfies both."""
+        """Return whether no request satisfies both."""
         if self.message.name != other.message.name:
             return True
         mine = dict(self.values)
@@ -191,7 +205,7 @@ class Message:
         return tuple(found)
 
     def _enumerations(self) -> dict[tuple[str, ...], Enumeration]:
-        """The enumerations outside the payload that it may choose by, as `this._.name`."""
+        """Return the enumerations outside the payload that it may choose by, as `this._.name`."""
         found: dict[str, Any] = {
             name: enumeration_of(field)
             for request in (*self.reply_to, *self.after)
@@ -207,7 +221,7 @@ class Message:
         return {(name,): field for name, field in found.items() if isinstance(field, Enumeration)}
 
     def _request_fields(self) -> tuple[str, ...]:
-        """The request's constrained fields that the message does not carry itself: its record has them too."""
+        """Return the request's constrained fields that the message does not carry itself: its record has them too."""
         own = self.outer_names
         asked = (name for one in (*self.reply_to, *self.after) for name, _ in one.values)
         return tuple(dict.fromkeys(name for name in asked if name not in own))
@@ -285,7 +299,7 @@ class Message:
         return (*captures, *self.request_fields, *self._head_names(), *payload)
 
     def _head_names(self) -> list[str]:
-        """The fields of the head that records have: captured parts, and fields that no pattern takes apart."""
+        """Return the fields of the head that records have: captured parts, and fields that no pattern takes apart."""
         names: list[str] = []
         for head in self.heads:
             if head.pattern is not None:
@@ -380,7 +394,7 @@ class Message:
         raise SpecError(f"{self.place}: check field {name!r} is not in the payload itself")
 
     def covered(self, data: bytes, identifier: int) -> bytes:
-        """The bytes that this message's own check covers."""
+        """Return the bytes that this message's own check covers."""
         assert self.check is not None
         start, size, _ = self.check_span
         if self.check.over is None:
@@ -388,7 +402,7 @@ class Message:
         return self.check.covered(data, 0, len(data), identifier=identifier, extra=self.check_extra)
 
     def outer(self, data: bytes, identifier: int) -> dict[str, int] | None:
-        """The raw captures and head fields of a packet, its payload unread; None when they are not this message's."""
+        """Return the raw captures and head fields of a packet, its payload unread; None when they are not this message's."""
         found = self.identifier.match(identifier) if self.framing is None else {}
         if found is None or len(data) < self.payload_start:
             return None
@@ -484,12 +498,12 @@ class Message:
 
 @cache
 def _numbers(values: range) -> frozenset[int]:
-    """A range as a set: where it is long, requests share it."""
+    """Return a range as a set: where it is long, requests share it."""
     return frozenset(values)
 
 
 def as_requests(given: Any, protocol: Protocol, place: SourceLine) -> tuple[Request, ...]:
-    """What a spec may write for `reply_to` and `after`: a message, a request, a name, or several of them."""
+    """Return what a spec may write for `reply_to` and `after`: a message, a request, a name, or several of them."""
     if given is None:
         return ()
     if isinstance(given, (Message, Request, str)):

@@ -47,14 +47,20 @@ class Multiplexed(Construct):
         return self.body._sizeof(context, path) if self.is_present(context) else 0
 
 
-def number_runs(values: Collection[int]) -> str:
-    """Numbers as their runs, shortest form: `0…15, 32`."""
-    runs: list[list[int]] = []
+def runs_of_numbers(values: Collection[int]) -> list[tuple[int, int]]:
+    """Return the first and the last of each run of numbers that follow one another."""
+    runs: list[tuple[int, int]] = []
     for value in sorted(values):
         if runs and value == runs[-1][1] + 1:
-            runs[-1][1] = value
+            runs[-1] = runs[-1][0], value
         else:
-            runs.append([value, value])
+            runs.append((value, value))
+    return runs
+
+
+def number_runs(values: Collection[int]) -> str:
+    """Numbers as their runs, shortest form: `0…15, 32`."""
+    runs = runs_of_numbers(values)
     texts = [
         f"{low}…{high}" if high - low > 1 else str(low) if low == high else f"{low}, {high}"
         for low, high in runs[:12]

@@ -37,7 +37,7 @@ MOST_EMPTY = 4096
 
 
 def normalised(payload: c.Construct | None, place: SourceLine, around: Known | None = None) -> c.Construct:
-    """The payload as `Struct`, `BitLayout` or `Delimited`, ready to be flattened.
+    """Return the payload as `Struct`, `BitLayout` or `Delimited`, ready to be flattened.
 
     `around` are the enumerations that it may ask for outside itself, as `this._.name`.
     """
@@ -56,7 +56,9 @@ def normalised(payload: c.Construct | None, place: SourceLine, around: Known | N
 
 
 def inner_constructs(con: Any) -> list[Any]:
-    """The constructs directly inside a construct: items, cases, or what it wraps; empty for what reads bytes itself."""
+    """Return the constructs directly inside a construct: items, cases, or what it wraps; empty for what reads bytes
+    itself.
+    """
     match con:
         case Multiplexed():
             return [con.body]
@@ -75,7 +77,9 @@ def inner_constructs(con: Any) -> list[Any]:
 
 
 def normalised_field(field: c.Construct, place: SourceLine, name: str) -> Any:
-    """A field that is in no payload, such as a register's, ready to be flattened; raises `SpecError` as `normalised`."""
+    """Return a field that is in no payload, such as a register's, ready to be flattened; raises `SpecError` as
+    `normalised`.
+    """
     return _Walk(place).of(field, name, {})
 
 
@@ -106,7 +110,7 @@ class _Walk:
         self.bound: dict[int, c.LazyBound] = {}
 
     def of(self, con: c.Construct, path: str, known: Known) -> Any:
-        """What replaces `con`; raises `SpecError` for what cannot be in a payload."""
+        """Return what replaces `con`; raises `SpecError` for what cannot be in a payload."""
         place = self.place
         match con:
             case c.Renamed():
@@ -311,7 +315,7 @@ class _Walk:
 
 
 def _changed(con: Any, name: str, value: Any) -> Any:
-    """The same construct with another value of an attribute; itself, where that is the same."""
+    """Return the same construct with another value of an attribute; itself, where that is the same."""
     if value is getattr(con, name):
         return con
     made = copy.copy(con)
@@ -398,14 +402,14 @@ class _Whole(c.Subconstruct):
 
 
 def _strips(con: c.Construct) -> bool:
-    """Whether a construct takes off the zeros behind its content."""
+    """Return whether a construct takes off the zeros behind its content."""
     while isinstance(con, (c.Renamed, c.Adapter)):
         con = con.subcon
     return isinstance(con, c.NullStripped) and con.subcon is c.GreedyBytes and not con.pad.strip(b"\0")
 
 
 def sizes(con: c.Construct) -> tuple[int, int | None]:
-    """The least and the greatest number of bytes of a construct; None for no bound."""
+    """Return the least and the greatest number of bytes of a construct; None for no bound."""
     while isinstance(con, c.Renamed):
         con = con.subcon
     match con:
@@ -454,7 +458,7 @@ def sizes(con: c.Construct) -> tuple[int, int | None]:
 
 
 def _either(cases: list[c.Construct]) -> tuple[int, int | None]:
-    """The sizes of what is one of several constructs."""
+    """Return the sizes of what is one of several constructs."""
     found = [sizes(case) for case in cases]
     tops = [high for _, high in found if high is not None]
     return min(low for low, _ in found), max(tops) if len(tops) == len(found) else None

@@ -58,7 +58,7 @@ class ContentError(ConstructError):
 
 
 def error_text(error: BaseException) -> str:
-    """What a construct's error says, on one line and without the path to it."""
+    """Return what a construct's error says, on one line and without the path to it."""
     lines = str(error).splitlines()
     said = [line for line in lines if line and not line.startswith("Error in path")] or lines
     return " ".join(" ".join(said).split()) or type(error).__name__
@@ -67,12 +67,12 @@ def error_text(error: BaseException) -> str:
 def can_image(
     identifier: int, data: bytes, *, extended: bool = False, remote: bool = False, fd: bool = False
 ) -> bytes:
-    """The image of a CAN frame that `message.struct` parses."""
+    """Return the image of a CAN frame that `message.struct` parses."""
     return key_image(key_of(identifier, extended=extended, remote=remote, fd=fd), data)
 
 
 def key_image(key: int, data: bytes) -> bytes:
-    """The image of a frame with this key, whose upper flags are those of `can_id`."""
+    """Return the image of a frame with this key, whose upper flags are those of `can_id`."""
     return (key & ~FD).to_bytes(4, "big") + (bytes([FD_FLAG]) if key & FD else b"\0") + data
 
 
@@ -152,8 +152,8 @@ class PacketStruct(Construct):
         return values
 
     def look(self, data: bytes, end: int) -> Container:
-        """The fields of a packet's bytes up to `end`, in physical units, as far as they can be read: whether it is whole,
-        and its check, are not asked."""
+        """Return the fields of a packet's bytes up to `end`, in physical units, as far as they can be read: whether it
+        is whole, and its check, are not asked."""
         values, context = Container(), Container(raw=False)
         context._params = context
         with suppress(Exception):  # whatever a construct raises, construct's own or a user's
@@ -349,7 +349,7 @@ def _read_captures(pattern: IdPattern, captures: Mapping[str, int], context: Any
 
 
 def _captured(pattern: IdPattern, obj: Any, raw: bool, path: str) -> dict[str, int]:
-    """The raw parts of a number, from the fields that are given."""
+    """Return the raw parts of a number, from the fields that are given."""
     given = {capture: _given(obj, capture.name, path) for capture in pattern.captures}
     return {
         capture.name: index(value) if raw else capture.to_raw(value, f"{path} -> {capture.name}")
@@ -358,7 +358,7 @@ def _captured(pattern: IdPattern, obj: Any, raw: bool, path: str) -> dict[str, i
 
 
 def _described(pattern: IdPattern) -> str:
-    """The numbers of a pattern where they are a plain set, else as the sheet would write it."""
+    """Return the numbers of a pattern where they are a plain set, else as the sheet would write it."""
     if not pattern.constant and len(pattern.captures) == 1 and not pattern.captures[0].shift:
         return describe_values(pattern.captures[0].values)
     return pattern.describe(2)

@@ -46,7 +46,7 @@ class Judged:
 
 
 def judge_frames(transport: Transport, given: Sequence[GivenFrame]) -> Judged:
-    """What these frames are, of which the first one is a first frame and the others follow it."""
+    """Return what these frames are, of which the first one is a first frame and the others follow it."""
     first = given[0].part
     full = transport.room(len(given[0].data))
     count = None
@@ -61,7 +61,7 @@ def judge_frames(transport: Transport, given: Sequence[GivenFrame]) -> Judged:
     for step, one in enumerate(given[1:], 1):
         number = one.part.number
         place = step
-        if transport.any_order:
+        if _is_any_order(transport, first):
             place = next(k for k in range(1, transport.modulo + 1) if _number(transport, k) == number)
             if place in pieces:
                 return Judged("broken", f"malformed: {_named(place, count)} twice")
@@ -74,8 +74,12 @@ def judge_frames(transport: Transport, given: Sequence[GivenFrame]) -> Judged:
         if not ends and len(one.part.data) != full:
             return Judged("broken", f"malformed: {_named(place, count)} is short")
         if ends and first.size is not None:
-            if len(one.part.data) < first.size - len(first.data) - (place - 1) * full:
+            left = first.size - len(first.data) - (place - 1) * full
+            if len(one.part.data) < left:
                 return Judged("broken", f"malformed: {_named(place, count)} is short")
+            goes_on = transport.following.last is not None and not one.part.is_last
+            if goes_on and len(one.part.data) > left:
+                return Judged("broken", f"malformed: {_named(place, count)} is too long")
         if (
             first.size is None
             and len(first.data) + sum(len(p.data) for p in pieces.values())
@@ -90,7 +94,7 @@ def judge_frames(transport: Transport, given: Sequence[GivenFrame]) -> Judged:
 
 
 def judge_conversation(transport: Transport, given: Sequence[GivenFrame]) -> Judged:
-    """What the frames of an acknowledged packet are, of which the first one is a first frame."""
+    """Return what the frames of an acknowledged packet are, of which the first one is a first frame."""
     parts = [one.part for one in given]
     first, size = parts[0], parts[0].size
     taken: list[bytes] = []
@@ -138,7 +142,7 @@ def _last_place(roles: Sequence[str], role: str) -> int:
 
 
 def _named_data(transport: Transport, first: FramePart, number: int) -> str:
-    """A frame with data by its number, the first one being 0; the last one of all ends the packet."""
+    """Return a frame with data by its number, the first one being 0; the last one of all ends the packet."""
     if first.size is None:
         return f"frame {number + 1}"
     rest = range(first.size - len(first.data))
@@ -146,10 +150,10 @@ def _named_data(transport: Transport, first: FramePart, number: int) -> str:
 
 
 def is_repeated(transport: Transport, given: Sequence[GivenFrame], more: GivenFrame) -> bool:
-    """Whether a following frame is one that has come already."""
+    """Return whether a following frame is one that has come already."""
     if given[0].part.is_acknowledged:
         return (given[-1].part.role, given[-1].data) == (more.part.role, more.data)
-    if transport.any_order:
+    if _is_any_order(transport, given[0].part):
         known = [one.part for one in given[1:] if one.part.number == more.part.number]
         return any(part.data == more.part.data for part in known)
     return len(given) > 1 and given[-1].part.number == more.part.number and given[-1].data == more.data
@@ -157,8 +161,8 @@ def is_repeated(transport: Transport, given: Sequence[GivenFrame], more: GivenFr
 
 def given_up(transport: Transport, given: Sequence[GivenFrame], reason: str) -> str:
     """Why frames that are not a whole packet are given up."""
-    if transport.any_order:
-        first = given[0].part
+    first = given[0].part
+    if _is_any_order(transport, first):
         full = transport.room(len(given[0].data))
         count = None if first.size is None else 1 + -(-(first.size - len(first.data)) // full)
         there = {one.part.number for one in given[1:]}
@@ -166,6 +170,10 @@ def given_up(transport: Transport, given: Sequence[GivenFrame], reason: str) -> 
             if _number(transport, place) not in there:
                 return f"malformed: {_named(place, count)} missing"
     return f"malformed: {reason}"
+
+
+def _is_any_order(transport: Transport, first: FramePart) -> bool:
+    return transport.any_order and not first.is_broadcast
 
 
 def _number(transport: Transport, place: int) -> int:
@@ -181,7 +189,7 @@ def _cut(data: bytes, size: int | None) -> bytes:
 
 
 def packet_image(transport: Transport, decided: DecidedFrames, extra: bytes) -> bytes | None:
-    """The image of a packet that `message.struct` parses; None where its check is wrong. `extra` seeds the check."""
+    """Return the image of a packet that `message.struct` parses; None where its check is wrong. `extra` seeds the check."""
     data: bytes | None = decided.data
     if len(decided.frames) > 1:
         data = transport.unwrapped(decided.data, extra)
@@ -204,7 +212,7 @@ class CarriedPacket:
 
 
 def packet_frame(image: bytes, last: Any) -> CarriedPacket:
-    """The packet of an image; `last` is the frame that made it whole."""
+    """Return the packet of an image; `last` is the frame that made it whole."""
     word = int.from_bytes(image[:4], "big")
     return CarriedPacket(word & 0x1FFF_FFFF, image[5:], bool(word & EXTENDED), last.timestamp, last.channel)
 
@@ -217,11 +225,11 @@ class PacketRule:
         self.open: list[tuple[Hashable, list[GivenFrame]]] = []
 
     def decide(self, frame: Any, number: int, key: int, data: bytes) -> list[DecidedFrames]:
-        """What one more frame decides."""
+        """Return what one more frame decides."""
         decided: list[DecidedFrames] = []
         for session in self.transport.conversations(key):
             talk = self._open((frame.channel, session))
-            if talk is not None and self._is_late(talk[1][-1].frame.timestamp, frame.timestamp):
+            if talk is not None and self._is_late(talk[1], frame.timestamp):
                 if talk[1][0].part.is_acknowledged:
                     decided += self._lost(talk, "timed out")
         part = self._within(frame.channel, key, data) or self.transport.part(key, data)
@@ -232,7 +240,7 @@ class PacketRule:
         if part.role == "abort" and self._open(who) is None:
             who = (frame.channel, part.other)
         before = self._open(who)
-        if before is not None and self._is_late(before[1][-1].frame.timestamp, frame.timestamp):
+        if before is not None and self._is_late(before[1], frame.timestamp):
             decided += self._lost(before, "timed out")
             before = None
         if part.role in ("next", "ready", "taken", "end"):
@@ -253,7 +261,7 @@ class PacketRule:
         return next((one for one in self.open if one[0] == who), None)
 
     def _within(self, channel: Any, key: int, data: bytes) -> FramePart | None:
-        """What a frame is to an acknowledged packet that is under way, or lost."""
+        """Return what a frame is to an acknowledged packet that is under way, or lost."""
         for session in self.transport.conversations(key):
             talk = self._open((channel, session))
             if talk is not None and talk[1][0].part.is_acknowledged:
@@ -265,9 +273,10 @@ class PacketRule:
     def _followed(
         self, who: Hashable, before: tuple[Hashable, list[GivenFrame]] | None, mine: GivenFrame
     ) -> list[DecidedFrames]:
-        """What a frame decides that does not begin a packet."""
+        """Return what a frame decides that does not begin a packet."""
         orphan = DecidedFrames((mine,), mine.part.reason or "malformed: no first frame")
-        is_spoken = before is not None and before[1][0].part.is_acknowledged
+        # With a reason the frame opens a packet that is refused.
+        is_spoken = before is not None and before[1][0].part.is_acknowledged and not mine.part.reason
         if mine.part.role != "next" and not is_spoken:
             lost = self._lost(before, "restarted") if before is not None else []
             return [*lost, orphan, *self._enter((who, [_silent(mine)]))]
@@ -282,7 +291,7 @@ class PacketRule:
         return self._ended(before)
 
     def _ended(self, one: tuple[Hashable, list[GivenFrame]]) -> list[DecidedFrames]:
-        """What frames are, if they are anything yet."""
+        """Return what frames are, if they are anything yet."""
         given = one[1]
         is_acknowledged = given[0].part.is_acknowledged
         found = (judge_conversation if is_acknowledged else judge_frames)(self.transport, given)
@@ -305,7 +314,7 @@ class PacketRule:
     def _lost(
         self, one: tuple[Hashable, list[GivenFrame]], reason: str, whole: bool = False
     ) -> list[DecidedFrames]:
-        """The frames of a packet that is given up; none of one that is lost already."""
+        """Return the frames of a packet that is given up; none of one that is lost already."""
         self.open.remove(one)
         if one[1][0].part.role != "first":
             return []
@@ -313,11 +322,12 @@ class PacketRule:
         why = f"malformed: {reason}" if is_acknowledged else given_up(self.transport, one[1], reason)
         return [DecidedFrames(tuple(one[1]), why)]
 
-    def _is_late(self, last: float | None, time: float | None) -> bool:
-        return last is not None and time is not None and time - last > self.transport.timeout_s
+    def _is_late(self, given: Sequence[GivenFrame], time: float | None) -> bool:
+        last = given[-1].frame.timestamp
+        return last is not None and time is not None and time - last > self.transport.gap_s(given[0].part)
 
     def end(self) -> list[DecidedFrames]:
-        """The frames that are pending at the end of the input."""
+        """Return the frames that are pending at the end of the input."""
         left, self.open = self.open, []
         return [
             DecidedFrames(tuple(frames), "pending") for _, frames in left if frames[0].part.role == "first"
@@ -325,6 +335,6 @@ class PacketRule:
 
 
 def _silent(last: GivenFrame) -> GivenFrame:
-    """What is kept of a session that is lost: when its last frame came."""
+    """Return what is kept of a session that is lost: when its last frame came."""
     part = FramePart("ready", last.part.session, is_acknowledged=True)
     return GivenFrame(last.frame, last.number, last.data, part)

@@ -27,7 +27,7 @@ class Arithmetic:
     """The operators that make a `IdPattern` out of captures and constants."""
 
     def as_pattern(self) -> IdPattern:
-        """The pattern that this is by itself."""
+        """Return the pattern that this is by itself."""
         raise NotImplementedError
 
     def __add__(self, other: int | Arithmetic) -> IdPattern:
@@ -86,7 +86,7 @@ class IdField(Arithmetic, msgspec.Struct, frozen=True, eq=False):
         return (1 << self.width) - 1 if len(self.values) > 4096 else reduce(or_, self.values)
 
     def only(self, values: Collection[int]) -> IdField:
-        """The same capture over fewer values."""
+        """Return the same capture over fewer values."""
         kept = [v for v in self.values if v in values]
         if kept and kept == list(range(kept[0], kept[-1] + 1)):
             return replace(self, values=range(kept[0], kept[-1] + 1))
@@ -126,7 +126,7 @@ class IdPattern(Arithmetic, msgspec.Struct, frozen=True, eq=False):
         return IdPattern(self.constant + more.constant, captures)
 
     def united(self, other: int | Arithmetic) -> IdPattern:
-        """The parts side by side, as `|` says: raises `SpecError` where they share bits, which adding would carry."""
+        """Return the parts side by side, as `|` says: raises `SpecError` where they share bits, which adding would carry."""
         shared = self.bits & (other if isinstance(other, int) else other.as_pattern().bits)
         if shared:
             named = [str(bit) for bit in range(shared.bit_length()) if shared >> bit & 1]
@@ -165,7 +165,7 @@ class IdPattern(Arithmetic, msgspec.Struct, frozen=True, eq=False):
             taken |= mask
 
     def match(self, number: int) -> dict[str, int] | None:
-        """The raw captures of `number`, or None when it does not match."""
+        """Return the raw captures of `number`, or None when it does not match."""
         found: dict[str, int] = {}
         if len(self.captures) == 1:
             capture = self.captures[0]
@@ -191,22 +191,22 @@ class IdPattern(Arithmetic, msgspec.Struct, frozen=True, eq=False):
         return ~varying
 
     def is_apart(self, other: IdPattern) -> bool:
-        """Whether a glance shows that no number matches both; False says nothing."""
+        """Return whether a glance shows that no number matches both; False says nothing."""
         return bool((self.constant ^ other.constant) & self.fixed & other.fixed)
 
     def number(self, captures: Mapping[str, int]) -> int:
-        """The number with these raw captures."""
+        """Return the number with these raw captures."""
         return self.constant + sum(captures[c.name] << c.shift for c in self.captures)
 
     def __len__(self) -> int:
-        """How many numbers match."""
+        """Return how many numbers match."""
         total = 1
         for capture in self.captures:
             total *= len(capture.values)
         return total
 
     def __iter__(self) -> Iterator[int]:
-        """Every number that matches (mind `len` first)."""
+        """Return every number that matches (mind `len` first)."""
         numbers = [self.constant]
         for capture in self.captures:
             numbers = [n + (v << capture.shift) for n in numbers for v in capture.values]
@@ -217,7 +217,7 @@ class IdPattern(Arithmetic, msgspec.Struct, frozen=True, eq=False):
         return self.constant + sum(bounds(c.values)[1] << c.shift for c in self.captures)
 
     def only(self, name: str, values: Collection[int]) -> IdPattern | None:
-        """The pattern with capture `name` limited to `values`; None when nothing is left."""
+        """Return the pattern with capture `name` limited to `values`; None when nothing is left."""
         captures = []
         for capture in self.captures:
             if capture.name == name:
@@ -236,7 +236,7 @@ class IdPattern(Arithmetic, msgspec.Struct, frozen=True, eq=False):
 
 
 def as_pattern(value: int | IdField | IdPattern | Collection[int], name: str = "") -> IdPattern:
-    """A pattern from what a spec may write: a number, a set of numbers (kept under `name`), a capture, a pattern."""
+    """Return a pattern from what a spec may write: a number, a set of numbers (kept under `name`), a capture, a pattern."""
     if isinstance(value, bool):
         value = int(value)
     if isinstance(value, int):
@@ -255,7 +255,7 @@ def as_pattern(value: int | IdField | IdPattern | Collection[int], name: str = "
 
 
 def bounds(values: Collection[int]) -> tuple[int, int]:
-    """The least and the greatest of some values; a range, however long, is not walked."""
+    """Return the least and the greatest of some values; a range, however long, is not walked."""
     if isinstance(values, range):
         return min(values[0], values[-1]), max(values[0], values[-1])
     return min(values), max(values)
@@ -274,7 +274,7 @@ def describe_values(values: Collection[int]) -> str:
 
 
 def meet(one: IdPattern, other: IdPattern, width: int) -> int | None:
-    """A number below 2**width that both patterns match, or None: exact.
+    """Return a number below 2**width that both patterns match, or None: exact.
 
     Walks the bits from the top, keeping a prefix only while each pattern can still be completed.
     """
@@ -297,7 +297,7 @@ def meet(one: IdPattern, other: IdPattern, width: int) -> int | None:
 
 
 def _possible(pattern: IdPattern, prefix: int, low: int) -> bool:
-    """Whether some number whose bits from `low` up are those of `prefix` may match (exact when `low` is 0)."""
+    """Return whether some number whose bits from `low` up are those of `prefix` may match (exact when `low` is 0)."""
     if low == 0:
         return pattern.match(prefix) is not None
     if len(pattern.captures) < 2:

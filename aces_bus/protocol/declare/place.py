@@ -39,7 +39,7 @@ class SourceLine:
         return f"{self.file[len(top) :].lstrip(os.sep).replace(os.sep, '/')}:{self.line}"
 
     def of_field(self, name: str) -> SourceLine:
-        """The line where field `name` is written in the expression that starts here; this place when not found."""
+        """Return the line where field `name` is written in the expression that starts here; this place when not found."""
         source = "".join(linecache.getlines(self.file))
         try:
             tree = ast.parse(source)
@@ -67,7 +67,7 @@ Scope = tuple[str, int, str]
 
 
 def caller(scope: Scope | None = None) -> SourceLine:
-    """The innermost line outside the protocol core and construct: the spec's own line.
+    """Return the innermost line outside the protocol core and construct: the spec's own line.
 
     With the `scope` of a protocol, the line there: where a helper function of the spec was called to declare a message, and
     fields are looked up in the helper.
@@ -82,7 +82,7 @@ def caller(scope: Scope | None = None) -> SourceLine:
 
 
 def caller_scope() -> Scope:
-    """The function or module whose line `caller` gives."""
+    """Return the function or module whose line `caller` gives."""
     return _scope_of(_own_frame())
 
 

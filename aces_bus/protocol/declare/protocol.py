@@ -19,7 +19,7 @@ from . import ambiguity
 from .checks import Check
 from .examples import as_examples
 from .framing import Framing
-from .message import DIRECTIONS, ConfigurationCondition, Direction, Message, as_requests
+from .message import DIRECTIONS, ConfigurationCondition, Direction, GivenWay, Message, as_requests, way_of
 from .pattern import as_pattern
 from .place import caller, caller_scope
 from .transport import Transport
@@ -94,7 +94,7 @@ class Protocol:
     # ------------------------------------------------------------------ declaring
 
     def configured(self, key: str, by: str) -> Any:
-        """A function that makes conditions.
+        """Return a function that makes conditions.
 
         `channels = p.configured("channels", by="board")`, then `when=channels(1, 2)`.
         """
@@ -322,7 +322,7 @@ class Protocol:
     def variant(
         self, dialect: str | None = None, configuration: str | Configuration | None = None
     ) -> Variant:
-        """The protocol with dialect and configuration decided (the defaults when not given)."""
+        """Return the protocol with dialect and configuration decided (the defaults when not given)."""
         dialect = dialect if dialect is not None else self.dialect
         if dialect is not None and dialect not in self.dialects:
             raise UnknownNameError(f"dialect of {self.name}", dialect, self.dialects)
@@ -346,7 +346,7 @@ class Protocol:
         return self._variants[wanted]
 
     def variants(self) -> list[Variant]:
-        """Every shipped dialect with every shipped configuration."""
+        """Return every shipped dialect with every shipped configuration."""
         dialects: list[str | None] = [*self.dialects] or [None]
         names: list[str | None] = [*self.configurations] or [None]
         return [self.variant(dialect, name) for dialect in dialects for name in names]
@@ -356,12 +356,12 @@ class Protocol:
         *,
         dialect: str | None = None,
         configuration: str | Configuration | None = None,
-        direction: Direction | Literal["both"] | None = None,
+        direction: GivenWay | None = None,
         include_unknown: bool = False,
         raw: bool = False,
         check_thread: bool = False,
     ) -> Scanner:
-        """A scanner of this protocol alone, for one thread; see `make_scanner`, which takes several on one wire.
+        """Return a scanner of this protocol alone, for one thread; see `make_scanner`, which takes several on one wire.
 
         With `raw`, records have the numbers on the wire, without units, scales and names.
         """
@@ -382,11 +382,11 @@ class Protocol:
         message: str | Collection[str] | None = None,
         dialect: str | None = None,
         configuration: str | Configuration | None = None,
-        direction: Direction | Literal["both"] | None = None,
+        direction: GivenWay | None = None,
         include_unknown: bool = False,
         raw: bool = False,
     ) -> DecodedRecording:
-        """A whole capture as columns: a mapping from messages to tables; see `columns.decode.decode_tables`.
+        """Return a whole capture as columns: a mapping from messages to tables; see `columns.decode.decode_tables`.
 
         `capture` is opened already (`aces_bus.decode` takes a path), or an iterable of frames, frame tables or bytes.
         """
@@ -447,7 +447,7 @@ class Variant:
         self._bound: dict[str, Variant] = {}
 
     def on(self, channel: str) -> Variant:
-        """The same variant, bound to a channel: scanners ask it about that channel's frames only (CAN)."""
+        """Return the same variant, bound to a channel: scanners ask it about that channel's frames only (CAN)."""
         if self.link != "can":
             raise CallerError(f"{self.label}: only protocols on CAN are bound to a channel")
         if channel not in self._bound:
@@ -463,11 +463,12 @@ class Variant:
             text += f":{self.dialect}"
         return f"{text}@{self.configuration}" if self.configuration is not None else text
 
-    def messages_for(self, direction: Direction | Literal["both"] | None) -> list[Message]:
-        """The messages that can occur in `direction`, in declared order."""
-        if direction is None or direction == "both":
+    def messages_for(self, direction: GivenWay | None) -> list[Message]:
+        """Return the messages that can occur in `direction`, in declared order."""
+        way = way_of(direction)
+        if way is None or way == "both":
             return list(self.messages.values())
-        return [m for m in self.messages.values() if m.direction in (None, direction)]
+        return [m for m in self.messages.values() if m.direction in (None, way)]
 
     def __getitem__(self, name: str) -> Message:
         try:
@@ -499,10 +500,10 @@ def _listed(given: Any) -> list[Any]:
 
 
 def share_dialect(one: Message, other: Message) -> bool:
-    """Whether some dialect has both messages."""
+    """Return whether some dialect has both messages."""
     return one.dialects is None or other.dialects is None or bool(one.dialects & other.dialects)
 
 
 def may_coexist(one: Message, other: Message) -> bool:
-    """Whether some dialect and configuration has both messages for one device."""
+    """Return whether some dialect and configuration has both messages for one device."""
     return share_dialect(one, other) and not any(a.excludes(b) for a in one.when for b in other.when)

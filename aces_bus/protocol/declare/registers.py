@@ -39,11 +39,11 @@ class Register(msgspec.Struct, frozen=True):
     place: SourceLine
 
     def decode(self, data: bytes, *, raw: bool = False) -> Any:
-        """The value in `size` bytes."""
+        """Return the value in `size` bytes."""
         return self.field.parse(data, raw=raw)
 
     def encode(self, value: Any, *, raw: bool = False) -> bytes:
-        """The bytes of a value; raises `FieldError` when it does not fit or the register cannot be written."""
+        """Return the bytes of a value; raises `FieldError` when it does not fit or the register cannot be written."""
         try:
             return bytes(self.field.build(value, raw=raw))
         except FieldError as error:
@@ -149,7 +149,7 @@ class RegisterMap(Mapping[str, Register]):
     # ------------------------------------------------------------------ derived messages
 
     def read(self, id: int, first: str, last: str | None = None) -> bytes:
-        """The packet that asks device `id` for the registers from `first` to `last`."""
+        """Return the packet that asks device `id` for the registers from `first` to `last`."""
         one, other = self[first], self[last or first]
         count = other.address + other.size - one.address
         if count <= 0:
@@ -158,14 +158,14 @@ class RegisterMap(Mapping[str, Register]):
         return bytes(self.protocol.encode(self.read_message, id=id, start=one.address, count=count))
 
     def write(self, id: int, values: Mapping[str, Any], *, message: str | None = None) -> bytes:
-        """The packet that writes registers that stand side by side; errors are those of `stretch`."""
+        """Return the packet that writes registers that stand side by side; errors are those of `stretch`."""
         start, data = self.stretch(values)
         name = message or self.write_message
         assert name is not None
         return bytes(self.protocol.encode(name, id=id, start=start, data=data))
 
     def stretch(self, values: Mapping[str, Any]) -> tuple[int, bytes]:
-        """The first address and the bytes of registers that stand side by side, by name.
+        """Return the first address and the bytes of registers that stand side by side, by name.
 
         Raises `UnknownNameError`, and `FieldError` for one that can only be read, for values that do not fit and for gaps.
         """
@@ -192,7 +192,7 @@ class RegisterMap(Mapping[str, Register]):
         )
 
     def decode(self, start: int, data: bytes, *, raw: bool = False) -> dict[str, Any]:
-        """The whole registers among `data` read from address `start`, by name."""
+        """Return the whole registers among `data` read from address `start`, by name."""
         found = {}
         for register in self._in_order:
             at = register.address - start

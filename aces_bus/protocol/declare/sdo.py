@@ -84,7 +84,7 @@ class SdoTransfer(Transport):
         return tuple((way + IdField("node", _NODES), False) for way in (_TO_NODE, _FROM_NODE))
 
     def part(self, key: int, data: bytes) -> FramePart:
-        """What a frame is: of the client or of the node, which its identifier says."""
+        """Return what a frame is: of the client or of the node, which its identifier says."""
         way, other = _ways(key)
         if len(data) != _FRAME:
             return FramePart("bad", reason="malformed: length")
@@ -165,7 +165,7 @@ class SdoTransfer(Transport):
         return size >= _HEAD
 
     def split(self, key: int, data: bytes, sequence: int = 0, extra: bytes = b"") -> list[tuple[int, bytes]]:
-        """The frames of a packet: one, or those that carry its data without what the other end says."""
+        """Return the frames of a packet: one, or those that carry its data without what the other end says."""
         way, other = _ways(key)
         if len(data) > self.max_size or len(data) < _HEAD:
             raise FieldError(f"a packet of {len(data)} bytes; {self.title} has {_HEAD} to {self.max_size}")
@@ -203,7 +203,7 @@ def _taking(session: int, way: int, data: bytes) -> FramePart:
 
 
 def _is_all_taken(so_far: Sequence[FramePart]) -> bool:
-    """Whether the receiver has just taken the last segment."""
+    """Return whether the receiver has just taken the last segment."""
     taken = so_far[-1]
     if taken.role == "taken":
         for part in islice(reversed(so_far), 1, None):
@@ -215,7 +215,7 @@ def _is_all_taken(so_far: Sequence[FramePart]) -> bool:
 
 
 def _blocks(key: int, back: int, data: bytes) -> list[tuple[int, bytes]]:
-    """The frames of a transfer in blocks, with those of who takes it under the key `back`: it misses none."""
+    """Return the frames of a transfer in blocks, with those of who takes it under the key `back`: it misses none."""
     head, body = data[:_HEAD], data[_HEAD:]
     size = len(body) if data[0] & _BLOCK_SIZED else 0
     takes, checked = _TAKES << 5, data[0] & _CHECKED
@@ -235,7 +235,7 @@ def _blocks(key: int, back: int, data: bytes) -> list[tuple[int, bytes]]:
 
 
 def _ways(key: int) -> tuple[int, int]:
-    """The identifiers without a node of a frame's own way and of the other one."""
+    """Return the identifiers without a node of a frame's own way and of the other one."""
     way = key & ~0x7F & ~EXTENDED
     return (_TO_NODE, _FROM_NODE) if way == _TO_NODE else (_FROM_NODE, _TO_NODE)
 

@@ -24,11 +24,11 @@ class Stuffing:
         raise NotImplementedError
 
     def unstuff(self, wire: bytes) -> bytes:
-        """The data; raises `ValueError` when no data gives these bytes."""
+        """Return the data; raises `ValueError` when no data gives these bytes."""
         raise NotImplementedError
 
     def largest(self, size: int) -> int:
-        """How many bytes `size` bytes of data may become."""
+        """Return how many bytes `size` bytes of data may become."""
         raise NotImplementedError
 
 

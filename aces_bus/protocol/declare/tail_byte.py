@@ -81,7 +81,7 @@ class TailByte(Transport):
         return _added(self.version)
 
     def unwrapped(self, data: bytes, extra: bytes) -> bytes | None:
-        """A transfer without its check; None where that is wrong."""
+        """Return a transfer without its check; None where that is wrong."""
         if len(data) < _CRC_BYTES:
             return None
         if self.version:
@@ -95,7 +95,7 @@ class TailByte(Transport):
         return not self.fd or self._last(size) + 1 in FD_LENGTHS
 
     def _last(self, size: int) -> int:
-        """How many bytes of a transfer, with its check, are in its last frame."""
+        """Return how many bytes of a transfer, with its check, are in its last frame."""
         room = self.frame_size - 1
         return size if size <= room else (size + _CRC_BYTES - 1) % room + 1
 
@@ -104,7 +104,7 @@ class TailByte(Transport):
         return key & ~(0x7 << 26 if self.version else 0x1F << 24)
 
     def split(self, key: int, data: bytes, sequence: int = 0, extra: bytes = b"") -> list[tuple[int, bytes]]:
-        """The frames of a transfer; `sequence` is its number."""
+        """Return the frames of a transfer; `sequence` is its number."""
         if len(data) > self.max_size or not self.carries(len(data)):
             raise FieldError(f"a packet of {len(data)} bytes, which {self.title} does not carry")
         room = self.frame_size - 1

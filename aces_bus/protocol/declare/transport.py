@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from math import inf
 from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import msgspec
@@ -59,7 +60,7 @@ class FrameNumber(msgspec.Struct, frozen=True, dict=True):
         return (self.mask >> self.shift).bit_length()
 
     def of(self, data: bytes) -> int | None:
-        """The number in a frame's data; None where the frame is too short."""
+        """Return the number in a frame's data; None where the frame is too short."""
         if self.size == 1:
             try:
                 return (data[self.byte] & self.mask) >> self.shift
@@ -101,7 +102,7 @@ class FrameKind(msgspec.Struct, frozen=True):
     over: int = 0
 
     def fits(self, data: bytes) -> bool:
-        """Whether a frame with these data is of this kind."""
+        """Return whether a frame with these data is of this kind."""
         return len(data) > self.over and all(bits.of(data) == value for bits, value in self.match)
 
 
@@ -127,6 +128,8 @@ class FramePart(NamedTuple):
     other: Hashable = None
     #: Of a first frame: its packet is an acknowledged one. So are the frames of such packets that are seen without it.
     is_acknowledged: bool = False
+    #: Of a first frame: nobody can ask for a frame of its packet again. They come in one order, `Transport.gap_s` apart.
+    is_broadcast: bool = False
 
 
 class AddedCheck(NamedTuple):
@@ -146,12 +149,14 @@ class Transport:
 
     * A next frame has the number that is due: the first one `first_number`, then one more each, modulo `modulo`. Another
       number: a frame is missing, and the packet is malformed. With `any_order` next frames may come in any order, each one
-      once.
+      once, unless they are of a broadcast.
     * A frame that is the same as the one before it is *repeated* (a controller that sent again what had arrived): it is
       malformed alone, its packet goes on.
-    * All frames of a packet but the last are full: they have the `room` of a next frame.
+    * All frames of a packet but the last are full: they have the `room` of a next frame. A frame with which the first one's
+      size is reached, and which does not say that it is the last although frames do, has no more bytes than are left.
     * A first or single frame of the same session while a packet is open: that packet is malformed, it was restarted.
-    * More than `timeout_s` seconds between two frames of a session: the packet before is malformed, it timed out.
+    * More than `gap_s` seconds (`timeout_s`, of a broadcast perhaps less) between two frames of a session: the packet before
+      is malformed, it timed out.
     * `senders` packets may be open at once; when one more begins, the oldest is malformed. With `max_size`, the number of
       bytes of the longest packet (its address aside), this bounds what is kept.
 
@@ -173,6 +178,8 @@ class Transport:
     title: ClassVar[str] = "transport"
     #: Why devices and twins send no packets of several frames ("" where they do).
     unsendable: ClassVar[str] = ""
+    #: The longest time between two frames of a broadcast (s), where that is less than `timeout_s`.
+    broadcast_gap_s: ClassVar[float] = inf
 
     fd: bool = False
     address: int = 0
@@ -206,6 +213,10 @@ class Transport:
         """How many bytes a packet has at most, its address among them."""
         return self.max_size + self.address
 
+    def gap_s(self, first: FramePart) -> float:
+        """Return the longest time between two frames (s) of the packet that this first frame begins."""
+        return min(self.timeout_s, self.broadcast_gap_s) if first.is_broadcast else self.timeout_s
+
     @property
     def min_size(self) -> int:
         """How many bytes a packet has at least, its address among them."""
@@ -223,7 +234,7 @@ class Transport:
         return None
 
     def carries(self, size: int) -> bool:
-        """Whether a packet may have so many bytes; `max_size` is asked beside this."""
+        """Return whether a packet may have so many bytes; `max_size` is asked beside this."""
         return True
 
     @property
@@ -232,13 +243,13 @@ class Transport:
         return ()
 
     def identifier(self, direction: str | None) -> IdPattern | None:
-        """The identifier of packets in a direction ("to device", "from device"), where the transport names it."""
+        """Return the identifier of packets in a direction ("to device", "from device"), where the transport names it."""
         return None
 
     # ------------------------------------------------------------------ reading
 
     def part(self, key: int, data: bytes) -> FramePart:
-        """What a frame is; `key` is without the flag of CAN FD."""
+        """Return what a frame is; `key` is without the flag of CAN FD."""
         address = data[: self.address]
         body = data[self.address :] if self.address else data
         for kind, is_sure in self.by_telling[body[self.telling]] if body else ():
@@ -247,7 +258,7 @@ class Transport:
         return FramePart("bad", reason=f"malformed: no frame of {self.title}")
 
     def conversations(self, key: int) -> tuple[Hashable, ...]:
-        """The sessions whose acknowledged packets frames of a key may belong to."""
+        """Return the sessions whose acknowledged packets frames of a key may belong to."""
         return ()
 
     def within(self, so_far: Sequence[FramePart], key: int, data: bytes) -> FramePart | None:
@@ -288,7 +299,7 @@ class Transport:
         return found
 
     def _asks_more(self, bits: FrameNumber) -> bool:
-        """Whether a number is in other bytes than the one that tells kinds apart."""
+        """Return whether a number is in other bytes than the one that tells kinds apart."""
         return bits.byte != self.telling or bits.size > 1
 
     def _part(self, kind: FrameKind, key: int, address: bytes, body: bytes) -> FramePart:
@@ -318,7 +329,7 @@ class Transport:
         return FramePart("bad", reason=f"malformed: no frame of {self.title}")
 
     def room(self, length: int) -> int:
-        """How many bytes of a packet a full next frame has, the first frame having had `length` bytes of data."""
+        """Return how many bytes of a packet a full next frame has, the first frame having had `length` bytes of data."""
         following = self.following
         return length - self.address - following.head - following.tail
 
@@ -328,7 +339,7 @@ class Transport:
         return frozenset(self.lengths())
 
     def lengths(self) -> tuple[int, ...]:
-        """How many bytes of data a first frame may have that is not the only one: those of a full frame."""
+        """Return how many bytes of data a first frame may have that is not the only one: those of a full frame."""
         return tuple(n for n in FD_LENGTHS if n >= 8) if self.fd else (8,)
 
     @cached_property
@@ -337,7 +348,8 @@ class Transport:
         return next(kind for kind in self.kinds if kind.role == "next")
 
     def unwrapped(self, data: bytes, extra: bytes) -> bytes | None:
-        """A packet of several frames without what the transport has added to it (a check), or None where that is wrong.
+        """Return a packet of several frames without what the transport has added to it (a check), or None where that
+        is wrong.
 
         `extra` is the `check_extra` of the message that its identifier is of.
         """
@@ -356,7 +368,9 @@ class Transport:
         return type(self).go_ahead is not Transport.go_ahead
 
     def pause_s(self, key: int) -> float:
-        """How long to wait between two frames of a packet (s), whose first one has this key; a go-ahead says otherwise."""
+        """Return how long to wait between two frames of a packet (s), whose first one has this key; a go-ahead says
+        otherwise.
+        """
         return 0.0
 
     def in_turn(self, key: int) -> int:
@@ -364,7 +378,8 @@ class Transport:
         return key
 
     def go_ahead(self, key: int, data: bytes, start: int = 1, frames: int = 0) -> tuple[int, bytes] | None:
-        """The frame (key and data) with which the receiver of a packet lets its sender go on; None where none is needed.
+        """Return the frame (key and data) with which the receiver of a packet lets its sender go on; None where none
+        is needed.
 
         `key` and `data` are those of the packet's first frame. The receiver lacks `frames` frames (0: all that follow) from
         place `start` on. The answer may ask for fewer: `steering` of it says for how many.
@@ -372,29 +387,31 @@ class Transport:
         return None
 
     def acknowledgement(self, key: int, data: bytes) -> tuple[int, bytes] | None:
-        """The frame by which the receiver says that it has the packet with this first frame; None where it says nothing."""
+        """Return the frame by which the receiver says that it has the packet with this first frame; None where it says
+        nothing.
+        """
         return None
 
     def abort(self, key: int, data: bytes, why: GivenUp, *, by_sender: bool) -> tuple[int, bytes] | None:
-        """The frame by which one end gives up the packet with this first frame; None where ends fall silent."""
+        """Return the frame by which one end gives up the packet with this first frame; None where ends fall silent."""
         return None
 
     def steering(self, key: int, data: bytes) -> Steering | None:
-        """What a frame says to the sender of a packet; None of frames that steer nothing."""
+        """Return what a frame says to the sender of a packet; None of frames that steer nothing."""
         return None
 
     def frame(self, key: int, data: bytes) -> Frame:
-        """A frame of its own: what these give."""
+        """Return a frame of its own: what these give."""
         return Frame(key & 0x1FFF_FFFF, data, is_extended_id=bool(key & EXTENDED), is_fd=self.fd)
 
     def addressed(self, key: int, data: bytes) -> dict[str, int] | None:
-        """What the address in a frame captures beside its identifier; None where it is for no device."""
+        """Return what the address in a frame captures beside its identifier; None where it is for no device."""
         return {}
 
     def is_for(
         self, key: int, data: bytes, message: Message, known: Mapping[str, object], sent: Iterable[Message]
     ) -> bool:
-        """Whether the packet that a first frame begins may be this message, to who takes it.
+        """Return whether the packet that a first frame begins may be this message, to who takes it.
 
         `known` are the values of fields that messages to it and of it have, as its credentials; `sent` is what it sends
         itself.
@@ -409,11 +426,11 @@ class Transport:
     # ------------------------------------------------------------------ writing
 
     def numbered_by(self, key: int) -> int:
-        """What of a packet's key its sequence numbers are counted for: all of it."""
+        """Return what of a packet's key its sequence numbers are counted for: all of it."""
         return key
 
     def split(self, key: int, data: bytes, sequence: int = 0, extra: bytes = b"") -> list[tuple[int, bytes]]:
-        """The frames of a packet, as key and data; `sequence` counts the packets of a sender.
+        """Return the frames of a packet, as key and data; `sequence` counts the packets of a sender.
 
         Raises `FieldError` for a packet that is too long.
         """
@@ -454,7 +471,7 @@ class Transport:
         return self.padded(address + bytes(body), kind.over + 1)
 
     def padded(self, data: bytes, least: int = 0) -> bytes:
-        """A frame's data filled up to a length that a frame may have."""
+        """Return a frame's data filled up to a length that a frame may have."""
         least = max(least, 8 if self.pad is not None else 0, len(data))
         length = next(n for n in FD_LENGTHS if n >= least) if self.fd else least
         return data.ljust(length, bytes([self.pad if self.pad is not None else 0xCC]))
@@ -465,7 +482,7 @@ class Transport:
         return f"{self.title}, packets of up to {self.max_size} bytes"
 
     def is_own(self, key: int) -> bool:
-        """Whether frames of a key, without the flag of CAN FD, are the transport's own, whatever its messages."""
+        """Return whether frames of a key, without the flag of CAN FD, are the transport's own, whatever its messages."""
         return not key & REMOTE and any(
             is_long == bool(key & EXTENDED) and pattern.match(key & 0x1FFF_FFFF) is not None
             for pattern, is_long in self.patterns

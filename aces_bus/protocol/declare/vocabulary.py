@@ -121,7 +121,7 @@ TRANSFORMS: dict[Any, int] = {core.bytes2bits: 8, core.swapbytes: 1, core.swapbi
 
 
 def construct_class(con: c.Construct) -> type | None:
-    """The class that decides about a construct: its own, or for a user's type the nearest of construct's.
+    """Return the class that decides about a construct: its own, or for a user's type the nearest of construct's.
 
     None for a class of construct's that is not named here.
     """

@@ -9,7 +9,7 @@ from construct import Adapter, BytesInteger, Construct, FormatField, Subconstruc
 
 
 def plain_number(value: Any) -> Any:
-    """A number of any kind (NumPy's, a fraction) as Python's int or float; None for what is none."""
+    """Return a number of any kind (NumPy's, a fraction) as Python's int or float; None for what is none."""
     if isinstance(value, (int, float)):
         return value
     if isinstance(value, numbers.Integral):
@@ -18,7 +18,7 @@ def plain_number(value: Any) -> Any:
 
 
 def innermost(subcon: Construct) -> Construct:
-    """The construct that touches the bytes, below all names and adapters."""
+    """Return the construct that touches the bytes, below all names and adapters."""
     while hasattr(subcon, "subcon"):
         subcon = subcon.subcon
     return subcon
@@ -39,7 +39,7 @@ class WireNumber(NamedTuple):
 
 
 def wire_number(inner: Any) -> WireNumber | None:
-    """What number an innermost construct reads; None where it is none, or of a size that is not fixed."""
+    """Return what number an innermost construct reads; None where it is none, or of a size that is not fixed."""
     if isinstance(inner, FormatField) and inner.fmtstr[-1:] in "efdBbHhLlQq":
         mark = inner.fmtstr[-1:]
         order: Literal["little", "big"] = "little" if inner.fmtstr.startswith("<") else "big"
@@ -67,7 +67,7 @@ def integer_width(subcon: Construct) -> int:
 
 
 def raw_limits(con: Any) -> tuple[int, int] | None:
-    """The least and the greatest number that a construct gives; None where it is no integer of fixed size."""
+    """Return the least and the greatest number that a construct gives; None where it is no integer of fixed size."""
     while isinstance(con, Subconstruct) and not isinstance(con, Adapter):
         con = con.subcon
     wire = wire_number(con)

@@ -70,8 +70,8 @@ class LayoutPanel:
 
 
 def panels(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[LayoutPanel]:
-    """The layout of a message; of multiplexed fields one more panel a selector value, of fields that share bits one more
-    for those behind the first."""
+    """Return the layout of a message; of multiplexed fields one more panel a selector value, of fields that share bits
+    one more for those behind the first."""
     marks = list(marks)
     base = _Cells()
     _mark(base, plan, [m for m in marks if m.offset >= 0])
@@ -106,7 +106,7 @@ def panels(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[LayoutPanel]
 
 
 def _list_panels(path: str, node: p.ListNode) -> list[LayoutPanel]:
-    """An item of a list, and the data of each kind; a group."""
+    """Return an item of a list, and the data of each kind; a group."""
     if isinstance(node, p.Repeated):
         return [LayoutPanel(f"each of {path}:", panels(node.plan)[0].rows)]
     assert isinstance(node, p.TaggedItems)
@@ -127,7 +127,7 @@ def _list_panels(path: str, node: p.ListNode) -> list[LayoutPanel]:
 
 
 def _free(layers: list[_Cells], node: p.Node) -> _Cells:
-    """The first picture in which no other field has the bits of this one; a new one where there is none."""
+    """Return the first picture in which no other field has the bits of this one; a new one where there is none."""
     bits = node.place if isinstance(node, p.Scalar) and not node.is_bytes else ()
     for cells in layers:
         # Only numbers share bits; bytes of open size stand behind them.
@@ -141,7 +141,7 @@ def _free(layers: list[_Cells], node: p.Node) -> _Cells:
 
 
 def marks_of(message: Message) -> list[Mark]:
-    """What a message's template says of its bytes beyond its fields."""
+    """Return what a message's template says of its bytes beyond its fields."""
     marks: list[Mark] = []
     framing = message.framing
     if framing is not None and framing.sync:
@@ -173,7 +173,7 @@ def marks_of(message: Message) -> list[Mark]:
 
 
 def is_long(node: p.Node) -> bool:
-    """Whether a list is drawn and listed as a whole."""
+    """Return whether a list is drawn and listed as a whole."""
     span = span_of(node) if isinstance(node, p.Many) else None
     return span is not None and span[1] > LONGEST
 
@@ -334,7 +334,7 @@ def range_text(offset: int, size: int) -> str:
 
 
 def _byte(cells: _Cells, byte: int) -> list[tuple[int, str]]:
-    """The cells of one byte, bit 7 first: neighbouring bits of one number share a cell."""
+    """Return the cells of one byte, bit 7 first: neighbouring bits of one number share a cell."""
     parts: list[tuple[int, str]] = []
     bit = 7
     while bit >= 0:

@@ -95,7 +95,7 @@ class Canvas:
         )
 
     def svg(self, title: str, *, margin: float = 12) -> str:
-        """The picture as a file."""
+        """Return the picture as a file."""
         width, height = self.width + 2 * margin, self.height + 2 * margin
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}" height="{height:g}"'
@@ -108,12 +108,12 @@ class Canvas:
 
 
 def text_width(text: str, size: float = SIZE) -> float:
-    """How wide a text is, in points."""
+    """Return how wide a text is, in points."""
     return CHARACTER * size * len(text)
 
 
 def fitted(text: str, width: float, size: float = SIZE) -> str:
-    """A text that is no wider than `width` points: its end is cut off, and marked by `…`."""
+    """Return a text that is no wider than `width` points: its end is cut off, and marked by `…`."""
     room = int(width / (CHARACTER * size))
     return text if len(text) <= room else text[: max(0, room - 1)] + "…" if room > 0 else ""
 
@@ -127,7 +127,7 @@ WIDE, HIGH, FRONT = 72.0, 26.0, 64.0
 
 
 def picture_svg(messages: Iterable[Message]) -> str:
-    """The layouts of some messages below each other, as an SVG file."""
+    """Return the layouts of some messages below each other, as an SVG file."""
     canvas = Canvas()
     top = 0.0
     names: list[str] = []
@@ -181,7 +181,7 @@ def _short(text: str, width: float, size: float) -> str:
 
 
 def _fill(text: str, fills: dict[str, str]) -> str:
-    """A field's colour: the same for all its bits and for the pieces of a list."""
+    """Return a field's colour: the same for all its bits and for the pieces of a list."""
     if not text:
         return PAPER
     if text.startswith(("0x", "sync ", "=", "check: ", "end ", "constant ", "(by ")):

@@ -28,7 +28,7 @@ class FieldRow:
 
 
 def field_table(plan: p.MessagePlan, captured: Mapping[str, str] | None = None) -> list[FieldRow]:
-    """The fields of a message; `captured` says what captured parts can be."""
+    """Return the fields of a message; `captured` says what captured parts can be."""
     rows: list[FieldRow] = []
     for one in p.walk(plan.fields, is_long):
         if one.node.is_leaf or is_long(one.node):
@@ -43,7 +43,7 @@ def field_table(plan: p.MessagePlan, captured: Mapping[str, str] | None = None) 
 
 
 def _inner_row(leaf: p.NodePath) -> FieldRow:
-    """The line of a value inside a list of items."""
+    """Return the line of a value inside a list of items."""
     node = leaf.node.item if isinstance(leaf.node, p.Each) else leaf.node
     row = _field_row(leaf.path, node, leaf.doc, {})
     kind = leaf.kind if isinstance(leaf, p.ItemPath) else None
@@ -54,12 +54,12 @@ def _inner_row(leaf: p.NodePath) -> FieldRow:
 
 
 def row_of(name: str, node: p.Node, doc: str = "") -> FieldRow:
-    """The line of a single value, such as a register's."""
+    """Return the line of a single value, such as a register's."""
     return _field_row(name, node, doc, {})
 
 
 def captured_values(message: Message) -> dict[str, str]:
-    """The values of the captured parts of identifier and head."""
+    """Return the values of the captured parts of identifier and head."""
     captures = list(message.identifier.captures)
     for head in message.heads_written:
         captures += head.pattern.captures if head.pattern is not None else ()

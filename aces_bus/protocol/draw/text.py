@@ -23,7 +23,7 @@ from .cells import BIT, ROW, Mark, Row, marks_of, panels
 
 
 def draw_text(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[str]:
-    """The layout of a message as lines of text, its panels below each other."""
+    """Return the layout of a message as lines of text, its panels below each other."""
     lines: list[str] = []
     for panel in panels(plan, marks):
         lines += ["", panel.title] if panel.title else []
@@ -32,7 +32,7 @@ def draw_text(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[str]:
 
 
 def picture(message: Message) -> list[str]:
-    """The layout of a message, with its checks and matched numbers."""
+    """Return the layout of a message, with its checks and matched numbers."""
     return draw_text(message.plan, marks_of(message))
 
 

@@ -23,7 +23,7 @@ SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml", ".eds", ".dcf", ".xml", ".json")
 
 
 def load_database(path: str | os.PathLike[str]) -> ImportedProtocol:
-    """A database file as a protocol; its suffix says of which kind it is.
+    """Return a database file as a protocol; its suffix says of which kind it is.
 
     What cannot be taken over is listed in `problems`, never dropped silently. Raises `CallerError` when the file cannot
     be read, is of none of the kinds, has nothing that can be used, or when the library that reads it is not installed.

@@ -21,7 +21,7 @@ class CheckPrinter:
         self.prefix, self.helpers = prefix, helpers
 
     def _cells(self, size: str) -> list[tuple[str, int]]:
-        """The bytes of the check, each with the place of its lowest bit in the number."""
+        """Return the bytes of the check, each with the place of its lowest bit in the number."""
         check, back = self.check, self.check.size + len(self.framing.end)
         order = range(check.bytes) if check.order == "little" else range(check.bytes - 1, -1, -1)
         return [(f"data[{size} - {back - k}u]", 8 * at) for k, at in enumerate(order)]
@@ -57,7 +57,7 @@ class CheckPrinter:
         return [*lines, f"check = {finish};"]
 
     def _engine(self, check: Check) -> tuple[str, str, str]:
-        """What a check begins with, the function that goes on with it, and what it ends with."""
+        """Return what a check begins with, the function that goes on with it, and what it ends with."""
         mask = c_hex((1 << 8 * check.bytes) - 1)
         if isinstance(check, Crc):
             width, poly, start, refin, refout, xorout = check.parameters
@@ -117,7 +117,7 @@ class CheckPrinter:
 
 
 def _bound(index: int | None, size: str) -> str:
-    """An index into a packet as C counts it."""
+    """Return an index into a packet as C counts it."""
     if index is None:
         raise NotInC("a check over what is behind it")
     return f"({size} - {-index}u)" if index < 0 else f"{index}u"

@@ -23,29 +23,29 @@ class CField:
 
 
 def held_bits(one: CField) -> int:
-    """The bits of an unsigned member."""
+    """Return the bits of an unsigned member."""
     return int(one.type.removeprefix("uint").removesuffix("_t"))
 
 
 def shifted(one: CField, node: p.FromIdentifier) -> str:
-    """A member where it is in its number."""
+    """Return a member where it is in its number."""
     return f"((uint32_t)from->{one.name} << {node.shift})" if node.shift else f"(uint32_t)from->{one.name}"
 
 
 def captured(one: IdField) -> str:
-    """A part of the identifier."""
+    """Return a part of the identifier."""
     return f"({f'id >> {one.shift}' if one.shift else 'id'} & {c_hex((1 << one.width) - 1)})"
 
 
 def place_of(node: p.Node) -> tuple[int, ...]:
-    """The bits of a number, lowest first."""
+    """Return the bits of a number, lowest first."""
     if isinstance(node, p.FromIdentifier) and node.number is not None:
         return node.number.place[node.shift : node.shift + node.width]
     return node.place
 
 
 def rest_mask(node: p.Rest) -> int:
-    """The bits that no field claims."""
+    """Return the bits that no field claims."""
     claimed = dict(node.claimed)[None]
     return (1 << 8 * node.size) - 1 & ~claimed
 
@@ -67,7 +67,7 @@ def _conditions(when: p.When) -> list[str]:
 
 
 def c_type(node: p.Node) -> str:
-    """The type of a member, see `CField.type`. Raises `NotInC` for bytes of no size."""
+    """Return the type of a member, see `CField.type`. Raises `NotInC` for bytes of no size."""
     if isinstance(node, p.Scalar) and node.is_bytes:
         if node.size == 0:
             raise NotInC("bytes of no size")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 
+from ..declare.multiplexed import runs_of_numbers
 from .dissector_tables import bit_pieces
 from .names import snake
 from .problems import one_line
@@ -40,18 +41,13 @@ def unsigned_bits(width: int) -> int:
 
 
 def c_hex(number: int) -> str:
-    """An unsigned number, as wide as it needs."""
+    """Return an unsigned number, as wide as it needs."""
     return f"{number:#x}{'ull' if number > 0xFFFF_FFFF else 'u'}"
 
 
 def is_among(name: str, values: Collection[int], most: int | None = None) -> str:
-    """The test that an unsigned number is one of these; empty where they are all up to `most`."""
-    runs: list[list[int]] = []
-    for value in sorted(values):
-        if runs and value == runs[-1][1] + 1:
-            runs[-1][1] = value
-        else:
-            runs.append([value, value])
+    """Return the test that an unsigned number is one of these; empty where they are all up to `most`."""
+    runs = runs_of_numbers(values)
     if len(runs) > LISTED:
         raise NotInC(f"a number among {len(values)} values")
     tests: list[str] = []
@@ -65,8 +61,8 @@ def is_among(name: str, values: Collection[int], most: int | None = None) -> str
 
 
 def comment(text: str) -> str:
-    """A text as it may stand in a comment."""
-    return one_line(text).replace("*/", "* /")
+    """Return a text as it may stand in a comment, where compilers warn of a mark that begins one."""
+    return one_line(text).replace("*/", "* /").replace("/*", "/ *")
 
 
 def refuse_if(test: str, depth: int = 1) -> list[str]:
@@ -88,12 +84,12 @@ def c_float(number: float) -> str:
 
 
 def word_of(bits: Sequence[int]) -> str:
-    """The unsigned type that computes with so many bits."""
+    """Return the unsigned type that computes with so many bits."""
     return "uint64_t" if len(bits) > 32 else "uint32_t"
 
 
 def terms_of(bits: Sequence[int]) -> str:
-    """The unsigned number of these bits, out of `data`."""
+    """Return the unsigned number of these bits, out of `data`."""
     word = word_of(bits)
     found: list[str] = []
     for byte, shift, width, place in bit_pieces(bits):

@@ -75,8 +75,8 @@ class Identified:
 def identified(
     variant: Variant, *, only: Collection[str] = (), expand: int = EXPANDED
 ) -> tuple[list[Identified], list[Loss]]:
-    """The messages of a DBC, and what it does not say. `only` names the messages wanted (all when empty); `expand` is how
-    many identifiers of a message become messages of the DBC."""
+    """Return the messages of a DBC, and what it does not say. `only` names the messages wanted (all when empty);
+    `expand` is how many identifiers of a message become messages of the DBC."""
     return _Decider(variant, only, expand).decide()
 
 
@@ -158,7 +158,7 @@ class _Decider:
 
 
 def _lengths(messages: Sequence[Message]) -> tuple[int, ...]:
-    """The lengths that occur, where they differ between messages."""
+    """Return the lengths that occur, where they differ between messages."""
     each = {tuple(message.lengths or ()) for message in messages}
     return tuple(sorted({n for lengths in each for n in lengths})) if len(each) > 1 else ()
 
@@ -174,7 +174,9 @@ def _said(message: Message, *, is_named: bool) -> str:
 
 
 def _j1939(pattern: IdPattern) -> int | None:
-    """The identifier that stands for a parameter group of SAE J1939: priority 6, source and destination the null address."""
+    """Return the identifier that stands for a parameter group of SAE J1939: priority 6, source and destination the
+    null address.
+    """
     shapes = sorted((capture.shift, len(capture.values)) for capture in pattern.captures)
     if shapes == [(0, 256), (26, 8)]:
         return pattern.constant | 6 << 26 | 0xFE
@@ -184,7 +186,9 @@ def _j1939(pattern: IdPattern) -> int | None:
 
 
 def _is_long_group(message: Message) -> bool:
-    """Whether it is a parameter group of SAE J1939 that its own transport carries: a DBC says it by the length alone."""
+    """Return whether it is a parameter group of SAE J1939 that its own transport carries: a DBC says it by the length
+    alone.
+    """
     return (
         isinstance(message.transport, J1939Transport)
         and message.extended
@@ -193,7 +197,7 @@ def _is_long_group(message: Message) -> bool:
 
 
 def dbc_name(name: str, taken: set[str]) -> str:
-    """A name that a DBC can have and nothing else in `taken` has; it is taken from now on."""
+    """Return a name that a DBC can have and nothing else in `taken` has; it is taken from now on."""
     made = re.sub(r"\W", "_", name, flags=re.ASCII)
     while made in taken or made in KEYWORDS:
         made += "_"
@@ -296,7 +300,7 @@ class _Group:
     def _selector(
         self, names: Sequence[str], offset: int, when: tuple[str, tuple[int, ...]] | None
     ) -> DbcSignal:
-        """The signal of the byte in which messages differ."""
+        """Return the signal of the byte in which messages differ."""
         byte = tuple(range(8 * offset, 8 * offset + 8))
         own = ""
         meant: dict[int, str] = {}
@@ -487,6 +491,6 @@ class _Group:
 
 
 def _is_run(bits: Sequence[int]) -> bool:
-    """Whether a DBC can place these bits: one behind the other, in either of its orders."""
+    """Return whether a DBC can place these bits: one behind the other, in either of its orders."""
     turned = [bit ^ 7 for bit in bits]
     return len(runs_of(bits)) == 1 or all(b == a - 1 for a, b in pairwise(turned))

@@ -563,7 +563,13 @@ function show_field(tree, tvb, field, bytes, size, found)
       if field.kind == "bytes" then
         tree:add(F[field.field], range)
       else
-        tree:add(F[field.field], range, range:string())
+        local kept = length
+        for at = 0, length - 1 do
+          for _, stop in ipairs(field.ends) do
+            if bytes[field.start + at] == stop then kept = math.min(kept, at) end
+          end
+        end
+        tree:add(F[field.field], range, kept > 0 and tvb:range(field.start, kept):string() or "")
       end
     end
   elseif field.kind == "rest" then

@@ -49,12 +49,12 @@ def value_set(values: Collection[int]) -> dict[Any, Any]:
 
 
 def crc_table(crc: Crc) -> dict[str, Any]:
-    """The parameters of a CRC by their names."""
+    """Return the parameters of a CRC by their names."""
     return dict(zip(("width", "poly", "init", "refin", "refout", "xorout"), crc.parameters, strict=True))
 
 
 def is_a_table(transport: Transport) -> bool:
-    """Whether a transport is what the table of its frames' kinds says, and has no packets that are acknowledged."""
+    """Return whether a transport is what the table of its frames' kinds says, and has no packets that are acknowledged."""
     has_own_rule = type(transport).part is not Transport.part or transport.has_conversations
     adds = type(transport).unwrapped is not Transport.unwrapped and transport.added_check is None
     return not (has_own_rule or adds or any(map(_has_gaps, _numbers(transport))))
@@ -71,7 +71,7 @@ def _has_gaps(number: FrameNumber) -> bool:
 
 
 def transport_table(transport: Transport, number: int) -> dict[str, Any]:
-    """A transport of which `is_a_table` is true, the dissector's `number`th."""
+    """Return a transport of which `is_a_table` is true, the dissector's `number`th."""
     table: dict[str, Any] = {
         "number": number,
         "title": transport.title,

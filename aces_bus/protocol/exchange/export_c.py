@@ -20,6 +20,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 
 from ..declare.bits import whole_bits
+from ..declare.fields import ROUNDING_ERROR
 from ..declare.head import Head
 from ..declare.message import Message
 from ..declare.pattern import IdField
@@ -78,7 +79,9 @@ class CSource:
 
 
 def print_c_source(variant: Variant, *, only: Collection[str] = (), name: str = "") -> CSource:
-    """The header and source of a variant; `only` names the messages wanted, `name` is that of the header without `.h`."""
+    """Return the header and source of a variant; `only` names the messages wanted, `name` is that of the header
+    without `.h`.
+    """
     return _Printer(variant, only).print(name or snake(variant.name))
 
 
@@ -302,8 +305,15 @@ class _MessagePrinter:
             lines += [f"    const double raw = {raw};", ""]
             tests += [test for test in ("raw != raw", *unknown) if test not in tests]
         else:
-            rounding = "nearbyint" if scale.rounding == "nearest" else "trunc"
-            lines += [f"    const double raw = {rounding}({raw});", ""]
+            if scale.rounding == "nearest":
+                lines += [f"    const double raw = nearbyint({raw});", ""]
+            else:
+                slack = f"{ROUNDING_ERROR!r} * (fabs(exact) + {abs(offset / factor)!r})"
+                lines += [
+                    f"    const double exact = {raw}, near = nearbyint(exact);",
+                    f"    const double raw = fabs(exact - near) <= {slack} ? near : trunc(exact);",
+                    "",
+                ]
             limits = made.leaf.node.raw_range or (0, 0)
             tests += outside("raw", limits)
             if scale.raw_bounds is not None and scale.raw_bounds != limits:
@@ -461,7 +471,7 @@ class _MessagePrinter:
         return [*body, "    return (int)length;", "}"]
 
     def _numbers(self) -> dict[p.Scalar | None, list[tuple[CField, p.FromIdentifier]]]:
-        """The members that are parts of a number of the head, or of the identifier (None)."""
+        """Return the members that are parts of a number of the head, or of the identifier (None)."""
         found: dict[p.Scalar | None, list[tuple[CField, p.FromIdentifier]]] = {}
         for one in self.fields:
             if isinstance(one.leaf.node, p.FromIdentifier):
@@ -469,7 +479,7 @@ class _MessagePrinter:
         return found
 
     def _finish(self) -> list[str]:
-        """The length field, the end and the check of a packet."""
+        """Return the length field, the end and the check of a packet."""
         framing = self.message.framing
         assert framing is not None
         body: list[str] = []

@@ -28,7 +28,7 @@ _FORMAT = {(False, False): 0, (True, False): 1, (False, True): 14, (True, True):
 def print_dbc(
     variant: Variant, *, only: Collection[str] = (), expand: int = EXPANDED
 ) -> tuple[str, list[Loss]]:
-    """The text of a DBC file, and what it does not say.
+    """Return the text of a DBC file, and what it does not say.
 
     `only` and `expand` are those of `identified`. Raises `CallerError` for a link that is not CAN, for a variant
     of which nothing can be said.
@@ -125,6 +125,6 @@ def _signal(signal: DbcSignal, message: Identified) -> Any:
 
 
 def _text(text: str, *, is_short: bool = False) -> str:
-    """A text as a string of a DBC: `is_short` on one line and without quotes (units, names of values)."""
+    """Return a text as a string of a DBC: `is_short` on one line and without quotes (units, names of values)."""
     text = re.sub(r'\\+(?="|$)', "/", clean_text(text))
     return " ".join(text.replace('"', "'").replace("\\", "/").split()) if is_short else text

@@ -29,7 +29,7 @@ MOST_VALUES = 200
 
 
 def print_markdown(variant: Variant) -> str:
-    """The page of a variant: Markdown in GitHub's flavour, UTF-8."""
+    """Return the page of a variant: Markdown in GitHub's flavour, UTF-8."""
     return _Page(variant).text()
 
 
@@ -210,7 +210,9 @@ class _Page:
 
 
 def _recognised_by(message: Message) -> str:
-    """What distinguishes a message from others beside its identifier: matched head fields, constants of its payload."""
+    """Return what distinguishes a message from others beside its identifier: matched head fields, constants of its
+    payload.
+    """
     parts: list[str] = []
     covered: set[int] = set()
     for head in message.heads_written:
@@ -242,7 +244,7 @@ def _framing(framing: Framing) -> str:
 
 
 def _sources(message: Message) -> dict[str, str]:
-    """Where the facts of single fields come from, by the field's name."""
+    """Return where the facts of single fields come from, by the field's name."""
     payload = message.payload
     items = [(slot.name, slot.field) for slot in payload.slots] if isinstance(payload, BitLayout) else []
     if isinstance(payload, c.Struct):
@@ -261,7 +263,7 @@ def _joined(doc: str, source: str) -> str:
 
 
 def _values(found: Iterable[p.NodePath]) -> list[tuple[list[str], list[tuple[str, str]]]]:
-    """The named values of fields; fields that have the same share a table."""
+    """Return the named values of fields; fields that have the same share a table."""
     tables: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for leaf in found:
         rows: list[tuple[str, str]] = []
@@ -290,7 +292,7 @@ def _values(found: Iterable[p.NodePath]) -> list[tuple[list[str], list[tuple[str
 
 
 def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    """A table without the columns that are empty in every row."""
+    """Return a table without the columns that are empty in every row."""
     body = [list(row) for row in rows]
     used = [i for i in range(len(head)) if not body or any(row[i] for row in body)]
     lines = [head, ["---"] * len(head), *body]
@@ -320,7 +322,7 @@ def _first_line(text: str) -> str:
 
 
 def _anchors(headings: Iterable[str]) -> list[str]:
-    """The anchors that GitHub gives to headings, in their order on the page."""
+    """Return the anchors that GitHub gives to headings, in their order on the page."""
     seen: dict[str, int] = {}
     found: list[str] = []
     for heading in headings:

@@ -44,8 +44,8 @@ _PLAIN = {
 def print_source(
     protocol: Protocol, problems: Sequence[ImportProblem] = (), origin: str = "a database"
 ) -> str:
-    """The module that declares `protocol`. `problems` are what is not in it; `origin` is what it was made from, in our
-    words ("a DBC file"). Raises `CallerError` for what this page of the language does not hold."""
+    """Return the module that declares `protocol`. `problems` are what is not in it; `origin` is what it was made from,
+    in our words ("a DBC file"). Raises `CallerError` for what this page of the language does not hold."""
     if protocol.link != "can":
         raise CallerError(f"{protocol.name} is no protocol on CAN: its framings are not printed as source")
     return _Printer(protocol).module(problems, origin)
@@ -123,7 +123,7 @@ class _Printer:
         return Call(f"{own}.message", (python_literal(message.name),), tuple(keywords))
 
     def _transport(self, transport: Transport) -> Expression:
-        """A transport by its settings; identifiers are those of the messages."""
+        """Return a transport by its settings; identifiers are those of the messages."""
         settings = tuple(
             (one.name, python_literal(getattr(transport, one.name)))
             for one in fields(transport)
@@ -135,7 +135,7 @@ class _Printer:
         return Call(name, (), settings)
 
     def _length(self, message: Message) -> Expression | None:
-        """The data lengths, where they are not those that the payload gives by itself."""
+        """Return the data lengths, where they are not those that the payload gives by itself."""
         again = Protocol("again", link="can").message(
             "Again",
             id=message.identifier,
@@ -164,7 +164,7 @@ class _Printer:
         return Operation(parts[0], tuple((operator, part) for part in parts[1:]))
 
     def _capture(self, capture: IdField) -> str:
-        """The variable that holds a captured part."""
+        """Return the variable that holds a captured part."""
         keywords = [("doc", python_literal(capture.doc))] if capture.doc else []
         values = capture.values if isinstance(capture.values, range) else tuple(capture.values)
         made = Call(
@@ -189,7 +189,7 @@ class _Printer:
         return _under(item.name, field)
 
     def _plain(self, item: c.Construct) -> Expression:
-        """A field of a struct, below its name."""
+        """Return a field of a struct, below its name."""
         doc = item.docs if isinstance(item, c.Renamed) else ""
         body = item.subcon if isinstance(item, c.Renamed) else item
         if isinstance(body, (Enumeration, Quantity)):
@@ -243,7 +243,7 @@ class _Printer:
         )
 
     def _adapted(self, field: c.Construct, place: Expression, doc: str) -> Expression:
-        """What a number means, around its place."""
+        """Return what a number means, around its place."""
         if isinstance(field, Quantity):
             keywords = _quantity(field)
             if said := doc or field.docs:
@@ -307,18 +307,18 @@ def _number(value: float) -> Expression:
 
 
 def _compact(values: Collection[int]) -> Any:
-    """A range where they are one of some length, else a set."""
+    """Return a range where they are one of some length, else a set."""
     low, high = min(values), max(values)
     return range(low, high + 1) if len(values) > 3 and high - low == len(values) - 1 else set(values)
 
 
 def _is_apart(pattern: IdPattern) -> bool:
-    """Whether constant and captures share no bits, so that `|` says the same as `+`."""
+    """Return whether constant and captures share no bits, so that `|` says the same as `+`."""
     return len(pattern.captures) > 1 or any(capture.shift for capture in pattern.captures)
 
 
 def _import(module: str, words: Collection[str]) -> list[str]:
-    """An import as ruff sorts it: constants, classes, functions."""
+    """Return an import as ruff sorts it: constants, classes, functions."""
     ordered = sorted(words, key=lambda word: (not word.isupper(), not word[:1].isupper(), word))
     whole = f"from {module} import {', '.join(ordered)}"
     if len(whole) <= 88:
@@ -367,7 +367,7 @@ Expression = Code | Call | Sequenced | Operation
 
 
 def python_literal(value: Any) -> Expression:
-    """A value of Python's own kinds as an expression."""
+    """Return a value of Python's own kinds as an expression."""
     match value:
         case str():
             return Code(python_string(value))
@@ -389,7 +389,7 @@ def python_literal(value: Any) -> Expression:
 
 
 def python_string(text: str) -> str:
-    """A string literal in double quotes, or in single ones where that takes fewer backslashes."""
+    """Return a string literal in double quotes, or in single ones where that takes fewer backslashes."""
     quote = "'" if text.count('"') > text.count("'") else '"'
     parts = []
     for character in text:
@@ -403,7 +403,7 @@ def python_string(text: str) -> str:
 
 
 def flat(one: Expression) -> str:
-    """An expression on one line."""
+    """Return an expression on one line."""
     match one:
         case Code():
             return one.text
@@ -424,7 +424,7 @@ def flat(one: Expression) -> str:
 
 
 def expression_lines(one: Expression, indent: int = 0, before: str = "", after: str = "") -> list[str]:
-    """An expression as lines; `before` and `after` stand on its first and its last line."""
+    """Return an expression as lines; `before` and `after` stand on its first and its last line."""
     pad = " " * indent
     whole = pad + before + flat(one) + after
     if _columns(whole) <= WIDTH or isinstance(one, Code):

@@ -19,7 +19,7 @@ from ..declare.ambiguity import needing_context, ordered, request_names
 from ..declare.bits import whole_bits
 from ..declare.checks import Check, Crc, Extra, IdBytes, Sum
 from ..declare.framing import Framing, WideLength
-from ..declare.message import Direction, Message
+from ..declare.message import Direction, Message, way_of
 from ..declare.protocol import Variant
 from ..declare.stuffing import Cobs, CutZeros, Insert, Slip
 from ..plan import nodes as p
@@ -37,12 +37,15 @@ WIDEST, WIDEST_CRC = 64, 32
 MOST_LISTED = 65536
 
 
-def print_dissector(variant: Variant, *, direction: Way = "by port", port: int = 0) -> tuple[str, list[Loss]]:
-    """The dissector's source, and what it does not show as the scanner does.
+def print_dissector(
+    variant: Variant, *, direction: Way | Literal["to", "from"] = "by port", port: int = 0
+) -> tuple[str, list[Loss]]:
+    """Return the dissector's source, and what it does not show as the scanner does.
 
     `direction` and `port` (TCP and UDP, 0: none) are what the preferences begin with; both are for streams.
     """
-    return _Printer(variant).print(direction, port)
+    way: Way | None = direction if direction == "by port" else way_of(direction)
+    return _Printer(variant).print(way or "by port", port)
 
 
 class _Printer:
@@ -347,7 +350,7 @@ class _Printer:
     def _list(
         self, leaf: p.NodePath, node: p.TaggedItems | p.Repeated, message: Message, tail: int, abbr: str
     ) -> dict[str, Any]:
-        """A list of items: each is a tree of the fields of its data."""
+        """Return a list of items: each is a tree of the fields of its data."""
         number = self._field(abbr, leaf.path, "bytes", None, None, leaf.doc)
         table: dict[str, Any] = {"field": number, "start": node.offset, "tail": tail}
         if isinstance(node, p.Repeated):
@@ -367,7 +370,7 @@ class _Printer:
         return {"kind": "items", **table, **more, "kinds": kinds}
 
     def _inside(self, plan: p.MessagePlan, message: Message, name: str, own: str) -> dict[str, Any]:
-        """What an item's data or a group are, as the program reads a message; `name` is what its value is called."""
+        """Return what an item's data or a group are, as the program reads a message; `name` is what its value is called."""
         table: dict[str, Any] = {**_shape(plan, "data."), "one_of": [], "fields": []}
         before = len(self.fields)
         for leaf in plan.leaves:
@@ -421,6 +424,7 @@ class _Printer:
                 "start": node.offset,
                 "size": node.size,
                 "tail": plan.tail,
+                "ends": list(node.ends.encode("latin-1")),
             }
         bits = node.place
         width = len(bits)
@@ -448,7 +452,7 @@ class _Printer:
     def _number(
         self, leaf: p.NodePath, node: p.Scalar | p.FromIdentifier, abbr: str, kind: str, width: int
     ) -> dict[str, Any]:
-        """The fields of a number: the quantity with the raw number below it, or the raw number alone."""
+        """Return the fields of a number: the quantity with the raw number below it, or the raw number alone."""
         scale, names = node.scale, node.value_names
         more: dict[str, Any] = {"unit": one_line(node.unit)}
         if kind != "double" and width > 32:
@@ -474,7 +478,9 @@ class _Printer:
 
 
 def _shape(plan: p.MessagePlan, inside: str = "") -> dict[str, Any]:
-    """How long a message may be and which of its bytes are constant; selectors have paths that begin with `inside`."""
+    """Return how long a message may be and which of its bytes are constant; selectors have paths that begin with
+    `inside`.
+    """
     table: dict[str, Any] = {"least": plan.least}
     if plan.lengths is not None:
         table["lengths"] = value_set(plan.lengths)
@@ -502,7 +508,7 @@ def _placed(bits: Sequence[int]) -> dict[str, Any]:
 
 
 def _size(width: int) -> int:
-    """The size of Wireshark's number for one of so many bits."""
+    """Return the size of Wireshark's number for one of so many bits."""
     return next(size for size in (8, 16, 24, 32, 64) if width <= size)
 
 
@@ -517,14 +523,14 @@ _NAMES = frozenset((
 
 
 def lua_string(text: str | bytes) -> str:
-    """A string literal; characters beyond ASCII as their UTF-8 bytes."""
+    """Return a string literal; characters beyond ASCII as their UTF-8 bytes."""
     data = text.encode("utf-8", "surrogatepass") if isinstance(text, str) else text
     out = [chr(byte) if 0x20 <= byte < 0x7F and byte not in b'"\\' else f"\\{byte:03d}" for byte in data]
     return '"' + "".join(out) + '"'
 
 
 def lua_literal(value: Any, indent: int = 0) -> str:
-    """A value as a Lua expression: tables over several lines where they are long."""
+    """Return a value as a Lua expression: tables over several lines where they are long."""
     flat = _flat(value)
     if len(flat) + indent <= WIDTH or not isinstance(value, (Mapping, Sequence)) or isinstance(value, str):
         return flat

@@ -57,7 +57,7 @@ Lines = Callable[[Any, Any], int]
 
 
 def build(database: Any, name: str, path: str, lines: Lines) -> tuple[Protocol, list[ImportProblem]]:
-    """The protocol of a loaded database, and what could not be taken over."""
+    """Return the protocol of a loaded database, and what could not be taken over."""
     return _Builder(database, name, path, lines).build()
 
 
@@ -102,7 +102,7 @@ class _Builder:
         self.is_j1939 = self._is_j1939()
 
     def _is_j1939(self) -> bool:
-        """Whether the database as a whole says so, and has no attribute by which each message does."""
+        """Return whether the database as a whole says so, and has no attribute by which each message does."""
         attributes = getattr(self.database.dbc, "attributes", None) or {}
         definitions = getattr(self.database.dbc, "attribute_definitions", None) or {}
         kind = attributes.get("ProtocolType")
@@ -139,7 +139,7 @@ class _Builder:
         return self.protocol, self.problems
 
     def _without_carriers(self, found: Sequence[_Taken]) -> list[_Taken]:
-        """The messages but for the frames that carry the longer ones, which some databases have as messages."""
+        """Return the messages but for the frames that carry the longer ones, which some databases have as messages."""
         own = {id(one) for one in found if one.is_j1939 and CARRIER.is_own(one.message.frame_id | EXTENDED)}
         for one in found:
             if id(one) in own:
@@ -155,7 +155,7 @@ class _Builder:
     # ------------------------------------------------------------------ messages
 
     def _taken(self, message: Any, line: int) -> _Taken:
-        """What a message is called and of what kind its frames are."""
+        """Return what a message is called and of what kind its frames are."""
         if message.is_container:
             raise _LeftOut("a container of other messages")
         size = message.length
@@ -305,12 +305,12 @@ def _key(message: Any) -> tuple[int, bool, int, bool]:
 
 
 def _group(identifier: int) -> int:
-    """The bits of an identifier that say its parameter group (SAE J1939-21)."""
+    """Return the bits of an identifier that say its parameter group (SAE J1939-21)."""
     return identifier & (0x3FF_0000 if identifier >> 16 & 0xFF < 240 else 0x3FF_FF00)
 
 
 def _patterns_of(messages: Sequence[Any]) -> list[IdPattern]:
-    """The identifiers of the messages of one parameter group: alone any priority, source and destination."""
+    """Return the identifiers of the messages of one parameter group: alone any priority, source and destination."""
     identifiers = [message.frame_id for message in messages]
     group = _group(identifiers[0])
     is_addressed = identifiers[0] >> 16 & 0xFF < 240
@@ -345,7 +345,7 @@ def _patterns_of(messages: Sequence[Any]) -> list[IdPattern]:
 
 
 def _shape(message: Any) -> tuple[Any, ...]:
-    """How a message is laid out: equal for messages that give the same values of the same bytes."""
+    """Return how a message is laid out: equal for messages that give the same values of the same bytes."""
     return message.length, *(
         (
             *(one.name, one.start, one.length, one.byte_order, one.is_signed, one.unit),
@@ -374,14 +374,14 @@ def _doc_of(message: Any) -> str:
 
 
 def _lengths_of(message: Any) -> list[int]:
-    """The lengths that the attribute `LENGTHS` gives a message; none where it has none or none that can be read."""
+    """Return the lengths that the attribute `LENGTHS` gives a message; none where it has none or none that can be read."""
     attributes = getattr(message.dbc, "attributes", None) or {}
     words = str(attributes[LENGTHS].value).split() if LENGTHS in attributes else []
     return sorted({int(word) for word in words if re.fullmatch(r"\d{1,2}", word, re.ASCII)})
 
 
 def _fitting(signals: Sequence[Any], size: int) -> list[Any]:
-    """The signals of frames of `size` bytes: of those that a multiplexer value has, all or none."""
+    """Return the signals of frames of `size` bytes: of those that a multiplexer value has, all or none."""
 
     def fits(signal: Any) -> bool:
         try:
@@ -411,7 +411,7 @@ def _fitting(signals: Sequence[Any], size: int) -> list[Any]:
 
 
 def _selectors_first(signals: Sequence[Any], by_name: Mapping[str, Any]) -> list[Any]:
-    """The signals in their order, but each behind its multiplexer."""
+    """Return the signals in their order, but each behind its multiplexer."""
     done: dict[int, Any] = {}
 
     for signal in signals:
@@ -427,7 +427,7 @@ def _selectors_first(signals: Sequence[Any], by_name: Mapping[str, Any]) -> list
 
 
 def _place(signal: Any, size: int) -> int:
-    """The number of the signal's first bit in its own bit order; raises where it ends past the message."""
+    """Return the number of the signal's first bit in its own bit order; raises where it ends past the message."""
     at, width = int(signal.start), int(signal.length)
     if signal.byte_order == "big_endian":
         at = 8 * (at // 8) + 7 - at % 8
@@ -439,14 +439,14 @@ def _place(signal: Any, size: int) -> int:
 
 
 def _mask(signal: Any, at: int) -> int:
-    """The bits of a signal in the little-endian word of its message."""
+    """Return the bits of a signal in the little-endian word of its message."""
     if signal.byte_order != "big_endian":
         return ((1 << int(signal.length)) - 1) << at
     return sum(1 << (position ^ 7) for position in range(at, at + signal.length))
 
 
 def _value(signal: Any, at: int) -> c.Construct:
-    """The field of a signal: its bits, what they mean, and how."""
+    """Return the field of a signal: its bits, what they mean, and how."""
     conversion = signal.conversion
     order = "msb" if signal.byte_order == "big_endian" else "lsb"
     choices = _names(signal)
@@ -478,7 +478,7 @@ def _value(signal: Any, at: int) -> c.Construct:
 
 
 def _names(signal: Any) -> dict[str, int]:
-    """The value table, without numbers that the signal cannot have; a name that is there twice gets its number."""
+    """Return the value table, without numbers that the signal cannot have; a name that is there twice gets its number."""
     low, high = _limits(signal)
     names: dict[str, int] = {}
     for value, text in (signal.conversion.choices or {}).items():
@@ -494,7 +494,9 @@ def _limits(signal: Any) -> tuple[int, int]:
 
 
 def _are_distinct(names: Mapping[str, int], signal: Any, scale: float, offset: float) -> bool:
-    """Whether each named number is, scaled, unlike its neighbours: then the scaled number shows whether it is named."""
+    """Return whether each named number is, scaled, unlike its neighbours: then the scaled number shows whether it is
+    named.
+    """
     low, high = _limits(signal)
     for raw in names.values():
         for other in (raw - 1, raw + 1):
@@ -523,7 +525,7 @@ def _plain(number: Any) -> float:
 
 
 def _raw_values(selector: Any, wanted: Any) -> frozenset[int]:
-    """The raw values of a multiplexer that mean one of `wanted`.
+    """Return the raw values of a multiplexer that mean one of `wanted`.
 
     cantools compares the scaled number, cut off to a whole one, or the number of the name; factors are rare here.
     """

@@ -51,6 +51,8 @@ _NUMBERS = frozenset(
     {"NUMBER", "TIME", "DURATION", "DATE", "PGN", "MMSI", "ISO_NAME", "FIELD_INDEX", "INDIRECT_LOOKUP"}
 )
 _PADDING = frozenset({"RESERVED", "SPARE"})
+#: What ends a text of fixed length, as canboat's table of field types has it: "unknown", that of AIS, and C's.
+_TEXT_ENDS = b"\xff@\0"
 _STRINGS = frozenset({"STRING_LAU", "STRING_LZ"})
 _OTHERS = frozenset({"LOOKUP", "BITLOOKUP", "FLOAT", "STRING_FIX", "BINARY", "DECIMAL"})
 _SHAPED = {
@@ -63,7 +65,7 @@ _UNITS = {"deg": "°", "Cos Phi": "", "VAR": "var", "semi-circle": "", "semi-cir
 
 
 def load_canboat(path: str) -> ImportedProtocol:
-    """The table as a protocol. Raises `CallerError` when it is no such table, or nothing of it can be used."""
+    """Return the table as a protocol. Raises `CallerError` when it is no such table, or nothing of it can be used."""
     text = read_text(path, "json")
     if len(text) > MOST_BYTES:
         raise CallerError(f"{path}: {len(text):,} characters; at most {MOST_BYTES:,} are read")
@@ -84,7 +86,7 @@ def load_canboat(path: str) -> ImportedProtocol:
 
 
 def _lines(text: str) -> list[int]:
-    """The lines where a PGN's number is, in order."""
+    """Return the lines where a PGN's number is, in order."""
     found: list[int] = []
     at, line = 0, 1
     for match in re.finditer(r'"PGN"\s*:\s*\d', text):
@@ -261,7 +263,7 @@ class _Builder:
         )
 
     def number(self, field: _Field, place: c.Construct) -> c.Construct:
-        """What a number in these bits means."""
+        """Return what a number in these bits means."""
         get = field.given.get
         unit = clean_text(str(get("Unit") or ""))
         unit = _UNITS.get(unit, unit)
@@ -308,7 +310,7 @@ class _Shape:
         self.counts: dict[int, Any] = {count: None for _, _, count in self.groups if count is not None}
 
     def made(self) -> tuple[c.Struct | None, dict[str, Any], c.Construct]:
-        """The prefix, what it must be, and the payload behind it."""
+        """Return the prefix, what it must be, and the payload behind it."""
         fields = self.form.fields
         end = self.groups[0][0] if self.groups else len(fields)
         if any(one.match is not None for one in fields[end:]):
@@ -408,7 +410,7 @@ class _Shape:
         return made
 
     def _whole(self, field: _Field) -> c.Construct:
-        """A field of whole bytes under its name."""
+        """Return a field of whole bytes under its name."""
         index = self.places[field]
         made = self._named(field, self._alone(field, is_count=index in self.counts))
         if index in self.counts:
@@ -416,7 +418,7 @@ class _Shape:
         return made
 
     def _alone(self, field: _Field, *, is_count: bool = False) -> c.Construct:
-        """A field of whole bytes by itself."""
+        """Return a field of whole bytes by itself."""
         if field.kind == "STRING_LAU":
             text = c.Struct("encoding" / c.Byte * "0: UTF-16, 1: one byte a character", "text" / Text())
             return c.Prefixed(c.Byte, text, includelength=True)
@@ -430,14 +432,14 @@ class _Shape:
         if field.is_padding:
             return c.Default(c.Bytes(size), b"\xff" * size)
         if field.kind == "STRING_FIX":
-            return Text(size)
+            return Text(size, ends=_TEXT_ENDS)
         if _is_in_bytes(field):
             return c.Bytes(size)
         place = c.Float32l if field.kind == "FLOAT" else _integer(size, is_signed=field.is_signed)
         return place if is_count else self.builder.number(field, place)
 
     def _list(self, fields: Sequence[_Field], count: int | None) -> c.Construct:
-        """A list of groups; without a count it takes all bytes that there are."""
+        """Return a list of groups; without a count it takes all bytes that there are."""
         cells = list(_cells(fields))
         outer, self.taken = self.taken, set(TAKEN_BY_RECORDS)
         is_plain = all(field.width is not None and not _is_in_bytes(field) for field in fields)
@@ -456,12 +458,12 @@ class _Shape:
 
 
 def _is_in_bytes(field: _Field) -> bool:
-    """Whether a field is read as bytes or text: what is no number, at the borders of bytes."""
+    """Return whether a field is read as bytes or text: what is no number, at the borders of bytes."""
     return field.kind in _STRINGS or (field.is_bytes and field.is_aligned)
 
 
 def _is_open_end(field: _Field) -> bool:
-    """Whether a field takes all bytes that there are."""
+    """Return whether a field takes all bytes that there are."""
     return field.width is None and field.kind not in _STRINGS
 
 
@@ -480,7 +482,9 @@ def _cells(fields: Sequence[_Field]) -> Iterator[list[_Field]]:
 
 
 def _groups(form: _Form) -> list[tuple[int, int, int | None]]:
-    """The lists of a form: the place of the first field, how many fields a group has, the place of what counts them."""
+    """Return the lists of a form: the place of the first field, how many fields a group has, the place of what counts
+    them.
+    """
     found: list[tuple[int, int, int | None]] = []
     for number in ("1", "2"):
         start, size, count = (
@@ -503,7 +507,7 @@ def _groups(form: _Form) -> list[tuple[int, int, int | None]]:
 
 @lru_cache(maxsize=256)
 def _identifier(pgn: int) -> IdPattern:
-    """The identifiers of a parameter group: any priority and source, any destination where it is addressed."""
+    """Return the identifiers of a parameter group: any priority and source, any destination where it is addressed."""
     pattern = IdField("priority", range(8)) << 26
     if pgn >> 8 & 0xFF < 240:
         return (
@@ -536,7 +540,9 @@ def _field(given: Any) -> _Field:
 
 
 def _tables(table: Mapping[str, Any], key: str, values: str, number: str) -> dict[str, dict[str, int]]:
-    """The names of values, by the name of their table; of two values with one name the second has its number behind it."""
+    """Return the names of values, by the name of their table; of two values with one name the second has its number
+    behind it.
+    """
     found: dict[str, dict[str, int]] = {}
     for one in table.get(key) or ():
         names: dict[str, int] = {}
@@ -557,7 +563,7 @@ def _whole(value: Any) -> int | None:
 
 
 def _factor(value: Any, usual: float) -> float:
-    """A resolution or an offset, an integer where it is whole."""
+    """Return a resolution or an offset, an integer where it is whole."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return usual
     return int(value) if float(value).is_integer() else value

@@ -42,7 +42,7 @@ FORMATS = {".dbc": "dbc", ".kcd": "kcd", ".sym": "sym", ".arxml": "arxml"}
 
 
 def load_dbc(path: str, kind: str) -> ImportedProtocol:
-    """The database file `path` of the format `kind` as a protocol. Raises `CallerError` when nothing can be read."""
+    """Return the database file `path` of the format `kind` as a protocol. Raises `CallerError` when nothing can be read."""
     with _no_collector():
         return _load(path, kind)
 
@@ -76,13 +76,13 @@ def _load(path: str, kind: str) -> ImportedProtocol:
 
 
 def protocol_name(path: str) -> str:
-    """What the protocol of a file is called: the file's name without its suffix, as a Python name."""
+    """Return what the protocol of a file is called: the file's name without its suffix, as a Python name."""
     name = os.path.basename(path)
     return unused(name.rpartition(".")[0] or name, set())
 
 
 def read_text(path: str, kind: str) -> str:
-    """The text of a file: UTF-8 where it is that, else Windows-1252, in which most tools write DBC and SYM files."""
+    """Return the text of a file: UTF-8 where it is that, else Windows-1252, in which most tools write DBC and SYM files."""
     try:
         if os.path.isdir(path):
             raise CallerError(f"{path}: a folder, not a {kind.upper()} file")
@@ -105,7 +105,7 @@ def read_text(path: str, kind: str) -> str:
 
 
 def _try(text: str, kind: str) -> Any:
-    """The database; raises whatever cantools raises."""
+    """Return the database; raises whatever cantools raises."""
     # Its package imports python-can, which reading a database does not need: a third of the time to start.
     import_only_modules("cantools")
     import cantools.database
@@ -156,7 +156,7 @@ def _load_whole(path: str, text: str, kind: str) -> Any:
 
 
 def _reason(error: BaseException) -> str:
-    """What went wrong, in one line, without the names of classes."""
+    """Return what went wrong, in one line, without the names of classes."""
     cause = error.__cause__ if type(error).__name__ == "UnsupportedDatabaseFormatError" else None
     cause = cause or error
     text = " ".join(str(cause).split())
@@ -189,7 +189,7 @@ def _check_any(path: str, messages: Sequence[Any], problems: Sequence[ImportProb
 
 
 def _load_dbc(path: str, text: str) -> tuple[Any, list[ImportProblem], int, _Declared]:
-    """The database, what is not in it, how many statements and signals there were, and where."""
+    """Return the database, what is not in it, how many statements and signals there were, and where."""
     text = text.replace("\0", " ")
     statements = split_statements(text)
     if not any(one.word for one in statements):
@@ -222,7 +222,7 @@ class _Complaint(NamedTuple):
 
 
 def _parsed(path: str, statements: list[Statement]) -> tuple[list[Statement], list[ImportProblem]]:
-    """The statements that cantools can parse, and why not the others."""
+    """Return the statements that cantools can parse, and why not the others."""
     from cantools.database.can.formats.dbc.dbc_loader import DbcParser
 
     parser: Any = DbcParser()
@@ -294,8 +294,8 @@ def _parsed_signals(
 def _searched(
     path: str, statements: list[Statement], problems: list[ImportProblem]
 ) -> tuple[Any, list[Statement]]:
-    """The database of the statements without those that cantools parses and then refuses, found by halving and added to
-    the problems."""
+    """Return the database of the statements without those that cantools parses and then refuses, found by halving and
+    added to the problems."""
     until = time.monotonic() + MOST_SECONDS
     for _ in range(MOST_SEARCHES):
         _check_any(path, [one for one in statements if one.word == "BO_"], problems)

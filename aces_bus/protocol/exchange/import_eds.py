@@ -40,7 +40,7 @@ _INDEX = re.compile(r"([0-9A-Fa-f]{4})(?:[Ss]ub[0-9A-Fa-f]+|Name)?$")
 
 
 def load_eds(path: str) -> ImportedProtocol:
-    """The PDOs of a file as a protocol. Raises `CallerError` when nothing of it can be read."""
+    """Return the PDOs of a file as a protocol. Raises `CallerError` when nothing of it can be read."""
     text = read_text(path, path.rpartition(".")[2])
     sections, problems = _sections(text)
     if not any(_INDEX.match(one.name) for one in sections):
@@ -67,7 +67,7 @@ class _Section:
 
 
 def _sections(text: str) -> tuple[list[_Section], list[ImportProblem]]:
-    """The sections of a file, each once, with the lines that can be read."""
+    """Return the sections of a file, each once, with the lines that can be read."""
     found: dict[str, _Section] = {}
     problems: list[ImportProblem] = []
     current: _Section | None = None
@@ -124,7 +124,7 @@ def _dictionary(sections: Sequence[_Section]) -> tuple[Any, list[ImportProblem]]
         return _read([*general, *types, *(one for some in groups for one in some)]), problems
     except Exception:  # whatever a parser of a damaged file may raise
         pass
-    for part in ([*general], types):
+    for part in (general, types):
         try:
             _read(part)
         except Exception as error:  # as above
@@ -190,7 +190,7 @@ class _Builder:
         return self.protocol
 
     def _identifier(self, base: int, *, is_relative: bool) -> IdPattern:
-        """An identifier that a node's number is part of; `base` has the number in it where the node is known."""
+        """Return an identifier that a node's number is part of; `base` has the number in it where the node is known."""
         if not is_relative or self.node is not None:
             return IdPattern(base)
         return base + IdField("node", range(1, 128), doc="the device's number")
@@ -267,7 +267,7 @@ class _Builder:
         self._declare(name, identifier, fields, mapping, direction, "; ".join(facts), extended=extended)
 
     def _object(self, index: int, sub: int) -> Any:
-        """An object of the dictionary, or None."""
+        """Return an object of the dictionary, or None."""
         try:
             entry = self.dictionary[index]
             return entry[sub] if hasattr(entry, "subindices") else entry if sub == 0 else None
@@ -275,13 +275,13 @@ class _Builder:
             return None
 
     def _number(self, index: int, sub: int) -> int | None:
-        """The value of an object: of a DCF what is set, of an EDS the default."""
+        """Return the value of an object: of a DCF what is set, of an EDS the default."""
         one = self._object(index, sub)
         numbers = (getattr(one, "value", None), getattr(one, "default", None))
         return next((number for number in numbers if isinstance(number, int)), None)
 
     def _cob_id(self, parameters: int, usual: Sequence[int]) -> tuple[int, bool]:
-        """The identifier's word, and whether the node's number is part of it."""
+        """Return the identifier's word, and whether the node's number is part of it."""
         one = self._object(parameters, 1)
         value = getattr(one, "value", None)
         word = self._number(parameters, 1)

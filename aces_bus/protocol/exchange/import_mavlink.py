@@ -73,7 +73,9 @@ _UNITS: dict[str, tuple[float, str]] = {
 
 
 def load_mavlink(path: str) -> ImportedProtocol:
-    """The dialect file `path`, and what it includes, as a protocol. Raises `CallerError` when nothing of it can be read."""
+    """Return the dialect file `path`, and what it includes, as a protocol. Raises `CallerError` when nothing of it can
+    be read.
+    """
     dialect = Dialect(path)
     dialect.read(Path(path), "")
     protocol = _Builder(dialect).build()
@@ -270,7 +272,7 @@ class _LeftOut(Exception):
 
 
 def _invalid(text: str, *, is_list: bool, is_float: bool) -> Sequence[float]:
-    """The raw values of a number that mean unknown. Raises `ValueError` for what is no number.
+    """Return the raw values of a number that mean unknown. Raises `ValueError` for what is no number.
 
     Of a list an ordinary number such as 0 says something of the whole list (`[0]`), and is not taken for one of an item.
     """

@@ -63,7 +63,7 @@ class Statement(msgspec.Struct):
         return self.text + "".join(one.whole for one in self.inner)
 
     def problem(self, reason: str, fault: tuple[int, int] | None = None) -> ImportProblem:
-        """What is wrong with it; `fault` is the line (from 1) and the column of its text where."""
+        """Return what is wrong with it; `fault` is the line (from 1) and the column of its text where."""
         lines = self.text.split("\n")
         line, column = fault if fault is not None else (1, 0)
         if not (
@@ -74,12 +74,14 @@ class Statement(msgspec.Struct):
 
 
 def split_statements(text: str) -> list[Statement]:
-    """The statements of a file, in order."""
+    """Return the statements of a file, in order."""
     return grouped(_flat(text.splitlines(keepends=True), 1))
 
 
 def grouped(statements: Iterable[Statement]) -> list[Statement]:
-    """The statements with each `SG_` inside the `BO_` that it follows, a line of something unknown between them or not."""
+    """Return the statements with each `SG_` inside the `BO_` that it follows, a line of something unknown between them
+    or not.
+    """
     found: list[Statement] = []
     host: Statement | None = None
     for statement in statements:
@@ -120,7 +122,7 @@ def _flat(lines: list[str], first: int) -> Iterator[Statement]:
 
 
 def resplit(statement: Statement) -> list[Statement]:
-    """A statement that cannot be read, taken apart at the words that begin one inside it: a string was not closed."""
+    """Return a statement that cannot be read, taken apart at the words that begin one inside it: a string was not closed."""
     lines = statement.text.splitlines(keepends=True)
     for index in range(1, len(lines)):
         if _START.match(lines[index]):

@@ -82,7 +82,7 @@ class DialectMessage:
         return [one for one in self.fields if one.is_extension]
 
     def extra(self, crc: Crc) -> bytes:
-        """The byte that ends what the check covers."""
+        """Return the byte that ends what the check covers."""
         data = f"{self.name} ".encode()
         for one in self.base:
             data += f"{one.type} {one.name} ".encode() + bytes([one.count] * bool(one.count))
@@ -313,7 +313,7 @@ class _Refused(Exception):
 
 
 def dialect_number(text: str) -> int | None:
-    """A whole number as dialects write them: 12, 0x0C, 0b1100, 2**3, 1<<3."""
+    """Return a whole number as dialects write them: 12, 0x0C, 0b1100, 2**3, 1<<3."""
     text = text.strip()
     if found := _POWER.fullmatch(text):
         base, by = int(found[1]), int(found[3])

@@ -19,7 +19,7 @@ TAKEN_BY_RECORDS = frozenset({"meta"})
 
 
 def python_name(name: str) -> str:
-    """The name as a Python name: `1st gear` becomes `n1st_gear`, `_x` becomes `x_`."""
+    """Return the name as a Python name: `1st gear` becomes `n1st_gear`, `_x` becomes `x_`."""
     text = re.sub(r"\W", "_", name, flags=re.ASCII)
     bare = text.lstrip("_")
     text = bare + "_" * (len(text) - len(bare)) if bare else "unnamed" + "_" * bool(text)
@@ -29,7 +29,7 @@ def python_name(name: str) -> str:
 
 
 def unused(name: str, taken: set[str]) -> str:
-    """The name, as near as may be, that is not taken; it is taken from now on."""
+    """Return the name, as near as may be, that is not taken; it is taken from now on."""
     made = python_name(name)
     while made in taken or keyword.iskeyword(made) or (keyword.issoftkeyword(made) and made != "type"):
         made += "_"

@@ -37,7 +37,8 @@ class ImportProblem(msgspec.Struct, frozen=True, order=True):
 
     @property
     def _said(self) -> str:
-        return self.reason + (f" ({self.excerpt})" if self.excerpt else "")
+        # A name in it may have line ends: the problem stays one line.
+        return one_line(self.reason) + (f" ({one_line(self.excerpt)})" if self.excerpt else "")
 
 
 class Loss(msgspec.Struct, frozen=True):
@@ -49,7 +50,7 @@ class Loss(msgspec.Struct, frozen=True):
 
     def __str__(self) -> str:
         where = ".".join(filter(None, (self.message, self.field)))
-        return f"{where}: {self.reason}" if where else self.reason
+        return one_line(f"{where}: {self.reason}" if where else self.reason)
 
 
 class ImportedProtocol(msgspec.Struct, frozen=True):
@@ -95,25 +96,25 @@ def quiet(library: str) -> Generator[None, None, None]:
 
 
 def without_place(error: Exception) -> str:
-    """A complaint without the `file:line: ` of the program that declared it."""
+    """Return a complaint without the `file:line: ` of the program that declared it."""
     text = str(error)
     head, separator, rest = text.partition(": ")
     return rest if separator and head.rpartition(":")[2].isdigit() else text
 
 
 def excerpt(text: str) -> str:
-    """The beginning of a statement, on one line."""
+    """Return the beginning of a statement, on one line."""
     flat = " ".join(clean_text(text).split())
     return flat if len(flat) <= EXCERPT else flat[: EXCERPT - 1] + "…"
 
 
 def clean_text(text: str) -> str:
-    """A text from elsewhere without characters that do not print; lines stay lines."""
+    """Return a text from elsewhere without characters that do not print; lines stay lines."""
     if text.isprintable():
         return text.strip()
     return "".join(ch if ch.isprintable() or ch == "\n" else " " for ch in text).strip()
 
 
 def one_line(text: str) -> str:
-    """A text from elsewhere as part of a comment: printable, without line ends."""
+    """Return a text from elsewhere as part of a comment: printable, without line ends."""
     return clean_text(" ".join(text.split()))

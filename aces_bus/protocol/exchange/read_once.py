@@ -14,7 +14,8 @@ _read: dict[tuple[str, int, int], ImportedProtocol] = {}
 
 
 def known_database(path: str, report: Callable[[ImportedProtocol], object]) -> Protocol:
-    """The protocol of a database file; `report` is called when it is read and something of it could not be taken over.
+    """Return the protocol of a database file; `report` is called when it is read and something of it could not be
+    taken over.
 
     Raises as `load_database`.
     """
@@ -32,5 +33,5 @@ def known_database(path: str, report: Callable[[ImportedProtocol], object]) -> P
 
 
 def problems_of(protocol: Protocol) -> list[ImportProblem]:
-    """What could not be taken over of the file that a protocol comes from; none when it comes from no such file."""
+    """Return what could not be taken over of the file that a protocol comes from; none when it comes from no such file."""
     return [p for one in _read.values() if one.protocol is protocol for p in one.problems]

@@ -97,7 +97,7 @@ class Attempt:
 
 
 def candump_text(frame: Frame) -> str:
-    """A frame as candump writes it, its bytes apart."""
+    """Return a frame as candump writes it, its bytes apart."""
     from ..declare.examples import ExampleFrame
 
     shown = ExampleFrame(

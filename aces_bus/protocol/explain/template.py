@@ -137,7 +137,9 @@ class Template:
     # ------------------------------------------------------------------ what is where
 
     def label(self, at: int, size: int | None, prefix: bytes = b"") -> str:
-        """What byte `at` of a packet is to it; "" where it does not say. `prefix` are the bytes up to it, where known."""
+        """Return what byte `at` of a packet is to it; "" where it does not say. `prefix` are the bytes up to it, where
+        known.
+        """
         if size is not None:
             for mark in self.marks:
                 if mark.offset < 0 and size + mark.offset <= at < size + mark.offset + mark.size:
@@ -149,13 +151,13 @@ class Template:
         return _VALUE.sub("", self._owners.get(at, self._opaque if at >= self.message.payload_start else ""))
 
     def _is_in_place(self, at: int) -> bool:
-        """Whether byte `at` of the wire is byte `at` of the plan, whatever is stuffed."""
+        """Return whether byte `at` of the wire is byte `at` of the plan, whatever is stuffed."""
         if not self.is_moved or self.framing is None:
             return True
         return at < (self.framing.head_end if self._is_inserted else len(self.framing.sync))
 
     def cell(self, at: int, size: int | None) -> str:
-        """The same, short: constants as their digits."""
+        """Return the same, short: constants as their digits."""
         if self._is_in_place(at):
             for constant in self.plan.constants:
                 if constant.offset == at and constant.mask == 0xFF:

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 from ..declare.framing import Framing, Judgement, Verdict
-from ..declare.message import Direction, Message
+from ..declare.message import GivenWay, Message
 from ..declare.packet import frame_image
 from ..declare.packet_rule import packet_frame
 from ..declare.protocol import Variant
@@ -28,9 +28,7 @@ PARTS = 160
 class Tracer(Reference):
     """A `Reference` that can explain itself; its records are in physical units."""
 
-    def __init__(
-        self, variants: Sequence[Variant], *, direction: Direction | Literal["both"] | None = None
-    ) -> None:
+    def __init__(self, variants: Sequence[Variant], *, direction: GivenWay | None = None) -> None:
         super().__init__(variants, direction=direction)
         is_alone = len({variant.name for variant in variants}) == 1
         self.templates: list[Template] = []
@@ -63,7 +61,7 @@ class Tracer(Reference):
         base: int = 0,
         wanted: range | None = None,
     ) -> list[Attempt]:
-        """The attempts at a stream, `stream`'s decisions; `base` is the offset of its first byte.
+        """Return the attempts at a stream, `stream`'s decisions; `base` is the offset of its first byte.
 
         `wanted` are the offsets that matter: attempts that touch none of them are left out. Bytes that are skipped one
         after the other for the same reason are one attempt.
@@ -141,7 +139,8 @@ class Tracer(Reference):
     # ------------------------------------------------------------------ frames
 
     def explain_frames(self, frames: Iterable[Any], first: int = 0) -> list[Attempt]:
-        """What frames are, and why, the first one being number `first`; frames must come in their order, since replies hang
+        """Return what frames are, and why, the first one being number `first`; frames must come in their order, since
+        replies hang
         on requests and packets on the frames before. A packet that a transport carried is one attempt, with its last frame.
         """
         attempts: list[Attempt] = []
@@ -151,7 +150,7 @@ class Tracer(Reference):
         return attempts
 
     def explain_end(self) -> list[Attempt]:
-        """The frames that are in no packet when the frames end."""
+        """Return the frames that are in no packet when the frames end."""
         return [self._explain_item(found, found.frame) for found in self.end()]
 
     def _explain_item(self, found: ReferenceItem, frame: Any) -> Attempt:
@@ -201,7 +200,9 @@ class Tracer(Reference):
 
 
 def _shown(parts: list[Part]) -> tuple[list[Part], int]:
-    """The parts of a frame or packet that are explained, and how many there are: of a long one the first, and the last."""
+    """Return the parts of a frame or packet that are explained, and how many there are: of a long one the first, and
+    the last.
+    """
     return ([*parts[: PARTS - 1], parts[-1]] if len(parts) > PARTS else parts), len(parts)
 
 
@@ -226,7 +227,7 @@ class _Contest:
         self.parts.append((died, list(self.alive)))
 
     def lead(self, found: ReferenceItem) -> Template:
-        """The template whose parts are named: the one that was accepted, else one that lived longest."""
+        """Return the template whose parts are named: the one that was accepted, else one that lived longest."""
         for template in self.templates:
             message = template.message
             if message.name == found.message and found.protocol in (None, message.protocol.name):
@@ -239,7 +240,7 @@ class _Contest:
         return self.templates[0]
 
     def rows(self, found: ReferenceItem, cell: Callable[[Template, int], str]) -> tuple[TemplateTrace, ...]:
-        """What each template expects, up to the part that rules it out; `cell` gives one entry."""
+        """Return what each template expects, up to the part that rules it out; `cell` gives one entry."""
         lead, rows = self.lead(found), []
         for template in self.templates:
             dies_at, why = self.dead.get(template.name, (None, ""))
@@ -287,7 +288,7 @@ def _asked(past: PastRequest | None) -> tuple[str, Mapping[str, Any]] | None:
 
 
 def _size_of(framing: Framing, prefix: bytes) -> int | None:
-    """The packet's size on the wire, as soon as its head says it."""
+    """Return the packet's size on the wire, as soon as its head says it."""
     if framing.fixed_size is not None:
         return framing.fixed_size
     if framing.affine is not None:

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
 
 from ...frames import Frame
-from ..declare.message import Direction, Message
+from ..declare.message import GivenWay, Message
 from ..declare.protocol import Variant
 from ..record import Meta, Unknown
 from .tracer import Tracer
 
 
-def why_unknown(
-    item: Unknown, variants: Sequence[Variant], *, direction: Direction | Literal["both"] | None = None
-) -> str:
-    """Which messages an `unknown` item came nearest to, and what is another in it: `Light: byte 3 07, not 08`.
+def why_unknown(item: Unknown, variants: Sequence[Variant], *, direction: GivenWay | None = None) -> str:
+    """Return which messages an `unknown` item came nearest to, and what is another in it: `Light: byte 3 07, not 08`.
 
     Empty without variants, where its identifier or head is no message's, where it hangs on a request, and for what is
     malformed or skipped.
@@ -49,7 +46,7 @@ def why_unknown(
 
 
 def _has_head(message: Message, meta: Meta) -> bool:
-    """Whether identifier or framing, and all fields of the head, are those of a message."""
+    """Return whether identifier or framing, and all fields of the head, are those of a message."""
     data, framing = meta.raw, message.framing
     if framing is not None:
         try:

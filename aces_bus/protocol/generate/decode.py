@@ -146,7 +146,7 @@ class Decoder(FunctionSetup):
     # -------------------------------------------------- values
 
     def _type(self, name: str) -> str:
-        """The text's name for a record type."""
+        """Return the text's name for a record type."""
         if name not in self._type_names:
             found = self._type_names[name] = self.module.new(name, avoid=self.names)
             self.types[found] = name
@@ -169,7 +169,7 @@ class Decoder(FunctionSetup):
         self.present[selector] = number
 
     def _is_there(self, when: p.When) -> str:
-        """The test of a multiplexed field's selector, as an expression."""
+        """Return the test of a multiplexed field's selector, as an expression."""
         selector, values = when.selector, when.values
         number = self.present[selector]
         if len(values) == 1:
@@ -217,7 +217,11 @@ class Decoder(FunctionSetup):
             text = f"data[{scalar.offset}:{end}]"
             if scalar.kind == "bytes" or self.raw:
                 return text
-            return f'{text}.decode("latin-1")' + ('.rstrip("\\0")' if scalar.size is not None else "")
+            text = f'{text}.decode("latin-1")'
+            if scalar.size is None:
+                return text
+            cuts = [f".partition({end!a})[0]" for end in scalar.ends]
+            return text + ("".join(cuts) or '.rstrip("\\0")')
         number = self.fetch.number(scalar, name)
         return self._steps(number, scalar.steps, name, len(scalar.bits) if scalar.kind == "uint" else 0)
 
@@ -436,7 +440,7 @@ class ListDecoder(FunctionSetup):
         self.offset = node.offset
 
     def print(self) -> str:
-        """The function's name; the text is in `setup` then, and the record types in `types`."""
+        """Return the function's name; the text is in `setup` then, and the record types in `types`."""
         node = self.node
         return self._items(node) if isinstance(node, p.TaggedItems) else self._groups(node)
 
@@ -518,7 +522,7 @@ class ListDecoder(FunctionSetup):
 
 
 def _number_at(number: p.Scalar) -> str:
-    """An item's tag or size, from `data` and where the item begins, `at`."""
+    """Return an item's tag or size, from `data` and where the item begins, `at`."""
     places = [
         f"data[at + {number.offset + i}]" if number.offset + i else "data[at]"
         for i in range(number.size or 0)
@@ -530,7 +534,7 @@ def _number_at(number: p.Scalar) -> str:
 
 
 def is_balanced(text: str) -> bool:
-    """Whether the first parenthesis closes at the end."""
+    """Return whether the first parenthesis closes at the end."""
     depth = 0
     for index, char in enumerate(text):
         depth += (char == "(") - (char == ")")

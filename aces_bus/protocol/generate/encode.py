@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 
 from ..declare.bits import runs_of
+from ..declare.fields import truncated
 from ..declare.head import Head
 from ..declare.message import Message
 from ..declare.pattern import IdPattern
@@ -29,8 +30,8 @@ class NoEncoder(Exception):
 
 
 def print_encoder(message: Message, plan: p.MessagePlan, names: NameScope) -> tuple[str, list[str]]:
-    """The function's name, and the module-level lines with the function; raises `NoEncoder` when the message has no flat
-    form to build from.
+    """Return the function's name, and the module-level lines with the function; raises `NoEncoder` when the message
+    has no flat form to build from.
 
     `names` are the module's, with `CALLED` among them; what is bound in them must be given to the text.
     """
@@ -129,7 +130,7 @@ class _Encoder(FunctionSetup):
         return " + ".join(parts)
 
     def _head(self) -> str:
-        """The header and prefix; the length is written by the framing."""
+        """Return the header and prefix; the length is written by the framing."""
         message = self.message
         derived = (
             message.framing.affine.length.name
@@ -265,7 +266,7 @@ class _Encoder(FunctionSetup):
         return " + ".join(text for _, _, text in entries) or "b''"
 
     def _raw(self, scalar: p.Scalar, name: str, value: str) -> str:
-        """A local name that holds the number for the wire (the signed one, of signed numbers)."""
+        """Return a local name that holds the number for the wire (the signed one, of signed numbers)."""
         number = self._temporary()
         text = value
         steps = scalar.steps
@@ -329,7 +330,11 @@ class _Encoder(FunctionSetup):
             scale = self._spec_number(f"_scale_{where}", step.scale)
             number = f"({given} - {offset}) / {scale}" if step.offset else f"{given} / {scale}"
         if not is_float:
-            number = f"round({number})" if step.rounding == "nearest" else f"int({number})"
+            if step.rounding == "nearest":
+                number = f"round({number})"
+            else:
+                ratio = self._spec_number(f"_ratio_{where}", step.offset / step.scale)
+                number = f"{self._bound('_truncated', truncated, 'truncated')}({number}, {ratio})"
         # Raw numbers that mean unknown; others are never those of an integer.
         unknown = step.unknown
         means: Sequence[int] = (
@@ -359,7 +364,7 @@ class _Encoder(FunctionSetup):
         return raw
 
     def _outside(self, bounds: tuple[float, float], name: str, where: str) -> str:
-        """The test whether a number is outside its bounds, those that are infinite left out; empty when both are."""
+        """Return the test whether a number is outside its bounds, those that are infinite left out; empty when both are."""
         low, high = bounds
         first = f"{self._spec_number(f'_least_{where}', low)} <= " if math.isfinite(low) else ""
         last = f" <= {self._spec_number(f'_most_{where}', high)}" if math.isfinite(high) else ""
@@ -367,7 +372,7 @@ class _Encoder(FunctionSetup):
 
 
 def _head_writer(head: Head) -> Callable[[dict[str, object]], bytes]:
-    """The bytes of a head field that is not constant, from a message's fields."""
+    """Return the bytes of a head field that is not constant, from a message's fields."""
     name = head.name
     assert name is not None
     if head.pattern is not None and not head.is_own:

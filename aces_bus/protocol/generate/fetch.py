@@ -139,7 +139,9 @@ class Fetch(FunctionSetup):
         return f"data[{start or ''}:{end}]"
 
     def integer(self, scalar: p.Scalar, *, fetched: bool = True) -> str:
-        """The unsigned number (the signed one, of whole signed numbers), as an expression; from `data`, unless `fetched`."""
+        """Return the unsigned number (the signed one, of whole signed numbers), as an expression; from `data`, unless
+        `fetched`.
+        """
         if fetched and scalar in self.named:
             return self.named[scalar]
         assert scalar.size is not None
@@ -170,7 +172,7 @@ class Fetch(FunctionSetup):
         return " | ".join(f"({piece})" if "&" in piece or ">>" in piece else piece for piece in pieces)
 
     def number(self, scalar: p.Scalar, name: str) -> str:
-        """The number of a field, with its sign, as an expression."""
+        """Return the number of a field, with its sign, as an expression."""
         if scalar.kind == "float" and scalar.bits:
             return self._scattered(scalar)
         if scalar in self.named:
@@ -178,7 +180,7 @@ class Fetch(FunctionSetup):
         return self._lone(scalar, name) if scalar.kind == "float" else self.whole(scalar)
 
     def whole(self, scalar: p.Scalar) -> str:
-        """A whole number with its sign, as an expression."""
+        """Return a whole number with its sign, as an expression."""
         number = self.integer(scalar)
         if scalar.kind != "int":
             return number
@@ -186,13 +188,13 @@ class Fetch(FunctionSetup):
         return f"(({number}) ^ {top:#x}) - {top:#x}"
 
     def _lone(self, scalar: p.Scalar, name: str) -> str:
-        """A float that is not always there."""
+        """Return a float that is not always there."""
         mark = "<" if scalar.order == "little" else ">"
         made = f'Struct("{mark}{p.FORMATS["float", scalar.size or 0]}").unpack_from'
         return f"{self._table(f'_unpack_{self.plan.name}_{name}', made)}(data, {scalar.offset})[0]"
 
     def _scattered(self, scalar: p.Scalar) -> str:
-        """A float whose bits are not whole bytes."""
+        """Return a float whose bits are not whole bytes."""
         size = len(scalar.bits) // 8
         helper = self._table(f"_float{8 * size}", f'Struct("<{p.FORMATS["float", size]}").unpack')
         return f'{helper}(({self.integer(scalar)}).to_bytes({size}, "little"))[0]'
@@ -223,7 +225,7 @@ def in_one_byte(scalar: p.Scalar) -> bool:
 
 
 def run_order(scalar: p.Scalar) -> str:
-    """The byte order in which the field falls into fewer pieces."""
+    """Return the byte order in which the field falls into fewer pieces."""
     little = len(scalar.runs)
     size = scalar.size or 0
     big = len(runs_of([(scalar.offset + size - 1 - b // 8) * 8 + b % 8 for b in scalar.bits]))

@@ -46,7 +46,7 @@ def load_source(source: str, name: str, names: Mapping[str, Any]) -> dict[str, A
 
 @cache
 def flag_type(bits: tuple[tuple[str, int], ...]) -> type[FlagSet]:
-    """The value type of a flags field."""
+    """Return the value type of a flags field."""
     return type("FlagSet", (FlagSet,), {"bits": dict(bits), "__slots__": ()})
 
 
@@ -67,7 +67,7 @@ class OnDemand(dict[K, V]):
 
 
 def _flags(bits: Mapping[str, int]) -> OnDemand[int, FlagSet]:
-    """What generated decoders call for the values of a flags field."""
+    """Return what generated decoders call for the values of a flags field."""
     return OnDemand(flag_type(tuple(bits.items())), most=4096)
 
 
@@ -82,8 +82,8 @@ _CALLED: Mapping[str, Any] = {
 
 
 def _part_type(shape: tuple[str, tuple[str, ...]]) -> type:
-    """The type of a nested record, by path and fields, that no walk of a construct foresees (fields that stop half way,
-    values of a user's adapter)."""
+    """Return the type of a nested record, by path and fields, that no walk of a construct foresees (fields that stop
+    half way, values of a user's adapter)."""
     path, names = shape
     if not all(name.isidentifier() and not keyword.iskeyword(name) for name in names):
         return dict  # keys that cannot be attributes
@@ -93,7 +93,8 @@ def _part_type(shape: tuple[str, tuple[str, ...]]) -> type:
 
 @cache
 def decoders_of(variant: Variant, raw: bool = False, guard: bool = True) -> Mapping[str, Decode]:
-    """The decode functions of a variant by message, in physical units or raw; each is made when it is first asked for.
+    """Return the decode functions of a variant by message, in physical units or raw; each is made when it is first
+    asked for.
 
     Without `guard` a function may raise `struct.error` for data of the wrong length, where it would give None.
     """
@@ -117,7 +118,7 @@ def decoders_of(variant: Variant, raw: bool = False, guard: bool = True) -> Mapp
 
 
 def _holds(message: Message) -> Callable[[bytes, int], bool]:
-    """Whether the message's own check holds."""
+    """Return whether the message's own check holds."""
     check = message.check
     assert check is not None
     start, size, order = message.check_span
@@ -132,13 +133,13 @@ def _holds(message: Message) -> Callable[[bytes, int], bool]:
 
 
 def print_decoder(printed: Decoder) -> str:
-    """The text of one message's decode function."""
+    """Return the text of one message's decode function."""
     setup, lines = printed.print()
     return "\n".join([*setup, "", *lines, ""])
 
 
 def print_decoders(variant: Variant, *, raw: bool = False, guard: bool = True) -> str:
-    """The decode functions of a variant."""
+    """Return the decode functions of a variant."""
     kind = "raw values" if raw else "physical values"
     parts = [f'"""Decoders of {comment_line(variant.label)}, {kind}: generated from its spec."""', ""]
     names = NameScope(CALLED)
@@ -149,7 +150,7 @@ def print_decoders(variant: Variant, *, raw: bool = False, guard: bool = True) -
 
 
 def _made_types(variant: Variant, name: str) -> dict[str, Any]:
-    """The record type of a message and those of its nested records, by their names."""
+    """Return the record type of a message and those of its nested records, by their names."""
     message = variant.messages[name]
     called: dict[tuple[str, str], str] = {}
     label = f"{variant.label}: {name}"
@@ -177,8 +178,8 @@ def _types(variant: Variant) -> OnDemand[str, dict[str, Any]]:
 
 @cache
 def list_reader(node: p.ListNode, name: str, raw: bool = False) -> Callable[[bytes, int, int], list[Any]]:
-    """A function from a packet's bytes, and where in them a list of items begins and ends, to the items as plain values;
-    `name` is that of the message."""
+    """Return a function from a packet's bytes, and where in them a list of items begins and ends, to the items as
+    plain values; `name` is that of the message."""
     printed = ListDecoder(node, name, raw=raw)
     function = printed.print()
     fields = {one.type_name: [f.name for f in one.fields] for one in groups_of([p.PlanField("items", node)])}
@@ -212,12 +213,12 @@ class _Records(Mapping[str, type[Record]]):
 
 
 def records_of(variant: Variant) -> Mapping[str, type[Record]]:
-    """The record types of a variant, by message; each is made when it is first asked for."""
+    """Return the record types of a variant, by message; each is made when it is first asked for."""
     return _Records(variant)
 
 
 def _opaque(message: Message, variant: Variant, *, raw: bool) -> Decode:
-    """A decode function that goes through construct."""
+    """Return a decode function that goes through construct."""
     types = _types(variant)[message.name]
     plan = message.plan
     given = {shape: types[name] for name, shape in zip(part_names(plan), plan.parts, strict=True)}

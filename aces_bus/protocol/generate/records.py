@@ -21,7 +21,9 @@ PRIVATE = (
 
 
 def type_of(node: p.Node, *, raw: bool = False, called: Callable[[str], str] = str) -> str:
-    """The Python type of a node's value, for annotations and stubs; `called` is how the text names a nested record."""
+    """Return the Python type of a node's value, for annotations and stubs; `called` is how the text names a nested
+    record.
+    """
     if isinstance(node, (p.Scalar, p.FromIdentifier)):
         return _scalar_type(node.kind if isinstance(node, p.Scalar) else "uint", node.steps, raw)
     if isinstance(node, p.Many):
@@ -77,7 +79,7 @@ def _scalar_type(kind: str, steps: Sequence[p.Step], raw: bool) -> str:
 
 
 def groups_of(fields: Sequence[p.PlanField]) -> list[p.NestedRecord]:
-    """The nested records among fields, innermost first, each once."""
+    """Return the nested records among fields, innermost first, each once."""
     inward = sorted(p.walk(fields), key=lambda one: -len(one.way))
     listed: list[p.NestedRecord] = []
     for one in inward:
@@ -107,7 +109,7 @@ def part_names(plan: p.MessagePlan) -> list[str]:
 def print_records(
     label: str, plans: Sequence[p.MessagePlan], types: dict[tuple[str, str], str] | None = None
 ) -> str:
-    """The record classes of some messages of a variant.
+    """Return the record classes of some messages of a variant.
 
     `types` is given the text's name of each class, by message and the class's own name.
     """

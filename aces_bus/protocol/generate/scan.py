@@ -57,7 +57,7 @@ def print_choice(out: SourceText, name: str, choice: Choice) -> None:
 
 
 def print_stream(label: str, framings: Sequence[tuple[Framing, str]]) -> str:
-    """The scan function of a wire: `framings` with the name of the function that decodes their packets."""
+    """Return the scan function of a wire: `framings` with the name of the function that decodes their packets."""
     out = SourceText()
     out.lines(
         f'"""Stream scanner of {comment_line(label)}: generated from its spec."""',
@@ -116,7 +116,7 @@ def print_stream(label: str, framings: Sequence[tuple[Framing, str]]) -> str:
 
 
 def seek_pattern(framings: Sequence[Framing]) -> bytes:
-    """A regular expression that finds where some framing may begin, whole sync or cut off by the buffer's end."""
+    """Return a regular expression that finds where some framing may begin, whole sync or cut off by the buffer's end."""
     import re
 
     parts = []
@@ -203,14 +203,14 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
 
 
 def _number_of(head: Head) -> str:
-    """The number in these bytes of the candidate at `i`, as an expression."""
+    """Return the number in these bytes of the candidate at `i`, as an expression."""
     if head.size == 1:
         return f"buffer[i + {head.offset}]"
     return f'from_bytes(buffer[i + {head.offset} : i + {head.offset + head.size}], "{head.order}")'
 
 
 def _number_in(head: Head) -> str:
-    """The number in these bytes of a packet that was cut out, as an expression."""
+    """Return the number in these bytes of a packet that was cut out, as an expression."""
     if head.size == 1:
         return f"packet[{head.offset}]"
     return f'from_bytes(packet[{head.offset}:{head.offset + head.size}], "{head.order}")'
@@ -222,14 +222,14 @@ def _set_of(numbers: Collection[int]) -> str:
 
 
 def _has_sized_start(framing: Framing) -> bool:
-    """Whether the first bytes say that a packet may begin, and how long it is."""
+    """Return whether the first bytes say that a packet may begin, and how long it is."""
     return bool(framing.sync or framing.match) and (
         framing.affine is not None or framing.fixed_size is not None
     )
 
 
 def _asks(framing: Framing) -> bool:
-    """Whether the check is asked of whole packets, by a function of its own."""
+    """Return whether the check is asked of whole packets, by a function of its own."""
     check = framing.check
     if check is None or framing.is_silent:
         return False
@@ -240,7 +240,7 @@ def _asks(framing: Framing) -> bool:
 
 
 def _asks_sums(framing: Framing) -> bool:
-    """Whether what the check of a failed candidate has summed is kept for the candidates in it."""
+    """Return whether what the check of a failed candidate has summed is kept for the candidates in it."""
     return _asks(framing) and framing.check is not None and framing.check.kind != "crc"
 
 
@@ -378,7 +378,7 @@ def _asked(out: SourceText, number: int, check: Check) -> None:
 
 
 def size_expr(framing: Framing, start: int) -> str:
-    """How many bytes the check of a candidate reads."""
+    """Return how many bytes the check of a candidate reads."""
     return f"j - i - {start + framing.check_size}"
 
 
@@ -445,7 +445,7 @@ def _has_extra(check: Check) -> bool:
 
 
 def plain_cover(check: Check, sync: int, size: int) -> int | None:
-    """Where the covered bytes start, when they are one run up to the check."""
+    """Return where the covered bytes start, when they are one run up to the check."""
     if check.over is None:
         return sync if check.text is None else None
     if len(check.over) != 1 or check.text is not None or not isinstance(check.over[0], slice):
@@ -530,7 +530,7 @@ def print_check(out: SourceText, number: int, framing: Framing) -> None:
 
 
 def computed(check: Check, number: int, run: str) -> str:
-    """The check's number over `run`, as an expression."""
+    """Return the check's number over `run`, as an expression."""
     if isinstance(check, Sum):
         return f"{check.sign}sum({run}) & {check.mask:#x}"
     if isinstance(check, Fletcher):
@@ -565,7 +565,7 @@ def _wanted(check: Check, number: int, found: str) -> str:
 
 
 def _stored_behind(check: Check, back: int) -> str:
-    """The number `back` bytes before the packet's end, as an expression."""
+    """Return the number `back` bytes before the packet's end, as an expression."""
     end = f"-{back - check.size}" if back > check.size else ""
     if check.text is not None:
         return f"packet[-{back}:{end}]"

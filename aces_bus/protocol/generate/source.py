@@ -39,7 +39,7 @@ class SourceText:
 
 
 def comment_line(text: str) -> str:
-    """The first line of a text, for a comment or a docstring: whatever could end one is escaped."""
+    """Return the first line of a text, for a comment or a docstring: whatever could end one is escaped."""
     first = text.strip().split("\n", 1)[0].replace("\\", "\\\\").replace('"', "'")
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in first)
 
@@ -63,7 +63,7 @@ class NameScope:
         return name in self._taken or (name in _PYTHON if self._module is None else self._module._has(name))
 
     def new(self, wish: str, *, avoid: NameScope | None = None) -> str:
-        """A name that nothing else has: `wish`, or with a number behind it; none of `avoid` either."""
+        """Return a name that nothing else has: `wish`, or with a number behind it; none of `avoid` either."""
         name, count = wish, 1
         while self._has(name) or (avoid is not None and avoid._has(name)):
             count += 1
@@ -72,7 +72,7 @@ class NameScope:
         return name
 
     def shared(self, wish: str, content: str) -> tuple[str, bool]:
-        """The module's name for what `content` says, and whether it is new: the same wish and content are one."""
+        """Return the module's name for what `content` says, and whether it is new: the same wish and content are one."""
         module = self._module if self._module is not None else self
         known = module._shared.get((wish, content))
         if known is not None:
@@ -82,7 +82,7 @@ class NameScope:
         return name, True
 
     def bind(self, wish: str, value: Any) -> tuple[str, bool]:
-        """The module's name for a value, and whether it is new: the same wish and value are one."""
+        """Return the module's name for a value, and whether it is new: the same wish and value are one."""
         module = self._module if self._module is not None else self
         count = 0
         while True:
@@ -95,17 +95,17 @@ class NameScope:
 
 
 def _is_same(one: Any, other: Any) -> bool:
-    """Whether two values are one: 2 and 2.0 are not, nor are 0.0 and -0.0."""
+    """Return whether two values are one: 2 and 2.0 are not, nor are 0.0 and -0.0."""
     return one is other or (type(one) is type(other) and one == other and repr(one) == repr(other))
 
 
 def is_plain(number: Any) -> bool:
-    """Whether a number of a spec may be printed: not infinity, not NaN, no type of a user's."""
+    """Return whether a number of a spec may be printed: not infinity, not NaN, no type of a user's."""
     return type(number) is int or (type(number) is float and math.isfinite(number))
 
 
 def literal(value: Any) -> str:
-    """The text of a number, of bytes, or of a tuple, range or dict of such; raises `TypeError` for anything else."""
+    """Return the text of a number, of bytes, or of a tuple, range or dict of such; raises `TypeError` for anything else."""
     if isinstance(value, bool) or value is None or is_plain(value):
         return repr(value)
     if isinstance(value, int):
@@ -128,21 +128,21 @@ class FunctionSetup:
     setup: list[str]
 
     def _table(self, name: str, value: str) -> str:
-        """The module's name for what the text `value` makes; only our own words are in it."""
+        """Return the module's name for what the text `value` makes; only our own words are in it."""
         found, is_new = self.names.shared(name, value)
         if is_new:
             self.setup.append(f"{found} = {value}")
         return found
 
     def _bound(self, name: str, value: object, shown: object = None) -> str:
-        """The module's name for a value of the spec; a remark says what it is."""
+        """Return the module's name for a value of the spec; a remark says what it is."""
         found, is_new = self.names.bind(name, value)
         if is_new:
             self.setup.append(f"# {found} = {comment_line(repr(value if shown is None else shown))}")
         return found
 
     def _spec_number(self, name: str, value: float) -> str:
-        """A number of the spec: as it is where that can be printed, else by name."""
+        """Return a number of the spec: as it is where that can be printed, else by name."""
         return literal(value) if is_plain(value) else self._bound(name, value)
 
 

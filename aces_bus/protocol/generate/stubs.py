@@ -44,8 +44,8 @@ LONGEST = 125
 
 
 def print_stub(protocol: Protocol, variable: str) -> str:
-    """The stub of a module that has the record types and, as `variable`, the protocol; raises `SpecError` for a message that
-    is named like one of the stub's own words."""
+    """Return the stub of a module that has the record types and, as `variable`, the protocol; raises `SpecError` for a
+    message that is named like one of the stub's own words."""
     out = SourceText()
     names: dict[str, list[Message]] = {}
     for message in protocol.declared:
@@ -92,7 +92,7 @@ def print_stub(protocol: Protocol, variable: str) -> str:
 
 
 def print_module(protocol: Protocol, module: str, variable: str) -> str:
-    """The module that goes with the stub."""
+    """Return the module that goes with the stub."""
     return (
         f'"""Record types of {protocol.name}, for `isinstance` and `match`; editors read the stub beside it."""\n'
         "\n"
@@ -111,7 +111,7 @@ class _Printer:
         self._classes: dict[str, str] = {}
 
     def _class(self, path: str) -> str:
-        """The name of the class of a nested record or of flags, by its dotted path from the message."""
+        """Return the name of the class of a nested record or of flags, by its dotted path from the message."""
         if path not in self._classes:
             self._classes[path] = self._names.new("_" + path.replace(".", "_"))
         return self._classes[path]
@@ -167,7 +167,7 @@ class _Printer:
         return _union([kind, "None"]) if field.when is not None else kind
 
     def _node(self, node: p.Node, path: str, parts: dict[str, list[str]]) -> str:
-        """The type of a value; nested records and flags are declared in `parts` on the way."""
+        """Return the type of a value; nested records and flags are declared in `parts` on the way."""
         if isinstance(node, p.Many):
             kinds = [self._node(item, path, parts) for item in node.items]
             return f"tuple[{', '.join(kinds)}]" if kinds else "tuple[()]"
@@ -200,7 +200,7 @@ class _Printer:
         )
 
     def _items(self, node: p.TaggedItems, path: str, parts: dict[str, list[str]]) -> str:
-        """The type of a list of tagged items."""
+        """Return the type of a list of tagged items."""
         data = [self._node(kind.plan.fields[0].node, f"{path}.{kind.name}", parts) for kind in node.kinds]
         called = self._class(path)
         parts[path] = [
@@ -212,7 +212,7 @@ class _Printer:
         return f"tuple[{called}, ...]"
 
     def _opaque(self, message: Message, name: str, parts: dict[str, list[str]]) -> str:
-        """The type of a field that construct decodes."""
+        """Return the type of a field that construct decodes."""
         payload = message.payload
         items = payload.subcons if isinstance(payload, c.Struct) else ()
         return next(
@@ -263,7 +263,7 @@ def _union(kinds: Sequence[str]) -> str:
 
 
 def _alternatives(kind: str) -> list[str]:
-    """The parts of a union, without looking into brackets."""
+    """Return the parts of a union, without looking into brackets."""
     parts, depth, start = [], 0, 0
     for index, char in enumerate(kind):
         depth += (char == "[") - (char == "]")

@@ -42,7 +42,7 @@ def check_protocol(protocol: Protocol) -> list[Finding]:
 
 
 def every_finding(protocol: Protocol) -> Iterator[Finding]:
-    """The findings, also those that comments in the spec allow; each once."""
+    """Yield the findings, also those that comments in the spec allow; each once."""
     seen: set[tuple[object, ...]] = set()
     for rule in (check_templates, check_framings, check_fields, check_examples):
         for one in rule(protocol):

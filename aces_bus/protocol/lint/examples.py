@@ -28,7 +28,7 @@ from .finding import Finding
 
 
 def check_examples(protocol: Protocol) -> Iterator[Finding]:
-    """What is wrong with the examples of a protocol."""
+    """Yield what is wrong with the examples of a protocol."""
     for message in protocol.declared:
         for example in message.examples:
             text = failure(message, example)
@@ -152,7 +152,7 @@ def _unrecognised(message: Message, example: Example) -> str | None:
 
 
 def read_example(variant: Variant, message: Message, example: Example) -> ReferenceItem:
-    """What the reference makes of an example, its request being seen first."""
+    """Return what the reference makes of an example, its request being seen first."""
     if message.framing is None:
         reference = Reference([variant])
         frames = [*(example.frames or (example.packet,))]
@@ -167,7 +167,7 @@ def read_example(variant: Variant, message: Message, example: Example) -> Refere
 
 
 def example_frame(packet: ExampleFrame) -> Frame:
-    """A frame with these bytes."""
+    """Return a frame with these bytes."""
     return Frame(
         packet.identifier or 0,
         packet.data,
@@ -181,7 +181,7 @@ def example_frame(packet: ExampleFrame) -> Frame:
 
 
 def merge_example(found: Any, wanted: Any) -> Any:
-    """What was read with what an example says in its place; what the example leaves out stays as it was read."""
+    """Return what was read with what an example says in its place; what the example leaves out stays as it was read."""
     if isinstance(found, Mapping) and isinstance(wanted, Mapping):
         return {**found, **{name: merge_example(found.get(name), value) for name, value in wanted.items()}}
     if isinstance(found, list) and isinstance(wanted, (list, tuple)) and len(found) == len(wanted):
@@ -190,7 +190,9 @@ def merge_example(found: Any, wanted: Any) -> Any:
 
 
 def agree(found: Any, wanted: Any) -> bool:
-    """Whether a value is what an example says: floats up to rounding, flags by name, of nested records what is named."""
+    """Return whether a value is what an example says: floats up to rounding, flags by name, of nested records what is
+    named.
+    """
     if isinstance(found, FlagSet):
         if isinstance(wanted, int):
             return int(found) == wanted
@@ -215,7 +217,7 @@ def agree(found: Any, wanted: Any) -> bool:
 
 
 def show_value(value: Any) -> str:
-    """A value in a sentence: bytes as hexadecimal, floats short."""
+    """Return a value in a sentence: bytes as hexadecimal, floats short."""
     match value:
         case bytes():
             return value.hex(" ").upper() or "no bytes"

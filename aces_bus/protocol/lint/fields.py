@@ -39,7 +39,7 @@ FEW, MANY, MANY_UNSIGNED = 0.1, 2, 8
 
 
 def check_fields(protocol: Protocol) -> Iterator[Finding]:
-    """What is wrong or doubtful about the fields of a protocol."""
+    """Yield what is wrong or doubtful about the fields of a protocol."""
     fields = list(declared_fields(protocol))
     for field in fields:
         yield from _unit(field)
@@ -148,7 +148,7 @@ def _enumeration(field: Written, enumeration: Enumeration) -> Iterator[Finding]:
 
 
 def _holes(values: list[int]) -> list[int]:
-    """The numbers missing in a run of names; none where names are no run."""
+    """Return the numbers missing in a run of names; none where names are no run."""
     # Counted before they are walked: numbers of 32 bits may lie billions apart.
     if len(values) <= 2 or 2 * (values[-1] - values[0] + 1 - len(values)) > len(values):
         return []
@@ -284,7 +284,7 @@ _FACTOR = re.compile(r"(?P<name>.*?[^\d^+\-⁰¹²³⁴⁵⁶⁷⁸⁹⁻])(?P<p
 
 
 def is_unit(text: str) -> bool:
-    """Whether `text` is a unit; an empty one is (a number without unit).
+    """Return whether `text` is a unit; an empty one is (a number without unit).
 
     A unit is factors joined by `·`, `*`, `.` or a blank and divided by `/`, each with an optional whole exponent (`m/s²`,
     `m/s^2`, `kg·m2`, `rad s-1`), perhaps behind a number (`2 µs`).
@@ -322,7 +322,7 @@ def _is_factor(text: str) -> bool:
 
 
 def suggest(text: str) -> str | None:
-    """A unit that was perhaps meant."""
+    """Return a unit that was perhaps meant."""
     folded = {name.lower(): name for name in sorted(PREFIXED | PLAIN)}
     near = difflib.get_close_matches(text.strip().lower(), folded, n=1, cutoff=0.6)
     return folded[near[0]] if near else None
@@ -381,7 +381,7 @@ class Written:
 
 
 def declared_fields(protocol: Protocol) -> Iterator[Written]:
-    """Every field that some message or register of the protocol has, each construct once."""
+    """Yield every field that some message or register of the protocol has, each construct once."""
     seen: set[int] = set()
     for message in protocol.declared:
         for item in [*_heads(message), *payload_fields(message)]:
@@ -396,7 +396,7 @@ def declared_fields(protocol: Protocol) -> Iterator[Written]:
 
 
 def payload_fields(message: Message) -> Iterator[Written]:
-    """Every field in a message's payload, those of the items of lists too."""
+    """Yield every field in a message's payload, those of the items of lists too."""
     yield from _walk(message.payload, message.name, "", message.place)
 
 

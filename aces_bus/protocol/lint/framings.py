@@ -16,7 +16,7 @@ from .finding import Finding, Level
 
 
 def check_framings(protocol: Protocol) -> Iterator[Finding]:
-    """What is wrong or doubtful about the framings and checks of a protocol."""
+    """Yield what is wrong or doubtful about the framings and checks of a protocol."""
     for framing in protocol.framings:
         messages = [m for m in protocol.declared if m.framing is framing]
         yield from _sizes(framing)
@@ -115,7 +115,7 @@ def _message_size(message: Message, framing: Framing) -> Iterator[Finding]:
 
 
 def _begins(message: Message, framing: Framing, plan: MessagePlan) -> Iterator[Finding]:
-    """Whether the byte behind the sync may be what the template demands."""
+    """Yield whether the byte behind the sync may be what the template demands."""
     if not framing.not_next:
         return
     first = len(framing.sync)
@@ -146,7 +146,7 @@ def _gap(framing: Framing) -> Iterator[Finding]:
 
 
 def _covered(check: Check, size: int, start: int, end: int) -> list[int]:
-    """The positions that a check covers in a packet of `size` bytes."""
+    """Return the positions that a check covers in a packet of `size` bytes."""
     if check.over is None:
         return list(range(start, end))
     places = list(range(size))
@@ -154,7 +154,7 @@ def _covered(check: Check, size: int, start: int, end: int) -> list[int]:
 
 
 def _elsewhere(check: Check) -> bool:
-    """Whether a check covers something beside the packet's bytes."""
+    """Return whether a check covers something beside the packet's bytes."""
     return any(not isinstance(part, slice) for part in check.over or ())
 
 

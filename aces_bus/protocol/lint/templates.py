@@ -23,7 +23,7 @@ WALKED = 4096
 
 
 def check_templates(protocol: Protocol) -> Iterator[Finding]:
-    """What is wrong or doubtful about the templates of a protocol."""
+    """Yield what is wrong or doubtful about the templates of a protocol."""
     variants = protocol.variants()
     hanging = {variant: needing_context(list(variant.messages.values())) for variant in variants}
     for message in protocol.declared:
@@ -58,7 +58,7 @@ def _finding(level: Level, rule: str, message: Message, text: str, *others: Mess
 
 
 def _possible(message: Message) -> Iterator[Finding]:
-    """Whether some bytes satisfy the template."""
+    """Yield whether some bytes satisfy the template."""
     lengths = [None] if message.framing is not None else sorted(message.lengths or ())
     if all(_solution(message, length) is None for length in lengths):
         yield _finding(
@@ -90,7 +90,7 @@ def _somewhere(message: Message, variants: list[Variant]) -> Iterator[Finding]:
 
 
 def _here(variant: Variant, message: Message) -> Message | None:
-    """The message as a variant has it, its identifiers narrowed."""
+    """Return the message as a variant has it, its identifiers narrowed."""
     found = variant.messages.get(message.name)
     return (
         found
@@ -166,7 +166,7 @@ def _request(message: Message, what: str, request: Request) -> Iterator[Finding]
 
 
 def _values(message: Message, name: str) -> range | frozenset[int] | None:
-    """What a field of a message may be, as far as its template and width say; None: not known."""
+    """Return what a field of a message may be, as far as its template and width say; None: not known."""
     patterns: list[tuple[str | None, IdPattern]] = [(None, message.identifier)]
     patterns += [(h.name, h.pattern) for h in message.heads_written if h.pattern is not None]
     for own, pattern in patterns:
@@ -181,7 +181,7 @@ def _values(message: Message, name: str) -> range | frozenset[int] | None:
 
 
 def _fits(variant: Variant, message: Message, request: Request) -> bool:
-    """Whether a variant has the request, for a device that may send the message."""
+    """Return whether a variant has the request, for a device that may send the message."""
     asked = variant.messages.get(request.message.name)
     if asked is None:
         return False
@@ -230,7 +230,7 @@ def _shadows(hanging: Mapping[Variant, frozenset[str]]) -> Iterator[Finding]:
 
 
 def _covers(first: Message, other: Message) -> bool:
-    """Whether every packet of `other` is one of `first`; False when that is not proved."""
+    """Return whether every packet of `other` is one of `first`; False when that is not proved."""
     plan = first.plan
     if plan.opaque or plan.split is not None or first.check is not None or first.framing is not other.framing:
         return False
@@ -312,7 +312,7 @@ SHOWN = 8
 
 
 def check_wire(variants: Sequence[Variant], level: Level = "error", where: str = "") -> Iterator[Finding]:
-    """The collisions of protocols on one bus, in the order in which they are tried; `where` names the bus."""
+    """Yield the collisions of protocols on one bus, in the order in which they are tried; `where` names the bus."""
     for index, first in enumerate(variants):
         for second in variants[index + 1 :]:
             is_one_channel = None in (first.channel, second.channel) or first.channel == second.channel
@@ -357,7 +357,7 @@ def _advice(first: Variant) -> str:
 
 
 def witness_of(clash: Conflict) -> str | None:
-    """A conflict's packet or frame, as `aces spec explain` takes it."""
+    """Return a conflict's packet or frame, as `aces spec explain` takes it."""
     if clash.witness is None:
         return None
     if clash.identifier is None:

@@ -12,11 +12,12 @@ import struct
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import repeat
-from typing import Any, Literal
+from typing import Any
 
+from ...errors import CallerError
 from ...frame_table import NO_TIME, RX, UNUSUAL, FrameTable
 from ..counts import ScanCounts
-from ..declare.message import Direction, Message
+from ..declare.message import GivenWay, Message, way_of
 from ..declare.protocol import Variant
 from ..declare.transport import Transport
 from ..keys import FD, key_of
@@ -43,12 +44,12 @@ class CanScanner:
         self,
         variants: Sequence[Variant],
         *,
-        direction: Direction | Literal["both"] | None = None,
+        direction: GivenWay | None = None,
         include_unknown: bool = False,
         raw: bool = False,
     ) -> None:
         self.variants = tuple(variants)
-        self.direction = direction
+        self.direction = way_of(direction)
         self.include_unknown = include_unknown
         self.wires = [CanDecider(variant, direction, raw=raw) for variant in variants]
         #: By key, what decodes it; made when the first frame with that key comes.
@@ -86,7 +87,7 @@ class CanScanner:
         self.__dict__["take"] = self._make_take()
 
     def _lookup(self, key: int) -> Decode | None:
-        """The function that decodes a key, which is remembered: the protocols that claim it, in order."""
+        """Return the function that decodes a key, which is remembered: the protocols that claim it, in order."""
         found = [decode for wire in self.wires if (decode := wire.lookup(key)) is not None]
         if not found:
             return None
@@ -129,7 +130,8 @@ class CanScanner:
         return self._make_feed()(frames)
 
     def take(self, frame: Any, /) -> Any:
-        """The record of one usual frame, without a list around it; None: nothing was done with it, `feed` is to have it.
+        """Return the record of one usual frame, without a list around it; None: nothing was done with it, `feed` is to
+        have it.
 
         Usual are 11-bit data frames whose identifier has come before.
         """
@@ -154,7 +156,7 @@ class CanScanner:
         return take
 
     def _make_feed(self) -> Callable[[Iterable[Any]], list[Any]]:
-        """The hot loop, as a closure: what it touches for each frame are local names."""
+        """Return the hot loop, as a closure: what it touches for each frame are local names."""
         table = self._table
         given = self._given
         unusual = self._unusual
@@ -162,7 +164,12 @@ class CanScanner:
 
         def feed(frames: Iterable[Any]) -> list[Any]:
             out: list[Any] = []
-            for frame in frames:
+            try:
+                each = iter(frames)
+            except TypeError:
+                name = type(frames).__name__
+                raise CallerError(f"feed takes several frames, not one {name}: feed([frame])") from None
+            for frame in each:
                 if frame.is_extended_id or frame.is_remote_frame or frame.is_fd or frame.is_error_frame:
                     unusual(frame, out)
                     continue
@@ -183,7 +190,9 @@ class CanScanner:
         return feed
 
     def feed_table(self, frames: FrameTable, /) -> list[Record]:
-        """The same for frames as columns: what `feed(frames.frames())` gives, without an object a frame in between."""
+        """Return the same for frames as columns: what `feed(frames.frames())` gives, without an object a frame in
+        between.
+        """
         if not len(frames):
             return []
         table, error, unusual = self._table, struct.error, self._unusual
@@ -221,13 +230,13 @@ class CanScanner:
         return bool(self._carriers)
 
     def transport_of(self, key: int) -> Transport | None:
-        """The transport whose frames have a key."""
+        """Return the transport whose frames have a key."""
         bare = key & ~FD
         carrier = self._find_carrier(bare) if self._carriers else None
         return carrier.transport if carrier is not None and (key == bare or carrier.transport.fd) else None
 
     def carries(self, frame: Any) -> bool:
-        """Whether a frame is a transport's."""
+        """Return whether a frame is a transport's."""
         key = key_of(
             frame.arbitration_id, extended=frame.is_extended_id, remote=frame.is_remote_frame, fd=frame.is_fd
         )
@@ -298,7 +307,7 @@ class CanScanner:
                 self._origins.append(one.number)
 
     def _decoded(self, carrier: _Carrier, packet: Packet) -> tuple[Any, str]:
-        """A packet's record; where it has none, the reason."""
+        """Return a packet's record; where it has none, the reason."""
         key, frames = packet.key, packet.frames
         transport, last = carrier.transport, frames[-1]
         data = self._unwrapped(carrier, packet)
@@ -324,7 +333,7 @@ class CanScanner:
         return None, next((r for r in reasons if r != "unknown"), "unknown")
 
     def _rare(self, frame: Any, key: int, data: bytes) -> Any:
-        """The record of a frame with flags, or with a key that comes for the first time."""
+        """Return the record of a frame with flags, or with a key that comes for the first time."""
         decode = self._table.get(key) or self._lookup(key)
         if decode is None:
             return None
@@ -337,7 +346,7 @@ class CanScanner:
         return record
 
     def _unwrapped(self, carrier: _Carrier, packet: Packet) -> bytes | None:
-        """A packet's bytes without the check that its transport has added; None where it does not hold."""
+        """Return a packet's bytes without the check that its transport has added; None where it does not hold."""
         transport, key = carrier.transport, packet.key
         if len(packet.frames) == 1 or type(transport).unwrapped is Transport.unwrapped:
             return packet.data
@@ -421,7 +430,7 @@ class CanScanner:
         return key
 
     def _carrier_at(self, key: int) -> _Carrier | None:
-        """The transport that frames with this key belong to."""
+        """Return the transport that frames with this key belong to."""
         if not self._carriers:
             return None
         bare = key & ~FD
@@ -436,7 +445,7 @@ class CanScanner:
     def _request_of(
         self, key: int, data: bytes, transport: Transport | None
     ) -> tuple[Any, str, Mapping[str, Any]] | None:
-        """The request that a frame or packet is, with whose it is and its raw fields; None: no reply hangs on it."""
+        """Return the request that a frame or packet is, with whose it is and its raw fields; None: no reply hangs on it."""
         asked = self._asked.get((key, transport)) if transport is not None else self._asked.get(key)
         if asked is None:
             asked = [
@@ -470,7 +479,7 @@ class CanScanner:
         return self._end([packet for one in self._carriers for packet in one.reassembler.idle(time)])
 
     def close(self) -> list[Record]:
-        """The end of a capture: frames of packets that are not whole are pending, and stay so."""
+        """Return the end of a capture: frames of packets that are not whole are pending, and stay so."""
         return self.close_numbered()[0]
 
     def close_numbered(self) -> tuple[list[Record], list[int]]:

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from typing import Literal
 
 from construct import ConstructError
 
 from ...errors import AcesError
-from ..declare.message import Direction, Message
+from ..declare.message import GivenWay, Message
 from ..declare.packet import ContentError, LengthError, WrongCheckError, key_image
 from ..declare.protocol import Variant
 from ..declare.transport import Transport
@@ -30,7 +29,7 @@ _KINDS = EXTENDED | REMOTE | FD
 
 
 def _kinds_of(message: Message) -> list[int]:
-    """The flags of the keys of a message's frames."""
+    """Return the flags of the keys of a message's frames."""
     return [key_of(0, extended=message.extended, remote=message.remote, fd=fd) for fd in message.formats]
 
 
@@ -47,7 +46,7 @@ class _Index:
             self._by_mask.setdefault(mask, {}).setdefault(key, []).append((number, message))
 
     def of(self, key: int) -> list[Message]:
-        """The messages whose identifier and flags fit, in order."""
+        """Return the messages whose identifier and flags fit, in order."""
         identifier = key & 0x1FFF_FFFF
         found = [
             (number, message)
@@ -93,7 +92,7 @@ def _keys(messages: tuple[Message, ...]) -> _Keys:
 class CanDecider(Decider):
     """One variant's part of a CAN scanner: from key to the function that decodes it."""
 
-    def __init__(self, variant: Variant, direction: Direction | Literal["both"] | None, *, raw: bool) -> None:
+    def __init__(self, variant: Variant, direction: GivenWay | None, *, raw: bool) -> None:
         super().__init__(variant, direction, raw=raw)
         #: The keys of frames (None), and of the packets of each transport.
         self._spaces = {
@@ -112,27 +111,27 @@ class CanDecider(Decider):
         return [transport for transport in self._spaces if transport is not None]
 
     def carried_by(self, key: int) -> Transport | None:
-        """The transport whose frames have a key, which is without the flag of CAN FD."""
+        """Return the transport whose frames have a key, which is without the flag of CAN FD."""
         for transport, keys in self._spaces.items():
             if transport is not None and (keys.all.of(key) or transport.is_own(key)):
                 return transport
         return None
 
     def candidates(self, key: int, transport: Transport | None = None) -> list[Message]:
-        """The messages whose identifier and flags fit, in order; of a `transport`, those of its packets."""
+        """Return the messages whose identifier and flags fit, in order; of a `transport`, those of its packets."""
         keys = self._spaces.get(transport)
         return keys.all.of(key) if keys is not None else []
 
     @staticmethod
     def matching(key: int, messages: Iterable[Message]) -> list[Message]:
-        """Those of `messages` whose identifier and flags fit."""
+        """Return those of `messages` whose identifier and flags fit."""
         identifier = key & 0x1FFF_FFFF
         return [
             m for m in messages if key & _KINDS in _kinds_of(m) and m.identifier.match(identifier) is not None
         ]
 
     def lookup(self, key: int, transport: Transport | None = None) -> Decode | None:
-        """The function that decodes a key; None for one that no message has."""
+        """Return the function that decodes a key; None for one that no message has."""
         keys = self._spaces.get(transport)
         found: Sequence[Message] = keys.spelt_out.get(key, ()) if keys is not None else ()
         if not found and keys is not None and keys.has_patterns:

@@ -45,7 +45,9 @@ class SlipSegment:
     reason = "SLIP escape"
 
     def suffix(self, at: int) -> bytes | None:
-        """The data of the suffix from `at` on; None where there are none. Suffixes are asked in order, or cost more."""
+        """Return the data of the suffix from `at` on; None where there are none. Suffixes are asked in order, or cost
+        more.
+        """
         if at < self._valid:
             return None
         if at < self._seen:
@@ -81,7 +83,7 @@ class CobsSegment:
         self._chains = 0
 
     def suffix(self, at: int) -> bytes | None:
-        """The data of the suffix from `at` on; None where there are none."""
+        """Return the data of the suffix from `at` on; None where there are none."""
         if not self._valid[at]:
             return None
         wire, size, known = self.wire, len(self.wire), self._known
@@ -173,7 +175,7 @@ class Segments:
         return verdict_of(judged, start)
 
     def unstuff(self, packet: bytes) -> bytes:
-        """The data of `packet`, the whole one that was judged last."""
+        """Return the data of `packet`, the whole one that was judged last."""
         return self._data
 
     def _has_not_next(self, buffer: bytes, start: int) -> bool:
@@ -181,7 +183,7 @@ class Segments:
 
 
 def verdict_of(judged: Judgement, start: int) -> tuple[str, int, str]:
-    """A framing's verdict as scan functions take it: (verdict, end, reason)."""
+    """Return a framing's verdict as scan functions take it: (verdict, end, reason)."""
     if judged.verdict is Verdict.WHOLE:
         return "whole", start + judged.size, ""
     if judged.verdict is Verdict.BAD:

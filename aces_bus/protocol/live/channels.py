@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import groupby
-from typing import Any, Generic, Literal, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from ..counts import ScanCounts, sum_counts
-from ..declare.message import Direction
+from ..declare.message import GivenWay
 from ..declare.protocol import Variant
 from ..record import Record
 from .can import CanScanner
@@ -44,7 +44,7 @@ class ChannelScanners(Generic[Kind]):
         self._scanners: dict[str | None, Kind] = {}
 
     def of(self, channel: str | None) -> Kind:
-        """The scanner of a channel; channels that no protocol is bound to keep apart too."""
+        """Return the scanner of a channel; channels that no protocol is bound to keep apart too."""
         if channel not in self._scanners:
             if len(self._scanners) >= MOST and channel not in self._bound:
                 channel = None
@@ -73,7 +73,7 @@ class ChannelScanner(ChannelScanners[CanScanner]):
         self,
         variants: Sequence[Variant],
         *,
-        direction: Direction | Literal["both"] | None = None,
+        direction: GivenWay | None = None,
         include_unknown: bool = False,
         raw: bool = False,
     ) -> None:
@@ -107,5 +107,5 @@ class ChannelScanner(ChannelScanners[CanScanner]):
         return [record for scanner in self._scanners.values() for record in scanner.idle(time)]
 
     def close(self) -> list[Record]:
-        """The end of a capture; see `CanScanner.close`."""
+        """Return the end of a capture; see `CanScanner.close`."""
         return [record for scanner in self._scanners.values() for record in scanner.close()]

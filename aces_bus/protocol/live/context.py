@@ -125,13 +125,13 @@ class Context:
         return note
 
     def requests_of(self, name: str) -> frozenset[str]:
-        """The names of the requests that this message may hang on."""
+        """Return the names of the requests that this message may hang on."""
         return frozenset(link.request.message.name for link in self._links[name])
 
     def of(
         self, candidates: Sequence[tuple[Message, Mapping[str, Any]]], channel: Any, time: float | None
     ) -> tuple[Message, Mapping[str, Any]] | None:
-        """Which candidate (a message and its raw `shared` fields) the context allows, with the request's values.
+        """Return which candidate (a message and its raw `shared` fields) the context allows, with the request's values.
 
         Uses up the request, unless it is a mode; one that was addressed to everyone, for the device that answers.
         """
@@ -174,7 +174,7 @@ class Context:
         return [*places], found
 
     def mode(self, modes: Modes) -> tuple[Message, Mapping[str, Any]] | None:
-        """What `of` gives where all of these messages fit; None where it is to be asked."""
+        """Return what `of` gives where all of these messages fit; None where it is to be asked."""
         seen = self._seen
         latest: Entry | None = None
         last: list[Entry | None] = []
@@ -196,7 +196,9 @@ class Context:
     def pending(
         self, message: Message, values: Mapping[str, Any], channel: Any, time: float | None
     ) -> Mapping[str, Any] | None:
-        """The request that a reply with these outer fields would answer: for payloads whose layout is in their request."""
+        """Return the request that a reply with these outer fields would answer: for payloads whose layout is in their
+        request.
+        """
         latest: Entry | None = None
         for link in self._links[message.name]:
             who = link.who(values)
@@ -232,7 +234,7 @@ class Context:
 
 
 def _wanted(link: RequestLink, who: tuple[Any, ...]) -> Sequence[tuple[tuple[Any, ...], bool]]:
-    """What a request to the device `who` has in the shared fields, and one to everybody, with whether it is that."""
+    """Return what a request to the device `who` has in the shared fields, and one to everybody, with whether it is that."""
     if not link.to_all:
         return ((who, False),)
     every = tuple(own if all_ is None else all_ for all_, own in zip(link.to_all, who, strict=True))
@@ -240,7 +242,9 @@ def _wanted(link: RequestLink, who: tuple[Any, ...]) -> Sequence[tuple[tuple[Any
 
 
 def _who_of(shared: tuple[str, ...]) -> Who:
-    """The values of these fields, None where there is none; of one field without a loop, as it is for most replies."""
+    """Return the values of these fields, None where there is none; of one field without a loop, as it is for most
+    replies.
+    """
     if len(shared) == 1:
         name = shared[0]
         return lambda values: (values.get(name),)

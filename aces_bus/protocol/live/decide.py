@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 from weakref import WeakKeyDictionary
 
 from ...compiling import mypyc_attr
 from ..declare.ambiguity import needing_context, ordered
-from ..declare.message import Direction, Message
+from ..declare.message import GivenWay, Message
 from ..declare.protocol import Variant
 from ..generate.load import decoders_of, load_source
 from ..generate.scan import print_choice
@@ -52,7 +52,7 @@ class _Later:
 class Decider:
     """One variant in one direction: its messages in order of trial, and what they hang on."""
 
-    def __init__(self, variant: Variant, direction: Direction | Literal["both"] | None, *, raw: bool) -> None:
+    def __init__(self, variant: Variant, direction: GivenWay | None, *, raw: bool) -> None:
         self.variant = variant
         self.messages = ordered(variant.messages_for(direction))
         self.decoders = decoders_of(variant, raw)
@@ -80,7 +80,7 @@ class Decider:
         self.missed, self._need = 0, (-1, "")
 
     def need_of(self, key: int) -> str:
-        """The reason when the packet `key` just refused is a reply without its request, else empty."""
+        """Return the reason when the packet `key` just refused is a reply without its request, else empty."""
         return self._need[1] if self._need[0] == key else ""
 
     def forget_need(self) -> None:
@@ -88,7 +88,7 @@ class Decider:
         self._need = (-1, "")
 
     def decide(self, messages: Sequence[Message], *, alone: bool = False) -> Decode:
-        """The function that decides among `messages`.
+        """Return the function that decides among `messages`.
 
         `alone` says that the caller takes `struct.error` for None, which saves the usual frame a length check.
         """
@@ -131,7 +131,9 @@ class Decider:
         return decode
 
     def _noting(self, message: Message) -> Decode:
-        """The decode function of a message, which also notes it when replies hang on it, or uses up what it answers."""
+        """Return the decode function of a message, which also notes it when replies hang on it, or uses up what it
+        answers.
+        """
         decode = self.decoders[message.name]
         if message.counters:
             decode = _counting(decode, message, self)
@@ -165,7 +167,7 @@ class Decider:
         return None if seen is None else _values(seen)
 
     def _shared(self, message: Message, record: Any) -> dict[str, Any]:
-        """What a raw record has in the fields that its message shares with its requests."""
+        """Return what a raw record has in the fields that its message shares with its requests."""
         return {name: getattr(record, name, None) for name in self.context.shared[message.name]}
 
     def _with_context(self, bound: Sequence[Message], otherwise: Decode | None) -> Decode:
@@ -182,7 +184,7 @@ class Decider:
             packet: bytes,
             rx: Any,
         ) -> list[tuple[Message, dict[str, Any]]]:
-            """Those that the bytes may be, with what they share with their requests."""
+            """Return those that the bytes may be, with what they share with their requests."""
             fitting = []
             for message in messages:
                 seen = raw[message.name](data, key, time, channel, packet, rx)
@@ -209,7 +211,7 @@ class Decider:
         is_plain = all(m.framing is None and m.transport is None for m in bound)
 
         def by_mode(data: bytes, key: int, time: Any, channel: Any, packet: bytes, rx: Any) -> Any:
-            """The record of the message that the mode says, where the bytes fit it: the same, and quicker."""
+            """Return the record of the message that the mode says, where the bytes fit it: the same, and quicker."""
             try:
                 some = modes[key, channel]
             except KeyError:
@@ -248,7 +250,7 @@ class Decider:
 
 
 def _values(record: Any) -> dict[str, Any]:
-    """The fields of a raw record, for the memory of requests."""
+    """Return the fields of a raw record, for the memory of requests."""
     kind = type(record)
     names = _names.get(kind)
     if names is None:

@@ -19,7 +19,7 @@ Array = npt.NDArray[Any]
 
 
 def number_at(data: Array, at: Array, size: int, order: str) -> Array:
-    """The unsigned numbers of `size` bytes at `at`, as int64 (uint64 of 8 bytes)."""
+    """Return the unsigned numbers of `size` bytes at `at`, as int64 (uint64 of 8 bytes)."""
     if size == 1:
         return data.take(at)
     number = np.zeros(len(at), np.int64 if size < 8 else np.uint64)
@@ -45,7 +45,7 @@ class PacketHeaders:
                 self._table = np.arange(256) * affine.factor + affine.constant
 
     def headers(self, data: Array, last: int) -> Array:
-        """Where a packet may begin, before `last`."""
+        """Return where a packet may begin, before `last`."""
         sync = self.framing.sync
         hits = data[:last] == sync[0]
         for offset in range(1, len(sync)):
@@ -55,7 +55,7 @@ class PacketHeaders:
         return np.flatnonzero(hits)
 
     def sizes(self, data: Array, starts: Array) -> Array:
-        """The sizes of the packets that begin at `starts`, int64."""
+        """Return the sizes of the packets that begin at `starts`, int64."""
         affine = self.framing.affine
         if affine is None:
             return np.full(len(starts), self.framing.fixed_size, np.int64)
@@ -107,7 +107,7 @@ class PacketFinder(PacketHeaders):
         return starts.tolist(), ends.tolist(), stop
 
     def _checked(self, data: Any, check: Check, starts: Any, ends: Any) -> Any:
-        """Whether the number at `ends` is that of the bytes before it, from running sums."""
+        """Return whether the number at `ends` is that of the bytes before it, from running sums."""
         self.summed = len(data)
         if check.kind == "xor":
             running = _before(np.bitwise_xor, data, np.uint8)
@@ -135,7 +135,7 @@ class PacketFinder(PacketHeaders):
 
 
 def _before(fold: Any, data: Any, kind: Any) -> Any:
-    """The running value before each position, and after the last."""
+    """Return the running value before each position, and after the last."""
     running = np.empty(len(data) + 1, dtype=kind)
     running[0] = 0
     fold.accumulate(data, dtype=kind, out=running[1:])

@@ -35,10 +35,10 @@ class Packet(NamedTuple):
 class _Open:
     """A packet under way."""
 
-    __slots__ = ("data", "frames", "part", "pieces", "room", "total")
+    __slots__ = ("data", "frames", "gap_s", "part", "pieces", "room", "total")
 
-    def __init__(self, part: FramePart, frame: CarriedFrame, room: int) -> None:
-        self.part, self.room = part, room
+    def __init__(self, part: FramePart, frame: CarriedFrame, room: int, gap_s: float) -> None:
+        self.part, self.room, self.gap_s = part, room, gap_s
         self.frames = [frame]
         #: The pieces behind the first frame's by their place, from 1 on.
         self.pieces: dict[int, bytes] = {}
@@ -61,7 +61,7 @@ class _Open:
         return place
 
     def named(self, place: int) -> str:
-        """A frame by its place, as people count."""
+        """Return a frame by its place, as people count."""
         return f"frame {place + 1} of {self.total}" if self.total else f"frame {place + 1}"
 
     def why(self, reason: str) -> str:
@@ -84,10 +84,10 @@ _ENDS: dict[str, str] = {"abort": "aborted", "over": "over"}
 class _Conversation:
     """An acknowledged packet under way; or lost, without frames, until its session's end."""
 
-    __slots__ = ("block", "count", "data", "frames", "is_lost", "parts", "time", "total")
+    __slots__ = ("block", "count", "data", "frames", "gap_s", "is_lost", "parts", "time", "total")
 
-    def __init__(self, part: FramePart, frame: CarriedFrame, room: int) -> None:
-        self.frames, self.parts, self.time = [frame], [part], frame.time
+    def __init__(self, part: FramePart, frame: CarriedFrame, room: int, gap_s: float) -> None:
+        self.frames, self.parts, self.time, self.gap_s = [frame], [part], frame.time, gap_s
         self.is_lost = False
         #: The packet's bytes that the receiver has taken, and in how many next frames they came.
         self.data, self.count = bytearray(part.data), 0
@@ -133,7 +133,7 @@ class _Conversation:
         return "too long" if len(self.frames) > transport.most_frames else ""
 
     def named(self, number: int) -> str:
-        """A frame of this block by its number, as people count."""
+        """Return a frame of this block by its number, as people count."""
         return f"frame {1 + self.count + number}" + (f" of {self.total}" if self.total else "")
 
     def why(self, reason: str) -> str:
@@ -155,7 +155,7 @@ class Reassembler:
     def take(
         self, frame: Any, number: int, key: int, data: bytes, channel: Any, time: float | None
     ) -> list[Packet]:
-        """What one more frame of the transport decides; `key` is without the flag of CAN FD."""
+        """Return what one more frame of the transport decides; `key` is without the flag of CAN FD."""
         transport = self.transport
         out: list[Packet] = []
         part = self._within(key, data, channel, time, out) if transport.has_conversations else None
@@ -173,7 +173,8 @@ class Reassembler:
         if found is not None and self._is_late(found, time):
             out += self._give_up(who, found.why("timed out"))
             found = None
-        if isinstance(found, _Conversation) and role in _SPOKEN:
+        # With a reason the frame opens a packet that is refused: what was under way before has ended.
+        if isinstance(found, _Conversation) and role in _SPOKEN and not part.reason:
             out += self._spoken(who, found, part, mine)
             return out
         if role == "next":
@@ -194,7 +195,7 @@ class Reassembler:
             out += self._first(who, part, mine)
         else:
             out.append(Packet([mine], part.reason or "malformed: no first frame"))
-            lost = _Conversation(part, mine, 1)
+            lost = _Conversation(part, mine, 1, transport.timeout_s)
             lost.lose()
             out += self._opened(who, lost)
         return out
@@ -202,7 +203,7 @@ class Reassembler:
     def _within(
         self, key: int, data: bytes, channel: Any, time: float | None, out: list[Packet]
     ) -> FramePart | None:
-        """What a frame is to an acknowledged packet that is under way."""
+        """Return what a frame is to an acknowledged packet that is under way."""
         for session in self.transport.conversations(key):
             found = self._open.get((channel, session))
             if not isinstance(found, _Conversation):
@@ -217,7 +218,7 @@ class Reassembler:
 
     def _is_late(self, found: _Open | _Conversation, time: float | None) -> bool:
         last = found.time
-        return last is not None and time is not None and time - last > self.transport.timeout_s
+        return last is not None and time is not None and time - last > found.gap_s
 
     def _opened(self, who: Hashable, made: _Open | _Conversation) -> Iterator[Packet]:
         """One more is under way."""
@@ -250,11 +251,11 @@ class Reassembler:
                 yield Packet(found.frames, "", found.parts[0].key, bytes(found.data))
 
     def _first(self, who: Hashable, part: FramePart, mine: CarriedFrame) -> Iterator[Packet]:
-        room = self.transport.room(len(mine.data))
+        room, gap_s = self.transport.room(len(mine.data)), self.transport.gap_s(part)
         if part.is_acknowledged:
-            yield from self._opened(who, _Conversation(part, mine, room))
+            yield from self._opened(who, _Conversation(part, mine, room, gap_s))
             return
-        made = _Open(part, mine, room)
+        made = _Open(part, mine, room, gap_s)
         if part.is_last or (part.size is not None and made.total == 1):
             yield Packet(made.frames, "", part.key, made.joined())
             return
@@ -265,7 +266,7 @@ class Reassembler:
 
     def _next(self, who: Hashable, found: _Open, part: FramePart, mine: CarriedFrame) -> Iterator[Packet]:
         transport, pieces = self.transport, found.pieces
-        if transport.any_order:
+        if transport.any_order and not found.part.is_broadcast:
             place = (part.number - transport.first_number) % transport.modulo + 1
             is_repeated = place in pieces and pieces[place] == part.data
             is_wrong = found.total > 0 and place >= found.total
@@ -289,6 +290,8 @@ class Reassembler:
         least = found.part.size - so_far + found.room if found.part.size is not None and is_last else 0
         if len(part.data) < least or (not is_last and len(part.data) != found.room):
             yield from self._give_up(who, f"malformed: {found.named(place)} is short")
+        elif is_last and not part.is_last and len(part.data) > least and transport.following.last is not None:
+            yield from self._give_up(who, f"malformed: {found.named(place)} is too long")
         elif (
             found.part.size is None
             and len(found.part.data) + sum(map(len, pieces.values())) > transport.longest + transport.overhead
@@ -300,20 +303,20 @@ class Reassembler:
             yield Packet(found.frames, "", found.part.key, found.joined())
 
     def _give_up(self, who: Hashable, reason: str) -> list[Packet]:
-        """The frames of a packet that is given up; none of one that is lost already."""
+        """Return the frames of a packet that is given up; none of one that is lost already."""
         lost = self._open.pop(who)
         self.pending -= len(lost.frames)
         return [Packet(lost.frames, reason)] if lost.frames else []
 
     def idle(self, time: float | None) -> list[Packet]:
-        """The packets under way that are out of time at `time`; None: that nothing follows any more."""
+        """Return the packets under way that are out of time at `time`; None: that nothing follows any more."""
         late = [
             (who, found) for who, found in self._open.items() if time is None or self._is_late(found, time)
         ]
         return [packet for who, found in late for packet in self._give_up(who, found.why("timed out"))]
 
     def close(self) -> list[Packet]:
-        """The frames of packets under way, which are pending for ever."""
+        """Return the frames of packets under way, which are pending for ever."""
         return [packet for who in list(self._open) for packet in self._give_up(who, "pending")]
 
     @property
@@ -322,7 +325,7 @@ class Reassembler:
         return not self._open
 
     def missing(self, channel: Any, session: Hashable) -> list[int]:
-        """The places of the frames that a packet under way lacks; of one of unknown size all that may follow."""
+        """Return the places of the frames that a packet under way lacks; of one of unknown size all that may follow."""
         found = self._open.get((channel, session))
         if not isinstance(found, _Open):
             return []
@@ -330,7 +333,7 @@ class Reassembler:
         return [place for place in range(found.due, end) if place not in found.pieces]
 
     def under_way(self) -> list[CarriedFrame]:
-        """The frames of packets under way."""
+        """Return the frames of packets under way."""
         return [frame for found in self._open.values() for frame in found.frames]
 
     def reset(self) -> None:

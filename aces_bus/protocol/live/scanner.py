@@ -6,12 +6,12 @@ import typing
 import warnings
 from collections.abc import Callable, Sequence
 from threading import Lock, current_thread
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from ...errors import CallerError, UnknownNameError
 from ...plugins import Plugins
 from ..counts import ScanCounts
-from ..declare.message import Direction
+from ..declare.message import GivenWay
 from ..declare.protocol import Protocol, Variant
 from ..record import Record
 from .can import CanScanner
@@ -48,7 +48,7 @@ class Scanner(typing.Protocol):
         ...
 
     def idle(self, time: float | None = None) -> list[Record]:
-        """The line fell silent: what is incomplete never will be."""
+        """Return the line fell silent: what is incomplete never will be."""
         ...
 
     def close(self) -> list[Record]:
@@ -67,22 +67,24 @@ class Scanner(typing.Protocol):
 def make_scanner(
     variants: Sequence[Variant],
     *,
-    direction: Direction | Literal["both"] | None = None,
+    direction: GivenWay | None = None,
     include_unknown: bool = False,
     raw: bool = False,
     check_thread: bool = False,
 ) -> Scanner:
     """One scanner for all protocols of a wire: each byte and frame has one owner, the first in the order given.
 
-    `direction` limits it to messages to or from the device; "both" pairs requests and replies. With `include_unknown`, what
-    is not decoded comes as `Unknown` among the records. `raw` leaves out units, scales and names.
+    `direction` limits it to messages "to device" or "from device" (in short "to", "from"); "both" pairs requests and
+    replies. With `include_unknown`, what is not decoded comes as `Unknown` among the records. `raw` leaves out units, scales
+    and names.
 
     A variant bound to a channel (`variant.on("can0")`) decides about that channel's frames only.
 
     A scanner is for one thread. With `check_thread` a call that comes while another is under way raises `CallerError`, at
     the cost of a lock a call; without it such calls give wrong records and counts.
 
-    Raises `CallerError` when the protocols are not of one kind of link, or when one needs a direction and none is given.
+    Raises `CallerError` when the protocols are not of one kind of link, for a word that is no direction, or when a protocol
+    needs a direction and none is given.
     """
     if not variants:
         raise CallerError("a scanner needs at least one protocol")
@@ -146,7 +148,7 @@ PROTOCOLS = Plugins("aces_bus.protocols", "protocol", Protocol)
 
 
 def list_protocols() -> dict[str, EntryPoint]:
-    """The installed protocols, by name, without importing them. Raises `SpecError` when two packages claim a name."""
+    """Return the installed protocols, by name, without importing them. Raises `SpecError` when two packages claim a name."""
     return PROTOCOLS.points()
 
 
@@ -155,7 +157,7 @@ _adopted: dict[str, Protocol] = {}
 
 
 def load_protocol(name: str) -> Protocol:
-    """The installed protocol `name`, or that of a file by its path: `lamp.py` (`lamp.py:NAME` of several), `car.dbc`,
+    """Return the installed protocol `name`, or that of a file by its path: `lamp.py` (`lamp.py:NAME` of several), `car.dbc`,
     `common.xml` and the other kinds of docs/captures.md. A warning says what of a database could not be taken over.
 
     Raises `UnknownNameError` with the names that exist, `CallerError` for what a file raises or cannot be read.

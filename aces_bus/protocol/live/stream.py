@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from ..counts import ScanCounts
 from ..declare.checks import Sums, fletcher_of, xor_of
 from ..declare.framing import Framing, Verdict
-from ..declare.message import Direction
+from ..declare.message import GivenWay, way_of
 from ..declare.protocol import Variant
 from ..declare.stuffing import Insert
 from ..generate.load import load_source
@@ -47,13 +47,13 @@ class StreamScanner:
         self,
         variants: Sequence[Variant],
         *,
-        direction: Direction | Literal["both"] | None = None,
+        direction: GivenWay | None = None,
         include_unknown: bool = False,
         raw: bool = False,
     ) -> None:
         self.link = variants[0].link
         self.variants = tuple(variants)
-        self.direction = direction
+        self.direction = way_of(direction)
         self.include_unknown = include_unknown
         self.max_size = 0
         self.deciders = [Decider(variant, direction, raw=raw) for variant in variants]
@@ -184,7 +184,7 @@ class StreamScanner:
         return self.advance(b"", self.time, silent=True, closing=True)
 
     def advance(self, data: bytes, time: float | None, *, silent: bool, closing: bool = False) -> list[Any]:
-        """What `data` completes, or with `silent` the silence behind it; the total is counted by who calls."""
+        """Return what `data` completes, or with `silent` the silence behind it; the total is counted by who calls."""
         self.time = time
         buffer = self.buffer + data if self.buffer else data
         found: list[Any] = []
@@ -403,7 +403,7 @@ class StreamScanner:
 
 
 def has_size(framing: Framing) -> bool:
-    """Whether packets of the framing have sync bytes and say their size: what `Finder` can search for."""
+    """Return whether packets of the framing have sync bytes and say their size: what `Finder` can search for."""
     return bool(framing.sync) and (framing.affine is not None or framing.fixed_size is not None)
 
 

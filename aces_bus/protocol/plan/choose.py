@@ -22,7 +22,7 @@ class Choice(msgspec.Struct, frozen=True):
 
 
 def choose(plans: Sequence[MessagePlan], tried: frozenset[int] = frozenset()) -> Choice:
-    """The choice among messages that share identifier or framing."""
+    """Return the choice among messages that share identifier or framing."""
     names = tuple(plan.name for plan in plans)
     if len(plans) < 2:
         return Choice(names)
@@ -46,7 +46,7 @@ def choose(plans: Sequence[MessagePlan], tried: frozenset[int] = frozenset()) ->
 
 
 def _fixed_bytes(plan: MessagePlan) -> dict[int, tuple[int, ...]]:
-    """The bytes that a message allows only some values, by offset."""
+    """Return the bytes that a message allows only some values, by offset."""
     found: dict[int, tuple[int, ...]] = {c.offset: (c.value,) for c in plan.constants if c.mask == 0xFF}
     for one in plan.one_of:
         if one.number.size == 1:

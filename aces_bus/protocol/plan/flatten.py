@@ -33,7 +33,7 @@ ITEM = ("kind", "data", "reason")
 
 @lru_cache(maxsize=4096)
 def flatten(message: Message) -> p.MessagePlan:
-    """The plan of a message."""
+    """Return the plan of a message."""
     framing = message.framing
     tail = framing.check_size + len(framing.end) if framing is not None else 0
     base = message.identifier.constant + key_of(
@@ -97,7 +97,7 @@ def flatten(message: Message) -> p.MessagePlan:
 
 
 def _opaque(message: Message, name: str, reason: str) -> p.Opaque:
-    """A field that construct decodes, with what is known of its inside."""
+    """Return a field that construct decodes, with what is known of its inside."""
     items: Any = next((one for one in getattr(message.payload, "subcons", ()) if one.name == name), None)
     while isinstance(items, c.Renamed):
         items = items.subcon
@@ -113,7 +113,7 @@ def _opaque(message: Message, name: str, reason: str) -> p.Opaque:
 
 
 def _claims(always: int, masks: dict[p.Selector, dict[int, int]], outer: p.When | None) -> tuple[Any, ...]:
-    """What of a layout its fields claim: the last three values of a `Rest`. `outer` is when the layout is there."""
+    """Return what of a layout its fields claim: the last three values of a `Rest`. `outer` is when the layout is there."""
     if not masks:
         return ((None, always),), None, ()
     selectors = list(masks)
@@ -125,7 +125,7 @@ def _claims(always: int, masks: dict[p.Selector, dict[int, int]], outer: p.When 
 
 
 def _parts(con: c.Construct, path: str, *, top: bool = True) -> list[tuple[str, tuple[str, ...]]]:
-    """The nested records of an opaque payload."""
+    """Return the nested records of an opaque payload."""
     found: list[tuple[str, tuple[str, ...]]] = []
     if isinstance(con, c.Struct):
         names = tuple(item.name for item in con.subcons if item.name)
@@ -173,7 +173,7 @@ def _head(
 
 
 def _numbers(pattern: IdPattern) -> tuple[int, ...] | range | None:
-    """The numbers of a pattern; one capture of a range stays a range, however long. None: too many to list."""
+    """Return the numbers of a pattern; one capture of a range stays a range, however long. None: too many to list."""
     if len(pattern) > 4096 and len(pattern.captures) == 1:
         values, shift = pattern.captures[0].values, pattern.captures[0].shift
         if isinstance(values, range) and values.step > 0:
@@ -197,7 +197,7 @@ def _capture_field(
 
 
 def _asked(path: str) -> Any:
-    """The expression of a field, by its path: `this.flags.count`."""
+    """Return the expression of a field, by its path: `this.flags.count`."""
     return reduce(getattr, path.split("."), c.this)
 
 
@@ -422,7 +422,7 @@ class _Builder:
         return self._groups(con.subcon, number, path), name
 
     def _prefixed(self, con: c.FocusedSeq, path: str) -> p.Repeated:
-        """What construct's `PrefixedArray` is made of: a count, and as many groups."""
+        """Return what construct's `PrefixedArray` is made of: a count, and as many groups."""
         parts: dict[Any, Any] = {
             item.name: item.subcon if isinstance(item, c.Renamed) else item for item in con.subcons
         }
@@ -454,7 +454,7 @@ class _Builder:
             raise NotFlat("a list of items that does not end the payload")
 
     def _alone(self, con: c.Construct, path: str, *, may_hold_lists: bool = False) -> p.MessagePlan:
-        """The plan of a construct by itself, from byte 0 on, as the one field `data`."""
+        """Return the plan of a construct by itself, from byte 0 on, as the one field `data`."""
         inner = _Builder(self.message, 0)
         inner.offset, inner._shapes = 0, self._shapes
         if isinstance(con, c.Struct):
@@ -478,7 +478,7 @@ class _Builder:
         )
 
     def _group(self, path: str, fields: list[p.PlanField]) -> p.NestedRecord:
-        """A nested record. Its type is named after its path; where two paths read alike, the second gets a number."""
+        """Return a nested record. Its type is named after its path; where two paths read alike, the second gets a number."""
         shape = (path, tuple(field.name for field in fields))
         name, count = self._shapes.get(shape, path), 1
         while shape not in self._shapes and name in self._shapes.values():
@@ -526,7 +526,7 @@ class _Builder:
         return fields
 
     def _slot(self, slot: LayoutSlot, layout: BitLayout) -> tuple[p.Scalar, str]:
-        """A field of a layout as the plan has it, and what it means."""
+        """Return a field of a layout as the plan has it, and what it means."""
         inner, steps, unit, doc = peeled(slot.field)
         doc = slot.doc or doc
         assert isinstance(inner, Bits)

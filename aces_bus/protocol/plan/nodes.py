@@ -87,7 +87,7 @@ class Node:
         return found
 
     def inside(self, leaf: NodePath) -> Iterator[NodePath]:
-        """What columns have behind a list: the single values of its items; `leaf` is the list itself."""
+        """Return what columns have behind a list: the single values of its items; `leaf` is the list itself."""
         return iter(())
 
     @property
@@ -128,6 +128,7 @@ class Scalar(Node, msgspec.Struct, frozen=True):
     `kind` is "uint", "int" (two's complement), "float", "bytes" or "text". `size` is in bytes, None for "to the end".
     `bits` is empty for everything but integers, and floats that are not whole bytes in one order: then the number has
     `len(bits)` bits, and `offset` and `size` are those of its layout. `steps` go from the wire to the record.
+    A text of fixed size stops at the first of its `ends`.
     """
 
     kind: Literal["uint", "int", "float", "bytes", "text"]
@@ -137,6 +138,7 @@ class Scalar(Node, msgspec.Struct, frozen=True):
     bits: tuple[int, ...] = ()
     steps: tuple[Step, ...] = ()
     unit: str = ""
+    ends: str = ""
 
     @property
     def is_whole(self) -> bool:
@@ -330,7 +332,7 @@ class TaggedItems(ListNode, msgspec.Struct, frozen=True):
         )
 
     def inside(self, leaf: NodePath) -> Iterator[NodePath]:
-        """The values of the first good item of each kind."""
+        """Yield the values of the first good item of each kind."""
         for kind in self.kinds:
             for one in kind.plan.leaves:
                 path = ".".join([leaf.path, kind.name, *map(str, one.way[1:])])
@@ -433,7 +435,7 @@ class OpaqueItems(Opaque, frozen=True):
     values: tuple[tuple[str, int, NamedValue], ...]
 
     def inside(self, leaf: NodePath) -> Iterator[NodePath]:
-        """The first value of each name."""
+        """Yield the first value of each name."""
         for name, number, node in self.values:
             plan = MessagePlan(name, (PlanField("data", node),), (), (), None, 0)
             kind = ItemKind(name, number, plan, None)
@@ -450,7 +452,7 @@ class DescribedItems(Opaque, frozen=True):
     items: TaggedItems
 
     def inside(self, leaf: NodePath) -> Iterator[NodePath]:
-        """What is in the first good item of each kind; of lists in its data every value."""
+        """Yield what is in the first good item of each kind; of lists in its data every value."""
         for kind in self.items.kinds:
             for one in kind.plan.columns:
                 path = f"{leaf.path}.{kind.name}{one.path.removeprefix('data')}"
@@ -530,7 +532,7 @@ class MessagePlan(msgspec.Struct, frozen=True, dict=True, weakref=True):
         return not self.opaque
 
     def walk(self) -> Iterator[NodePath]:
-        """Every node of the message, the outer before the inner."""
+        """Return every node of the message, the outer before the inner."""
         return walk(self.fields)
 
     @cached_property

@@ -47,7 +47,9 @@ class ItemPath(NodePath, frozen=True):
 def walk(
     fields: Sequence[PlanField], is_whole: Callable[[Node], bool] = lambda node: False
 ) -> Iterator[NodePath]:
-    """Every node below these fields, the outer before the inner; of those that are taken as a whole only themselves."""
+    """Yield every node below these fields, the outer before the inner; of those that are taken as a whole only
+    themselves.
+    """
     for field in fields:
         yield from _inside(field.name, field, None, "", is_whole)
 

@@ -17,7 +17,7 @@ class NotFlat(Exception):
 
 
 def scale_of(quantity: Quantity) -> p.Scale:
-    """What a quantity makes of a raw number."""
+    """Return what a quantity makes of a raw number."""
     return p.Scale(
         quantity.scale,
         quantity.offset,
@@ -30,7 +30,7 @@ def scale_of(quantity: Quantity) -> p.Scale:
 
 
 def peeled(con: c.Construct) -> tuple[c.Construct, list[p.Step], str, str]:
-    """The construct below the known adapters, the steps from it outward, unit and doc."""
+    """Return the construct below the known adapters, the steps from it outward, unit and doc."""
     steps: list[p.Step] = []
     unit = doc = ""
     while True:
@@ -60,7 +60,7 @@ def peeled(con: c.Construct) -> tuple[c.Construct, list[p.Step], str, str]:
 def integer_at(
     inner: Bits, offset: int, size: int, positions: Sequence[int], steps: tuple[p.Step, ...], unit: str
 ) -> p.Scalar:
-    """An integer at these bits of the `size` bytes from `offset` on."""
+    """Return an integer at these bits of the `size` bytes from `offset` on."""
     bits = tuple(8 * offset + position for position in positions)
     # What is all of these bytes may be plain ones, the highest first.
     is_big = size > 1 and bits == whole_bits(offset, size, "big")
@@ -74,7 +74,7 @@ def scalar_of(con: c.Construct, offset: int) -> p.Scalar:
     inner, steps, unit, _ = peeled(con)
     found = tuple(steps)
     if isinstance(inner, Text):
-        return p.Scalar("text", offset, inner.size, unit=unit)
+        return p.Scalar("text", offset, inner.size, unit=unit, ends=inner.ends)
     if isinstance(inner, c.FormatField) and inner.fmtstr.startswith("="):
         raise NotFlat("native byte order")
     if isinstance(inner, ByteSplit):

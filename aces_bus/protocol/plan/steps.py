@@ -21,7 +21,7 @@ class Scale(msgspec.Struct, frozen=True):
     names: tuple[tuple[int, str], ...] = ()
 
     def physical(self, raw: float) -> float:
-        """A raw number in its unit, computed as everywhere."""
+        """Return a raw number in its unit, computed as everywhere."""
         scaled = raw * self.scale if self.scale != 1 else raw
         return scaled + self.offset if self.offset else scaled
 

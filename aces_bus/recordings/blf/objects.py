@@ -120,7 +120,7 @@ _MOST_TIME = 1 << 61
 
 
 def is_can(kind: Any) -> Any:
-    """Whether objects of this type, or of each of an array of types, are CAN frames."""
+    """Return whether objects of this type, or of each of an array of types, are CAN frames."""
     if isinstance(kind, int):
         return kind in _READERS
     return np.isin(kind, _CAN_TYPES)
@@ -188,7 +188,7 @@ class _Frames(NamedTuple):
 def decode_objects(
     data: Ints, begins: Ints, sizes: Ints, start_ns: int, channels: Channels
 ) -> DecodedObjects:
-    """The objects that begin at these bytes of `data`; all of their bytes are there, and at least 16 each.
+    """Return the objects that begin at these bytes of `data`; all of their bytes are there, and at least 16 each.
 
     Behind the last object `data` has 256 bytes more, whatever they hold.
     """
@@ -439,7 +439,7 @@ def _channels(given: Ints, channels: Channels) -> Ints:
 
 
 def _step(begins: Ints, sizes: Ints) -> int:
-    """The size of all objects when they are equally long and follow each other without gaps, otherwise 0."""
+    """Return the size of all objects when they are equally long and follow each other without gaps, otherwise 0."""
     size, count = int(sizes[0]), len(begins)
     return size if int(begins[-1] - begins[0]) == size * (count - 1) and bool((sizes == size).all()) else 0
 

@@ -93,7 +93,7 @@ class BlfCapture(CanRecording):
         self._compare()
 
     def _contents(self, stream: _Stream) -> Iterator[bytes | None]:
-        """The unpacked bytes of all containers; None where some are missing."""
+        """Yield the unpacked bytes of all containers; None where some are missing."""
         file = _File(self._source.blocks(lambda: LARGE))
         if not file.want(_HEADER // 2) or not file.data.startswith(BLF):
             raise CaptureError(f"{self.name}: no Vector BLF log, or one that ends within its header")
@@ -232,7 +232,7 @@ class BlfCapture(CanRecording):
     def decoded(
         self, data: Ints, begins: Ints, sizes: Ints, damages: list[tuple[int, str]], start_ns: int
     ) -> FrameTable:
-        """The frames of these objects; counts everything. Each of `damages` is before one of the objects."""
+        """Return the frames of these objects; counts everything. Each of `damages` is before one of the objects."""
         found = (
             decode_objects(data, begins, sizes, start_ns, self.channels)
             if len(begins)
@@ -300,7 +300,7 @@ class _Stream:
         self._is_blank = False  # all bytes from there on are zeros, which is padding where nothing follows
 
     def feed(self, piece: bytes | None, flush: bool) -> Iterator[FrameTable]:
-        """The frames that are complete with this piece, once there is enough to look at."""
+        """Yield the frames that are complete with this piece, once there is enough to look at."""
         if piece is not None:
             self._waiting.append(piece)
             self._size += len(piece)
@@ -315,7 +315,7 @@ class _Stream:
             self._waiting, self._size = [], 0
 
     def end(self) -> list[FrameTable]:
-        """The rest."""
+        """Return the rest."""
         tables = list(self._read(final=True))
         left = b"".join(self._waiting)
         if self._lost is not None:
@@ -337,7 +337,7 @@ class _Stream:
         self._lost, self._is_blank = offset, is_blank
 
     def _read(self, final: bool = False) -> Iterator[FrameTable]:
-        """The frames of all objects that are whole."""
+        """Yield the frames of all objects that are whole."""
         size, place = self._size, 0
         data = b"".join((*self._waiting, _SLACK))
         view = np.frombuffer(data, np.uint8)
@@ -403,14 +403,16 @@ class _Stream:
         self._waiting, self._size = [data[place:size]], size - place
 
     def _found(self, offset: int) -> str:
-        """The end of the damage, in words."""
+        """Return the end of the damage, in words."""
         assert self._lost is not None
         lost, self._lost = self._lost, None
         return f"{offset - lost:,} bytes at unpacked offset {lost:,} are no object"
 
 
 def _next_object(data: bytes, place: int, size: int, final: bool) -> tuple[int, bool]:
-    """Where an object begins whose size can be, or else where to go on when there is more; and whether one was found."""
+    """Return where an object begins whose size can be, or else where to go on when there is more; and whether one was
+    found.
+    """
     while (at := data.find(_OBJECT, place, size)) >= 0:
         if at + _BASE.size > size:
             return (size if final else at), False

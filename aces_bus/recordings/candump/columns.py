@@ -143,7 +143,7 @@ class CandumpColumns:
         self._gaps: dict[bytes, int | None] = {}
 
     def read(self, block: bytes) -> ReadLines:
-        """Which lines are common, and their frames in a table. A block ends with LF."""
+        """Return which lines are common, and their frames in a table. A block ends with LF."""
         size = len(block)
         if len(self._buffer) < size + _SLACK:
             self._buffer = np.zeros(size + size // 8 + _SLACK, np.uint8)
@@ -153,7 +153,7 @@ class CandumpColumns:
         return self._even(block, buffer) or self._mixed(block, buffer)
 
     def _even(self, block: bytes, buffer: Ints) -> ReadLines | None:
-        """All lines, when they are equally long, of one layout and common; None when they are not."""
+        """Return all lines, when they are equally long, of one layout and common; None when they are not."""
         step = block.find(b"\n") + 1
         lines, rest = divmod(len(block), step)
         if rest or not (buffer[step - 1 : len(block) : step] == _LF).all():
@@ -226,7 +226,7 @@ class CandumpColumns:
     def _table(
         self, layout: _Layout, window: _Window, sizes: Ints, ways: Ints
     ) -> tuple[FrameTable, Ints | None]:
-        """The columns of lines that may have this layout, and which of them do; None for all."""
+        """Return the columns of lines that may have this layout, and which of them do; None for all."""
         count = window.count
         bad = window.byte(0) != 0x28
         bad |= window.byte(1 + layout.whole) != 0x2E
@@ -276,7 +276,7 @@ class CandumpColumns:
         return table, ~bad if bad.any() else None
 
     def _channel(self, layout: _Layout, window: _Window, bad: Ints) -> Ints:
-        """The numbers of the channels; marks lines whose gap is no name between blanks."""
+        """Return the numbers of the channels; marks lines whose gap is no name between blanks."""
         words: list[Ints] = []
         for start in range(0, layout.gap, 8):
             word = window.word(layout.gap_at + start)
@@ -373,7 +373,7 @@ def _time(layout: _Layout, window: _Window, bad: Ints) -> Ints:
 
 
 def _decimal(window: _Window, column: int, digits: int, zeros: int) -> Any:
-    """The number that so many digits and then zeros say; negative where they are no digits. 0 without any digit."""
+    """Return the number that so many digits and then zeros say; negative where they are no digits. 0 without any digit."""
     out: Any = 0
     while digits:
         pair = digits > 1
@@ -387,7 +387,7 @@ def _decimal(window: _Window, column: int, digits: int, zeros: int) -> Any:
 
 
 def _unhex(hexes: Ints, bad: Ints) -> bytes:
-    """The bytes of rows of digits; marks rows that hold something else."""
+    """Return the bytes of rows of digits; marks rows that hold something else."""
     try:
         return unhexlify(hexes.data)
     except ValueError:
@@ -398,7 +398,7 @@ def _unhex(hexes: Ints, bad: Ints) -> bytes:
 
 
 def _data(raw: bytes, count: int, words: int, width: int) -> Ints:
-    """The data bytes of rows that begin with four bytes of identifier and go on with four for each word."""
+    """Return the data bytes of rows that begin with four bytes of identifier and go on with four for each word."""
     if width == 8:
         return np.ndarray((count,), "<u8", raw, 4, (12,)).copy().view(np.uint8).reshape(count, 8)
     data = np.zeros((count, width), np.uint8)

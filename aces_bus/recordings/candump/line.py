@@ -67,7 +67,7 @@ class ChannelNames(dict[bytes, str]):
 
 
 def read_line(text: bytes, names: ChannelNames | None = None) -> Frame:
-    """The frame of one stripped line; raises `UnreadableRow`."""
+    """Return the frame of one stripped line; raises `UnreadableRow`."""
     names = ChannelNames() if names is None else names
     if b"\x1b" in text:
         text = COLOUR.sub(b"", text).strip()
@@ -181,7 +181,7 @@ def _hex(text: bytes) -> bytes:
 
 
 def _cells(rest: bytes, size: int) -> bytes:
-    """The data bytes of a screen line: pairs, bits (-i), swapped (-S); then an ASCII column (-a) or a remark."""
+    """Return the data bytes of a screen line: pairs, bits (-i), swapped (-S); then an ASCII column (-a) or a remark."""
     start = _CELLS.match(rest)
     assert start is not None  # it matches the empty string too
     data, end = bytes.fromhex(start[1].decode()), start.end()
@@ -232,7 +232,7 @@ def _seconds(stamp: bytes) -> float:
 
 
 def line_time_ns(text: bytes, frame: Frame) -> int:
-    """The instant of the frame of this line, to the digit; `NO_TIME` where the line has none."""
+    """Return the instant of the frame of this line, to the digit; `NO_TIME` where the line has none."""
     found = _STAMP.match(text)
     if found is None:
         return to_ns(frame.timestamp)

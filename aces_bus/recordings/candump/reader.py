@@ -135,11 +135,13 @@ class CandumpCapture(LineCapture):
 
 
 def begins_like_candump(head: bytes) -> bool:
-    """Whether the first line is a common one of a candump log: no other format has such a line."""
+    """Return whether the first line is a common one of a candump log: no other format has such a line."""
     return _COMMON.fullmatch(head[:MAX_LINE].partition(b"\n")[0]) is not None
 
 
 def looks_like_candump(head: bytes) -> bool:
-    """Whether one of the first lines is at least meant as candump's: even a faulty one tells a log from other files."""
+    """Return whether one of the first lines is at least meant as candump's: even a faulty one tells a log from other
+    files.
+    """
     lines = (COLOUR.sub(b"", line[:MAX_LINE]) for line in head.split(b"\n", PATIENCE)[:PATIENCE])
     return any(_LIKE.match(line) for line in lines)

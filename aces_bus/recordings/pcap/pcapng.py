@@ -53,7 +53,7 @@ _INTERFACES = 1 << 16
 
 
 def interface_name(raw: bytes, number: int) -> str | None:
-    """The channel that an interface is, of its name in the file, if it has one, and its number in the section."""
+    """Return the channel that an interface is, of its name in the file, if it has one, and its number in the section."""
     raw = raw[:NAME_BYTES].rstrip(b"\0")
     if not raw:
         return None if number == 0 else f"interface {number}"
@@ -221,7 +221,7 @@ class PcapngCapture(PacketCapture):
         return found
 
     def _flush(self, buffer: bytes, blocks: list[Ints]) -> list[FrameTable]:
-        """The packets in these blocks, all of one section."""
+        """Return the packets in these blocks, all of one section."""
         if not blocks:
             return []
         starts = np.concatenate(blocks)
@@ -324,7 +324,7 @@ class PcapngCapture(PacketCapture):
 
 
 def _same_blocks(buffer: bytes, order: str, position: int, size: int) -> int:
-    """How many blocks from here are of one type and length, both lengths."""
+    """Return how many blocks from here are of one type and length, both lengths."""
     count = (len(buffer) - position) // size
     words = np.frombuffer(buffer, order + "u4", count * size // 4, position).reshape(count, size // 4)
     return min(run_length(words[:, 0]), run_length(words[:, 1]), _agreeing(words[:, -1], words[0, 1]))

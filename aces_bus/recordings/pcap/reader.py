@@ -59,7 +59,7 @@ _LINK_NAMES = {1: " (Ethernet)", 189: " (USB)", 190: " (CAN 2.0B)", 220: " (USB)
 
 
 def link_words(link: int) -> str:
-    """A link type in words."""
+    """Return a link type in words."""
     return f"packets of link type {link}{_LINK_NAMES.get(link, '')}"
 
 
@@ -76,7 +76,9 @@ class PacketCapture(CanRecording):
 
     @abstractmethod
     def _walk(self, buffer: bytes) -> tuple[list[FrameTable], int, int]:
-        """The tables of whole objects, how many bytes these take, and how many bytes from there the next one needs."""
+        """Return the tables of whole objects, how many bytes these take, and how many bytes from there the next one
+        needs.
+        """
 
     @abstractmethod
     def _end(self, rest: int) -> None:
@@ -150,7 +152,7 @@ class PacketCapture(CanRecording):
 
     @staticmethod
     def _hint(view: Ints, start: int, link: int, is_little: bool) -> str:
-        """Whether the identifier of an unreadable packet would be one with its bytes in the other order."""
+        """Return whether the identifier of an unreadable packet would be one with its bytes in the other order."""
         start += FRAME_AT[link]
         number = int.from_bytes(
             view[start : start + 4].tobytes(), "big" if link != SOCKETCAN and is_little else "little"
@@ -228,7 +230,9 @@ class PcapCapture(PacketCapture):
             self._end_damage(position)
 
     def _packets(self, buffer: bytes, position: int) -> tuple[Ints, int, int, str]:
-        """Where packets begin, and where the next would; how many bytes it needs, and what is wrong with its header."""
+        """Return where packets begin, and where the next would; how many bytes it needs, and what is wrong with its
+        header.
+        """
         lengths_at = struct.Struct(self._order + "II").unpack_from
         starts: list[Ints] = []
         singles: list[int] = []
@@ -264,7 +268,7 @@ class PcapCapture(PacketCapture):
         return np.concatenate(starts), position, needed, fault
 
     def _next_packet(self, buffer: bytes, position: int) -> tuple[bool, int]:
-        """Whether there is a packet from here on, and where; otherwise from where to look when there is more."""
+        """Return whether there is a packet from here on, and where; otherwise from where to look when there is more."""
         count = len(buffer) - _HEAD + 1 - position
         if count <= 0:
             return False, position
@@ -280,7 +284,9 @@ class PcapCapture(PacketCapture):
         return False, position + count
 
     def _is_packet(self, buffer: bytes, place: int) -> bool | None:
-        """Whether headers follow each other from here on, or one up to the end of the file; None: too little is there."""
+        """Return whether headers follow each other from here on, or one up to the end of the file; None: too little is
+        there.
+        """
         head_at = struct.Struct(self._order + "IIII").unpack_from
         limit, at, first = 1_000_000_000 // self._unit, place, -1
         for _ in range(_WITNESSES):
@@ -328,14 +334,14 @@ class PcapCapture(PacketCapture):
 
 
 def padded(buffer: bytes) -> Ints:
-    """The bytes of a buffer, and so many behind it that nothing is read from elsewhere."""
+    """Return the bytes of a buffer, and so many behind it that nothing is read from elsewhere."""
     return np.frombuffer(buffer + bytes(PADDING), np.uint8)
 
 
 def as_tables(
     packets: Packets, is_good: Ints, time: Ints, channel: Ints, capture: CanRecording
 ) -> list[FrameTable]:
-    """The good packets as a table, if there are any; `channel` is of these alone."""
+    """Return the good packets as a table, if there are any; `channel` is of these alone."""
     if not is_good.any():
         return []
     if not is_good.all():
@@ -346,7 +352,7 @@ def as_tables(
 
 
 def run_length(sizes: Ints) -> int:
-    """How many of the first numbers are equal."""
+    """Return how many of the first numbers are equal."""
     reach, n = 16, len(sizes)
     while True:
         wrong = sizes[:reach] != sizes[0]

@@ -84,7 +84,7 @@ def big(rows: Ints, column: int, size: int) -> Ints:
 
 
 def decode_socketcan(view: Ints, starts: Ints, sizes: Ints, links: Ints, is_little: bool) -> Packets:
-    """The frames in packets of `sizes` bytes at `starts`, of link types `links` (each one of `LINK_TYPES`).
+    """Return the frames in packets of `sizes` bytes at `starts`, of link types `links` (each one of `LINK_TYPES`).
 
     `view` has `PADDING` bytes behind the last packet. `is_little` is the byte order of the recording machine.
     """

@@ -64,7 +64,7 @@ class RawCapture(SerialRecording):
             yield Chunk(data)
 
     def with_silence(self, gap: Callable[[], float]) -> Iterator[Chunk]:
-        """The chunks, and an empty one each time that a live source falls silent for `gap()` seconds (0: never)."""
+        """Yield the chunks, and an empty one each time that a live source falls silent for `gap()` seconds (0: never)."""
         # Of packed bytes more may be there that is not unpacked yet. Asked now: later it would take bytes away.
         tells = self.live and not self._source.packing
         for chunk in self:

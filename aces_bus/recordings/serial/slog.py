@@ -44,7 +44,7 @@ SIGNS: dict[Direction | None, str] = {"to device": ">", "from device": "<", None
 
 
 def looks_like_serial_log(head: bytes) -> bool:
-    """Whether a file begins like one of ours: with the first line, or, where it is a piece of one, with any other."""
+    """Return whether a file begins like one of ours: with the first line, or, where it is a piece of one, with any other."""
     if head.startswith(OPENING):
         return True
     for line in head.split(b"\n", 200)[:200]:

@@ -99,6 +99,12 @@ class AscCapture(LineCapture):
         rb"\s*(?:date|base|begin\s+triggerblock|[0-9.]+\s+Start of measurement)\b", re.IGNORECASE
     )
 
+    _BEGINS = re.compile(
+        rb"[0-9]{1,12}\.[0-9]{1,9}\s+(?:CANFD\s+[0-9]{1,5}\s+(?:[RT]x|TxRq)\s"
+        rb"|[0-9]{1,5}\s+(?:\S{1,128}\s+(?:[RT]x|TxRq)\s+[dr]\b|ErrorFrame\b))",
+        re.IGNORECASE,
+    )
+
     _base = 16
     _is_relative = False
     _origin = 0  # ns from 1970 to the start of the measurement
@@ -380,7 +386,7 @@ _MONTHS = {
 }
 _DATE = re.compile(
     r"(?:\w{2,12}\.?,?\s+)??(?P<month>[^\W\d]{3,9}\.?|\d{1,2}月?)\s+(?P<day>\d{1,2})\.?,?\s+"
-    r"(?P<hour>\d{1,2}):(?P<minute>\d{2}):(?P<second>\d{2})(?:[.,:](?P<fraction>\d{1,9}))?"
+    r"(?P<hour>\d{1,2}):(?P<minute>\d{1,2}):(?P<second>\d{1,2})(?:[.,:](?P<fraction>\d{1,9}))?"
     r"(?:\s*(?P<half>[ap])\.?m\.?)?\s+(?P<year>\d{4})",
     re.IGNORECASE,
 )

@@ -7,6 +7,9 @@
    byte is another byte. (A line that was cut between two bytes is known by the length that it states.)
 4. Lines that change how later ones are read (`_TURN`) are read in order, between the lines before and after them.
 
+5. A line in which another frame's line begins (a cut file was appended to) is unreadable as a whole: neither frame is whole
+   for certain, and the second one would vanish. The quick way takes no such line.
+
 A format gives `_line`, the slow way, which returns a `Row`, or None when it has counted the line itself. A format whose
 files are large also gives `_quick`, with the columns of `_words`.
 """
@@ -59,6 +62,8 @@ class LineCapture(CanRecording):
     """
 
     _TURN: ClassVar[re.Pattern[bytes] | None] = None
+    #: How the line of a frame begins; None: no other field of the format may hold what would be the next line.
+    _BEGINS: ClassVar[re.Pattern[bytes] | None] = None
 
     #: Tables of a file have at least so many rows, but the last.
     _ROWS: ClassVar = 8192
@@ -71,10 +76,12 @@ class LineCapture(CanRecording):
 
     @abstractmethod
     def _line(self, text: bytes) -> FrameRow | None:
-        """The frame of a line without blanks around; None when the line was counted. Raises `UnreadableRow`."""
+        """Return the frame of a line without blanks around; None when the line was counted. Raises `UnreadableRow`."""
 
     def _quick(self, block: bytes) -> tuple[npt.NDArray[np.bool_], FrameTable] | None:
-        """Which of the lines are usual, and their frames in a table, one each; None when none can be, as things are."""
+        """Return which of the lines are usual, and their frames in a table, one each; None when none can be, as things
+        are.
+        """
         return None
 
     # What the lines are counted as.
@@ -207,6 +214,7 @@ class LineCapture(CanRecording):
             )
         else:
             try:
+                self._check_single(text)
                 row = self._line(text)
                 if self._is_last and row is not None and row.frame.data and _HALF_A_BYTE.search(text):
                     raise UnreadableRow("the line has no end, and its last byte one digit: it was cut")
@@ -216,6 +224,15 @@ class LineCapture(CanRecording):
             except (UnreadableRow, CallerError) as error:  # CallerError: a frame that cannot exist
                 self._unreadable(self.lines, str(error), line)
         return None
+
+    def _check_single(self, text: bytes) -> None:
+        """Raise `UnreadableRow` where another frame's line begins behind this one's beginning."""
+        if self._BEGINS is None:
+            return
+        own = self._BEGINS.match(text)
+        found = self._BEGINS.search(text, own.end() if own is not None else 0)
+        if found is not None and text[: found.start()].strip(b"/;# \t"):  # else a frame that is commented out
+            raise UnreadableRow(f"two lines run together at column {found.start() + 1}")
 
     def _table(self, rows: list[FrameRow]) -> FrameTable:
         table = FrameTable.from_frames([row.frame for row in rows], self.channels)
@@ -232,7 +249,7 @@ class LineCapture(CanRecording):
 
 
 def decimal_ns(text: bytes, unit: int = 1_000_000_000) -> int:
-    """A decimal number of units of so many nanoseconds, exact to the last digit. Raises `UnreadableRow`.
+    """Return a decimal number of units of so many nanoseconds, exact to the last digit. Raises `UnreadableRow`.
 
     >>> decimal_ns(b"1.25"), decimal_ns(b"-17.5", 1_000_000), decimal_ns(b"1e-06")
     (1250000000, -17500000, 1000)
@@ -295,7 +312,7 @@ _WAYS = {b"rx": True, b"tx": False}
 
 
 def is_received(text: bytes) -> bool:
-    """Which way Rx and Tx are, in whatever case. Raises `UnreadableRow`."""
+    """Return which way Rx and Tx are, in whatever case. Raises `UnreadableRow`."""
     if (found := _WAYS.get(text.lower())) is None:
         raise UnreadableRow(f"direction {printable_start(text)!r} is neither Rx nor Tx")
     return found
@@ -310,7 +327,9 @@ def check_remote(is_remote: bool, is_error: bool, size: int) -> None:
 
 
 def one_less(number: int) -> str | None:
-    """The name of a channel that a file counts from 1: ours count from 0. None for a channel 0, which there is not."""
+    """Return the name of a channel that a file counts from 1: ours count from 0. None for a channel 0, which there is
+    not.
+    """
     return str(number - 1) if number > 0 else None
 
 

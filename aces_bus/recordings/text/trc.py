@@ -83,6 +83,11 @@ class TrcCapture(LineCapture):
 
     format = "PEAK trace"
     _TURN = re.compile(rb"\s*;\$")
+    _BEGINS = re.compile(
+        rb"[0-9]{1,12}(?:\)\s+[0-9]+(?:\.[0-9]+)?\s+(?:[0-9]+\s+)?(?:(?:Rx|Tx|Warng|Error)\s+)?[0-9A-F]{4,8}\s"
+        rb"|\s+[0-9]+\.[0-9]+\s+(?:DT|FD|FB|FE|BI|RR|ER)\s)",
+        re.IGNORECASE,
+    )
 
     _version = "1.0"
     _layout: Sequence[str] = ()
@@ -130,6 +135,10 @@ class TrcCapture(LineCapture):
 
     # ---- one line
 
+    def _check_single(self, text: bytes) -> None:
+        if not self._layout or [name.upper() for name in self._layout[:2]] == ["N", "O"]:
+            super()._check_single(text)
+
     def _line(self, text: bytes) -> FrameRow | None:
         if text.startswith(b";"):
             self._header(text)
@@ -143,7 +152,7 @@ class TrcCapture(LineCapture):
         raise UnreadableRow(f"not a line of a trace of version {self._version}")
 
     def _old(self, cells: list[bytes]) -> FrameRow | None:
-        """A line of versions 1.x; the columns are recognised by what is there, as headers are lost or wrong."""
+        """Return a line of versions 1.x; the columns are recognised by what is there, as headers are lost or wrong."""
         time = self._instant(cells[1]) if len(cells) > 1 else 0
         rest = cells[2:]
         bus = kind = None
@@ -167,7 +176,7 @@ class TrcCapture(LineCapture):
         return self._frame(rest[0], rest[2:], size, channel, is_rx, 0, rest[2:3] == [b"RTR"], time)
 
     def _new(self, text: bytes) -> FrameRow | None:
-        """A line of versions 2.x."""
+        """Return a line of versions 2.x."""
         cells = text.split()
         columns = self._layout
         if "T" not in columns or "O" not in columns:

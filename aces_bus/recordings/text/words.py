@@ -59,7 +59,7 @@ class Words:
         self._ends = np.append(self._ends, len(self.codes) - _AFTER)
 
     def take(self, lines: Mask) -> Words:
-        """The words of some of the lines."""
+        """Return the words of some of the lines."""
         some = object.__new__(Words)
         some.codes, some._is_separator, some._starts, some._ends = (
             self.codes,
@@ -72,23 +72,23 @@ class Words:
         return some
 
     def word(self, number: int | npt.NDArray[Any]) -> Word:
-        """The word of this number, from 0, of each line; the last one of the block where there is none."""
+        """Return the word of this number, from 0, of each line; the last one of the block where there is none."""
         found: Word = np.minimum(self.first + number, len(self._starts) - 1)
         return found
 
     def size(self, word: Word) -> npt.NDArray[np.intp]:
-        """How many characters a word has."""
+        """Return how many characters a word has."""
         found: npt.NDArray[np.intp] = self._ends[word] - self._starts[word]
         return found
 
     def is_next(self, word: Word) -> Mask:
-        """Whether one separator alone is between a word and the one behind it."""
+        """Return whether one separator alone is between a word and the one behind it."""
         behind = np.minimum(word + 1, len(self._starts) - 1)
         found: Mask = self._starts[behind] == self._ends[word] + 1
         return found
 
     def is_text(self, word: Word, text: bytes) -> Mask:
-        """Whether a word is this text."""
+        """Return whether a word is this text."""
         found: Mask = self.size(word) == len(text)
         begin = self._starts[word]
         for place, code in enumerate(text):
@@ -96,14 +96,14 @@ class Words:
         return found
 
     def one_of(self, word: Word, texts: bytes) -> tuple[Bytes, Mask]:
-        """The character of a word of one character, and whether it is one of `texts`."""
+        """Return the character of a word of one character, and whether it is one of `texts`."""
         code: Bytes = self.codes[self._starts[word]]
         is_one = np.zeros(256, np.bool_)
         is_one[list(texts)] = True
         return code, is_one[code] & (self.size(word) == 1)
 
     def last(self, word: Word) -> Bytes:
-        """The last character of a word."""
+        """Return the last character of a word."""
         found: Bytes = self.codes[self._ends[word] - 1]
         return found
 

@@ -12,7 +12,8 @@ its file (a header with the number of frames) says `needs_seek`; it is then give
 pipe or is packed. A writer raises `CallerError` or `OSError`, and is not used after that.
 
 **`lossy`** has one entry a kind of loss, the words fit behind a number: {"times finer than 1 µs": 12}. It counts frames, but
-"channel names" counts names. What cannot differ in any bus (the 29-bit flag of an error frame) is not counted.
+"channel names" counts names. `notes` says what loses nothing that a bus has, and is yet not the same: a channel 0 that is
+written as can0, the 29-bit flag of an error frame.
 
 **Channels.** Some formats name channels, others number them from 1. `ChannelNumbers` gives a name the number that
 is at its end, plus one: "0" and "can0" are channel 1, as with python-can, whose channels count from 0 while files count
@@ -30,26 +31,31 @@ from importlib import import_module
 from types import TracebackType
 from typing import Any, BinaryIO, Self, cast
 
+from ..._lazy import np
 from ...errors import CallerError, UnknownNameError
-from ...frame_table import FrameTable
+from ...frame_table import ERROR, EXTENDED, FrameTable
+from ...plugins import installed_items
 from ..base import Chunk, Link
-from ._base import RecordingWriter
 from ._file import OutFile
+from .base import RecordingWriter
 
 __all__ = [
-    "FORMATS",
     "FormatOut",
     "OpenWriter",
     "RecordingWriter",
     "open_writer",
     "split_suffix",
     "writer_format",
+    "writer_formats",
 ]
 
 
 @dataclass(frozen=True)
 class FormatOut:
-    """A format that can be written: its name, the suffixes that choose it, and where its writer is."""
+    """A format that can be written: its name, the suffixes that choose it, and where its writer is.
+
+    An entry point of the group `aces_bus.writers` is one, or a tuple of them.
+    """
 
     name: str
     suffixes: tuple[str, ...]
@@ -65,83 +71,75 @@ class FormatOut:
     grows: bool = False
 
 
-#: All formats by name.
-FORMATS: Mapping[str, FormatOut] = {
-    form.name: form
-    for form in (
-        FormatOut(
-            "candump",
-            (".log", ".candump"),
-            "candump -L",
-            "can",
-            ".candump",
-            "CandumpWriter",
-            is_text=True,
-            grows=True,
-        ),
-        FormatOut("asc", (".asc",), "Vector ASC", "can", ".asc", "AscWriter", is_text=True, grows=True),
-        FormatOut("blf", (".blf",), "Vector BLF", "can", ".blf", "BlfWriter", needs_seek=True, grows=True),
-        FormatOut("trc", (".trc",), "PEAK TRC 2.1", "can", ".trc", "TrcWriter", is_text=True, grows=True),
-        FormatOut("mf4", (".mf4",), "ASAM MDF 4", "can", ".mf4", "Mf4Writer", needs_seek=True),
-        FormatOut(
-            "pcapng", (".pcapng",), "pcapng of SocketCAN", "can", ".pcapng", "PcapngWriter", grows=True
-        ),
-        FormatOut(
-            "csv",
-            (".csv",),
-            "python-can's CSV",
-            "can",
-            ".canlog",
-            "CanlogCsvWriter",
-            is_text=True,
-            grows=True,
-        ),
-        FormatOut(
-            "sqlite",
-            (".sqlite", ".sqlite3", ".db"),
-            "python-can's SQLite",
-            "can",
-            ".canlog",
-            "CanlogSqliteWriter",
-        ),
-        FormatOut(
-            "gvret",
-            (".gvret.csv", ".gvret", ".csv"),
-            "SavvyCAN's GVRET CSV",
-            "can",
-            ".gvret",
-            "GvretWriter",
-            is_text=True,
-            grows=True,
-        ),
-        FormatOut(
-            "slog", (".slog",), "serial log of aces-bus", "serial", ".serial", "SerialLogWriter", grows=True
-        ),
-        FormatOut("raw", (".bin", ".raw"), "raw serial bytes", "serial", ".serial", "RawWriter", grows=True),
-        FormatOut(
-            "dxconf",
-            (".dxconf.txt", ".txt"),
-            "hex dump of serial bytes",
-            "serial",
-            ".serial",
-            "DxconfWriter",
-            is_text=True,
-        ),
-    )
-}
+#: The core's formats.
+FORMATS: tuple[FormatOut, ...] = (
+    FormatOut(
+        "candump",
+        (".log", ".candump"),
+        "candump -L",
+        "can",
+        ".candump",
+        "CandumpWriter",
+        is_text=True,
+        grows=True,
+    ),
+    FormatOut("asc", (".asc",), "Vector ASC", "can", ".asc", "AscWriter", is_text=True, grows=True),
+    FormatOut("blf", (".blf",), "Vector BLF", "can", ".blf", "BlfWriter", needs_seek=True, grows=True),
+    FormatOut("trc", (".trc",), "PEAK TRC 2.1", "can", ".trc", "TrcWriter", is_text=True, grows=True),
+    FormatOut("pcapng", (".pcapng",), "pcapng of SocketCAN", "can", ".pcapng", "PcapngWriter", grows=True),
+    FormatOut(
+        "csv",
+        (".csv",),
+        "python-can's CSV",
+        "can",
+        ".canlog",
+        "CanlogCsvWriter",
+        is_text=True,
+        grows=True,
+    ),
+    FormatOut(
+        "sqlite",
+        (".sqlite", ".sqlite3", ".db"),
+        "python-can's SQLite",
+        "can",
+        ".canlog",
+        "CanlogSqliteWriter",
+    ),
+    FormatOut(
+        "slog", (".slog",), "serial log of aces-bus", "serial", ".serial", "SerialLogWriter", grows=True
+    ),
+    FormatOut("raw", (".bin", ".raw"), "raw serial bytes", "serial", ".serial", "RawWriter", grows=True),
+    FormatOut(
+        "dxconf",
+        (".dxconf.txt", ".txt"),
+        "hex dump of serial bytes",
+        "serial",
+        ".serial",
+        "DxconfWriter",
+        is_text=True,
+    ),
+)
+
+
+def writer_formats() -> Mapping[str, FormatOut]:
+    """Return all formats by name, those of installed packages behind the core's, whose names they cannot take."""
+    installed = installed_items("aces_bus.writers", FormatOut)
+    return {form.name: form for form in (*FORMATS, *installed)} | {form.name: form for form in FORMATS}
+
+
 #: How a path that ends so is packed.
 PACKED: Mapping[str, str] = {".gz": "gzip", ".zst": "zstd"}
 
 
 def split_suffix(path: str) -> tuple[str, str, str]:
-    """A path without its suffixes, the format's suffix (the longest that is one, else the last), and the packing's.
+    """Return a path without its suffixes, the format's suffix (the longest that is one, else the last), and the packing's.
 
     >>> split_suffix("logs/walk.gvret.csv.gz")
     ('logs/walk', '.gvret.csv', '.gz')
     """
     packing = next((path[-len(end) :] for end in PACKED if path.lower().endswith(end)), "")
     bare = path.removesuffix(packing)
-    known = (suffix for form in FORMATS.values() for suffix in form.suffixes)
+    known = (suffix for form in writer_formats().values() for suffix in form.suffixes)
     own = max((suffix for suffix in known if bare.lower().endswith(suffix)), key=len, default=None)
     size = len(own) if own is not None else len(os.path.splitext(bare)[1])
     place = len(bare) - size
@@ -149,7 +147,7 @@ def split_suffix(path: str) -> tuple[str, str, str]:
 
 
 def writer_format(path: str, link: Link | None = None) -> FormatOut:
-    """The format that a path's longest known suffix means, `.gz` and `.zst` left out of account.
+    """Return the format that a path's longest known suffix means, `.gz` and `.zst` left out of account.
 
     Raises `CallerError`, with the suffixes that there are, when it means none.
 
@@ -157,10 +155,10 @@ def writer_format(path: str, link: Link | None = None) -> FormatOut:
     'asc'
     """
     suffix = split_suffix(path)[1].lower()
-    for form in FORMATS.values():
+    for form in writer_formats().values():
         if suffix in form.suffixes:
             return form
-    known = " ".join(f.suffixes[0] for f in FORMATS.values() if link in (None, f.link))
+    known = " ".join(f.suffixes[0] for f in writer_formats().values() if link in (None, f.link))
     raise CallerError(f"{path}: the suffix names no format; there are {known}, each also with .gz or .zst")
 
 
@@ -172,6 +170,7 @@ class OpenWriter:
         self._file = file
         kind = getattr(import_module(form.module, __package__), form.writer)
         self._writer: Any = kind(file.stream, file.name)  # a `RecordingWriter`, of tables or of chunks
+        self._wide_errors = 0
         self._is_open = True
 
     @property
@@ -179,8 +178,21 @@ class OpenWriter:
         """What the format could not hold so far, in words."""
         return cast("dict[str, int]", self._writer.lossy)
 
+    @property
+    def notes(self) -> list[str]:
+        """What is written in another form, and is no loss, in sentences."""
+        renamed: dict[str, str] = self._writer.renamed
+        found = [f"channel {name} is named {new}" for name, new in sorted(renamed.items())]
+        if self._wide_errors:
+            found.append(
+                f"{self._wide_errors} error frames lose their 29-bit flag, which means nothing on a bus"
+            )
+        return found
+
     def write(self, item: FrameTable | Chunk) -> None:
         """Write a table of frames, or a chunk of a serial line."""
+        if isinstance(item, FrameTable) and not self._writer.keeps_error_width:
+            self._wide_errors += int(np.count_nonzero(item.flags & (ERROR | EXTENDED) == ERROR | EXTENDED))
         with self._file.checked():
             self._writer.write(item)
 
@@ -227,7 +239,8 @@ def open_writer(
 ) -> OpenWriter:
     """Open a recording for writing: a path, "-" for standard output, or a file opened in binary mode.
 
-    `format` is a name of `FORMATS`; None takes the suffix of the path. A path that ends in `.gz` or `.zst` is packed.
+    `format` is a name of `writer_formats()`; None takes the suffix of the path. A path that ends in `.gz` or `.zst` is
+    packed.
     `inputs` are paths that must not be overwritten; another file that has the name is replaced once this one is whole.
     With `link`, a format of the other link is refused.
 
@@ -246,17 +259,17 @@ def open_writer(
     if format is None:
         if path is None or path == "-":
             where = "standard output" if path == "-" else "an open file"
-            raise CallerError(f"{where} has no suffix; name the format: {', '.join(FORMATS)}")
+            raise CallerError(f"{where} has no suffix; name the format: {', '.join(writer_formats())}")
         form = writer_format(path, link)
-    elif format in FORMATS:
-        form = FORMATS[format]
+    elif format in (known := writer_formats()):
+        form = known[format]
     else:
-        raise UnknownNameError("format", format, FORMATS)
+        raise UnknownNameError("format", format, known)
     if link is not None and form.link != link:
         kinds = {"can": "CAN frames", "serial": "bytes of a serial line"}
         raise CallerError(
             f"{path or form.name}: {form.what} holds {kinds[form.link]}, and these are {kinds[link]}; there are "
-            + ", ".join(f.name for f in FORMATS.values() if f.link == link)
+            + ", ".join(f.name for f in writer_formats().values() if f.link == link)
         )
     packing = next((kind for end, kind in PACKED.items() if (path or "").lower().endswith(end)), None)
     file = OutFile(

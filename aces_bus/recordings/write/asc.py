@@ -25,8 +25,8 @@ from datetime import datetime
 import numpy as np
 
 from ...frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, REMOTE, TX, FrameTable, Ints
-from ._base import DLC_OF_LENGTH, StartedWriter, rows_by_kind
-from ._text import (
+from .base import DLC_OF_LENGTH, StartedWriter, rows_by_kind
+from .text import (
     Column,
     choices,
     decimal_text,

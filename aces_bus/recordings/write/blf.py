@@ -37,7 +37,7 @@ from ...frame_table import (
     Ints,
     widened,
 )
-from ._base import DLC_OF_LENGTH, EARLIEST, ChannelNumbers, StartedWriter, records_in_order, rows_by_kind
+from .base import DLC_OF_LENGTH, EARLIEST, ChannelNumbers, StartedWriter, records_in_order, rows_by_kind
 
 _CONTAINER = 128 * 1024
 _LEVEL = 2
@@ -101,6 +101,7 @@ class BlfWriter(StartedWriter):
     """Frames as objects of a BLF file, which must be seekable."""
 
     format = "blf"
+    keeps_error_width = True
 
     def __init__(self, file: BinaryIO, name: str) -> None:
         super().__init__(file, name)
@@ -146,7 +147,7 @@ class BlfWriter(StartedWriter):
         self.settle()
 
     def _packed(self, count: int) -> bytes:
-        """A container of the first bytes that are kept."""
+        """Return a container of the first bytes that are kept."""
         content = bytes(self._kept[:count])
         del self._kept[:count]
         packed = zlib.compress(content, _LEVEL)

@@ -14,8 +14,8 @@ from typing import BinaryIO
 import numpy as np
 
 from ...frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, RX, TX, FrameTable
-from ._base import FrameWriter, WrittenChannels
-from ._text import Column, choices, decimal_text, hexadecimal_text, join_columns, only, padded_data
+from .base import FrameWriter, WrittenChannels
+from .text import Column, choices, decimal_text, hexadecimal_text, join_columns, only, padded_data
 
 _ERROR_BIT = np.uint32(0x2000_0000)
 _WAYS = choices([b"", b" R", b" T", b" R"])

@@ -28,7 +28,7 @@ from ...errors import CallerError
 from ...frame_table import ERROR, EXTENDED, REMOTE, RX, TX, FrameTable, ns_of
 from ..beginnings import PYTHON_CAN_CSV
 from ..sqlite import COLUMNS
-from ._base import FrameWriter
+from .base import FrameWriter
 
 #: SQL that makes the table, and that adds a row.
 CREATE = (
@@ -46,7 +46,7 @@ class _CanlogWriter(FrameWriter):
         self._names: set[str] = set()
 
     def _values(self, table: FrameTable) -> Iterator[tuple[int, int, int, int, int, bytes]]:
-        """Those of each frame. What is lost of it is counted."""
+        """Return those of each frame. What is lost of it is counted."""
         flags, length = table.flags, self._remote_lengths(table)
         for number in np.unique(table.channel).tolist():
             name = table.channels.names[number]
@@ -88,9 +88,10 @@ class CanlogSqliteWriter(_CanlogWriter):
     """Frames as rows of python-can's table. The database is made in a temporary file, and becomes the file by `close`."""
 
     format = "sqlite"
+    keeps_error_width = True
 
     def rows(self, table: FrameTable) -> list[tuple[Any, ...]]:
-        """What `INSERT` takes."""
+        """Return what `INSERT` takes."""
         time = self._epoch_times(table)
         seconds = time / 1e9
         self.lose("times finer than a float of seconds", np.count_nonzero(ns_of(seconds) != time))

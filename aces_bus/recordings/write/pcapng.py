@@ -38,7 +38,7 @@ from ..pcap.socketcan import (
     REMOTE_BIT,
     SOCKETCAN,
 )
-from ._base import FrameWriter, records_in_order
+from .base import FrameWriter, records_in_order
 
 _HEAD = [
     ("type", "<u4"), ("total", "<u4"), ("interface", "<u4"), ("high", "<u4"), ("low", "<u4"),
@@ -74,7 +74,7 @@ class PcapngWriter(FrameWriter):
         )
 
     def _numbers(self, table: FrameTable) -> Ints:
-        """The interface of each frame; a new one is described first."""
+        """Return the interface of each frame; a new one is described first."""
         numbers = np.zeros(len(table.channels.names) or 1, np.uint32)
         for channel in np.unique(table.channel).tolist():
             name = table.channels.names[channel]

@@ -12,7 +12,7 @@ from typing import BinaryIO
 from ...frame_table import NO_TIME, to_ns
 from ..base import Chunk
 from ..serial.slog import LINE_BYTES, OPENING, SIGNS, VERSION
-from ._base import RecordingWriter
+from .base import RecordingWriter
 
 _ROW = 16
 _CHARACTERS = bytes(code if 0x20 <= code < 0x7F else ord(".") for code in range(256))

@@ -54,8 +54,7 @@ def read_dictionary(path: str | None, node: int, own: OwnFile) -> Any:
                 raise CallerError(f"{path}: larger than an EDS file may be ({LARGEST >> 20} MB)")
     except OSError as error:
         raise CallerError(
-            f"{path}: {error.strerror or error}; a robot's file names it from where the program was started,"
-            " or with its whole path"
+            f"{path}: {error.strerror or error}; a robot's file names it from its own folder"
         ) from error
     for name, value in _COUNT.findall(text):
         if (value.isdecimal() and int(value) > COUNTS[name.lower()]) or len(value) > 10:

@@ -7,9 +7,10 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from dataclasses import replace
 from typing import Any
 
-from aces_bus.device import UNKNOWN, Job, Signal, Steps
+from aces_bus.device import UNKNOWN, HostLoss, Job, Signal, Steps
 from aces_bus.errors import AcesError, CallerError, NoReplyError
 
 from .objects import ObjectAccess
@@ -145,11 +146,11 @@ class CanopenNode(ObjectAccess):
         self.emit_event("alarm", f"{text}{details}")
 
     def describe_emergency(self, code: int) -> str:
-        """An emergency's code in words."""
+        """Return an emergency's code in words."""
         return f"error {code:04X}"
 
     def received_by_others(self, record: Any, instant: int) -> bool:
-        """The heartbeat of the program that drives, where this one looks on."""
+        """Return the heartbeat of the program that drives, where this one looks on."""
         return type(record).__name__ == "Heartbeat" and record.node == self.watchdog.host_node
 
     @property
@@ -158,14 +159,19 @@ class CanopenNode(ObjectAccess):
         return self.is_set_up and self.network.last in (UNKNOWN, "operational")
 
     @property
-    def alone_s(self) -> float | None:
-        """How long it waits for the host's heartbeat, while it watches."""
-        return None if self.watchdog.entry is None else self.watchdog.wait_ms / 1000
+    def host_loss(self) -> HostLoss:
+        """As declared, where it can watch over the host's heartbeat; else what it does is its own settings' affair."""
+        loss = self.when_host_is_lost
+        if self.watchdog.is_possible:
+            return replace(loss, after_s=self.watchdog.wait_ms / 1000)
+        moves = loss.does != "nothing moves"
+        why = "watchdog_ms = 0" if not self.watchdog.wait_ms else "its file has no object 1016"
+        return replace(loss, does="unknown" if moves else loss.does, after_s=None, detail=why)
 
     # ------------------------------------------------------------------ down
 
     def nmt(self, command: str) -> Job:
-        """A command of network management to this node."""
+        """Return a command of network management to this node."""
         if command not in NMT:
             raise CallerError(f"{self.name}: no command {command!r} (there are: {', '.join(NMT)})")
 

@@ -31,7 +31,7 @@ class ObjectAccess(Device):
     sdo: SdoChannel
 
     def raw(self, index: int, subindex: int, value: Any) -> bytes:
-        """An object's value as bytes, as the node's file says. Raises `CallerError` for what does not fit."""
+        """Return an object's value as bytes, as the node's file says. Raises `CallerError` for what does not fit."""
         known = self.dictionary.get_variable(index, subindex)
         if known is None:
             raise CallerError(

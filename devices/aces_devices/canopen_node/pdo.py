@@ -36,12 +36,12 @@ class PdoEntry:
     is_signed: bool
 
     def take(self, word: int) -> int:
-        """The object's value in a PDO's content."""
+        """Return the object's value in a PDO's content."""
         value = word >> self.shift & (1 << self.size) - 1
         return value - (1 << self.size) if self.is_signed and value >> self.size - 1 else value
 
     def put(self, word: int, value: int) -> int:
-        """The content with another value; values that do not fit stop at the end of the range."""
+        """Return the content with another value; values that do not fit stop at the end of the range."""
         low, high = (
             (-(1 << self.size - 1), (1 << self.size - 1) - 1) if self.is_signed else (0, (1 << self.size) - 1)
         )
@@ -69,19 +69,20 @@ class PdoLayout:
         return self.kind <= 240
 
     def has(self, index: int) -> bool:
-        """Whether an object, of any axis, is in it."""
+        """Return whether an object, of any axis, is in it."""
         return any(place.index - offset_of(place.index) == index for place in self.places)
 
 
 def offset_of(index: int) -> int:
-    """What the axis of an object adds to its index: 0x800 an axis (ros2_canopen)."""
+    """Return what the axis of an object adds to its index: 0x800 an axis (ros2_canopen)."""
     return (index - 0x6000) & ~0x7FF if index >= 0x6000 else 0
 
 
 def layout_of(
     who: str, dictionary: Any, number: int, base: int, node: int, raw: dict[int, int], entries: list[int]
 ) -> PdoLayout | None:
-    """A PDO from its communication parameters (`raw`: subindex → value) and mapping entries; None: it is switched off.
+    """Return a PDO from its communication parameters (`raw`: subindex → value) and mapping entries; None: it is
+    switched off.
 
     Raises `DeviceError` for another identifier than the predefined one.
     """
@@ -106,7 +107,7 @@ def layout_of(
 
 
 def _is_signed(dictionary: Any, index: int, subindex: int) -> bool:
-    """Whether an object is a signed number: as the file says; of objects that it does not have, as CiA 402 does."""
+    """Return whether an object is a signed number: as the file says; of objects that it does not have, as CiA 402 does."""
     from canopen.objectdictionary import SIGNED_TYPES
 
     known = dictionary.get_variable(index, subindex)
@@ -120,7 +121,9 @@ SIGNED = frozenset((0x6042, 0x6060, 0x6061, 0x6064, 0x606C, 0x6071, 0x6077, 0x60
 def layouts(
     who: str, dictionary: Any, node: int, side: tuple[int, int, int], value: Callable[[int, int], int | None]
 ) -> dict[int, PdoLayout]:
-    """The PDOs of `side` (`RECEIVED` or `SENT`) that a device has, by number; `value` is an object's (None: not there)."""
+    """Return the PDOs of `side` (`RECEIVED` or `SENT`) that a device has, by number; `value` is an object's (None: not
+    there).
+    """
     communication, mapping, base = side
     found: dict[int, PdoLayout] = {}
     for number in range(1, MOST + 1):
@@ -138,7 +141,7 @@ def layouts(
 
 
 def from_file(who: str, dictionary: Any, node: int, side: tuple[int, int, int]) -> dict[int, PdoLayout]:
-    """The PDOs that a file says its device has."""
+    """Return the PDOs that a file says its device has."""
 
     def value(index: int, subindex: int) -> int | None:
         known = dictionary.get_variable(index, subindex)
@@ -154,7 +157,7 @@ def _number(device: ObjectAccess, index: int, subindex: int) -> Steps:
 
 
 def read_layouts(device: ObjectAccess, side: tuple[int, int, int]) -> Steps:
-    """The PDOs as the node has them."""
+    """Return the PDOs as the node has them."""
     communication, mapping, base = side
     found: dict[int, PdoLayout] = {}
     for number in range(1, MOST + 1):

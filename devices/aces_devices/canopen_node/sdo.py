@@ -97,7 +97,7 @@ class SdoChannel:
         )
 
     def _is_about(self, answer: Any, index: int, subindex: int) -> bool:
-        """Whether an answer is about this object; raises `SdoRefused`."""
+        """Return whether an answer is about this object; raises `SdoRefused`."""
         if (answer.index, answer.subindex) != (index, subindex):
             return False
         if type(answer).__name__ == "SdoAborted":
@@ -200,7 +200,7 @@ class SdoChannel:
 
 
 def _order(index: int, subindex: int, data: bytes) -> dict[str, Any]:
-    """The fields of a download in one frame: 1 to 4 bytes."""
+    """Return the fields of a download in one frame: 1 to 4 bytes."""
     return {
         "index": index,
         "subindex": subindex,

@@ -48,7 +48,7 @@ class CanopenTwin(Twin):
         """A number that was written: in a PDO, or over SDO."""
 
     def object_value(self, index: int, subindex: int, now: int) -> Any:
-        """What an object says now; None: what the dictionary has."""
+        """Return what an object says now; None: what the dictionary has."""
         return None
 
     def lost_host(self, now: int) -> None:
@@ -58,7 +58,7 @@ class CanopenTwin(Twin):
         """Network management has led it into a state, as canopen calls it."""
 
     def in_order(self, places: Sequence[PdoEntry]) -> Iterable[PdoEntry]:
-        """The objects of a PDO in the order in which they are taken."""
+        """Return the objects of a PDO in the order in which they are taken."""
         return places
 
     # ------------------------------------------------------------------ its node
@@ -128,7 +128,7 @@ class CanopenTwin(Twin):
         self.changed_state(self.node.nmt.state, self.clock.now())
 
     def received_by_others(self, record: Any, instant: int) -> bool:
-        """The heartbeat of a node that it may watch over."""
+        """Return the heartbeat of a node that it may watch over."""
         if type(record).__name__ != "Heartbeat":
             return False
         node = record.node
@@ -141,7 +141,7 @@ class CanopenTwin(Twin):
         return True
 
     def _waits_for(self, node: int) -> list[int]:
-        """How long it waits for a node's heartbeat (ms), in none or one entry of object 1016."""
+        """Return how long it waits for a node's heartbeat (ms), in none or one entry of object 1016."""
         if CONSUMER not in self.dictionary:
             return []
         entries = [self.number(CONSUMER, n) for n in range(1, self.number(CONSUMER, 0) + 1)]
@@ -169,7 +169,7 @@ class CanopenTwin(Twin):
         self._timers_of_pdos.clear()
 
     def _layouts(self, side: tuple[int, int, int]) -> dict[int, PdoLayout]:
-        """The PDOs as the dictionary has them now."""
+        """Return the PDOs as the dictionary has them now."""
 
         def value(index: int, subindex: int) -> int | None:
             known = self.dictionary.get_variable(index, subindex)
@@ -178,7 +178,7 @@ class CanopenTwin(Twin):
         return layouts(self.name, self.dictionary, self.node.id, side, value)
 
     def number(self, index: int, subindex: int) -> int:
-        """An object's number, as SDO reads it."""
+        """Return an object's number, as SDO reads it."""
         return int.from_bytes(self.node.get_data(index, subindex), "little")
 
     def _process(self, number: int, data: bytes, now: int) -> None:
@@ -235,7 +235,7 @@ class CanopenTwin(Twin):
     # ------------------------------------------------------------------ the dictionary
 
     def _read(self, index: int, subindex: int, od: Any) -> Any:
-        """What the node knows better than the dictionary."""
+        """Return what the node knows better than the dictionary."""
         return self.object_value(index, subindex, self.clock.now())
 
     def _written(self, index: int, subindex: int, od: Any, data: bytes) -> None:

@@ -77,7 +77,7 @@ class Watchdog:
         self.entry = None
 
     def _free(self) -> Steps:
-        """The entry that is ours already, or the first that is free."""
+        """Return the entry that is ours already, or the first that is free."""
         sdo = self.device.sdo
         count: bytes = yield sdo.upload(CONSUMER, 0)
         free: int | None = None
@@ -96,7 +96,7 @@ class Watchdog:
         return free
 
     def _react(self, index: int) -> Steps:
-        """Whether the drive does something when the host is gone; else it is to."""
+        """Return whether the drive does something when the host is gone; else it is to."""
         device = self.device
         if device.dictionary.get_variable(index, 0) is None:
             return

@@ -100,25 +100,29 @@ class IoChannel:
         return self.index, self.subindex
 
     def value(self, number: int) -> Any:
-        """What it is, its object being `number`."""
+        """Return what it is, its object being `number`."""
         if self.bit is not None:
             return bool(number >> self.bit & 1)
         return number * self.given.scale + self.given.offset
 
     def put(self, number: int, value: Any) -> int:
-        """The object's number with another value of this channel; those that do not fit stop at the end of the range."""
+        """Return the object's number with another value of this channel; those that do not fit stop at the end of the
+        range.
+        """
         if self.bit is not None:
             return number & ~(1 << self.bit) | bool(value) << self.bit
         return min(max(round((float(value) - self.given.offset) / self.given.scale), LEAST), MOST)
 
 
 def module_dictionary(path: str | None, node: int) -> Any:
-    """The dictionary of a module's file (None: our own module's). Raises `CallerError` for a file that is none."""
+    """Return the dictionary of a module's file (None: our own module's). Raises `CallerError` for a file that is none."""
     return read_dictionary(path, node, OWN)
 
 
 def io_channels(who: str, settings: ModuleSettings, dictionary: Any) -> dict[str, IoChannel]:
-    """All channels that a module's file has, by name. Raises `CallerError` for a name of one that it does not have."""
+    """Return all channels that a module's file has, by name. Raises `CallerError` for a name of one that it does not
+    have.
+    """
     count = {kind: _count(dictionary, index) * each for kind, (index, _, each) in KINDS.items()}
     named = {(given.kind, given.number): (name, given) for name, given in settings.channels.items()}
     for name, given in settings.channels.items():
@@ -143,7 +147,7 @@ def io_channels(who: str, settings: ModuleSettings, dictionary: Any) -> dict[str
 
 
 def _count(dictionary: Any, index: int) -> int:
-    """How many subindices an array has."""
+    """Return how many subindices an array has."""
     entry = dictionary.get(index)
     if entry is None or hasattr(entry, "data_type"):
         return 0

@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from functools import partial
 from typing import Any, ClassVar
 
-from aces_bus.device import Job, Signal, Steps
+from aces_bus.device import HostLoss, Job, Signal, Steps
 from aces_bus.device.settings import settings_of
 from aces_bus.errors import AcesError, DeviceError
 
@@ -43,8 +43,11 @@ class Cia401(CanopenNode):
 
     protocol = "canopen"
     streams = ("Rpdo1", "Rpdo2", "Rpdo3", "Rpdo4")
+    when_host_is_lost = HostLoss(
+        "nothing moves", "CiA 301 object 1016, CiA 401 objects 6206, 6207, 6443 and 6444", 0.5,
+        "outputs take their error values; the first output sets object 1016 (`watchdog_ms`) where its file has it",
+    )  # fmt: skip
     actions: ClassVar = {
-        "stop_motion": "what was set to its error value, confirmed",
         "nmt": f"a command of network management: {', '.join(NMT)}",
         "read": "read an object: object=0x6200:1 or its name",
         "write": "write an object: object= value= confirm=true",
@@ -64,6 +67,7 @@ class Cia401(CanopenNode):
         self.goals: dict[tuple[int, int], int] = {}
         #: Which bits of these were set.
         self._driven: dict[tuple[int, int], int] = {}
+        self._is_foreign = False
         #: Of outputs, the module's own: which take an error value, and that value.
         self.errors: dict[tuple[int, int], tuple[int, int]] = {}
         self._by_where: dict[tuple[int, int], list[tuple[IoChannel, Signal]]] = {}
@@ -98,7 +102,7 @@ class Cia401(CanopenNode):
     # ------------------------------------------------------------------ up
 
     def set_up_steps(self, job: Job) -> Steps:
-        """What it is, its PDOs, its heartbeat; its start; what its channels say."""
+        """Return what it is, its PDOs, its heartbeat; its start; what its channels say."""
         job.text = "identity"
         data: bytes = yield self.sdo.upload(0x1000)
         profile = int.from_bytes(data[:2], "little")
@@ -255,7 +259,7 @@ class Cia401(CanopenNode):
                 self._writing = self.job("set outputs", self._write)
 
     def _write(self, job: Job) -> Steps:
-        """The watch over the host first; then what was set."""
+        """Return the watch over the host first; then what was set."""
         try:
             yield from self.watchdog.begin()
             while self._unsent:
@@ -277,7 +281,7 @@ class Cia401(CanopenNode):
                 self.want(f"Rpdo{number}", "data", b"")
 
     def _taking(self) -> Iterable[tuple[int, PdoLayout]]:
-        """The PDOs whose outputs are taken at once, and of which all objects are known."""
+        """Yield the PDOs whose outputs are taken at once, and of which all objects are known."""
         for number, layout in self.outputs.items():
             known = all((place.index, place.subindex) in self.numbers for place in layout.places)
             if known and not layout.is_synchronous:
@@ -288,7 +292,7 @@ class Cia401(CanopenNode):
         return held.issuperset(places)
 
     def gathered(self, message: str, wants: Any) -> dict[str, Any] | None:
-        """A PDO: its outputs as they were set, else as they are."""
+        """Return a PDO: its outputs as they were set, else as they are."""
         layout = self.outputs.get(int(message[-1]))
         return None if layout is None else {"data": self._content(layout)}
 
@@ -340,6 +344,24 @@ class Cia401(CanopenNode):
             yield from self.watchdog.end()
 
         return self.job("stop", steps)
+
+    def assume_driven(self) -> None:
+        """Its outputs were set by another program: what they were before is not known."""
+        super().assume_driven()
+        self._is_foreign = True
+
+    def confirm_stopped(self) -> Job | None:
+        """Fail after another program's set-points, which cannot be taken back here."""
+        if not self._is_foreign:
+            return None
+
+        def steps(job: Job) -> Steps:
+            yield 0
+            raise DeviceError(
+                f"{self.name}: another program has set its outputs, and they stay as they are: end that program"
+            )
+
+        return self.job("say that its outputs stay", steps)
 
     def _stop_number(self, where: tuple[int, int], number: int) -> int | None:
         """What an output's object that is `number` becomes when what was set of it is stopped; None: that is not known."""

@@ -62,7 +62,7 @@ class Cia401Twin(CanopenTwin):
             self._send_changed(one)
 
     def take(self, name: str) -> Any:
-        """A channel's value, an input's or an output's. Raises `UnknownNameError`."""
+        """Return a channel's value, an input's or an output's. Raises `UnknownNameError`."""
         one = self._channel(name)
         return one.value(self.numbers[one.where])
 
@@ -115,7 +115,7 @@ class Cia401Twin(CanopenTwin):
 
 
 def error_number(index: int, number: int, mode: int, value: int) -> int:
-    """What an output's object becomes on errors: of digital ones bit by bit, of analog ones as a whole."""
+    """Return what an output's object becomes on errors: of digital ones bit by bit, of analog ones as a whole."""
     if index == KINDS["digital_output"][0]:
         return number & ~mode | value & mode
     return value if mode else number

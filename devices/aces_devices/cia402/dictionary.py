@@ -15,5 +15,5 @@ OWN = OwnFile(
 
 
 def dictionary_of(path: str | None, node: int) -> Any:
-    """The dictionary of a drive's file (None: our own drive's). Raises `CallerError` for a file that is none."""
+    """Return the dictionary of a drive's file (None: our own drive's). Raises `CallerError` for a file that is none."""
     return read_dictionary(path, node, OWN)

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from aces_bus.device import Job, MotorDevice, Poll, Signal, Steps
+from aces_bus.device import HostLoss, Job, MotorDevice, Poll, Signal, Steps
 from aces_bus.device.settings import settings_of
 from aces_bus.errors import AcesError, CallerError, DeviceError
 
@@ -67,10 +67,13 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
 
     protocol = "canopen"
     streams = ("Rpdo1", "Rpdo2", "Rpdo3", "Rpdo4")
+    when_host_is_lost = HostLoss(
+        "limp", "CiA 301 object 1016, CiA 402 objects 6007 and 605E", 0.5,
+        "after its fault reaction; `enable` sets object 1016 (`watchdog_ms`) where its file has it, else nobody knows",
+    )  # fmt: skip
     actions: ClassVar = {
         "enable": "bring the joints to 'operation enabled', holding where they are (joint=NAME for one)",
         "disable": "torque off: 'ready to switch on'",
-        "stop_motion": "quick stop",
         "home": "search home as the drive's homing method says (method=, joint=); it moves",
         "reset_fault": "acknowledge a fault; the drive stays disabled",
         "set_mode": f"another mode of operation: {', '.join(TARGETS)}",
@@ -168,7 +171,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
             super().received(record, instant)
 
     def describe_emergency(self, code: int) -> str:
-        """An emergency's code in words."""
+        """Return an emergency's code in words."""
         return emergency_text(code)
 
     def forget(self) -> None:
@@ -210,7 +213,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
                 del self._by_sdo[index]
 
     def gathered(self, message: str, wants: Any) -> dict[str, Any] | None:
-        """An RPDO: all its objects as they are wanted now."""
+        """Return an RPDO: all its objects as they are wanted now."""
         layout: PdoLayout | None = self.outputs.get(int(message[-1]))
         if layout is None:
             return None
@@ -223,7 +226,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
         return {"data": word.to_bytes(layout.size, "little")}
 
     def _control(self, axis: DriveAxis, word: int) -> Steps:
-        """A controlword that is known to have arrived: statuswords were made after it."""
+        """Return a controlword that is known to have arrived: statuswords were made after it."""
         axis.outputs[CONTROLWORD] = word
         if CONTROLWORD + axis.offset not in self._takers:
             yield self.sdo.download(CONTROLWORD + axis.offset, 0, word.to_bytes(2, "little"))
@@ -296,7 +299,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
         return self._down("stop", QUICK_STOP, self.axes, STOP_S)
 
     def _down(self, name: str, word: int, axes: Sequence[DriveAxis], within_s: float) -> Job:
-        """A controlword that stops, at once: in PDOs, else over SDO; over when statuswords made after it say so."""
+        """Return a controlword that stops, at once: in PDOs, else over SDO; over when statuswords made after it say so."""
         self.end_led()
         self.epoch += 1
         offsets = {axis.offset for axis in axes}
@@ -344,7 +347,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
         return self.job(name, steps)
 
     def _write_control(self, axes: Sequence[DriveAxis], word: int) -> Job:
-        """A controlword over SDO, instead of all that waits there."""
+        """Return a controlword over SDO, instead of all that waits there."""
         data = word.to_bytes(2, "little")
         return self.sdo.download_now([(CONTROLWORD + axis.offset, 0, data) for axis in axes])
 
@@ -381,7 +384,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
                 )
                 yield from self._control(axis, DISABLE_VOLTAGE)
 
-        return self.lead("reset fault", steps)
+        return self.lead("reset fault", steps, moves=False)
 
     def set_mode(self, mode: str, joint: str | None = None) -> Job:
         """Another mode of operation; the joint holds where it is. Raises `CallerError` for one that is none."""
@@ -397,7 +400,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
                 yield from self._into_mode(axis, mode)
                 axis.choose(mode)
 
-        return self.lead(f"mode {mode}", steps)
+        return self.lead(f"mode {mode}", steps, moves=False)
 
     def _into_mode(self, axis: DriveAxis, mode: str) -> Steps:
         number = MODES[mode]

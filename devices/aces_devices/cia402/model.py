@@ -86,7 +86,7 @@ class AxisModel:
         return self.motor.q * self.units.per_rad + self.units.zero + self.shift
 
     def read(self, index: int, now: int) -> int | None:
-        """An object that the axis knows better than its dictionary; None: it does not."""
+        """Return an object that the axis knows better than its dictionary; None: it does not."""
         match index:
             case 0x6041:
                 self.advance(now)
@@ -155,7 +155,7 @@ class AxisModel:
             self.goal = self._within(value * scale)
 
     def _has(self, mode: int) -> bool:
-        """Whether the drive has a mode: object 6502, bit mode − 1."""
+        """Return whether the drive has a mode: object 6502, bit mode − 1."""
         return mode == 0 or (mode > 0 and bool(self.objects.get(0x6502, 0) >> mode - 1 & 1))
 
     def control(self, word: int) -> None:
@@ -317,7 +317,7 @@ class AxisModel:
     # ------------------------------------------------------------------ motion
 
     def position(self, now: int) -> float:
-        """Where the joint is (rad)."""
+        """Return where the joint is (rad)."""
         self.advance(now)
         return self.motor.q
 

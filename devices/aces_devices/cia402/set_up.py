@@ -36,7 +36,7 @@ SIZES = {
 
 
 def set_up(device: Cia402, job: Job) -> Steps:
-    """The steps, up to an operational node."""
+    """Return the steps, up to an operational node."""
     boots = device.boots
     job.text = "identity"
     data: bytes = yield device.sdo.upload(0x1000)
@@ -84,7 +84,7 @@ def set_up(device: Cia402, job: Job) -> Steps:
 
 
 def _last_error(device: Cia402) -> Steps:
-    """The error that is there already: emergencies report new ones only."""
+    """Return the error that is there already: emergencies report new ones only."""
     try:
         data: bytes = yield device.sdo.upload(0x603F)
     except SdoRefused:

@@ -95,7 +95,7 @@ GROUPS: Final = (
 
 
 def drive_state(statusword: int) -> str:
-    """The state that a statusword says; "unknown" for what is none.
+    """Return the state that a statusword says; "unknown" for what is none.
 
     >>> drive_state(0x0637), drive_state(0x0218), drive_state(0x0250)
     ('operation enabled', 'fault', 'switch on disabled')
@@ -104,7 +104,7 @@ def drive_state(statusword: int) -> str:
 
 
 def emergency_text(code: int) -> str:
-    """What an emergency's code says.
+    """Return what an emergency's code says.
 
     >>> emergency_text(0x3210), emergency_text(0x8130), emergency_text(0xABCD)
     ('0x3210, voltage inside', '0x8130, heartbeat lost', '0xABCD')

@@ -51,7 +51,7 @@ class Cia402Twin(CanopenTwin):
         self._apply_faults()
 
     def _numbers(self, offset: int) -> dict[int, int]:
-        """The numbers of an axis in the dictionary."""
+        """Return the numbers of an axis in the dictionary."""
         found: dict[int, int] = {}
         for index, entry in self.dictionary.items():
             if index < 0x6000 or offset_of(index) != offset:
@@ -79,7 +79,7 @@ class Cia402Twin(CanopenTwin):
             axis.written(own if not subindex else own << 8 | subindex, value, now)
 
     def object_value(self, index: int, subindex: int, now: int) -> Any:
-        """What the axes know better than the dictionary."""
+        """Return what the axes know better than the dictionary."""
         if index == 0x1001:
             return self._register()
         offset = offset_of(index)

@@ -75,7 +75,7 @@ class Units:
 
 
 def units_of(who: str, joint: Joint, settings: DriveSettings) -> Units:
-    """The units of a joint's drive. Raises `CallerError` when its counts are not stated."""
+    """Return the units of a joint's drive. Raises `CallerError` when its counts are not stated."""
     per_unit = joint.counts_per_unit
     if per_unit is None:
         if settings.counts_per_turn is None:

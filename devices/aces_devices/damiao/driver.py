@@ -11,12 +11,14 @@ Sources: see the spec.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Driver, Job, Poll, Steps, Ticket
+from aces_bus.device import Driver, HostLoss, Job, Poll, Steps, Ticket
+from aces_bus.device.host_loss import Outcome
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import AcesError, CallerError, DeviceError, UnknownNameError
 from aces_protocols.damiao.spec import INTEGERS, KD_MAX, KP_MAX, MODELS, READ_ONLY, REGISTERS, SHARE
@@ -40,7 +42,7 @@ _WELL = ("disabled", "enabled")
 
 
 def whole(ranges: tuple[float, float, float]) -> Ranges:
-    """All ranges: stiffness and damping have the same in every model."""
+    """Return all ranges: stiffness and damping have the same in every model."""
     return (*ranges, KP_MAX, KD_MAX)
 
 
@@ -103,6 +105,10 @@ class Damiao(MitMotor):
         "store": "keep the registers for good; confirm=true",
     }
     asking: ClassVar = ("read", "registers")
+    when_host_is_lost = HostLoss(
+        "limp", "Damiao DM-J manuals, register 9 (TIMEOUT, 50 µs) and status D (lost communication)", WATCHDOG_S,
+        "`enable` sets its time-out (`timeout_s`); a bus without ticks leaves it as it is stored",
+    )  # fmt: skip
 
     def setup(self) -> None:
         """The signals of the motor; its numbers mean nothing yet."""
@@ -171,16 +177,34 @@ class Damiao(MitMotor):
 
     # ------------------------------------------------------------------ switching
 
+    @property
+    def timeout_s(self) -> float | None:
+        """The time-out that `enable` sets (s); None: it leaves that as it is stored."""
+        wait_s, rate = self.settings.timeout_s, self.host.rate_hz
+        return max(WATCHDOG_S, 10 / rate) if wait_s is None and rate else wait_s
+
+    @property
+    def host_loss(self) -> HostLoss:
+        """As declared, after its time-out."""
+        loss, wait_s = self.when_host_is_lost, self.timeout_s
+        if wait_s:
+            return replace(loss, after_s=wait_s)
+        does: Outcome = "unknown" if wait_s is None else "goes on"
+        return replace(loss, does=does, after_s=None, detail="timeout_s sets a time-out")
+
+    @property
+    def fed_within_s(self) -> float | None:
+        """Its time-out, which every command feeds."""
+        return self.timeout_s or None
+
     def bring_up(self, job: Job) -> Steps:
-        """Its ranges, its mode, its time-out; then on."""
+        """Return its ranges, its mode, its time-out; then on."""
         job.text = "registers"
         yield from self.read_ranges()
         number = NUMBERS[self.mode]
         if (yield self.read("control_mode")) != number:
             yield self.write("control_mode", number, confirm=True)
-        timeout_s, rate = self.settings.timeout_s, self.host.rate_hz
-        if timeout_s is None and rate:
-            timeout_s = max(WATCHDOG_S, 10 / rate)
+        timeout_s = self.timeout_s
         if timeout_s is not None:
             yield self.write("timeout", round(timeout_s / TIMEOUT_UNIT_S), confirm=True)
         yield self.ask_state()
@@ -188,7 +212,7 @@ class Damiao(MitMotor):
         yield self.ask("Enable", reply="Feedback")
 
     def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
-        """The speed on the way, and the share of the current, in modes that have them."""
+        """Return the speed on the way, and the share of the current, in modes that have them."""
         if message not in ("PositionVelocity", "ForcePosition"):
             return fields
         joint = self.joint
@@ -229,7 +253,7 @@ class Damiao(MitMotor):
         return self.job("set zero", steps)
 
     def _register(self, register: str | int) -> tuple[int, str]:
-        """Its number, and whether it holds a float or an integer."""
+        """Return its number, and whether it holds a float or an integer."""
         number = REGISTERS.get(register) if isinstance(register, str) else int(register)
         if number is None and isinstance(register, str) and register.isdigit():
             number = int(register)

@@ -199,7 +199,9 @@ class DamiaoTwin(Twin):
         self.answer(request, "Write")
 
     def _can_be(self, number: int, value: float) -> bool:
-        """Whether a register can have a value: a mode that there is, an identifier that its answers can come under."""
+        """Return whether a register can have a value: a mode that there is, an identifier that its answers can come
+        under.
+        """
         if number == 10:
             return value in _MODES
         if number == 7:

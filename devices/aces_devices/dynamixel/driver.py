@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from aces_bus.device import Job, Signal, Steps
+from aces_bus.device import HostLoss, Job, Signal, Steps
 from aces_bus.device.config import Joint
 from aces_bus.device.register_device import RegisterSpan
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
@@ -63,7 +64,7 @@ class DynamixelSettings(ServoSettings, frozen=True, kw_only=True):
 
 
 def mode_of(joint: Joint | None, settings: DynamixelSettings) -> str:
-    """The operating mode that a joint needs its servo in."""
+    """Return the operating mode that a joint needs its servo in."""
     if joint is None or joint.command == "position":
         turns = joint is not None and joint.type == "continuous"
         return settings.mode or ("extended_position" if turns else "position")
@@ -100,6 +101,10 @@ class Dynamixel(ServoDevice):
     error_bits = HARDWARE_ERRORS
     of_request = frozenset(("crc",))
     reset = ("FactoryReset", {"keep": "nothing"})
+    when_host_is_lost = HostLoss(
+        "holds", "ROBOTIS e-manual, X series: Bus Watchdog (98)", 0.5,
+        "with torque on; by current or duty it goes limp. `enable` sets its bus watchdog (`watchdog_s`)",
+    )  # fmt: skip
     count_rad = math.radians(ANGLE)
     speed_count_rad_s = SPEED * math.tau / 60
     actions: ClassVar[Mapping[str, str]] = {
@@ -144,7 +149,7 @@ class Dynamixel(ServoDevice):
         return (0, TURN - 1) if self.mode == "position" else (-FAR, FAR)
 
     def speed_limit_counts(self) -> int:
-        """The model's; the servo's own, once that is read, may be less."""
+        """Return the model's; the servo's own, once that is read, may be less."""
         return SPEED_LIMIT if self.model is None else self.model.velocity_limit
 
     def declare_more(self, owner: str, motion: Mapping[str, Any], health: Mapping[str, Any]) -> None:
@@ -259,7 +264,7 @@ class Dynamixel(ServoDevice):
         return None
 
     def refusal(self, record: Any) -> str:
-        """What is wrong with the request, by name."""
+        """Return what is wrong with the request, by name."""
         code = record.error.code
         return "" if code == "none" else str(code)
 
@@ -291,14 +296,18 @@ class Dynamixel(ServoDevice):
             super().want(message, path, value)
 
     @property
-    def alone_s(self) -> float | None:
-        """Its bus watchdog, which `enable` sets."""
-        return self.settings.watchdog_s or None
+    def host_loss(self) -> HostLoss:
+        """As declared; without a position or speed to hold its motor has no torque, without a watchdog it goes on."""
+        loss, wait_s = self.when_host_is_lost, self.settings.watchdog_s
+        if not wait_s:
+            return replace(loss, does="goes on", after_s=None, detail="watchdog_s = 0 in the robot's file")
+        holds = self.command in ("position", "speed")
+        return replace(loss, does="holds" if holds else "limp", after_s=wait_s)
 
     @property
     def fed_within_s(self) -> float | None:
-        """The same: any instruction feeds it."""
-        return self.alone_s
+        """Its bus watchdog, which any instruction feeds."""
+        return self.settings.watchdog_s or None
 
     # ------------------------------------------------------------------ actions
 

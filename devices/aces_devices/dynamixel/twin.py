@@ -101,7 +101,7 @@ class DynamixelTwin(ServoTwin):
     # ------------------------------------------------------------------ motion
 
     def position(self, now: int) -> float:
-        """The joint's angle (rad)."""
+        """Return the joint's angle (rad)."""
         self._watch(now)
         direction, zero = self._joint
         return (self.motion.position(now) * self._step - zero) * direction
@@ -185,7 +185,7 @@ class DynamixelTwin(ServoTwin):
         super().receive(record, instant)
 
     def refused(self, why: str) -> Any:
-        """The number of a refusal, by its name."""
+        """Return the number of a refusal, by its name."""
         return {"range": "data_range"}.get(why, why) or "none"
 
     def with_errors(self, refusal: Any, errors: int) -> Any:

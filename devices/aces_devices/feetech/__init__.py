@@ -31,7 +31,7 @@ CLAW  = { device = "F3", zero = 2.6 }
 
 
 def _model(data: bytes) -> object:
-    """The model's name by its two bytes: of STS servos the low one first, of SCS servos the high one."""
+    """Return the model's name by its two bytes: of STS servos the low one first, of SCS servos the high one."""
     names = (table["model_number"].decode(data) for table in (sts_table, scs_table))
     return next((name for name in names if isinstance(name, str)), sts_table["model_number"].decode(data))
 

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from aces_bus.device import DeviceConfig, Host, Job, Robot, Steps
+from aces_bus.device import DeviceConfig, Host, HostLoss, Job, Robot, Steps
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Variant
 from aces_protocols.feetech.control_table import ERRORS, SCS_ANGLE, STS_ANGLE
@@ -39,6 +39,11 @@ class Feetech(ServoDevice):
     """One STS, SMS or SCS servo."""
 
     protocol: ClassVar[Any] = "feetech"
+    when_host_is_lost = HostLoss(
+        "goes on",
+        "Feetech STS and SCS memory tables: no time-out",
+        detail="it holds its goal with torque on, or turns on",
+    )
     registers = sts_table
     eeprom = range(40)
     together_overhead = 8
@@ -92,7 +97,7 @@ class Feetech(ServoDevice):
         return 0, self.turn - 1
 
     def speed_limit_counts(self) -> int:
-        """What the register takes."""
+        """Return what the register takes."""
         return FASTEST
 
     def signed(self, raw: int) -> int:
@@ -148,7 +153,7 @@ class Feetech(ServoDevice):
     # ------------------------------------------------------------------ what survives power-off
 
     def unlock(self) -> Steps:
-        """What is written from now on survives power-off."""
+        """Return what is written from now on survives power-off."""
         yield super().write("lock", "open")
 
     def lock(self) -> Steps:

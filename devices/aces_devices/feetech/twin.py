@@ -102,7 +102,7 @@ class FeetechTwin(ServoTwin):
         return (count - self.offset) % self.turn
 
     def position(self, now: int) -> float:
-        """The joint's angle (rad), as its position register has it."""
+        """Return the joint's angle (rad), as its position register has it."""
         direction, zero = self._joint
         return ((self.motion.position(now) - self.offset) * self._step - zero) * direction
 
@@ -173,7 +173,7 @@ class FeetechTwin(ServoTwin):
         return 0
 
     def with_errors(self, refusal: int, errors: int) -> int:
-        """The servo's errors."""
+        """Return the servo's errors."""
         return refusal | errors
 
     @on("SyncRead")

@@ -135,12 +135,12 @@ class ReceiverTwin(Twin):
         self.origin = origin_of(self.settings) or Origin(radians(latitude), radians(longitude), height)
 
     def motion(self, now: int) -> AntennaMotion:
-        """Where the antenna is, and how it moves."""
+        """Return where the antenna is, and how it moves."""
         feed = self.feed or self.world.shared.get("place")
         return AntennaMotion() if feed is None else feed(now)
 
     def epoch(self) -> Epoch:
-        """What the receiver knows now."""
+        """Return what the receiver knows now."""
         now = self.clock.now()
         motion, noise = self.motion(now), self.random.gauss
         wrong = self.active_faults.get("jump", 0.0)
@@ -168,7 +168,7 @@ class ReceiverTwin(Twin):
 
 
 def in_circle(radius_m: float, period_s: float) -> Callable[[int], AntennaMotion]:
-    """A motion for `feed`: a circle around the origin, from its northern point over east.
+    """Return a motion for `feed`: a circle around the origin, from its northern point over east.
 
     >>> circle = in_circle(10, 60)
     >>> at = circle(15_000_000_000)

@@ -30,7 +30,7 @@ class Origin:
         return meridian + self.height, (across + self.height) * cos(self.latitude)
 
     def metres(self, latitude: float, longitude: float) -> tuple[float, float]:
-        """How far to the north and to the east (m) a place is.
+        """Return how far to the north and to the east (m) a place is.
 
         >>> from math import radians
         >>> here = Origin(radians(48), radians(11))

@@ -107,7 +107,7 @@ class NmeaReceiver(Receiver):
 
 
 def _dop(value: float | None) -> float | None:
-    """A dilution; receivers without a fix say 99.99."""
+    """Return a dilution; receivers without a fix say 99.99."""
     return None if value is None or value >= 99 else value
 
 

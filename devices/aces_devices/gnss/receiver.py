@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Device
+from aces_bus.device import Device, HostLoss
 from aces_bus.device.settings import settings_of
 from aces_bus.errors import CallerError
 
@@ -79,8 +79,14 @@ class Receiver(Device):
     """One receiver. A subclass names in `messages` which message gives which quantities, and calls `found` with them."""
 
     settings_type: ClassVar[type[ReceiverSettings]] = ReceiverSettings
+    when_host_is_lost = HostLoss("nothing moves", "a receiver")
     messages: ClassVar[dict[str, tuple[str, ...]]]
     attributes = Device.attributes | {"settings", "origin"}
+
+    @property
+    def sends_every_s(self) -> float | None:
+        """As the robot's file says."""
+        return 1 / self.settings.rate_hz
 
     def setup(self) -> None:
         """A signal for each quantity; metres from the origin where the file says one."""
@@ -132,7 +138,7 @@ class Receiver(Device):
 
 
 def origin_of(settings: ReceiverSettings) -> Origin | None:
-    """The origin that a file says. Raises `CallerError` for a place that is not on the Earth."""
+    """Return the origin that a file says. Raises `CallerError` for a place that is not on the Earth."""
     if settings.origin is None:
         return None
     latitude, longitude, *height = settings.origin

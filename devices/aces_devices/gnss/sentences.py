@@ -166,7 +166,7 @@ SENTENCES: dict[str, Callable[[Epoch], Iterable[Fields]]] = {
 
 
 def sentences(epoch: Epoch, *names: str) -> Iterable[tuple[str, Fields]]:
-    """The sentences of these names: name and fields of each."""
+    """Yield the sentences of these names: name and fields of each."""
     for name in names:
         for fields in SENTENCES[name](epoch):
             yield name, {"talker": "GN", "more": [], **fields}

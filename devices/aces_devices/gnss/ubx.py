@@ -126,7 +126,7 @@ class UbxReceiver(Receiver):
 
 
 def quality_of(record: Any) -> str:
-    """What kind of a fix NavPvt has, in the words of NMEA 0183's GGA."""
+    """Return what kind of a fix NavPvt has, in the words of NMEA 0183's GGA."""
     if not record.flags.fix_ok or record.fix in ("none", "time_only"):
         return "none"
     if record.fix == "dead_reckoning":

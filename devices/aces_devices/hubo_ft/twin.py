@@ -146,7 +146,7 @@ class ForceTorqueTwin(SensorTwin):
 
 
 def _undone(matrix: Sequence[Sequence[float]]) -> list[list[float]]:
-    """The inverse of a 3 × 3 matrix. Raises `CallerError` when it has none."""
+    """Return the inverse of a 3 × 3 matrix. Raises `CallerError` when it has none."""
     if len(matrix) != 3 or any(len(row) != 3 for row in matrix):
         raise CallerError("a force/torque sensor's matrix has three rows of three")
     try:

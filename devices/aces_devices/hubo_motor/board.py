@@ -17,7 +17,7 @@ from math import pi, tau
 from typing import Any, ClassVar
 
 from aces_bus.compiling import mypyc_attr
-from aces_bus.device import Joint, MotorDevice, Poll, Signal
+from aces_bus.device import HostLoss, Joint, MotorDevice, Poll, Signal
 from aces_bus.device.settings import settings_of
 from aces_bus.errors import CallerError, DeviceError
 from aces_protocols.hubo.spec import hubo
@@ -58,6 +58,7 @@ class MotorAxis:
         "duty",
         "goal",
         "instant",
+        "is_on",
         "joint",
         "name",
         "position",
@@ -85,6 +86,8 @@ class MotorAxis:
         self.goal: float | None = None
         #: Whether it was homed by the last status.
         self.was_homed = False
+        #: Whether the last status had its drive on; None: there was none.
+        self.is_on: bool | None = None
         #: What the status says.
         self.signals: dict[str, Signal] = {}
         self.position: Signal | None = None
@@ -121,7 +124,7 @@ class MotorAxis:
             found.update(value, instant)
 
     def shown(self, name: str) -> Any:
-        """The value of a signal; None where there is none of this name."""
+        """Return the value of a signal; None where there is none of this name."""
         found = self.signals.get(name)
         return None if found is None else found.value
 
@@ -131,6 +134,11 @@ class MotorBoard(MotorDevice[MotorAxis]):
     """One board, without what can be done with it."""
 
     protocol: ClassVar = hubo
+    when_host_is_lost = HostLoss(
+        "goes on",
+        "hubo-ach and Hubo's manuals state no time-out",
+        detail="its joints stay at the last reference",
+    )
     streams: ClassVar[Collection[str]] = (
         "Reference",
         "Reference3D08",
@@ -182,7 +190,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         self._declare_polls()
 
     def _declare_signals(self) -> str | None:
-        """Each joint's signals; the message that sets them."""
+        """Return each joint's signals; the message that sets them."""
         shape = self.shape
         commands = {axis.joint.command for axis in self.axes if axis.joint is not None}
         by_duty = "duty" in commands or (shape.reference is None and shape.pwm is not None)
@@ -249,12 +257,12 @@ class MotorBoard(MotorDevice[MotorAxis]):
         return message
 
     def is_pushed(self, channel: int) -> bool:
-        """Whether what a channel is given is a current."""
+        """Return whether what a channel is given is a current."""
         references = self.shape.references
         return channel < len(references) and references[channel].startswith("finger")
 
     def path_of(self, axis: MotorAxis, message: str) -> str:
-        """Where a channel's set-point is in a message."""
+        """Return where a channel's set-point is in a message."""
         return f"duty.{axis.channel}" if message == self.shape.pwm else self.shape.references[axis.channel]
 
     def _declare_position(self, axis: MotorAxis, joint: Joint, target: str | None) -> None:
@@ -343,7 +351,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         return lower, upper
 
     def neck_angle(self, axis: MotorAxis) -> Callable[[float], float]:
-        """A neck's reference in the spec's rad: whole steps of 4096 a turn, or of hubo-ach's 4095."""
+        """Return a neck's reference in the spec's rad: whole steps of 4096 a turn, or of hubo-ach's 4095."""
         per_turn = int(self.settings.neck_counts)
 
         def code(position: float) -> float:
@@ -408,10 +416,12 @@ class MotorBoard(MotorDevice[MotorAxis]):
                 axis.show("homed", axis.was_homed, instant)
             else:
                 drive, names = motor, tuple(motor)
+            axis.is_on = is_on = "driver_on" in drive and (
+                not self.shape.has_switches or "control_on" in drive
+            )
             if axis.joint is None:
                 continue
             bad = tuple(name for name in names if name not in _SWITCHES)
-            is_on = "driver_on" in drive and (not self.shape.has_switches or "control_on" in drive)
             on, wrong = on and is_on, wrong or bool(bad)
             before = axis.signals["errors"].last or ()
             for name, value in (("status", names), ("enabled", is_on), ("errors", bad)):
@@ -499,7 +509,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         super().want(message, path, value)
 
     def _duty_sign(self, axis: MotorAxis) -> int:
-        """The sign on the wire of a duty that drives a joint upwards."""
+        """Return the sign on the wire of a duty that drives a joint upwards."""
         return self.shape.positive * (axis.direction if self.shape.reference is not None else 1)
 
     def give(self, axis: MotorAxis, value: Any) -> None:
@@ -511,7 +521,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         super().want(message, self.path_of(axis, message), value)
 
     def due_messages(self, now: int) -> list[str]:
-        """What is to be sent in this tick; filters move on."""
+        """Return what is to be sent in this tick; filters move on."""
         if self._filtering:
             self._filter()
         return super().due_messages(now)
@@ -535,7 +545,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         self._filtering = busy
 
     def default_of(self, message: str, path: str) -> Any:
-        """What a channel without a joint is sent: where it is; no duty."""
+        """Return what a channel without a joint is sent: where it is; no duty."""
         if path.startswith("duty"):
             return 0
         if path.startswith("finger"):
@@ -544,7 +554,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         return None if axis.joint is not None else axis.count
 
     def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
-        """A one-channel board repeats its reference; duties without a sign get their direction; the mode."""
+        """Return a one-channel board repeats its reference; duties without a sign get their direction; the mode."""
         shape = self.shape
         if message == "Reference":
             if shape.channels == 1:
@@ -591,12 +601,12 @@ class MotorBoard(MotorDevice[MotorAxis]):
                 axis.duty.update(0.0, self.clock.now())
 
     def fail(self, text: str) -> DeviceError:
-        """An error of this board."""
+        """Return an error of this board."""
         return DeviceError(f"{self.host.name} {self.name}: {text}")
 
 
 def search_state(motor: Any) -> str:
-    """How far a home search of D08 is: "failed" before "done" before "searching", as acesHubo looks at it."""
+    """Return how far a home search of D08 is: "failed" before "done" before "searching", as acesHubo looks at it."""
     if motor.origin == "fail" or motor.limit_switch == "fail":
         return "failed"
     return "done" if motor.origin == "ok" and motor.limit_switch == "ok" else "searching"

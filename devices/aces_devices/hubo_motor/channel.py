@@ -72,7 +72,7 @@ class MotorChannel:
     # ------------------------------------------------------------------ geometry
 
     def defaults(self) -> StoredChannel:
-        """What the board comes with: the robot file's gains and home."""
+        """Return what the board comes with: the robot file's gains and home."""
         made, own = StoredChannel(resolution=min(16383, int(self.turn))), self.own
         if own is None:
             return made
@@ -149,6 +149,11 @@ class MotorChannel:
         self.pressing_since = -1
         self.apply_gains()
 
+    def be_homed(self) -> None:
+        """Count from the true zero, as after a home search that ended well."""
+        self.offset, self.home = 0.0, HOMED
+        self.found = dict.fromkeys(self.found, "ok")
+
     def apply_gains(self) -> None:
         """Gains of the board scale those of the model: what the board came with is what the model was made for."""
         usual = self.defaults()
@@ -179,7 +184,7 @@ class MotorChannel:
         joint.sync(now)
 
     def count(self, now: int) -> int:
-        """What the encoder says."""
+        """Return what the encoder says."""
         self.sync(now)
         count = self.raw(self.joint.q) - self.offset
         return int(count + (1e-6 if count >= 0 else -1e-6))
@@ -342,7 +347,7 @@ class MotorChannel:
     # ------------------------------------------------------------------ what is wrong
 
     def look(self, now: int) -> set[str]:
-        """The error bits as they are now: what happened since they were cleared, and what lasts."""
+        """Return the error bits as they are now: what happened since they were cleared, and what lasts."""
         self.sync(now)
         joint, stored, board, faults = self.joint, self.stored, self.board, self.faults
         errors = self.errors
@@ -384,7 +389,7 @@ class MotorChannel:
         return "no_switch" not in self.faults and (self.raw(self.joint.q) - self.edge) * self.side > 0
 
     def drive_flags(self) -> list[str]:
-        """The switches of the status."""
+        """Return the switches of the status."""
         flags = {
             "driver_on": self.driver_on,
             "control_on": self.control_on,
@@ -397,7 +402,7 @@ class MotorChannel:
 def counts_of(
     channels: Iterable[MotorChannel], now: int, frozen: Mapping[int, int], is_short: bool
 ) -> list[int]:
-    """What the encoders of channels say, some `frozen` by a fault; where `is_short`, as 16 bits, which run around."""
+    """Return what the encoders of channels say, some `frozen` by a fault; where `is_short`, as 16 bits, which run around."""
     counts = [frozen.get(channel.number, channel.count(now)) for channel in channels]
     return [(count + _HALF) % _WORD - _HALF for count in counts] if is_short else counts
 

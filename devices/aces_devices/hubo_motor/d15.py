@@ -19,6 +19,7 @@ from aces_bus.device import (
     UNKNOWN,
     Driver,
     Host,
+    HostLoss,
     Job,
     Joint,
     MotorDevice,
@@ -68,11 +69,13 @@ class HuboMotorD15(MotorDevice[D15Axis]):
     """
 
     protocol = "hubo"
+    when_host_is_lost = HostLoss(
+        "goes on", "RoboWorld2018 states no time-out", detail="its joints stay at the last reference"
+    )
     streams = ("ReferenceD15",)
     actions: ClassVar = {
         "enable": "drivers and control on, holding where the joints are",
         "disable": "control off, drivers off",
-        "stop_motion": "control off, at once",
         "home": "search home as stored in the board (joint=NAME for one); it moves",
         "clear_errors": "clear error bits (joint=NAME for one)",
         "position_mode": "what set-points count from: mode=absolute or mode=incremental",
@@ -131,7 +134,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
         return super().takes(signal) if self.is_enabled else False
 
     def default_of(self, message: str, path: str) -> Any:
-        """A channel that was never given a set-point stays where it is; one without a joint is 0."""
+        """Return a channel that was never given a set-point stays where it is; one without a joint is 0."""
         for axis in self.axes:
             if axis.channel == int(path[-1]):
                 return self._here(axis)
@@ -139,7 +142,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
 
     @staticmethod
     def _here(axis: D15Axis) -> int | None:
-        """The count at which a joint is; None: not known."""
+        """Return the count at which a joint is; None: not known."""
         assert axis.position is not None
         return None if axis.position.last is UNKNOWN else axis.to_counts(axis.position.last)
 
@@ -282,7 +285,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
         return self.job("clear errors", steps)
 
     def position_mode(self, mode: str, joint: str | None = None) -> Job:
-        """What set-points count from. Only while disabled: the same number would mean another place."""
+        """Return what set-points count from. Only while disabled: the same number would mean another place."""
         if mode not in ("absolute", "incremental"):
             raise CallerError(f"{self.name}: mode is absolute or incremental, not {mode!r}")
         axes = self.axes_of(joint)
@@ -296,7 +299,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
         return self.job("position mode", steps)
 
     def board_info(self) -> Any:
-        """The board's period (ms) and firmware version."""
+        """Return the board's period (ms) and firmware version."""
         return self.ask("GetBoardInfoD15", reply="BoardInfoD15")
 
 
@@ -335,7 +338,7 @@ class _SimulatedMotor:
             self.model.follow(now, self.goal)
 
     def position(self, now: int) -> float:
-        """Where the joint is (rad)."""
+        """Return where the joint is (rad)."""
         return self.model.position(now)
 
 
@@ -358,6 +361,7 @@ class HuboMotorD15Twin(Twin):
             old = self.world.joints.get(joint.name)
             place = self.world.start_of(joint.name) if old is None else old.position(now)
             made = _SimulatedMotor(joint, now, place)
+            made.is_homed = old is None and self.world.homed
             self.motors[joint.channel] = made
             self.world.joints[joint.name] = made
         self._continuous = 0

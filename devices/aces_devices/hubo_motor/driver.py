@@ -41,7 +41,6 @@ _USUAL: Mapping[str, Any] = {"homing_duty": 30, "temperature_warning": 80}
 _ALWAYS = {
     "enable": "follow set-points, from where the joints are",
     "disable": "control off, drivers off",
-    "stop_motion": "control off, at once; set-points are forgotten",
 }
 _GAINS = {"set_gains": "position gains of a joint, kp= ki= kd=, or torque=True"}
 _HOME = {"home": "search the home of a joint, or of all; it moves"}
@@ -167,7 +166,7 @@ class HuboMotor(Homing):
         return self.job("set parameters", steps)
 
     def _known(self, axis: MotorAxis | None) -> Steps:
-        """What is stored now, by our names."""
+        """Return what is stored now, by our names."""
         stored: BoardParameters = yield self.parameters()
         known = msgspec.structs.asdict(stored)
         return known if axis is None else known | msgspec.structs.asdict(stored.channels[axis.name])

@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import Any
 
 from aces_bus.device import Job, Steps
+from aces_bus.device.ticket import Awaited
 from aces_bus.errors import CallerError
 
 from .board import ARRIVED, MotorAxis, MotorBoard, search_state
@@ -55,14 +56,12 @@ class Homing(Switching):
 
     def _start(self, axes: list[MotorAxis], steps: Any) -> Job:
         self.homing = {axis.channel for axis in axes}
+        search = self.lead("home", steps)
+        search.then(self._search_is_over)  # also where it was refused, or ended before its first step
+        return search
 
-        def guarded(job: Job) -> Steps:
-            try:
-                return (yield from steps(job))
-            finally:
-                self.homing = set()
-
-        return self.lead("home", guarded)
+    def _search_is_over(self, search: Awaited) -> None:
+        self.homing = set()
 
     def _announce(self) -> None:
         """A home command goes out: no references on this bus for a while (hubo-ach)."""
@@ -131,7 +130,7 @@ class Homing(Switching):
             self.hold_off(4 * LOOK_NS / 1e9)
 
     def _why(self, axes: list[MotorAxis]) -> str:
-        """What is known of joints that found no home."""
+        """Return what is known of joints that found no home."""
         said: list[str] = []
         for axis in axes:
             parts = [f"home flag {axis.shown('home')}"] if "home" in axis.signals else []
@@ -152,7 +151,7 @@ class Homing(Switching):
         return home
 
     def _only_switch(self, joint: str | None) -> MotorAxis:
-        """The one motor of three that has a limit switch."""
+        """Return the one motor of three that has a limit switch."""
         axis = self.axes[0]
         if joint is not None and self.axes_of(joint) != [axis]:
             raise CallerError(f"{self.name}: only {axis.name} has a limit switch; it homes the board")
@@ -168,12 +167,12 @@ class Homing(Switching):
         return power
 
     def tries(self) -> int:
-        """How often a joint's search is tried: 3 for arms and wrists, 2 for legs and waist (acesHubo)."""
+        """Return how often a joint's search is tried: 3 for arms and wrists, 2 for legs and waist (acesHubo)."""
         arm = self.credentials["board"] in (0x08, 0x09, 0x0A, 0x0B, 0x20, 0x21, 0x22)
         return int(self.settings.home_tries or (3 if arm else 2))
 
     def home_fields(self, axis: MotorAxis) -> dict[str, Any]:
-        """The home command of a channel of D08, from the robot's file.
+        """Return the home command of a channel of D08, from the robot's file.
 
         A board of three channels has 16 bits for the pulses: higher bits and the sign do not fit and are left out, and the
         other motors get 5 turns, as acesHubo sent both.

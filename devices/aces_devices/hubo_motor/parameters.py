@@ -109,12 +109,12 @@ OF_BOARD: Final = ("JamLimits", "ErrorBounds")
 
 
 def selector(channel: int, block: int) -> int:
-    """Which number asks for block 1–6 of a channel: 20–22 stay free for the board's blocks (hubo-ach)."""
+    """Return which number asks for block 1–6 of a channel: 20–22 stay free for the board's blocks (hubo-ach)."""
     return 6 * channel + block + (5 if channel >= 3 else 0)
 
 
 def channel_parameters(blocks: Mapping[int, Any]) -> ChannelParameters:
-    """The six blocks of a channel put together."""
+    """Return the six blocks of a channel put together."""
     found = {name: getattr(blocks[n], name) for n, names in CHANNEL_BLOCKS.items() for name in names}
     for whole in ("home_offset", "upper_limit"):
         found[whole] = found.pop(f"{whole}_low") + found.pop(f"{whole}_high")
@@ -124,7 +124,7 @@ def channel_parameters(blocks: Mapping[int, Any]) -> ChannelParameters:
 
 
 def block_fields(stored: ChannelParameters, block: int) -> dict[str, Any]:
-    """The fields of a block of a channel."""
+    """Return the fields of a block of a channel."""
     offset, upper = stored.home_offset, stored.upper_limit
     cut = {
         "home_offset_low": offset & 0xFFFF,
@@ -149,5 +149,5 @@ class StoredBoard(BoardParameters, kw_only=True):
 
 
 def board_defaults(kind: int | str) -> StoredBoard:
-    """What a board comes with. Fingers have far to go to their stop."""
+    """Return what a board comes with. Fingers have far to go to their stop."""
     return StoredBoard(velocity_to_switch=40, velocity_to_offset=40) if kind == 5 else StoredBoard()

@@ -23,21 +23,21 @@ _ENCODER, _STATUS = 0x060, 0x150
 
 
 def name_of(board: int) -> str:
-    """What such a board is called: JMC0 to JMC15, EJMC0 from 0x20 on."""
+    """Return what such a board is called: JMC0 to JMC15, EJMC0 from 0x20 on."""
     if board < 0x10:
         return f"JMC{board}"
     return f"EJMC{board - 0x20}" if board >= 0x20 else f"BOARD_{board:#04x}"
 
 
 def channels_by_length(lengths: list[int], dialect: str) -> int | None:
-    """How many channels a board has whose encoder replies are so long: 4 bytes one, 8 two, 6 three; 6 and 4 five."""
+    """Return how many channels a board has whose encoder replies are so long: 4 bytes one, 8 two, 6 three; 6 and 4 five."""
     if dialect == "D12" and 6 in lengths and 4 in lengths:
         return 5
     return next((channels for size, channels in ((8, 2), (6, 3), (4, 1)) if size in lengths), None)
 
 
 def scan_boards(host: Host, job: Job) -> Steps:
-    """The motor boards that answer on this host's bus, as a list of `DeviceConfig` by number.
+    """Return the motor boards that answer on this host's bus, as a list of `DeviceConfig` by number.
 
     Boards that the host has already, and that answer, are listed as they are. Raises `CallerError` on a bus without Hubo's
     protocol.
@@ -96,7 +96,7 @@ def scan_boards(host: Host, job: Job) -> Steps:
 
 
 def _requests(dialect: str, host: Host) -> list[tuple[str, dict[str, Any], bool]]:
-    """What is asked, in order, with the fields, and whether of all numbers or of those that have not answered.
+    """Return what is asked, in order, with the fields, and whether of all numbers or of those that have not answered.
 
     All but the last are asked twice: a bus loses frames.
     """
@@ -113,7 +113,7 @@ def _requests(dialect: str, host: Host) -> list[tuple[str, dict[str, Any], bool]
 
 
 def _config(host: Host, board: int, measured: int | None, known: Any) -> DeviceConfig:
-    """A board of so many channels as was measured, else of the kind in the table, else of two channels."""
+    """Return a board of so many channels as was measured, else of the kind in the table, else of two channels."""
     kind: str | None = None
     if measured is None and isinstance(known, str):
         measured, kind = 3, known

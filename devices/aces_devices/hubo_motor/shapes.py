@@ -131,7 +131,7 @@ class Shape:
     position_bits: int = 24
 
     def encoder_reply(self, channel: int) -> tuple[str, ...]:
-        """The messages that have a channel's position."""
+        """Return the messages that have a channel's position."""
         asks = [ask for ask in self.encoders if ask.first <= channel]
         return max(asks, key=lambda ask: ask.first).reply if asks else ()
 

@@ -33,7 +33,7 @@ RIGID_FILTER = 400
 def compliant_duty(
     error: float, velocity: float, kp: float, kd: float, max_pwm: float, pwm: float = 0.0
 ) -> int:
-    """The duty in 0.1 %, as it goes out: `error` = reference − position (rad), `velocity` in rad/s.
+    """Return the duty in 0.1 %, as it goes out: `error` = reference − position (rad), `velocity` in rad/s.
 
     >>> compliant_duty(0.1, 0.0, 80, 0, 8)
     -80
@@ -83,7 +83,7 @@ class Switching(MotorBoard):
         self.is_enabled = True
 
     def present(self, axis: MotorAxis) -> float:
-        """The set-point at which a channel stays where it is."""
+        """Return the set-point at which a channel stays where it is."""
         if self.set_message == self.shape.pwm:
             return 0
         if self.is_pushed(axis.channel):
@@ -163,7 +163,7 @@ class Switching(MotorBoard):
         return self.ask(self.shape.name_info, reply="NameInfoReply", **fields)
 
     def knows_name(self) -> bool:
-        """Whether `board_info` can be asked."""
+        """Return whether `board_info` can be asked."""
         return self._name_info() is not None if self.shape.name_info is not None else self.kind != "neck"
 
     def disable(self) -> Job:
@@ -196,12 +196,11 @@ class Switching(MotorBoard):
     def confirm_stopped(self) -> Job | None:
         """By the board's status, where it has that of its drives."""
         status = self.shape.status
-        axes = [axis for axis in self.axes if "enabled" in axis.signals]
-        if status is None or not axes or not self.shape.has_switches:
+        if status is None or not self.shape.reports_drive or not self.shape.has_switches:
             return None
         return self.confirm_off(
             lambda: self.ask("SendStatus", reply=status.reply),
-            lambda: [axis.name for axis in axes if axis.shown("enabled") is not False],
+            lambda: [axis.name for axis in self.axes if axis.is_on is not False],
         )
 
     def _pwm_off(self) -> Ticket | None:
@@ -253,7 +252,9 @@ class Switching(MotorBoard):
         return [self.send(messages[axis.channel], kp=numbers[0], ki=numbers[1], kd=numbers[2])]
 
     def set_control_mode(self, mode: Literal["position", "torque", "current", "hybrid"]) -> Ticket:
-        """What references mean: position; current (D12) or torque (D08); hybrid: wrist position and finger current."""
+        """Return what references mean: position; current (D12) or torque (D08); hybrid: wrist position and finger
+        current.
+        """
         known = ("position", "torque") if self.dialect != "D12" else ("position", "current", "hybrid")
         if mode not in known:
             raise CallerError(f"{self.name} has the control modes {', '.join(known)}, not {mode!r}")

@@ -33,7 +33,7 @@ class _Place:
         self._channel = channel
 
     def position(self, now: int) -> float:
-        """Its true angle (rad), 0 where calibration says so, whatever the encoder counts from."""
+        """Return its true angle (rad), 0 where calibration says so, whatever the encoder counts from."""
         self._channel.sync(now)
         return self._channel.joint.q
 
@@ -89,11 +89,15 @@ class HuboMotorTwin(Twin):
         for channel in self.channels:
             if channel.own is not None:
                 self.world.joints[channel.own.name] = _Place(channel)
+                if self.world.homed:
+                    channel.be_homed()
         self._frozen: dict[int, int] = {}
 
     def _start_of(self, own: Joint | None) -> float:
-        """Where a joint is before it is homed (rad)."""
+        """Return where a joint is at first (rad)."""
         somewhere = self.random.uniform(-0.05, 0.05)
+        if self.world.homed:
+            somewhere = 0.0
         return somewhere if own is None else self.world.start_of(own.name, somewhere)
 
     # ------------------------------------------------------------------ faults
@@ -128,7 +132,7 @@ class HuboMotorTwin(Twin):
     # ------------------------------------------------------------------ encoders, currents, status
 
     def _counts(self, channels: list[MotorChannel]) -> list[int]:
-        """What the encoders say; on a board of 16 bits they run around."""
+        """Return what the encoders say; on a board of 16 bits they run around."""
         return counts_of(channels, self.clock.now(), self._frozen, self._is_short)
 
     @on("SendEncoder", "SendEncoderD08")

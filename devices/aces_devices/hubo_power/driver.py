@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Device, Driver, Host, Job, Poll, Steps, Ticket
+from aces_bus.device import Device, Driver, Host, HostLoss, Job, Poll, Steps, Ticket
 from aces_bus.device.config import DeviceConfig
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError
@@ -40,6 +40,7 @@ class PowerBoard(Device):
     """Signals: voltage (V), current (A), power (W)."""
 
     protocol = "hubo"
+    when_host_is_lost = HostLoss("nothing moves", "a supply; hubo-ach states no time-out")
     actions: ClassVar = {
         "alarm": "sound the alarm: 1 to 4, by default 1",
         "quiet": "end the alarm",

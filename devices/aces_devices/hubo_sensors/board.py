@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Device, Host, Job, Poll, Sensor, Signal, Steps, Ticket
+from aces_bus.device import Device, Host, HostLoss, Job, Poll, Sensor, Signal, Steps, Ticket
 from aces_bus.device.config import DeviceConfig
 from aces_bus.device.settings import settings_of
 from aces_bus.errors import CallerError, DeviceError
@@ -48,6 +48,7 @@ class SensorBoard(Device):
     """A board of sensors."""
 
     protocol = "hubo"
+    when_host_is_lost = HostLoss("nothing moves", "a sensor")
     actions: ClassVar = {
         "null": "take the present readings for zero (unload the sensor before)",
         "init": "set the board up anew",
@@ -100,7 +101,7 @@ class SensorBoard(Device):
         return list(self.polls) if self.is_old and name in self.readable else super().polls_of(name)
 
     def sensor_of(self, *kinds: str) -> Sensor | None:
-        """The board's sensor of this kind, if the robot's file has one."""
+        """Return the board's sensor of this kind, if the robot's file has one."""
         return next((sensor for sensor in self.sensors if sensor.kind in kinds), None)
 
     def axes(
@@ -205,7 +206,7 @@ class SensorBoard(Device):
         return self.ask("NameInfoSensor", reply="NameInfoReply", period=self.period_ms, tail=raw)
 
     def refused(self, name: str, why: str) -> Job:
-        """A job that fails at once."""
+        """Return a job that fails at once."""
 
         def steps(job: Job) -> Steps:
             raise DeviceError(f"{self.name}: {why}")
@@ -243,7 +244,7 @@ _QUESTIONS: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
 
 
 def scan_of(driver: str, kinds: Sequence[str], *, timeout_s: float = 0.03) -> Callable[[Host, Job], Steps]:
-    """What finds the sensor boards of `kinds`, for `Driver(scan=…)`."""
+    """Return what finds the sensor boards of `kinds`, for `Driver(scan=…)`."""
     return partial(_scan, driver, kinds, timeout_s)
 
 

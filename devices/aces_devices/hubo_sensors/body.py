@@ -97,7 +97,7 @@ class BodyPose:
 
 
 def body_of(world: World, robot: Robot) -> BodyPose:
-    """The one body of a simulated robot."""
+    """Return the one body of a simulated robot."""
     found: BodyPose | None = world.shared.get("hubo body")
     if found is None:
         found = world.shared["hubo body"] = BodyPose(world, robot)

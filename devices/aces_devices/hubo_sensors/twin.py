@@ -58,7 +58,7 @@ class SensorTwin(Twin):
             self._since.pop(name, None)
 
     def read(self, group: Axes, truth: Sequence[float]) -> list[int]:
-        """What the board reads where the truth is this, all in steps of the field."""
+        """Return what the board reads where the truth is this, all in steps of the field."""
         gauss, noise = self.random.gauss, group.noise
         faults = self.active_faults
         if faults:
@@ -79,11 +79,11 @@ class SensorTwin(Twin):
         return [value + more for value in truth]
 
     def truth(self, name: str, now: int) -> list[float]:
-        """The true values of a group, in steps of its field."""
+        """Return the true values of a group, in steps of its field."""
         raise NotImplementedError
 
     def sample(self, name: str) -> list[int]:
-        """A reading of a group, now."""
+        """Return a reading of a group, now."""
         return self.read(self.groups[name], self.truth(name, self.clock.now()))
 
     def null(self, name: str, axes: Sequence[int] | None = None) -> None:

@@ -13,7 +13,7 @@ from functools import partial
 from math import degrees
 from typing import Any, ClassVar
 
-from aces_bus.device import Device, Driver, Joint, Ticket
+from aces_bus.device import Device, Driver, HostLoss, Joint, Ticket
 from aces_bus.errors import CallerError
 
 from .twin import MotorTwin
@@ -23,7 +23,7 @@ MOST = 32767.99
 
 
 def angle_bytes(angle: float) -> dict[str, Any]:
-    """An angle in degrees as the datagram has it.
+    """Return an angle in degrees as the datagram has it.
 
     >>> angle_bytes(-87.73), angle_bytes(45.499999), angle_bytes(-0.001)["negative"]
     ({'negative': 1, 'degrees': 87, 'hundredths': 0.73}, {'negative': 0, 'degrees': 45, 'hundredths': 0.5}, 0)
@@ -39,6 +39,9 @@ class HuboviaJoint(Device):
     """Signals: position (rad, set only) of its joint."""
 
     protocol = "hubovia"
+    when_host_is_lost = HostLoss(
+        "goes on", "hubovia: the PC carries out what it has received, and answers nothing"
+    )
     actions: ClassVar = {"repeat": "send the last set-point once more: a datagram may have been lost"}
 
     def setup(self) -> None:

@@ -38,7 +38,7 @@ class MotorTwin(Twin):
         self.angle: float | None = None
 
     def _sync(self, now: int) -> float:
-        """Where the motor is (rad, of its own)."""
+        """Return where the motor is (rad, of its own)."""
         passed = (now - self._at) / 1e9
         self._at = max(self._at, now)
         if passed > 0 and "stuck" not in self.active_faults:
@@ -48,7 +48,7 @@ class MotorTwin(Twin):
         return self._motor
 
     def position(self, now: int) -> float:
-        """Where the joint is (rad)."""
+        """Return where the joint is (rad)."""
         return self._direction * (self._sync(now) - self._zero)
 
     @property

@@ -72,7 +72,7 @@ def _arm(side: str, s: float) -> Chain:
 
 
 def minihubo(limits: Mapping[str, tuple[float, float]] | None = None) -> Body:
-    """The body: tips LF and RF (soles), LW and RW (wrists); `limits` in rad by joint."""
+    """Return the body: tips LF and RF (soles), LW and RW (wrists); `limits` in rad by joint."""
     chains = [_leg("L", 1), _leg("R", -1), _arm("L", 1), _arm("R", -1)]
     return Body("MiniHubo", chains, joints=JOINTS, limits=limits, posture=POSTURE)
 
@@ -81,7 +81,7 @@ MINIHUBO = minihubo()
 
 
 def walk_columns(count: int) -> Sequence[str]:
-    """The names of a pattern's columns: 22 (the last is always 0), 21, or the 13 of the legs."""
+    """Return the names of a pattern's columns: 22 (the last is always 0), 21, or the 13 of the legs."""
     if count in (13, 21, 22):
         return [*JOINTS, ""][:count]
     raise CallerError(f"a MiniHubo pattern has 13, 21 or 22 columns, not {count}")
@@ -90,12 +90,12 @@ def walk_columns(count: int) -> Sequence[str]:
 def read_walk(
     file: str | os.PathLike[str], *, rate_hz: float = WALK_HZ, interpolation: Interpolation = "cubic"
 ) -> Trajectory:
-    """A walking pattern of the original, its joints named as the robot's."""
+    """Return a walking pattern of the original, its joints named as the robot's."""
     return read_trajectory(file, rate_hz=rate_hz, columns=walk_columns, interpolation=interpolation).renamed(
         {"LEB": "LEP", "REB": "REP"}
     )
 
 
 def mirrored(trajectory: Trajectory) -> Trajectory:
-    """The same motion with left and right exchanged."""
+    """Return the same motion with left and right exchanged."""
     return trajectory.mirrored(MIRROR, MIRROR_FLIPPED)

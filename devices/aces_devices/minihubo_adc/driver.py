@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Device
+from aces_bus.device import Device, HostLoss
 from aces_bus.device.settings import settings_of
 from aces_bus.errors import CallerError
 
@@ -40,10 +40,11 @@ class MinihuboADC(Device):
     """
 
     protocol: ClassVar[Any] = "minihubo_adc"
+    when_host_is_lost = HostLoss("nothing moves", "a converter of analog inputs")
 
     def setup(self) -> None:
         """One signal a channel, and one a sensor."""
-        settings = settings_of(self.name, AdcSettings, self.config.settings)
+        settings = self.settings = settings_of(self.name, AdcSettings, self.config.settings)
         stale_s = max(0.1, 5 / settings.rate_hz)
         for number in range(CHANNELS):
             self._channel(number, f"channel_{number + 1}", None, stale_s)
@@ -53,6 +54,11 @@ class MinihuboADC(Device):
                     f"{self.name}: sensor {sensor.name} has channel {sensor.channel}; there are 0, 1 and 2"
                 )
             self._channel(sensor.channel, "value", sensor.name, stale_s)
+
+    @property
+    def sends_every_s(self) -> float | None:
+        """As the robot's file says."""
+        return 1 / self.settings.rate_hz
 
     def _channel(self, number: int, name: str, owner: str | None, stale_s: float) -> None:
         self.add_signal(

@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Device, Driver, Job, Poll, Steps, Ticket
+from aces_bus.device import Device, Driver, HostLoss, Job, Poll, Steps, Ticket
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError, NoReplyError, UnknownNameError
 
@@ -71,6 +71,9 @@ class ModbusDevice(Device):
     """Signals: one a register of the table. `settings_type` and `shipped_table` are for devices of one kind."""
 
     protocol = "modbus"
+    when_host_is_lost = HostLoss(
+        "unknown", "Modbus has no time-out; what a device does is its own maker's affair"
+    )
     settings_type: ClassVar[type[ModbusSettings]] = ModbusSettings
     shipped_table: ClassVar[str | None] = None
     actions: ClassVar = {"read": "ask for one register: its name"}
@@ -140,7 +143,7 @@ class ModbusDevice(Device):
         return message, READ, {"function": function, "start": start, "count": count}
 
     def polls_of(self, name: str) -> list[Poll]:
-        """The poll that reads the signal's register."""
+        """Return the poll that reads the signal's register."""
         span = self.spans.get(name.partition(".")[2])
         found = self._span_polls.get(span) if span is not None else None
         return [] if found is None else [poll for poll in self.polls if poll.fields == found.fields]
@@ -192,7 +195,7 @@ class ModbusDevice(Device):
                     )
 
     def _raw_of(self, record: Any) -> list[int] | None:
-        """The numbers of an answer; None where they are not as many as were asked for."""
+        """Return the numbers of an answer; None where they are not as many as were asked for."""
         if type(record).__name__ == "Bits":
             is_whole = len(record.bits) == (record.count + 7) // 8
             return bits_from(record.bits, record.count) if is_whole else None

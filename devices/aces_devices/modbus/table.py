@@ -68,14 +68,14 @@ class ModbusRegister:
         self.addresses = range(entry.address, entry.address + self.size)
 
     def value(self, raw: Sequence[int]) -> Any:
-        """The value of these registers (or of this bit)."""
+        """Return the value of these registers (or of this bit)."""
         if self.is_bit:
             return bool(raw[0])
         data = struct.pack(f">{len(raw)}H", *self._ordered(raw))
         return value_of(data, self.entry.type, self.entry.scale, self.entry.offset)
 
     def raw(self, value: Any) -> tuple[int, ...]:
-        """The registers of a value. Raises `CallerError` for one that does not fit."""
+        """Return the registers of a value. Raises `CallerError` for one that does not fit."""
         entry = self.entry
         if self.is_bit:
             if value not in (0, 1):
@@ -94,7 +94,7 @@ class ModbusRegister:
 
 
 def registers_of(who: str, table: str | None, own: Mapping[str, Any]) -> dict[str, ModbusRegister]:
-    """The registers of a shipped table or a TOML file, and of a device's own entries, which go before.
+    """Return the registers of a shipped table or a TOML file, and of a device's own entries, which go before.
 
     Raises `CallerError` naming the register and what is wrong.
     """
@@ -143,7 +143,7 @@ def bits_from(data: bytes, count: int) -> list[int]:
 
 
 def bytes_from(bits: Sequence[int]) -> bytes:
-    """The bytes of bits.
+    """Return the bytes of bits.
 
     >>> bytes_from([1, 0, 1, 1, 0, 0, 1, 1, 1, 0]).hex()
     'cd01'

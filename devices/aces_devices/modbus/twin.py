@@ -49,7 +49,7 @@ class ModbusTwin(Twin):
         self.numbers[one.entry.table].update(zip(one.addresses, one.raw(value), strict=True))
 
     def take(self, name: str) -> Any:
-        """A register's value, in its unit. Raises `UnknownNameError`."""
+        """Return a register's value, in its unit. Raises `UnknownNameError`."""
         one = self._register(name)
         kept = self.numbers[one.entry.table]
         return one.value([kept[address] for address in one.addresses])

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from math import inf, nan, tau
 from operator import mul
@@ -19,6 +20,7 @@ from msgspec import Meta
 from aces_bus.device import (
     Device,
     Driver,
+    HostLoss,
     Job,
     OutgoingMessage,
     Poll,
@@ -27,6 +29,7 @@ from aces_bus.device import (
     Steps,
     Ticket,
 )
+from aces_bus.device.host_loss import Outcome
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError
 from aces_protocols.moteus.registers import BY_NAME
@@ -90,7 +93,7 @@ class MoteusSettings(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def write(kind: str, **values: Any) -> Item:
-    """A sub-frame that writes registers."""
+    """Return a sub-frame that writes registers."""
     return {"kind": f"write_{kind}", "data": values}
 
 
@@ -116,6 +119,11 @@ class Moteus(Device):
         "identify": "ask for model, firmware and serial number",
     }
     asking: ClassVar = ("identify",)
+    when_host_is_lost = HostLoss(
+        "brakes", "mjbots/moteus docs, register 0x027 and servo.timeout_mode", WATCHDOG_S,
+        "position_timeout: speed 0 without a position (servo.timeout_mode 12, as from the factory), so that a loaded joint"
+        " sinks; each set-point sets the watchdog (`watchdog_s`)",
+    )  # fmt: skip
 
     # ------------------------------------------------------------------ declaration
 
@@ -212,12 +220,17 @@ class Moteus(Device):
     # ------------------------------------------------------------------ down
 
     @property
+    def host_loss(self) -> HostLoss:
+        """As declared, after its watchdog."""
+        return replace(self.when_host_is_lost, after_s=self.watchdog_s)
+
+    @property
     def fed_within_s(self) -> float | None:
         """Its watchdog, which every set-point feeds."""
         return self.watchdog_s
 
     def motion(self, given: dict[str, float]) -> list[Item]:
-        """The sub-frames of a set-point (turns, turns/s): mode first, then where to, the limits and the watchdog."""
+        """Return the sub-frames of a set-point (turns, turns/s): mode first, then where to, the limits and the watchdog."""
         settings, joint = self.settings, self.joint
         per_rad = abs(self.per_rad)
         values: dict[str, float] = {
@@ -324,8 +337,13 @@ class Moteus(Device):
         mode = "brake" if self.settings.stop == "brake" else "stopped"
         return self.send_now("Command", subframes=[write("i8", mode=mode)])
 
+    @property
+    def stop_leaves(self) -> Outcome:
+        """Shorted or free (setting `stop`)."""
+        return "brakes" if self.settings.stop == "brake" else "limp"
+
     def confirm_stopped(self) -> Job:
-        """Whether it says so."""
+        """Return whether it says so."""
 
         def steps(job: Job) -> Steps:
             mode = register_values((yield self._ask()).subframes).get("mode")

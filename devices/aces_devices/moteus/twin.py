@@ -87,7 +87,7 @@ class MoteusTwin(Twin):
     # ------------------------------------------------------------------ motion
 
     def _sync(self) -> float:
-        """Where the motor is (turns); what happened since is caught up."""
+        """Return where the motor is (turns); what happened since is caught up."""
         now = self.clock.now()
         end = now if self._until is None else min(now, self._until)
         passed = max(0, end - self._at) / 1e9
@@ -127,7 +127,7 @@ class MoteusTwin(Twin):
         return max(-most, min(most, wanted)) if self.mode == "position" else 0.0
 
     def position(self, now: int) -> float:
-        """Where the joint is (rad)."""
+        """Return where the joint is (rad)."""
         return self._sync() / self._per_rad - self._zero
 
     # ------------------------------------------------------------------ requests
@@ -170,7 +170,7 @@ class MoteusTwin(Twin):
             yield {"kind": f"reply_{form}", "data": run}
 
     def value_of(self, name: str) -> Any:
-        """The value of a register in its unit; None where the twin has none."""
+        """Return the value of a register in its unit; None where the twin has none."""
         match name:
             case "mode":
                 return self.mode
@@ -252,7 +252,7 @@ class MoteusTwin(Twin):
 
 
 def in_type(name: str, form: str, value: Any) -> Any:
-    """A value as the type can hold it: measured ones end at its end, plain numbers lose their upper bits."""
+    """Return a value as the type can hold it: measured ones end at its end, plain numbers lose their upper bits."""
     if form == "f32" or isinstance(value, str) or isnan(value):
         return value
     limit = 1 << 8 * calcsize(TYPES[form]) - 1

@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Device, Driver, Job, Poll, Steps
+from aces_bus.device import Device, Driver, HostLoss, Job, Poll, Steps
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_protocols.diagnostics import VALUES
@@ -38,7 +38,7 @@ EVERY_S = 0.25
 
 
 def to_si(name: str, value: Any) -> Any:
-    """A value by its name, in SI."""
+    """Return a value by its name, in SI."""
     _, scale, offset = SI.get(getattr(VALUES[name][1], "unit", ""), ("", 1.0, 0.0))
     return value * scale + offset if isinstance(value, (int, float)) else value
 
@@ -59,6 +59,7 @@ class Obd2(Device):
     """Signals: the values in SI units (shares 0 to 1), and codes and lamp of the monitor status."""
 
     protocol = "obd2"
+    when_host_is_lost = HostLoss("nothing moves", "SAE J1979: services that read")
     one_at_a_time = True
     actions: ClassVar = {
         "vin": "ask for the vehicle's number",
@@ -122,7 +123,7 @@ class Obd2(Device):
         return self.job(message, steps)
 
     def vin(self) -> Job:
-        """The vehicle's identification number."""
+        """Return the vehicle's identification number."""
         return self._asked("ReadInfo", "Vin", lambda record: record.vin, what="vin")
 
     def stored_codes(self) -> Job:
@@ -138,7 +139,7 @@ class Obd2(Device):
         return self._asked("ReadPermanentCodes", "PermanentCodes", lambda record: list(record.codes))
 
     def supported(self) -> Job:
-        """The names of the values that it has; those without one as pid_A6."""
+        """Return the names of the values that it has; those without one as pid_A6."""
 
         def steps(job: Job) -> Steps:
             names: list[str] = []

@@ -3,7 +3,8 @@
 1. Heartbeat and encoder estimates come by themselves; current, voltage, temperature and torque are asked for by
    remote frames.
 2. It is on while its heartbeat says closed loop. A heartbeat comes every 100 ms: so late it is known what an axis has done.
-3. Set-points are repeated in each tick: each feeds the axis' own watchdog, which has to be switched on in the drive.
+3. Set-points are repeated in each tick: each feeds the axis' own watchdog, which `enable` sets where the robot's file says
+   under which numbers this firmware has it, and which is off otherwise.
 
 Units: revolutions of the motor in the drive, rad of the joint here (`JointScale`). Sources: see the spec.
 """
@@ -12,13 +13,14 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping
+from dataclasses import replace
 from math import tau
 from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Driver, Job, Poll, SingleMotor, Steps, Ticket
+from aces_bus.device import Driver, HostLoss, Job, Poll, SingleMotor, Steps, Ticket
 from aces_bus.device.settings import described, settings_of
 from aces_bus.device.ticket import Awaited
 from aces_bus.errors import CallerError, DeviceError
@@ -78,12 +80,46 @@ class OdriveSettings(msgspec.Struct, frozen=True, kw_only=True):
         float,
         Meta(gt=0, description="how often current, voltage and the like are asked for (s), 0.2 when absent"),
     ] = 0.2
+    watchdog_s: (
+        Annotated[
+            float,
+            Meta(
+                gt=0,
+                description="the axis' own watchdog (s): with watchdog_endpoints `enable` sets it, without them it is set in"
+                " the drive already (config.watchdog_timeout, config.enable_watchdog); none when absent",
+            ),
+        ]
+        | None
+    ) = None
+    watchdog_endpoints: (
+        Annotated[
+            tuple[int, int],
+            Meta(
+                description="numbers of config.watchdog_timeout and config.enable_watchdog in the endpoint file of firmware"
+                " 0.6, which the key firmware names"
+            ),
+        ]
+        | None
+    ) = None
+    firmware: (
+        Annotated[
+            str,
+            Meta(
+                pattern=r"^\d+\.\d+\.\d+$", description='the firmware of watchdog_endpoints, such as "0.6.10"'
+            ),
+        ]
+        | None
+    ) = None
 
 
 class Odrive(SingleMotor):
     """One axis. Signals: position, velocity, torque, current; of the axis: state, errors, voltage, temperatures."""
 
     protocol = "odrive"
+    when_host_is_lost = HostLoss(
+        "goes on", "ODrive documentation, axis.config.enable_watchdog; can-protocol.rst",
+        detail="its watchdog is off from the factory; with `watchdog_s` it disarms, and is limp",
+    )  # fmt: skip
     streams = tuple(message for message, _ in TARGETS.values())
     modes: ClassVar = {mode: {mode: f"{message}.{mode}"} for mode, (message, _) in TARGETS.items()}
     usual_modes: ClassVar = {"position": "position", "speed": "velocity", "current": "torque"}
@@ -108,6 +144,15 @@ class Odrive(SingleMotor):
         settings = self.settings = settings_of(self.name, OdriveSettings, self.config.settings)
         self.declare(1 / tau, settings.mode)
         self.is_new = self.variant.dialect == "0.6"
+        if settings.watchdog_endpoints is not None and not (
+            settings.watchdog_s and settings.firmware and self.is_new
+        ):
+            raise CallerError(
+                f"{self.name}: watchdog_endpoints go with watchdog_s and firmware, on firmware 0.6: another firmware has"
+                " another parameter at these numbers"
+            )
+        #: Whether it was told to watch over its host, and has not been stopped since.
+        self._watches = False
         if not self.is_new:
             actions: Mapping[str, str] = type(self).actions
             self.actions = {name: text for name, text in actions.items() if name not in NEW}  # type: ignore[misc]
@@ -193,8 +238,43 @@ class Odrive(SingleMotor):
             "SetControllerModes", control=self.mode, input=ramp if self.settings.ramped else "passthrough"
         )
         yield self.send(message, **_FORWARD.get(message, {}), **{self.mode: self._present()})
+        yield from self._watch_over_host()
         job.progress, job.text = 0.5, "closed loop"
         yield self.send("SetAxisState", state="closed_loop")
+
+    @property
+    def host_loss(self) -> HostLoss:
+        """As declared; with a watchdog it disarms."""
+        loss, wait_s = self.when_host_is_lost, self.settings.watchdog_s
+        if wait_s is None:
+            return loss
+        how = "`enable` sets it" if self.settings.watchdog_endpoints else "as the robot's file says"
+        return replace(loss, does="limp", after_s=wait_s, detail=how)
+
+    @property
+    def fed_within_s(self) -> float | None:
+        """Its watchdog, which any command feeds."""
+        return self.settings.watchdog_s
+
+    def _watch_over_host(self) -> Steps:
+        """Set the axis' own watchdog where its numbers are known, and see that it is set."""
+        settings = self.settings
+        if settings.watchdog_endpoints is None or settings.watchdog_s is None:
+            return
+        version = yield self.version()
+        found = f"{version.major}.{version.minor}.{version.revision}"
+        if found != settings.firmware:
+            raise DeviceError(
+                f"{self.name} has firmware {found}, and watchdog_endpoints are those of {settings.firmware}: take them from"
+                f" the endpoint file of {found}"
+            )
+        timeout, is_on = settings.watchdog_endpoints
+        yield self.write(timeout, settings.watchdog_s, confirm=True)
+        self._watches = True
+        yield self.write(is_on, True, confirm=True, type="bool")
+        wait_s, is_set = (yield self.read(timeout)), (yield self.read(is_on, "bool"))
+        if abs(wait_s - settings.watchdog_s) > 1e-3 * settings.watchdog_s or not is_set:
+            raise DeviceError(f"{self.name}: its watchdog is not set: it says {wait_s:g} s, on: {is_set}")
 
     def stay(self) -> None:
         """Where it is; no velocity, no torque."""
@@ -215,11 +295,15 @@ class Odrive(SingleMotor):
         return {**_FORWARD.get(message, {}), **fields}
 
     def switch_off(self) -> Ticket:
-        """Idle."""
-        return self.send_now("SetAxisState", state="idle")
+        """Idle; its watchdog ends with it, for nothing feeds an axis that is off."""
+        ticket = self.send_now("SetAxisState", state="idle")
+        if self._watches and self.settings.watchdog_endpoints is not None:
+            self._watches = False
+            self.write(self.settings.watchdog_endpoints[1], False, confirm=True, type="bool")
+        return ticket
 
     def ask_state(self) -> Awaited:
-        """The next heartbeat but one: the next may have been made before."""
+        """Return the next heartbeat but one: the next may have been made before."""
         before = self.beats
         return self.until(lambda: self.beats >= before + 2, HEARTBEAT_S, lambda: "no heartbeat comes")
 

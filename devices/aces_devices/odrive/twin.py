@@ -7,7 +7,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import tau
+from struct import unpack
 from typing import Any, ClassVar
 
 from aces_bus.device import JointScale, Twin, on
@@ -45,6 +47,8 @@ class OdriveTwin(Twin):
         self.offset = 0.0
         self.target = 0.0
         self.parameters: dict[int, bytes] = {}
+        #: When a message came last (ns), and whether somebody looks how long ago that was.
+        self.fed_at, self._is_watched = self.clock.now(), False
         self.every(HEARTBEAT_S, self.beat)
         settings = self.config.settings
         if settings.get("estimates") != "asked":
@@ -71,7 +75,7 @@ class OdriveTwin(Twin):
         self.reply("Heartbeat", delay_ns=0, error=sorted(self.errors), state=self.state, **rest)
 
     def values(self, name: str) -> dict[str, Any] | None:
-        """The fields of what can be asked for."""
+        """Return the fields of what can be asked for."""
         motor, scale = self.motor, self.scale
         motor.sync(self.clock.now())
         torque = scale.raw_torque(motor.torque)
@@ -115,6 +119,39 @@ class OdriveTwin(Twin):
         if fields is not None:
             self.reply(name, **fields)
 
+    # ------------------------------------------------------------------ its watchdog
+
+    @property
+    def watchdog_ns(self) -> int:
+        """The time (ns) after which it disarms without a message; 0: its watchdog is off."""
+        settings = self.config.settings
+        numbers: Sequence[int] | None = settings.get("watchdog_endpoints")
+        if numbers is None:
+            return round(float(settings.get("watchdog_s", 0.0)) * 1e9)
+        wait, is_on = (self.parameters.get(number, bytes(4)) for number in numbers)
+        seconds: float = unpack("<f", wait)[0]
+        return round(seconds * 1e9) if is_on[0] else 0
+
+    def watch(self) -> None:
+        """Look when the watchdog's time is over, as long as the loop is closed: a twin that is off needs no feeding."""
+        wait_ns = self.watchdog_ns
+        if self._is_watched or not wait_ns or self.state != "closed_loop":
+            return
+        self._is_watched = True
+        self.clock.call_at(max(self.clock.now(), self.fed_at + wait_ns), self._look)
+
+    def _look(self) -> None:
+        self._is_watched = False
+        if self.state == "closed_loop" and 0 < self.watchdog_ns <= self.clock.now() - self.fed_at:
+            self.fail("watchdog")
+        self.watch()
+
+    def receive(self, record: Any, instant: int) -> None:
+        """See `Twin.receive`; each message feeds the watchdog."""
+        self.fed_at = self.clock.now()
+        super().receive(record, instant)
+        self.watch()
+
     def received(self, record: Any, instant: int) -> None:
         """Whatever asks, by a remote frame or by one without data."""
         name = type(record).__name__
@@ -156,6 +193,7 @@ class OdriveTwin(Twin):
                 return
             self.state = state
             self.drive()
+            self.watch()
         elif state == "full_calibration" and not self.errors:
             self.state, self.result = state, "busy"
             self.clock.call_in(round(CALIBRATION_S * 1e9), self.calibrated)

@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from math import ceil
 from operator import mul
@@ -22,6 +23,7 @@ from aces_bus.device import (
     Device,
     Driver,
     Host,
+    HostLoss,
     Job,
     OutgoingMessage,
     Poll,
@@ -31,6 +33,7 @@ from aces_bus.device import (
     together,
 )
 from aces_bus.device.config import DeviceConfig
+from aces_bus.device.host_loss import Outcome
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError
 
@@ -65,7 +68,7 @@ def a_motor(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
 
 
 def timeout_code(seconds: float) -> int:
-    """The parameter for a serial time-out of at least so long: 0.262 s × x × 2ʸ, x 4 bits, y 3; 0 is none.
+    """Return the parameter for a serial time-out of at least so long: 0.262 s × x × 2ʸ, x 4 bits, y 3; 0 is none.
 
     Raises `CallerError` beyond what it can say, 8.38 min.
 
@@ -122,6 +125,12 @@ class Qik(Device):
         "set_id": "give the device another number, and go on with that",
     }
     asking: ClassVar = ("firmware", "configuration")
+    when_host_is_lost = HostLoss(
+        "limp",
+        "qik 2s9v1 User's Guide: serial timeout",
+        1.0,
+        "`enable` sets its serial time-out (`timeout_s`)",
+    )
 
     def setup(self) -> None:
         """A duty for each joint; errors, where the device answers."""
@@ -197,7 +206,7 @@ class Qik(Device):
                         value |= present.value & 2  # the frequency is not ours to choose
                 yield self.set_parameter(parameter, value)
 
-        return self.job("enable", steps)
+        return self.lead("enable", steps)
 
     def set_parameter(self, parameter: str, value: int) -> Job:
         """Set a parameter, for good. Fails with `DeviceError` when the device refuses it."""
@@ -242,18 +251,25 @@ class Qik(Device):
         return self._again_and_again("brake", self._brake)
 
     @property
-    def alone_s(self) -> float | None:
-        """Its serial time-out."""
-        return self.timeout_s or None
+    def host_loss(self) -> HostLoss:
+        """As declared; without a time-out its motors go on."""
+        if self.timeout_s:
+            return replace(self.when_host_is_lost, after_s=self.timeout_s)
+        return replace(self.when_host_is_lost, does="goes on", after_s=None, detail="it has no time-out here")
 
     @property
     def fed_within_s(self) -> float | None:
-        """The same: any instruction feeds it."""
-        return self.alone_s
+        """Its serial time-out, which any instruction feeds."""
+        return self.timeout_s or None
 
     def stop_motion(self) -> Job:
         """Speed 0, which brakes."""
         return self.brake()
+
+    @property
+    def stop_leaves(self) -> Outcome:
+        """Braked."""
+        return "brakes"
 
     def confirm_stopped(self) -> Job | None:
         """Brake once more, and ask whether it has understood what it was sent; None where it does not answer."""
@@ -369,12 +385,12 @@ def _config(host: Host, number: int) -> DeviceConfig:
 
 
 def _unasked(host: Host) -> int:
-    """How many answers have come that no question waited for."""
+    """Return how many answers have come that no question waited for."""
     return host.unknown.total() + host.unknown_devices.total()
 
 
 def _answers(host: Host, number: int, timeout_s: float) -> Steps:
-    """Whether a device answers to this number."""
+    """Return whether a device answers to this number."""
     return host.answers(
         "pololu_qik", {"id": number}, "GetFirmware", reply="Firmware", timeout_s=timeout_s, retries=0
     )

@@ -56,7 +56,7 @@ class _Joint:
         self._wheel, self._direction = wheel, direction
 
     def position(self, now: int) -> float:
-        """Where the joint is (rad)."""
+        """Return where the joint is (rad)."""
         return self._direction * self._wheel.position(now)
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
-from aces_bus.device import Driver, Job, Steps, Ticket
+from aces_bus.device import Driver, HostLoss, Job, Steps, Ticket
 from aces_bus.device.settings import described
 
 from ..modbus.driver import ModbusDevice, ModbusSettings
@@ -43,6 +43,7 @@ class Ft300(ModbusDevice):
 
     settings_type: ClassVar = Ft300Settings
     shipped_table: ClassVar = "robotiq_ft300"
+    when_host_is_lost = HostLoss("nothing moves", "a sensor")
     moves: ClassVar = False
     actions: ClassVar = {
         **ModbusDevice.actions,

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
+from aces_bus.device import HostLoss
 from aces_bus.errors import CallerError
 from aces_protocols.robotis.control_table import ANGLE, ERRORS, SPEED
 from aces_protocols.robotis.fields import from_directed
@@ -37,6 +38,11 @@ class RobotisRX(ServoDevice):
     """One RX servo."""
 
     protocol: ClassVar[Any] = "robotis"
+    when_host_is_lost = HostLoss(
+        "goes on",
+        "RX-28 manual, control table: no time-out",
+        detail="it holds its goal with torque on, or turns on",
+    )
     registers = control_table
     eeprom = range(0x18)
     together_bytes = RECEIVE_BUFFER
@@ -61,7 +67,7 @@ class RobotisRX(ServoDevice):
     speed_count_rad_s = SPEED * math.tau / 60
 
     def command_of_joint(self) -> str:
-        """A joint that turns without end has a duty; others have positions."""
+        """Return a joint that turns without end has a duty; others have positions."""
         joint = self.joints[0] if self.joints else None
         turns = joint is not None and (joint.command == "duty" or joint.type == "continuous")
         return "duty" if turns else "position"
@@ -83,11 +89,11 @@ class RobotisRX(ServoDevice):
         return min(here, TOP)
 
     def counts(self, position: float) -> int:
-        """The goal of a joint position (rad): cut to whole counts as MiniHubo's software does, clipped to 0…1023."""
+        """Return the goal of a joint position (rad): cut to whole counts as MiniHubo's software does, clipped to 0…1023."""
         return max(0, min(TOP, int((self.direction * position + self.zero) / self.step + HAIR)))
 
     def drive(self, duty: float) -> int:
-        """The moving speed of a torque share in endless turn: magnitude, and bit 10 for clockwise."""
+        """Return the moving speed of a torque share in endless turn: magnitude, and bit 10 for clockwise."""
         size = min(TOP, round(abs(duty) * TOP))
         return size | CLOCKWISE if duty * self.direction < 0 and size else size
 

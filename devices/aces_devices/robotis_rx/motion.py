@@ -62,7 +62,7 @@ class ShaftMotion:
         return self.goal - math.copysign(self._gap_after(abs(gap), gap > 0, left), gap) if gap else self.at
 
     def speed_at(self, now: int) -> float:
-        """How fast it turns (counts a second)."""
+        """Return how fast it turns (counts a second)."""
         if not self.is_driven or self.is_jammed:
             return 0.0
         if self.duty is not None:
@@ -72,7 +72,7 @@ class ShaftMotion:
         return math.copysign(min(drive * self._free(), self._top()), gap) if drive else 0.0
 
     def drive_at(self, now: int) -> float:
-        """The share of the torque that it turns, or holds, with; counter-clockwise positive."""
+        """Return the share of the torque that it turns, or holds, with; counter-clockwise positive."""
         if not self.is_driven:
             return 0.0
         most = self.limit / TOP
@@ -84,7 +84,7 @@ class ShaftMotion:
         return math.copysign(self._drive(abs(gap), gap > 0), gap)
 
     def is_moving(self, now: int) -> bool:
-        """Whether it is on its way to its goal, or would be if nothing held it."""
+        """Return whether it is on its way to its goal, or would be if nothing held it."""
         if not self.is_driven or self.limit == 0:
             return False
         if self.duty is not None:
@@ -119,7 +119,7 @@ class ShaftMotion:
         )
 
     def _gap_after(self, gap: float, is_ccw: bool, left: float) -> float:
-        """What is left of a distance after some seconds."""
+        """Return what is left of a distance after some seconds."""
         margin, top, free = self.margin[is_ccw], self._top(), self._free()
         slope, punch = STEPS[self.slope[is_ccw]], self.punch / TOP
         if gap <= margin + REST or top <= 0:

@@ -86,7 +86,7 @@ class RobotisRXTwin(ServoTwin):
         self.apply()
 
     def position(self, now: int) -> float:
-        """The joint's angle (rad)."""
+        """Return the joint's angle (rad)."""
         direction, zero = self._joint
         return (self.motion.position(now) * self._step - zero) * direction
 
@@ -144,7 +144,7 @@ class RobotisRXTwin(ServoTwin):
     # ------------------------------------------------------------------ instructions
 
     def refused(self, why: str) -> int:
-        """The error bit of a refusal."""
+        """Return the error bit of a refusal."""
         return 1 << ERRORS[why] if why else 0
 
     def with_errors(self, refusal: int, errors: int) -> int:

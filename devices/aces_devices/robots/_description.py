@@ -50,7 +50,7 @@ class WordLine(NamedTuple):
 
 
 def read_lines(path: Path) -> list[WordLine]:
-    """The lines of a file that have words; `#` begins a comment, quotes keep blanks. Raises `CallerError`."""
+    """Return the lines of a file that have words; `#` begins a comment, quotes keep blanks. Raises `CallerError`."""
     try:
         if path.exists() and not path.is_file():
             raise CallerError(f"{path}: not a file")
@@ -74,7 +74,7 @@ def _words(text: str) -> Iterator[str]:
 
 
 def c_integer(word: str) -> int:
-    """A whole number as C reads it, in any of its bases. Raises `ValueError`."""
+    """Return a whole number as C reads it, in any of its bases. Raises `ValueError`."""
     text = _checked(word).lstrip("+-")
     if len(text) > 1 and text[0] == "0" and text.isdigit():
         return (-1 if word[0] == "-" else 1) * int(text, 8)
@@ -82,12 +82,12 @@ def c_integer(word: str) -> int:
 
 
 def decimal_number(word: str) -> int:
-    """A whole number in decimal, zeros in front or not. Raises `ValueError`."""
+    """Return a whole number in decimal, zeros in front or not. Raises `ValueError`."""
     return int(_checked(word), 10)
 
 
 def plausible_number(word: str) -> float:
-    """A number of a size that occurs. Raises `ValueError`."""
+    """Return a number of a size that occurs. Raises `ValueError`."""
     value = float(_checked(word))
     if not abs(value) <= 1e12 or 0 < abs(value) < 1e-12:
         raise ValueError
@@ -120,7 +120,7 @@ NUMBER: Final = ValueColumn(plausible_number, "a number")
 
 
 def one_of(values: Iterable[Any], read: Callable[[str], Any] = decimal_number) -> ValueColumn:
-    """A column of these values."""
+    """Return a column of these values."""
     known = {value: value for value in values}
     names = [str(value) for value in known]
     what = " or ".join(names) if len(names) < 5 else f"{names[0]}…{names[-1]}"
@@ -128,7 +128,7 @@ def one_of(values: Iterable[Any], read: Callable[[str], Any] = decimal_number) -
 
 
 def named(what: str, names: Mapping[str, Any]) -> ValueColumn:
-    """A column of names."""
+    """Return a column of names."""
     return ValueColumn({name: name for name in names}.__getitem__, what, names=names)
 
 
@@ -168,7 +168,7 @@ class RobotDescription:
         return self.places[wanted][:2] if wanted else (self._first, 1)
 
     def value(self, line: WordLine, key: str, words: Sequence[str], column: ValueColumn) -> Any:
-        """The value of a column; None, and a problem, when it is not there."""
+        """Return the value of a column; None, and a problem, when it is not there."""
         if len(words) == column.words:
             try:
                 found = [column.read(word) for word in words]
@@ -183,7 +183,7 @@ class RobotDescription:
         return None
 
     def names(self) -> dict[str, str]:
-        """The joints' names and aliases, each with the name here."""
+        """Return the joints' names and aliases, each with the name here."""
         return {
             one: name
             for name, joint in self.content["joints"].items()

@@ -70,7 +70,7 @@ _IN_RAD: Final = dict.fromkeys(("HomeOffset", "LowerLimit", "UpperLimit", "Searc
 def _rows(
     made: RobotDescription, path: Path, columns: Mapping[str, ValueColumn]
 ) -> Iterator[tuple[WordLine, dict[str, Any]]]:
-    """The rows of a table as mappings from columns to values: those that are right."""
+    """Yield the rows of a table as mappings from columns to values: those that are right."""
     seen: dict[str, int] = {}
     for line in read_lines(path):
         if line.words[0] == "JointName":

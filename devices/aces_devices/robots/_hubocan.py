@@ -105,7 +105,7 @@ class FileBlock(NamedTuple):
     lines: dict[str, WordLine]
 
     def at(self, key: str) -> WordLine:
-        """The line of a key, or of the block."""
+        """Return the line of a key, or of the block."""
         return self.lines.get(key, self.line)
 
 
@@ -170,7 +170,9 @@ class BlockTree:
             self.blocks.append(block)
 
     def entries(self, *types: str) -> list[tuple[FileBlock, dict[str, Any]]]:
-        """The blocks of some types with their values; those that lack what they need are left out, and are problems."""
+        """Return the blocks of some types with their values; those that lack what they need are left out, and are
+        problems.
+        """
         found: list[tuple[FileBlock, dict[str, Any]]] = []
         for block in self.blocks:
             if block.type not in types:
@@ -188,7 +190,7 @@ class BlockTree:
         return found
 
     def claim(self, block: FileBlock, section: str, name: str) -> bool:
-        """Whether an entry's name is free."""
+        """Return whether an entry's name is free."""
         if name in self.made.content[section]:
             self.made.complain(block.at("name"), "name", f"{name} is there twice")
             return False
@@ -196,7 +198,7 @@ class BlockTree:
 
 
 def read_tree(path: Path, made: RobotDescription) -> int:
-    """A tree as the tables of a robot's file; how many buses it says there are."""
+    """Return a tree as the tables of a robot's file; how many buses it says there are."""
     tree = BlockTree(path, made)
     buses = 0
     for _, row in tree.entries("meta"):

@@ -31,7 +31,7 @@ class ImportedRobot(NamedTuple):
 def import_robot(
     paths: Sequence[str | Path], *, base: str | None = None, name: str | None = None
 ) -> ImportedRobot:
-    """The robot that these files describe.
+    """Return the robot that these files describe.
 
     `base` is a robot that ships, for what a .home table is laid over; `name` is what the robot is to be called.
     Raises `RobotError` with all that is wrong, and `CallerError` for files that are no descriptions or do not go together.
@@ -76,7 +76,7 @@ def import_robot(
 
 
 def _kind(path: Path) -> str:
-    """What a file is; raises `CallerError` when it is no description that is known."""
+    """Return what a file is; raises `CallerError` when it is no description that is known."""
     lines = read_lines(path)
     words: tuple[str, ...] = lines[0].words if lines else ()
     if words[:1] in (("begin",), ("include",)):
@@ -94,7 +94,7 @@ def _kind(path: Path) -> str:
 
 
 def _base(homes: Path, base: str | None, notes: list[str]) -> dict[str, Any]:
-    """The file of a robot that ships, which has the joints of a .home table."""
+    """Return the file of a robot that ships, which has the joints of a .home table."""
     if base is not None:
         return tomllib.loads(robot_text(base))
     wanted = {line.words[0] for line in read_lines(homes)} - {"JointName"}

@@ -12,12 +12,13 @@ Sources: see the spec.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Driver, Job, Poll, Signal, Steps, Ticket
+from aces_bus.device import Driver, HostLoss, Job, Poll, Signal, Steps, Ticket
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError, UnknownNameError
 from aces_protocols.robstride.spec import (
@@ -47,6 +48,8 @@ FAULTS = (
 )
 #: Mode → the parameter that is set.
 TARGETS: Mapping[str, str] = {"position": "loc_ref", "speed": "spd_ref", "current": "iq_ref"}
+#: The time-out where the robot's file does not say: ten ticks, and at least this (s); its unit (s).
+WATCHDOG_S, TIMEOUT_UNIT_S = 0.1, 50e-6
 #: How long an answer may take (s).
 ANSWER_S = 0.02
 #: A parameter's answer that is another's is asked for again, so often.
@@ -67,6 +70,18 @@ class RobstrideSettings(msgspec.Struct, frozen=True, kw_only=True):
     host: Annotated[
         int, Meta(ge=0x80, le=0xFF, description="the number that answers are sent to, 0xFD when absent")
     ] = 0xFD
+    watchdog_s: (
+        Annotated[
+            float,
+            Meta(
+                ge=0,
+                le=5,
+                description="a RobStride's own time-out (s), 0: leave it as it is; when absent ten ticks, at least 0.1 s; a"
+                " CyberGear has none",
+            ),
+        ]
+        | None
+    ) = None
     torque_limit: (
         Annotated[float, Meta(gt=0, description="limit_torque (N·m at the motor), as it is when absent")]
         | None
@@ -104,6 +119,10 @@ class Robstride(MitMotor):
         "save": "keep the parameters for good (RobStride); confirm=true",
     }
     asking: ClassVar = ("read", "unique_id")
+    when_host_is_lost = HostLoss(
+        "limp", "RS03 manual §3.3.6, parameter 0x7028 (canTimeout, 20000 is 1 s, 0 from the factory)", WATCHDOG_S,
+        "`enable` sets its time-out (`watchdog_s`); a CyberGear has none, and goes on",
+    )  # fmt: skip
 
     def setup(self) -> None:
         """The signals of the motor, and the parameters that are asked for."""
@@ -192,11 +211,36 @@ class Robstride(MitMotor):
 
     # ------------------------------------------------------------------ switching
 
+    @property
+    def watchdog_s(self) -> float:
+        """The time-out that `enable` sets (s); 0: it sets none."""
+        wait_s, rate = self.settings.watchdog_s, self.host.rate_hz
+        if self.variant.dialect == FAMILY:
+            return 0.0
+        return wait_s if wait_s is not None else max(WATCHDOG_S, 10 / rate) if rate else 0.0
+
+    @property
+    def host_loss(self) -> HostLoss:
+        """As declared, after its time-out; one that `enable` does not set is off from the factory."""
+        loss, wait_s = self.when_host_is_lost, self.watchdog_s
+        if wait_s:
+            return replace(loss, after_s=wait_s)
+        none = "a CyberGear has no time-out"
+        why = none if self.variant.dialect == FAMILY else "watchdog_s sets a time-out"
+        return replace(loss, does="goes on", after_s=None, detail=why)
+
+    @property
+    def fed_within_s(self) -> float | None:
+        """Its time-out, which every message to it feeds."""
+        return self.watchdog_s or None
+
     def bring_up(self, job: Job) -> Steps:
         """Stopped, its mode; then on, and its limits."""
         yield self.ask_state()
         number = RUN_MODES[self.mode]
         yield from self._written("run_mode", number)
+        if self.watchdog_s:
+            yield from self._written("can_timeout", round(self.watchdog_s / TIMEOUT_UNIT_S))
         if self.of_joint("position").instant is None:
             yield self.read("mech_pos")
         job.progress, job.text = 0.5, "on"

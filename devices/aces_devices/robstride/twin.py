@@ -3,7 +3,8 @@
 1. Every command, Enable, Stop, SetZero and write is answered by a feedback to the host that sent it; a Command names no
    host, and is answered to the last one that did.
 2. The run mode changes while it is stopped only (instructionmanual.md); zero is lost at power-off.
-3. Models without ranges of their own have those of `ranges` in the robot's file, else an RS02's.
+3. In state run, without a message for longer than can_timeout (units of 50 µs; 0: for ever), it is off (RobStride manuals).
+4. Models without ranges of their own have those of `ranges` in the robot's file, else an RS02's.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ from ..joint_model import MotorModel, joint_of
 #: What position mode holds with (N·m/rad), speed mode (N·m·s/rad), and N·m an A: choices.
 STIFFNESS, DAMPING, TORQUE_CONSTANT = 120.0, 4.0, 1.2
 VOLTAGE = 24.0
+#: The unit of can_timeout (ns).
+TIMEOUT_UNIT_NS = 50_000
 _KIND = {name: kind for kind, (names, _) in KINDS.items() for name in names}
 _FAULTS = ("under_voltage", "over_current", "over_temperature", "magnetic_encoder", "uncalibrated")
 
@@ -46,6 +49,7 @@ class RobstrideTwin(Twin):
         self.state, self.host, self.offset = "reset", 0xFD, 0.0
         self.failed: frozenset[str] = frozenset()
         self.parameters: dict[str, float] = dict.fromkeys(_KIND, 0.0)
+        self._watch: Any = None
 
     # ------------------------------------------------------------------ what it says
 
@@ -92,6 +96,21 @@ class RobstrideTwin(Twin):
         """Another number."""
         self.twins.renumber(self, motor=request.new_motor)
         self.identify(request)
+
+    # ------------------------------------------------------------------ its time-out
+
+    def receive(self, record: Any, instant: int) -> None:
+        """See `Twin.receive`; with each message the time-out begins anew."""
+        super().receive(record, instant)
+        if self._watch is not None:
+            self._watch.cancel()
+        wait = round(self.parameters["can_timeout"] * TIMEOUT_UNIT_NS)
+        self._watch = self.clock.call_in(wait, self.lost) if wait and self.state == "run" else None
+
+    def lost(self) -> None:
+        """No message for too long."""
+        if self.is_powered and self.state == "run":
+            self.go_off()
 
     # ------------------------------------------------------------------ switching
 
@@ -168,7 +187,7 @@ class RobstrideTwin(Twin):
     # ------------------------------------------------------------------ parameters
 
     def value(self, name: str) -> float:
-        """A parameter, measured where it is."""
+        """Return a parameter, measured where it is."""
         motor, scale = self.motor, self.scale
         motor.sync(self.clock.now())
         match name:

@@ -19,6 +19,7 @@ import msgspec
 from msgspec import Meta
 
 from aces_bus.device import Job, Poll, Signal, Steps
+from aces_bus.device.host_loss import Outcome
 from aces_bus.device.register_device import RegisterDevice
 from aces_bus.device.settings import settings_of
 from aces_bus.device.station import credential_text
@@ -76,7 +77,6 @@ class ServoSettings(msgspec.Struct, frozen=True, kw_only=True):
 ACTIONS: Mapping[str, str] = {
     "enable": "hold the present position: goal there, then torque on",
     "disable": "switch the torque off",
-    "stop_motion": "hold the present position, or release the torque (setting `stop`)",
     "ping": "ask whether it is there; the names of its errors",
     "read": "read a register, or all from it to `last`",
     "read_all": "read the whole control table",
@@ -122,7 +122,7 @@ class ServoDevice(RegisterDevice):
     # ------------------------------------------------------------------ a family's own
 
     def command_of_joint(self) -> str:
-        """What its joint is commanded by: position, speed, current or duty."""
+        """Return what its joint is commanded by: position, speed, current or duty."""
         return self.joints[0].command if self.joints else "position"
 
     @abstractmethod
@@ -130,11 +130,11 @@ class ServoDevice(RegisterDevice):
         """The counts that a goal may have."""
 
     def signed(self, raw: int) -> int:
-        """A raw number of position or speed as counts with a sign."""
+        """Return a raw number of position or speed as counts with a sign."""
         return raw
 
     def at_count(self, raw: int) -> int:
-        """The count at which a present position (raw) is."""
+        """Return the count at which a present position (raw) is."""
         return self.signed(raw)
 
     def unsigned(self, count: int) -> int:
@@ -142,7 +142,7 @@ class ServoDevice(RegisterDevice):
         return count
 
     def counts(self, position: float) -> int:
-        """The goal of a joint position (rad), clipped to the servo's range."""
+        """Return the goal of a joint position (rad), clipped to the servo's range."""
         low, high = self.range_counts()
         return max(low, min(high, round((self.direction * position + self.zero) / self.step)))
 
@@ -150,7 +150,7 @@ class ServoDevice(RegisterDevice):
         """Declare signals beyond those that all servos have; the options are those of what is read with each."""
 
     def wanted_mode(self) -> str:
-        """The mode that the joint needs its servo in, where it has modes."""
+        """Return the mode that the joint needs its servo in, where it has modes."""
         return ""
 
     def unlock(self) -> Steps:
@@ -172,7 +172,7 @@ class ServoDevice(RegisterDevice):
                 raise DeviceError(f"{self.name}: {self._other_mode(mode)}")
 
     def errors_of(self, record: Any) -> frozenset[str] | None:
-        """The names of the errors in a status; None: it does not say."""
+        """Return the names of the errors in a status; None: it does not say."""
         return frozenset(record.error) if record.error else frozenset()
 
     # ------------------------------------------------------------------ declaration
@@ -282,7 +282,7 @@ class ServoDevice(RegisterDevice):
         self.readable.add(self._errors.name)
 
     def speed_limit_counts(self) -> int:
-        """The greatest goal of a joint that is commanded by speed, in counts."""
+        """Return the greatest goal of a joint that is commanded by speed, in counts."""
         raise NotImplementedError
 
     def declare_torque_limit(self, most: int) -> None:
@@ -327,7 +327,7 @@ class ServoDevice(RegisterDevice):
         self.errors = now
 
     def refusal(self, record: Any) -> str:
-        """The errors that are about the request."""
+        """Return the errors that are about the request."""
         return ", ".join(name for name in record.error if name in self.of_request) if record.error else ""
 
     def changed(self, which: Mapping[str, tuple[int, int]]) -> None:
@@ -339,7 +339,7 @@ class ServoDevice(RegisterDevice):
             super().changed(which)
 
     def _shutdown(self) -> frozenset[str]:
-        """The errors that switch the torque off."""
+        """Return the errors that switch the torque off."""
         mask = self.cached(self.shutdown_register, raw=True)
         if mask is None:
             mask = self.codec(self.shutdown_register).register.default or 0
@@ -349,8 +349,7 @@ class ServoDevice(RegisterDevice):
         """Its answers are malformed again and again: noise does that now and then, two servos with one id each time."""
         self.malformed_in_a_row += 1
         if self.malformed_in_a_row % MALFORMED == 0:
-            self.emit_event(
-                "two devices",
+            self.report_double(
                 f"{self.malformed_in_a_row} malformed answers in a row: are there two servos with"
                 f" {credential_text(self.credentials)}?",
             )
@@ -428,7 +427,7 @@ class ServoDevice(RegisterDevice):
         return self.lead("enable", steps)
 
     def goal_at(self, here: int) -> int:
-        """The goal that holds a present position, both raw."""
+        """Return the goal that holds a present position, both raw."""
         return here
 
     def disable(self) -> Job:
@@ -440,15 +439,40 @@ class ServoDevice(RegisterDevice):
     def stop_motion(self) -> Job:
         """Hold the present position, or release the torque (setting `stop`); the joint's set-points are dropped."""
         here = self.position.value
-        if self.command == "position" and (self.settings.stop == "release" or not isinstance(here, float)):
+        is_held = self.stop_leaves == "holds"
+        if is_held and self.command == "position" and self.position.instant is None and self.answers:
+            return self._hold_unread()
+        if self.command == "position" and not (is_held and isinstance(here, float)):
             return self.disable()
         self.end_led()
         self.drop(self.goal)
         goal = self.goal_at(self.known["present_position"][0]) if self.command == "position" else 0
         return self.write_now(self.goal, goal)
 
+    def _hold_unread(self) -> Job:
+        """Ask where the joint is, which is not known yet, and hold it there; release it where there is no answer."""
+        self.end_led()
+        self.drop(self.goal)
+        asked = self.read("present_position", raw=True)
+
+        def steps(job: Job) -> Steps:
+            try:
+                here = yield asked
+                yield self.write_now(self.goal, self.goal_at(here))
+            except NoReplyError:
+                yield self.write_now("torque_enable", 0)
+
+        return self.job("stop", steps)
+
+    @property
+    def stop_leaves(self) -> Outcome:
+        """Held by the goal where it is, or by no speed; without torque, or without current, it is free."""
+        if self.command == "position" and self.settings.stop == "release":
+            return "limp"
+        return "holds" if self.command in ("position", "speed") else "limp"
+
     def ping(self) -> Job:
-        """Whether it is there, whatever its status return level: the names of its errors."""
+        """Return whether it is there, whatever its status return level: the names of its errors."""
 
         def steps(job: Job) -> Steps:
             record = yield self._ask("Ping", None)

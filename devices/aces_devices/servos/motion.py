@@ -32,7 +32,7 @@ class SteadyShaft:
         self.at, self.since = self.position(now), now
 
     def position(self, now: int) -> float:
-        """Where it is."""
+        """Return where it is."""
         left = max(0, now - self.since) / 1e9
         if not self.is_driven or self.is_jammed:
             return self.at
@@ -42,11 +42,11 @@ class SteadyShaft:
         return self.goal if abs(gap) <= self.limit * left else self.at + math.copysign(self.limit * left, gap)
 
     def speed_at(self, now: int) -> float:
-        """How fast it turns."""
+        """Return how fast it turns."""
         return 0.0 if self.is_jammed else self.wanted_at(now)
 
     def wanted_at(self, now: int) -> float:
-        """How fast it would turn if nothing held it."""
+        """Return how fast it would turn if nothing held it."""
         if not self.is_driven:
             return 0.0
         if self.speed is not None:

@@ -23,7 +23,7 @@ ADAPTER_S = 0.016
 def servo_scan(
     driver: str, registers: RegisterMap, ids: range, *, model: Callable[[bytes], object] | None = None
 ) -> Callable[..., Steps]:
-    """The scan of a driver of servos; its steps end with a `DeviceConfig` for each that was found.
+    """Return the scan of a driver of servos; its steps end with a `DeviceConfig` for each that was found.
 
     `model` makes a name, or a number, of the register `model_number`, where the map's own field does not do.
     `job.progress` grows with the ids. A servo that answers no reads (status return level 0) has no model. An id that is
@@ -49,7 +49,7 @@ def servo_scan(
         return found
 
     def look(host: Host, device: Device, number: int, adapter_s: float, tries: int) -> Steps:
-        """The servo with this id; None: there is none."""
+        """Return the servo with this id; None: there is none."""
         config = DeviceConfig(
             name=f"S{number}", driver=driver, bus=host.name, credentials={"id": number}, channels=1
         )

@@ -41,7 +41,7 @@ class RegisterTable:
 
 
 def _limits(codec: RegisterCodec) -> tuple[int, int]:
-    """The least and greatest raw number that a register takes."""
+    """Return the least and greatest raw number that a register takes."""
     field: Any = codec.register.field
     bits = 8 * codec.size
     if isinstance(field, Quantity) and field.raw_range:
@@ -86,20 +86,22 @@ class ServoTwin(Twin):
         raise NotImplementedError
 
     def wrong_value(self, name: str, value: int) -> str:
-        """The name of what is wrong with a raw number that a register is to be given; empty: nothing."""
+        """Return the name of what is wrong with a raw number that a register is to be given; empty: nothing."""
         low, high = self.places.limits[name]
         return "" if low <= value <= high else "range"
 
     def wrong_place(self, address: int, codec: RegisterCodec | None) -> str:
-        """The name of what is wrong with writing to an address now; empty: nothing. A hole in the table has no codec."""
+        """Return the name of what is wrong with writing to an address now; empty: nothing. A hole in the table has no
+        codec.
+        """
         return "range" if codec is not None and codec.register.access == "read" else ""
 
     def refused(self, why: str) -> Any:
-        """A status's `error` for a refused instruction."""
+        """Return a status's `error` for a refused instruction."""
         raise NotImplementedError
 
     def with_errors(self, refusal: Any, errors: int) -> Any:
-        """A status's `error` from that and the servo's own errors."""
+        """Return a status's `error` from that and the servo's own errors."""
         raise NotImplementedError
 
     # ------------------------------------------------------------------ alarms
@@ -225,7 +227,7 @@ class ServoTwin(Twin):
             self.reply("Status", delay_ns=delay, error=error, parameters=data)
 
     def stretch(self, start: int, count: int) -> bytes | None:
-        """What is in the table from `start` on, measured now; None: there is no such stretch."""
+        """Return what is in the table from `start` on, measured now; None: there is no such stretch."""
         if not count or start + count > len(self.table):
             return None
         return bytes(self.table[start : start + count])
@@ -239,7 +241,7 @@ class ServoTwin(Twin):
         self.answer(request, PING, "", data, delay_ns=self.turn_ns(before))
 
     def identification(self) -> bytes:
-        """The parameters of a Ping's status."""
+        """Return the parameters of a Ping's status."""
         return b""
 
     @on("Read")
@@ -264,7 +266,7 @@ class ServoTwin(Twin):
     no_stretch: ClassVar[str] = "range"
 
     def turn_ns(self, before: Sequence[int]) -> int:
-        """How long it waits where others answer before it, with so many bytes of parameters each."""
+        """Return how long it waits where others answer before it, with so many bytes of parameters each."""
         size = sum(before) + self.status_bytes * len(before)
         return (len(before) + 1) * self.delay_ns + (self.twins.port.wire_ns(bytes(size)) if size else 0)
 
@@ -315,7 +317,7 @@ class ServoTwin(Twin):
     # ------------------------------------------------------------------ writing
 
     def wrong(self, start: int, data: bytes) -> str:
-        """What is wrong with a write; empty: it may be done. Half a word is judged by the whole that it makes."""
+        """Return what is wrong with a write; empty: it may be done. Half a word is judged by the whole that it makes."""
         end = start + len(data)
         if not data or end > len(self.table):
             return self.no_stretch

@@ -19,13 +19,13 @@ REPEATED = {
 
 
 def _content(packet: Any) -> bytes:
-    """What a request says, as far as its first frame has it: its service and what follows (ISO 15765-2)."""
+    """Return what a request says, as far as its first frame has it: its service and what follows (ISO 15765-2)."""
     data: bytes = (packet[0] if isinstance(packet, tuple) else packet).data
     return data[2:] if data[0] >> 4 else data[1 : 1 + data[0]]
 
 
 def is_answer(record: Any, ticket: Ticket) -> bool:
-    """Whether a record answers a request: by the service, and by what an answer repeats of its request."""
+    """Return whether a record answers a request: by the service, and by what an answer repeats of its request."""
     name = type(record).__name__
     if name == "Refused":
         return bool(SERVICE_OF[ticket.message] == record.service)
@@ -39,7 +39,7 @@ def is_answer(record: Any, ticket: Ticket) -> bool:
 
 
 def late_text(record: Any) -> str:
-    """An answer that is too late, in few words."""
+    """Return an answer that is too late, in few words."""
     name = type(record).__name__
     return (
         f"{record.service} was refused: {record.reason}"

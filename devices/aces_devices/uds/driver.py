@@ -14,7 +14,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, ClassVar
 
-from aces_bus.device import Device, Driver, Job, Poll, Signal, Steps
+from aces_bus.device import Device, Driver, HostLoss, Job, Poll, Signal, Steps
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import AcesError, CallerError, DeviceError, UnknownNameError
 from aces_protocols.uds.spec import SESSIONS
@@ -47,6 +47,10 @@ class Uds(Device):
     """
 
     protocol = "uds"
+    when_host_is_lost = HostLoss(
+        "nothing moves", "ISO 14229-2: S3 server time-out", 5.0,
+        "it ends its session; what a routine does then is its maker's affair",
+    )  # fmt: skip
     one_at_a_time = True
     actions: ClassVar = {
         "read": "ask for one value: its name",
@@ -134,7 +138,7 @@ class Uds(Device):
         return Poll("ReadCodes", ("Codes", "Refused"), asked, every_s=every_s, timeout_s=timeout_s)
 
     def polls_of(self, name: str) -> list[Poll]:
-        """The poll that reads the signal."""
+        """Return the poll that reads the signal."""
         own = name.partition(".")[2]
         if own in ("codes", "trouble"):
             return [poll for poll in self.polls if poll.message == "ReadCodes"]
@@ -446,7 +450,7 @@ class Uds(Device):
         return self._routine("stop", name, data)
 
     def routine_results(self, name: str) -> Job:
-        """The bytes of a routine's results. Raises `UnknownNameError`."""
+        """Return the bytes of a routine's results. Raises `UnknownNameError`."""
         return self._routine("results", name, b"")
 
     def download(self, address: int, data: bytes, method: int = 0) -> Job:
@@ -482,6 +486,11 @@ class Uds(Device):
 
     # ------------------------------------------------------------------ stopping
 
+    def assume_driven(self) -> None:
+        """Another program may have begun a session: a stop ends it."""
+        super().assume_driven()
+        self.is_engaged = True
+
     def stop_motion(self) -> Job | None:
         """Stop what was started and go back to the default session, before all that waits; nothing where that is so.
 
@@ -511,7 +520,9 @@ class Uds(Device):
         return self.job("stop", steps)
 
     def confirm_stopped(self) -> Job | None:
-        """Where a stop has ended a session: ask which it is in. One that does not say that has confirmed the stop itself."""
+        """Return where a stop has ended a session: ask which it is in. One that does not say that has confirmed the
+        stop itself.
+        """
         if not self._is_to_confirm:
             return None
 

@@ -52,7 +52,7 @@ class UdsValue:
         return data if self.entry.order == "high first" or self.entry.type not in NUMBERS else data[::-1]
 
     def value(self, data: bytes) -> Any:
-        """The value of these bytes."""
+        """Return the value of these bytes."""
         entry = self.entry
         if self._named:
             number = value_of(self._ordered(data), entry.type, 1, 0)
@@ -60,7 +60,7 @@ class UdsValue:
         return value_of(self._ordered(data), entry.type, entry.scale, entry.offset)
 
     def data(self, value: Any) -> bytes:
-        """The bytes of a value. Raises `CallerError` for one that does not fit."""
+        """Return the bytes of a value. Raises `CallerError` for one that does not fit."""
         entry, what = self.entry, f"value {self.name}"
         if isinstance(value, str) and entry.names:
             if value not in entry.names:
@@ -72,7 +72,7 @@ class UdsValue:
 
 
 def identifiers_of(who: str, table: str | None, own: Mapping[str, Any]) -> dict[str, UdsValue]:
-    """The values of a TOML file with [identifiers], and of a device's own entries, which go before.
+    """Return the values of a TOML file with [identifiers], and of a device's own entries, which go before.
 
     Raises `CallerError` naming the value and what is wrong.
     """

@@ -53,7 +53,7 @@ class UdsRefusal(Exception):
 
 
 def complement(level: int, seed: bytes) -> bytes:
-    """The key of a seed as the twin wants it, until it is given another function: each byte inverted.
+    """Return the key of a seed as the twin wants it, until it is given another function: each byte inverted.
 
     >>> complement(1, b"\\x36\\x57").hex()
     'c9a8'
@@ -116,7 +116,7 @@ class UdsTwin(Twin):
         self.data[one.number] = one.data(value)
 
     def take(self, name: str) -> Any:
-        """A value, in its unit. Raises `UnknownNameError`."""
+        """Return a value, in its unit. Raises `UnknownNameError`."""
         one = self._value(name)
         return one.value(self.data[one.number])
 
@@ -155,7 +155,7 @@ class UdsTwin(Twin):
         self.reply(answer, delay_ns=patience + self.reply_delay_ns, **fields)
 
     def _carry_out(self, name: str, service: Any, request: Any) -> tuple[str, dict[str, Any]]:
-        """The answer's message and fields; raises `UdsRefusal`."""
+        """Return the answer's message and fields; raises `UdsRefusal`."""
         if service not in SERVICE_OF.values():
             raise UdsRefusal("service_not_supported")
         if self.session == "default" and service in NOT_IN_DEFAULT:
@@ -228,7 +228,7 @@ class UdsTwin(Twin):
             raise UdsRefusal("security_denied")
 
     def _access(self, request: Any) -> tuple[str, dict[str, Any]]:
-        """A seed for an odd step, and its key with the next one."""
+        """Return a seed for an odd step, and its key with the next one."""
         level = request.step - (1 - request.step % 2)
         if not self.level or level != self.level:
             raise UdsRefusal("subfunction_not_supported")
@@ -255,14 +255,16 @@ class UdsTwin(Twin):
     # ------------------------------------------------------------------ values
 
     def _data(self, number: int) -> bytes | None:
-        """The bytes of a value: of the table's, else of the standard's; None: it has none."""
+        """Return the bytes of a value: of the table's, else of the standard's; None: it has none."""
         one = self.by_number.get(number)
         if one is not None:
             return self.data[number] if one.entry.access != "write" else None
         return self._standard(number)
 
     def _standard(self, number: int) -> bytes | None:
-        """The bytes of a value that the standard knows: the session, the vehicle's number, what the engine measures."""
+        """Return the bytes of a value that the standard knows: the session, the vehicle's number, what the engine
+        measures.
+        """
         kind = BY_NUMBER.get(number, "")
         if kind == "session":
             value: Any = self.session

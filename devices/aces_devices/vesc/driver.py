@@ -16,8 +16,9 @@ from typing import Annotated, Any, ClassVar, Literal
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Device, Driver, Host, Job, Poll, Signal, Steps, Ticket
+from aces_bus.device import Device, Driver, Host, HostLoss, Job, Poll, Signal, Steps, Ticket
 from aces_bus.device.config import DeviceConfig
+from aces_bus.device.host_loss import Outcome
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError
 from aces_protocols.vesc_uart.spec import mask_of
@@ -102,6 +103,10 @@ class Vesc(Device):
         "firmware": "ask for version and hardware",
     }
     asking: ClassVar = ("firmware",)
+    when_host_is_lost = HostLoss(
+        "limp", "vedderb/bldc timeout.c; documentation/comm_can.md says 0.5 s", 1.0,
+        "then with the configured brake current, 0 from the factory; the time-out is the controller's own setting",
+    )  # fmt: skip
 
     # ------------------------------------------------------------------ declaration
 
@@ -216,7 +221,7 @@ class Vesc(Device):
         self.known["fault"] = (made, None)
 
     def _angle(self, angle: float) -> float:
-        """The joint's angle (rad) of the encoder's (°), nearest to the middle of its limits."""
+        """Return the joint's angle (rad) of the encoder's (°), nearest to the middle of its limits."""
         joint = self.joint
         middle = (
             (joint.lower + joint.upper) / 2
@@ -326,8 +331,13 @@ class Vesc(Device):
         self._off()
         return self.send_now("SetCurrent", current=0.0)
 
+    @property
+    def stop_leaves(self) -> Outcome:
+        """Free; with the setting `stop` = "brake", braked until the controller's time-out."""
+        return "brakes" if self.settings.stop == "brake" else "limp"
+
     def confirm_stopped(self) -> Job:
-        """Whether no current drives it on: there is none, or it goes against the motion.
+        """Return whether no current drives it on: there is none, or it goes against the motion.
 
         A motor without a load takes hardly any, and no set-point is acknowledged. Where packets are lost it is sent again
         and again; the question is right behind it, asked once: a later answer says nothing of a lost stop.

@@ -72,7 +72,7 @@ class VescModel:
         self.release()
 
     def position(self, now: int) -> float:
-        """Where the joint is (rad)."""
+        """Return where the joint is (rad)."""
         return self._direction * (self.motor.position(now) / self._ratio - self._zero)
 
     @property
@@ -132,7 +132,7 @@ class VescModel:
         self.lead()
 
     def current(self) -> float:
-        """The motor current (A), as far as there is one."""
+        """Return the motor current (A), as far as there is one."""
         if self.fault_name != "none" or self.mode not in ("current", "brake", "hold"):
             return 0.0
         if self.mode == "current":

@@ -36,15 +36,15 @@ class CanWire:
         self._reader = PacketReader("from device")
 
     def request(self, packet: str, fields: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-        """The message that carries a packet, and its fields."""
+        """Return the message that carries a packet, and its fields."""
         return "ShortRequest", {"host": self.host_number, "mode": 0, "packet": packet_of(packet, **fields)}
 
     def answers(self, packet: str) -> tuple[str, ...]:
-        """The messages of which one ends the answer to a packet."""
+        """Return the messages of which one ends the answer to a packet."""
         return PIECES
 
     def taken(self, record: Any) -> tuple[Any, bool]:
-        """The answer that a record ends, None where it ends none; and whether one ends that is not whole."""
+        """Return the answer that a record ends, None where it ends none; and whether one ends that is not whole."""
         packet = self._buffers.take(record)
         answer = None if packet is None else self._reader.read(packet)
         return answer, packet is None and type(record).__name__ in PIECES
@@ -58,13 +58,13 @@ class SerialWire:
     stops = 4
 
     def request(self, packet: str, fields: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-        """The packet itself."""
+        """Return the packet itself."""
         return packet, dict(fields)
 
     def answers(self, packet: str) -> tuple[str, ...]:
-        """The message that answers a packet."""
+        """Return the message that answers a packet."""
         return ANSWERED_BY[packet]
 
     def taken(self, record: Any) -> tuple[Any, bool]:
-        """The record itself."""
+        """Return the record itself."""
         return record, False

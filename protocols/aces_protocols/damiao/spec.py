@@ -121,7 +121,7 @@ _EXAMPLES: dict[str, list[Any]] = {
 
 
 def declared(name: str, *, fd: bool) -> Protocol:
-    """The protocol under a name: the same frames, as classic CAN or as CAN FD."""
+    """Return the protocol under a name: the same frames, as classic CAN or as CAN FD."""
     made = Protocol(
         name,
         link="can",

@@ -224,7 +224,7 @@ REFUSALS = {
 
 
 def error() -> Any:
-    """The error byte: what is wrong with the instruction, and whether register 70 has something to say."""
+    """Return the error byte: what is wrong with the instruction, and whether register 70 has something to say."""
     return "error" / BitLayout(1, "code" / Enumeration(bits(7), REFUSALS), "alert" / bits(1))
 
 

@@ -107,7 +107,7 @@ Home = command(
 
 
 def _offset(low: int, high: int, top: int) -> Quantity:
-    """A home offset of 19 bits and sign: bits 0–7 are byte `low`, 8–15 byte `high`, the rest from bit `top` on."""
+    """Return a home offset of 19 bits and sign: bits 0–7 are byte `low`, 8–15 byte `high`, the rest from bit `top` on."""
     return Quantity(SignMagnitude(Split((8 * low, 8), (8 * high, 8), (top, 4))), unit="count")
 
 
@@ -314,7 +314,7 @@ Pwm = pwm(
 
 
 def _fine(byte: int) -> Quantity:
-    """A duty of 0.1 %: sign in bit 0 of `byte`, bits 8–11 in its high nibble, bits 0–7 in the next byte."""
+    """Return a duty of 0.1 %: sign in bit 0 of `byte`, bits 8–11 in its high nibble, bits 0–7 in the next byte."""
     at = 8 * byte
     return Quantity(
         SignMagnitude(Split((at + 8, 8), (at + 4, 4), (at, 1))), scale=0.1, unit="%", raw_range=(-1000, 1000)

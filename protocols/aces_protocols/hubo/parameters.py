@@ -21,7 +21,7 @@ from .commands import GetParameters, SendCurrent
 
 
 def selectors(block: int) -> tuple[int, ...]:
-    """A block's selectors, channel by channel: 6 × channel + block, and 5 more from channel 3 on: 20–22 stay free."""
+    """Return a block's selectors, channel by channel: 6 × channel + block, and 5 more from channel 3 on: 20–22 stay free."""
     return tuple(6 * channel + block + (5 if channel >= 3 else 0) for channel in range(5))
 
 

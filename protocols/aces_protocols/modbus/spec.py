@@ -187,7 +187,7 @@ def _echoed(
     example: str,
     **values: Any,
 ) -> Any:
-    """A request whose answer is the same bytes."""
+    """Return a request whose answer is the same bytes."""
     shared = {"match": {"function": number}, "payload": payload, "source": "Modbus application protocol 6"}
     made = framing(ask, direction="to device", doc=doc, examples=[(example, values)], **shared)
     framing(

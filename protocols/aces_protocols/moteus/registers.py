@@ -178,12 +178,12 @@ BY_NAME: dict[str, Quantum] = {one.name: one for one in _ALL}
 
 
 def register_at(number: int) -> Quantum:
-    """The register of a number; one without a name is called after it, such as r0f3."""
+    """Return the register of a number; one without a name is called after it, such as r0f3."""
     return BY_NUMBER.get(number) or Quantum(number, f"r{number:03x}")
 
 
 def register_named(name: str) -> Quantum | None:
-    """The register of a name, r0f3 too; None where there is none."""
+    """Return the register of a name, r0f3 too; None where there is none."""
     found = BY_NAME.get(name)
     if found is None and name[:1] == "r":
         try:

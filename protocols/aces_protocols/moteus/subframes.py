@@ -83,7 +83,7 @@ class _Reader:
 
 
 def varuint(number: int) -> bytes:
-    """A number in groups of seven bits, lowest first; the top bit says that more follow.
+    """Return a number in groups of seven bits, lowest first; the top bit says that more follow.
 
     >>> varuint(0x20).hex(), varuint(0x101).hex()
     ('20', '8102')
@@ -96,7 +96,7 @@ def varuint(number: int) -> bytes:
 
 
 def register_values(subframes: Iterable[Any]) -> dict[str, Any]:
-    """The values by name of the registers that a record's sub-frames write or answer; the last one counts."""
+    """Return the values by name of the registers that a record's sub-frames write or answer; the last one counts."""
     found: dict[str, Any] = {}
     for one in subframes:
         if one.reason is None and str(one.kind).partition("_")[0] in ("write", "reply"):
@@ -158,7 +158,7 @@ def bytes_of(subframes: Iterable[Any], path: str = "subframes", *, raw: bool = F
 
 
 def _read(reader: _Reader, raw: bool) -> c.Container:
-    """The next sub-frame."""
+    """Return the next sub-frame."""
     tag = reader.take(1)[0]
     if tag == NOP:
         count = 1
@@ -297,7 +297,7 @@ def _built_registers(operation: str, kind: str, long: bool, data: Any, path: str
 
 
 def _number(register: Quantum, kind: str, value: Any, path: str, raw: bool) -> bytes:
-    """A value as its type has it; raises `FieldError` for what does not fit."""
+    """Return a value as its type has it; raises `FieldError` for what does not fit."""
     if isinstance(value, str) and not raw:
         value = next((number for number, name in register.names.items() if name == value), value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):

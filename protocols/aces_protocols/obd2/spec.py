@@ -36,7 +36,7 @@ def _asks(
     examples: list[tuple[str, dict[str, Any]]],
     source: str = J1979,
 ) -> tuple[Any, Any]:
-    """A request to one ECU, and the same to all."""
+    """Return a request to one ECU, and the same to all."""
     shared: dict[str, Any] = {
         "direction": "to device", "payload": Struct(Const(service, Byte), *fields), "source": source,
     }  # fmt: skip

@@ -107,7 +107,7 @@ def takes(name: str, command: int, payload: Construct | None = None, **more: Any
 
 
 def four(name: str, field: Construct) -> dict[str, Any]:
-    """A setting of four bytes, with four more that mean nothing or without."""
+    """Return a setting of four bytes, with four more that mean nothing or without."""
     return {"payload": Struct(name / field, "more" / Default(GreedyBytes, b"")), "length": (4, 8)}
 
 

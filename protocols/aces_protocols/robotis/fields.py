@@ -16,7 +16,7 @@ TOLERANCE = 0.03
 
 
 def from_directed(raw: int, bit: int) -> int:
-    """The number whose magnitude is below `bit`, and whose sign is `bit`; bits above have no meaning.
+    """Return the number whose magnitude is below `bit`, and whose sign is `bit`; bits above have no meaning.
 
     >>> from_directed(0x464, 10)
     -100
@@ -26,7 +26,7 @@ def from_directed(raw: int, bit: int) -> int:
 
 
 def to_directed(value: int, bit: int) -> int:
-    """What `from_directed` undoes, for a magnitude that fits.
+    """Return what `from_directed` undoes, for a magnitude that fits.
 
     >>> hex(to_directed(-100, 15))
     '0x8064'
@@ -85,5 +85,5 @@ class RateTable(Field):
 
 
 def switch(off: str = "off", on: str = "on") -> Enumeration:
-    """A byte that is 0 or 1."""
+    """Return a byte that is 0 or 1."""
     return Enumeration(Byte, {off: 0, on: 1})

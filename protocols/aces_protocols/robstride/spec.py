@@ -67,7 +67,7 @@ Host = IdField("host", (*range(0x80, ANYBODY), 0xFF), doc="who asks, and is answ
 
 
 def asks(kind: int, name: str, payload: Any, **more: Any) -> Any:
-    """A message to a motor: its type, who asks, the motor."""
+    """Return a message to a motor: its type, who asks, the motor."""
     more.setdefault("source", CG)
     return robstride.message(
         name, id=kind << 24 | Host << 8 | Motor, extended=True, direction="to device", payload=payload, **more

@@ -30,7 +30,7 @@ packet = ubx.framing(
 
 
 def poll(group: int, number: int, example: str) -> dict[str, Any]:
-    """What a poll is declared with: the identity of its answer, and no payload."""
+    """Return what a poll is declared with: the identity of its answer, and no payload."""
     return {
         "direction": "to device",
         "match": {"group": group, "number": number},

@@ -85,7 +85,9 @@ def _asks(
     prefix: Struct | None = None,
     match: Mapping[str, Any] = MappingProxyType({}),
 ) -> tuple[Any, ...]:
-    """A request to one ECU, and the same to all unless that makes no sense; `prefix` goes between service and payload."""
+    """Return a request to one ECU, and the same to all unless that makes no sense; `prefix` goes between service and
+    payload.
+    """
     head = Struct("service" / Byte, *(() if prefix is None else prefix.subcons))
     known: dict[str, Any] = {"prefix": head, "source": STANDARD, "direction": "to device"}
     fields: dict[str, Any] = {"match": {"service": service, **match}}
@@ -114,7 +116,7 @@ def _says(name: str, service: int, *fields: Construct, to: tuple[Any, ...], **mo
 
 
 def sub(name: str, names: dict[str, int] | None = None, **more: Any) -> BitLayout:
-    """A sub-function, and the bit that wants no positive answer."""
+    """Return a sub-function, and the bit that wants no positive answer."""
     form = bits(7, at=0) if names is None else Enumeration(bits(7, at=0), names)
     return BitLayout(1, name / form, "suppress" / Default(bits(1, at=7), 0), **more)
 
@@ -346,7 +348,7 @@ _MASK = "status" / Flags(Byte, STATUS)
 
 
 def _asks_codes(name: str, kind: int, doc: str) -> tuple[Any, ...]:
-    """A request for codes, or how many they are, by their status."""
+    """Return a request for codes, or how many they are, by their status."""
     return _asks(
         name,
         0x19,

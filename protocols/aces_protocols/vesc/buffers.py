@@ -20,7 +20,7 @@ MOST = 512
 
 
 def check_of(packet: bytes | bytearray) -> bytes:
-    """The check of a packet: CRC-16/XMODEM, high byte first.
+    """Return the check of a packet: CRC-16/XMODEM, high byte first.
 
     >>> check_of(b"123456789").hex()
     '31c3'
@@ -31,7 +31,7 @@ def check_of(packet: bytes | bytearray) -> bytes:
 def can_pieces(
     packet: bytes, *, host: int, receiver: int, mode: int = 0
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The messages that carry a packet to a controller, with their fields; `receiver` is the controller.
+    """Yield the messages that carry a packet to a controller, with their fields; `receiver` is the controller.
 
     >>> [name for name, fields in can_pieces(bytes(14), host=0xC8, receiver=5)]
     ['FillBuffer', 'FillBuffer', 'LongRequest']
@@ -57,7 +57,7 @@ class Buffers:
         self._parts: list[bytearray] = []
 
     def take(self, record: Any) -> bytes | None:
-        """The packet that a record ends, if it ends one."""
+        """Return the packet that a record ends, if it ends one."""
         match type(record).__name__:
             case "ShortRequest" | "ShortAnswer":
                 return bytes(record.packet)

@@ -10,5 +10,5 @@ from aces_bus.protocol import Quantity
 
 
 def in_steps(construct: Construct, unit: str, per_unit: float, **more: Any) -> Quantity:
-    """A number that counts `per_unit` steps a unit; the other keywords are those of `Quantity`."""
+    """Return a number that counts `per_unit` steps a unit; the other keywords are those of `Quantity`."""
     return Quantity(construct, unit=unit, scale=1 / per_unit, **more)

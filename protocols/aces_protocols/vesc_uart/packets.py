@@ -17,7 +17,7 @@ LONG_FROM = 256
 
 
 def framed(packet: bytes) -> bytes:
-    """A packet as a UART has it.
+    """Return a packet as a UART has it.
 
     >>> framed(b"\\x04").hex(" ")
     '02 01 04 40 84 03'
@@ -28,7 +28,7 @@ def framed(packet: bytes) -> bytes:
 
 
 def packet_of(message: str, **fields: Any) -> bytes:
-    """The packet of a message. Raises `FieldError` as encoders do.
+    """Return the packet of a message. Raises `FieldError` as encoders do.
 
     >>> packet_of("GetSelected", mask=0x81C0).hex(" ")
     '32 00 00 81 c0'
@@ -44,6 +44,6 @@ class PacketReader:
         self._scanner = vesc_uart.scanner(direction=direction)
 
     def read(self, packet: bytes) -> Any:
-        """The record of a packet."""
+        """Return the record of a packet."""
         found = [one for one in self._scanner.feed(framed(packet)) if not isinstance(one, Unknown)]
         return found[0] if found else None

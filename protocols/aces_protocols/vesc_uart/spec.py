@@ -168,7 +168,7 @@ def _up_to(last: str) -> Struct:
 
 
 def mask_of(*names: str) -> int:
-    """The mask that asks for these values.
+    """Return the mask that asks for these values.
 
     >>> hex(mask_of("duty", "speed", "voltage", "fault"))
     '0x81c0'

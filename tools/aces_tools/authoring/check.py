@@ -55,7 +55,7 @@ from aces_bus.protocol import Message, Protocol, Variant, list_protocols, load_p
 from aces_bus.protocol.against import Observation, RecordingCheck, suggest_examples
 from aces_bus.protocol.declare.place import SourceLine
 from aces_bus.protocol.exchange.read_once import problems_of
-from aces_bus.protocol.files import load_file
+from aces_bus.protocol.files import load_file, python_file
 from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire, sort_key
 from aces_bus.protocol.lint.fields import Written
 from aces_bus.recordings import CanRecording, SerialRecording, open_recording
@@ -78,6 +78,8 @@ _WITNESS = re.compile(
     r"both accept (?P<frame>[0-9A-F]+#[0-9A-F]*)|both accept (?P<bytes>[0-9A-F]{2}(?: [0-9A-F]{2})*)"
 )
 
+
+SUMMARY = "find what is wrong or doubtful in a spec, with file and line"
 
 ARGUMENTS: Arguments = (
     argument(
@@ -206,7 +208,7 @@ def _ask_laws(protocol: Protocol, result: Checked, seconds: float) -> None:
 
 
 def _every(name: str) -> list[str]:
-    """A file that declares several protocols, as the names of each."""
+    """Return a file that declares several protocols, as the names of each."""
     if not name.lower().endswith(".py"):
         return [name]
     found = {
@@ -255,6 +257,8 @@ def _check_robot(name: str, result: Checked) -> None:
                 spoken.setdefault(own, getattr(device, "dialect", None))
         wire: list[Variant] = []
         for protocol_name, dialect in spoken.items():
+            if python_file(protocol_name)[0]:
+                continue  # a file that a robot names is not run; the robot's own check has said so
             try:
                 protocol = load_protocol(protocol_name)
             except UnknownNameError:
@@ -273,7 +277,7 @@ def _unallowed(findings: Iterable[Finding]) -> list[Finding]:
 
 
 def _of_database(protocol: Protocol) -> list[Finding]:
-    """What of a database could not be taken over."""
+    """Return what of a database could not be taken over."""
     path = protocol.place.file
     return [
         Finding(
@@ -287,7 +291,7 @@ def _of_database(protocol: Protocol) -> list[Finding]:
 
 
 def _of_error(error: AcesError) -> Finding | None:
-    """A spec that fails while it is imported: where, and what; None for a wrong call."""
+    """Return a spec that fails while it is imported: where, and what; None for a wrong call."""
     text = str(error)
     found = _PLACED.fullmatch(text)
     if found is not None and (isinstance(error, SpecError) or os.path.exists(found["file"])):
@@ -312,7 +316,7 @@ def _witness(text: str) -> str | None:
 
 
 def _innermost(error: BaseException) -> SourceLine | None:
-    """The last line of a traceback that is not Python's own or the core's."""
+    """Return the last line of a traceback that is not Python's own or the core's."""
     if isinstance(error, SyntaxError) and error.filename and not error.filename.startswith("<"):
         return SourceLine(error.filename, error.lineno or 1)
     own = str(Path(sys.modules["aces_bus"].__file__ or "").parent)
@@ -334,7 +338,7 @@ def _innermost(error: BaseException) -> SourceLine | None:
 def _hold_against(
     wire: Sequence[Variant], names: Mapping[Variant, str], arguments: argparse.Namespace
 ) -> Checked:
-    """What the recordings of the call say against protocols that share a bus."""
+    """Return what the recordings of the call say against protocols that share a bus."""
     said = " + ".join(names[variant] for variant in wire)
     result = Checked(f"{said} against {', '.join(arguments.against)}", nothing="nothing speaks against it")
     try:
@@ -348,7 +352,7 @@ def _hold_against(
 
 
 def _recordings(paths: Iterable[str], wire: Sequence[Variant]) -> Iterator[CanRecording | SerialRecording]:
-    """The recordings, one after the other; what of them cannot be read is said."""
+    """Yield the recordings, one after the other; what of them cannot be read is said."""
     for path in paths:
         with open_recording(path, link="can" if wire[0].link == "can" else "serial") as capture:
             yield capture
@@ -482,7 +486,7 @@ def prove(protocol: Protocol, name: str, seconds: float) -> ProofResult:
 
 
 def example_numbers(benches: int) -> Iterator[int]:
-    """The numbers of a fuzzer's examples, one of each bench in turn, each once."""
+    """Yield the numbers of a fuzzer's examples, one of each bench in turn, each once."""
     from aces_bus.testing.fuzz import BLOCK
 
     places = [*range(6), BLOCK - 1, BLOCK - 2, *range(6, BLOCK - 2)]
@@ -517,7 +521,7 @@ def _report(proved: ProofResult, failure: Failure, protocol: Protocol, name: str
 
 
 def finding_of_error(error: BaseException, protocol: Protocol, what: str) -> Finding:
-    """What a spec made the core raise: the message and field that were in hand, and their line."""
+    """Return what a spec made the core raise: the message and field that were in hand, and their line."""
     owner = name = ""
     place: SourceLine | None = None
     for value in _in_hand(error):
@@ -540,7 +544,7 @@ def finding_of_error(error: BaseException, protocol: Protocol, what: str) -> Fin
 
 
 def _in_hand(error: BaseException) -> Iterator[Any]:
-    """What the functions that an exception came through had in their variables, the innermost first."""
+    """Yield what the functions that an exception came through had in their variables, the innermost first."""
     frames: list[FrameType] = []
     at = error.__traceback__
     while at is not None:

@@ -79,7 +79,7 @@ class Difference:
 
 
 def spec_difference(old: Mapping[str, Message], new: Mapping[str, Message]) -> Difference:
-    """What differs from `old` to `new`."""
+    """Return what differs from `old` to `new`."""
     removed = [name for name in old if name not in new]
     added = [name for name in new if name not in old]
     pairs = [(name, name) for name in old if name in new]
@@ -152,7 +152,7 @@ def _compared(old: Message, new: Message) -> Changed:
 
 
 def _rows(message: Message) -> dict[str, FieldRow]:
-    """The lines of a message's fields; of those that only construct takes apart, what is in them too."""
+    """Return the lines of a message's fields; of those that only construct takes apart, what is in them too."""
     plan = flatten(message)
     rows = {row.name: row for row in draw.field_table(plan, draw.captured_values(message))}
     opaque = {field.name for field in plan.fields if isinstance(field.node, p.Opaque)}
@@ -166,7 +166,7 @@ def _rows(message: Message) -> dict[str, FieldRow]:
 
 
 def _written_row(name: str, written: Written) -> FieldRow:
-    """The line of a field without a fixed place, from its adapters and the number below them."""
+    """Return the line of a field without a fixed place, from its adapters and the number below them."""
     wire = wire_number(written.inner)
     kind = type(written.inner).__name__
     if wire is not None:
@@ -200,7 +200,7 @@ def _described(row: FieldRow) -> str:
 
 
 def _facts(message: Message) -> dict[str, str]:
-    """What says which frames or packets are this message, and how long they are."""
+    """Return what says which frames or packets are this message, and how long they are."""
     plan = flatten(message)
     kinds = (("29 bits", message.extended), ("remote", message.remote), ("CAN FD", message.fd))
     framing = message.framing

@@ -39,6 +39,8 @@ from ..protocols_arg import parse_protocols
 from .explain_inputs import LARGEST, FrameInput, StreamInput, inputs_of
 from .explain_text import attempt_lines
 
+SUMMARY = "explain why bytes are decoded as they are"
+
 ARGUMENTS: Arguments = (
     argument("protocols", nargs="+", metavar="FILE|NAME", help="as -p of 'aces decode'; the first wins"),
     argument("capture", metavar="CAPTURE", help="a recording, -, hex:FFFF01…, or frames such as '063#78 00'"),

@@ -44,7 +44,7 @@ class FrameInput:
         return f"{self.seen} frame{'' if self.seen == 1 else 's'}"
 
     def attempts(self, at: int | None, count: int) -> list[Attempt]:
-        """The frames from `at` on. Those before are read as fast as they can be; requests are remembered."""
+        """Return the frames from `at` on. Those before are read as fast as they can be; requests are remembered."""
         tracer = Tracer(self.variants)
         interesting = tracer.interesting
         scanner: Any = make_scanner(self.variants, include_unknown=True)
@@ -88,7 +88,7 @@ class StreamInput:
         return f"{len(self.data)} byte{'' if len(self.data) == 1 else 's'}"
 
     def attempts(self, at: int | None, count: int) -> list[Attempt]:
-        """The decisions from the one that has byte `at` on."""
+        """Return the decisions from the one that has byte `at` on."""
         check_direction(self.variants, self.direction)
         data = bytes(self.data)
         if at is not None and at >= len(data):
@@ -139,7 +139,7 @@ class StreamInput:
 
 
 def _begin(borders: Iterable[int], at: int) -> int:
-    """The first border of decisions that is near enough; else the last one before `at`."""
+    """Return the first border of decisions that is near enough; else the last one before `at`."""
     listed = list(borders)
     return next((border for border in listed if at - border <= SPAN), listed[-1] if listed else 0)
 
@@ -147,7 +147,7 @@ def _begin(borders: Iterable[int], at: int) -> int:
 def inputs_of(
     capture: str, variants: Sequence[Variant], direction: Direction | None
 ) -> Iterator[FrameInput | StreamInput]:
-    """What the capture holds, for the protocols of its link."""
+    """Yield what the capture holds, for the protocols of its link."""
     can = [variant for variant in variants if variant.link == "can"]
     streams = [variant for variant in variants if variant.link != "can"]
     if capture.startswith("hex:"):
@@ -188,7 +188,7 @@ def inputs_of(
 def _streams(
     capture: SerialRecording, variants: list[Variant], direction: Direction | None
 ) -> Iterator[StreamInput]:
-    """The bytes of a serial capture: one stream a direction, requests going over to the replies'."""
+    """Yield the bytes of a serial capture: one stream a direction, requests going over to the replies'."""
     found: dict[Direction | None, StreamInput] = {}
     is_paired = any(map(has_requests, variants))
     requests: Any = make_scanner(variants, direction="to device") if is_paired else None

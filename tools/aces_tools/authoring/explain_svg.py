@@ -35,7 +35,7 @@ SMALL = 10.0
 
 
 def svg_of(attempts: Sequence[Attempt], title: str) -> str:
-    """The picture of some attempts, below each other."""
+    """Return the picture of some attempts, below each other."""
     canvas = Canvas()
     canvas.text(0, 14, title, is_bold=True, size=15)
     top = 34.0
@@ -83,7 +83,7 @@ def _width(index: int, step: Step, rows: Sequence[TemplateTrace]) -> float:
 
 
 def _read(canvas: Canvas, steps: Sequence[Step], lefts: Sequence[float], top: float) -> float:
-    """What was read, each over the part that completes it; on as many lines as keep them apart."""
+    """Return what was read, each over the part that completes it; on as many lines as keep them apart."""
     ends: list[float] = []
     marks: list[tuple[int, float]] = []
     for index, step in enumerate(steps):
@@ -132,7 +132,7 @@ def _row(
 
 
 def _text(row: TemplateTrace, index: int) -> str:
-    """What a template expects of a part; of the one that kills it, what for."""
+    """Return what a template expects of a part; of the one that kills it, what for."""
     text = row.cells[index] if index < len(row.cells) else ""
     if row.dies_at != index:
         return text
@@ -144,7 +144,7 @@ _BESIDE = ("request", "order", "content", "template")
 
 
 def _chosen(rows: Sequence[TemplateTrace]) -> list[TemplateTrace]:
-    """The templates that are drawn: the accepted one, then those that lived longest."""
+    """Return the templates that are drawn: the accepted one, then those that lived longest."""
     ordered = sorted(
         enumerate(rows),
         key=lambda item: (

@@ -25,7 +25,7 @@ NARROW = 24
 
 
 def attempt_lines(attempt: Attempt, width: int | None, paint: Paint) -> list[str]:
-    """The lines that explain one attempt."""
+    """Return the lines that explain one attempt."""
     found = attempt.found
     head = paint("source", attempt.label)
     if not attempt.is_can and attempt.run == 1 and len(attempt.raw) > 1:
@@ -136,12 +136,12 @@ def _deaths(died: Sequence[Death]) -> Iterable[str]:
 
 
 def _because(why: str, detail: str) -> str:
-    """A reason as a phrase; some classes say it all in their details."""
+    """Return a reason as a phrase; some classes say it all in their details."""
     return detail if why in ("request", "order") else f"{why} {detail}".rstrip()
 
 
 def _wanted(details: Sequence[str]) -> str:
-    """What was wanted each time, and what came, once, behind them."""
+    """Return what was wanted each time, and what came, once, behind them."""
     parts = [detail.rpartition(", not ") for detail in details]
     came = {part[2] for part in parts if part[1]}
     is_same = len(came) == 1 and all(part[1] for part in parts)
@@ -151,7 +151,7 @@ def _wanted(details: Sequence[str]) -> str:
 
 
 def _verdict(attempt: Attempt, width: int | None, paint: Paint) -> list[str]:
-    """What was decided, and where the search goes on."""
+    """Return what was decided, and where the search goes on."""
     found = attempt.found
     goes_on = "" if attempt.is_can else f"the search goes on at offset {attempt.resumes}"
     if found.message is None:

@@ -48,6 +48,8 @@ from ..options import (
 )
 from ..protocols_arg import named_protocol
 
+SUMMARY = "write a DBC, a Wireshark dissector, C source, a page"
+
 ARGUMENTS: Arguments = (
     argument(
         "protocol",
@@ -147,7 +149,7 @@ _FORMS = {"c": "the C source", "dbc": "a DBC", "wireshark": "the dissector", "ma
 
 
 def _header_of(path: str) -> str:
-    """The header beside a source file."""
+    """Return the header beside a source file."""
     return f"{os.path.splitext(path)[0]}.h"
 
 

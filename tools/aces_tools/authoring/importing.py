@@ -28,6 +28,8 @@ from aces_bus.protocol.exchange.problems import ImportProblem, excerpt
 from ..console import check_suffix, print_json, say, write_text
 from ..options import JSON, OUTPUT, STRICT, Arguments, argument, flag
 
+SUMMARY = "turn a DBC, KCD, SYM, ARXML or EDS file into a spec"
+
 ARGUMENTS: Arguments = (
     argument("file", metavar="FILE", help=f"one of the kinds {' '.join(SUFFIXES)}; what is on CAN"),
     OUTPUT.but(metavar="FILE.py"),

@@ -39,6 +39,8 @@ PACKAGES = frozenset((
 # fmt: on
 
 
+SUMMARY = "begin a protocol: a commented spec, a test, a README"
+
 ARGUMENTS: Arguments = (
     argument("name", metavar="NAME", help="the protocol's name: a plain word, such as gripper"),
     argument("--link", required=True, choices=LINKS, help="what carries its frames, packets or datagrams"),

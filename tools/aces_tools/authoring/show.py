@@ -42,6 +42,8 @@ from ..protocols_arg import named_protocol
 _WAYS = ("source", "plan", "paths", "diff")
 
 
+SUMMARY = "show how messages are laid out and decoded; compare specs"
+
 ARGUMENTS: Arguments = (
     argument("protocol", nargs="?", metavar="NAME|FILE", help="as -p of 'aces decode'"),
     argument("message", nargs="?", metavar="MESSAGE", help="only this message"),
@@ -146,7 +148,7 @@ def _facts(plan: p.MessagePlan) -> Iterator[tuple[str, str]]:
 
 
 def _with_nodes(plan: p.MessagePlan) -> Iterator[tuple[draw.FieldRow, p.Node]]:
-    """The lines of the field table, each with the node that it comes from."""
+    """Yield the lines of the field table, each with the node that it comes from."""
     nodes = {one.path: one.node for one in (*plan.walk(), *plan.columns)}
     for row in draw.field_table(plan):
         yield row, nodes.get(row.name, p.Opaque(""))
@@ -180,7 +182,7 @@ def _steps(node: p.Node) -> str:
 
 
 def _plain(value: Any) -> Any:
-    """A plan for JSON: each node says what it is."""
+    """Return a plan for JSON: each node says what it is."""
     if isinstance(value, msgspec.Struct):
         inside = {name: _plain(getattr(value, name)) for name in value.__struct_fields__}
         return {"is": type(value).__name__, **inside}

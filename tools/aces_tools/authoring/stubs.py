@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Protocol, list_protocols
-from aces_bus.protocol.files import load_file
+from aces_bus.protocol.files import load_file, python_file
 from aces_bus.protocol.generate.stubs import print_module, print_stub
 
 from ..console import say, write_text
@@ -33,6 +33,8 @@ from ..protocols_arg import named_protocol
 
 BESIDE = "beside the spec"
 
+
+SUMMARY = "write the types of records, for editors and type checkers"
 
 ARGUMENTS: Arguments = (
     argument(
@@ -93,7 +95,7 @@ class _Home(NamedTuple):
     variable: str
 
     def module(self, path: Path) -> str:
-        """The module at `path`: it imports the spec from beside itself, else by its full name."""
+        """Return the module at `path`: it imports the spec from beside itself, else by its full name."""
         is_beside = path.resolve().parent == self.file.parent
         in_package = (self.file.parent / "__init__.py").exists()
         imported = f".{self.file.stem}" if is_beside and in_package else self.imported
@@ -106,6 +108,11 @@ def _home(text: str) -> _Home:
         raise CallerError(f"{text}: stubs are of all dialects and configurations; leave them out")
     protocol = name.protocol
     points = list_protocols()
+    if text not in points and not python_file(name.source)[0]:
+        raise CallerError(
+            f"{text}: stubs lie beside a Python file that declares the protocol; make one of the database:"
+            f" aces spec import {name.source} > {Path(name.source).stem}.py"
+        )
     if text in points:
         module_name, _, variable = points[text].value.partition(":")
         module = sys.modules[module_name]

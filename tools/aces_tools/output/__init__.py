@@ -6,6 +6,7 @@ A writer is given the items of one source, in order, and returns bytes; it never
 from __future__ import annotations
 
 import os
+import unicodedata
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Protocol
 
@@ -19,12 +20,35 @@ class Writer(Protocol):
     """What the three have in common."""
 
     def begin(self, source: str, link: str, start: float | None = None) -> bytes:
-        """What comes before the items of a source; `start` is the time of its first one, shown or not."""
+        """Return what comes before the items of a source; `start` is the time of its first one, shown or not."""
         ...
 
     def items(self, items: Sequence[Any]) -> bytes:
         """Records and `Unknown`s of the source."""
         ...
+
+
+class SpeltOut:
+    """A writer for a terminal: control characters but line ends are spelt out, such as `\\x{:02x}` says."""
+
+    def __init__(self, writer: Writer, spelling: str) -> None:
+        self._writer, self._spelling = writer, spelling
+
+    def begin(self, source: str, link: str, start: float | None = None) -> bytes:
+        return self._plain(self._writer.begin(source, link, start))
+
+    def items(self, items: Sequence[Any]) -> bytes:
+        return self._plain(self._writer.items(items))
+
+    def _plain(self, data: bytes) -> bytes:
+        text = data.decode("utf-8", "surrogateescape")
+        if text.replace("\n", "").isprintable():
+            return data
+        plain = "".join(
+            self._spelling.format(ord(c)) if c != "\n" and unicodedata.category(c)[0] == "C" else c
+            for c in text
+        )
+        return plain.encode("utf-8", "replace")
 
 
 # ---------------------------------------------------------------------- which format
@@ -46,7 +70,7 @@ LIVE: tuple[Format, ...] = ("text", "jsonl", "csv")
 
 
 def table_format(path: str | None, chosen: str | None) -> str | None:
-    """The format of tables that is asked for; None for text, record lines and CSV by rows.
+    """Return the format of tables that is asked for; None for text, record lines and CSV by rows.
 
     Raises `CallerError` for a suffix that says no format, one that contradicts `--format`, and tables without a file.
 
@@ -75,7 +99,7 @@ def table_format(path: str | None, chosen: str | None) -> str | None:
 
 
 def line_format(path: str | None, chosen: Format | None) -> Format:
-    """The format of lines that are written as they come; raises `CallerError` for a path that says another."""
+    """Return the format of lines that are written as they come; raises `CallerError` for a path that says another."""
     table_format(path, chosen)
     return chosen or SUFFIXES[_suffix(path)]
 
@@ -85,7 +109,8 @@ LiveKind = Literal["lines", "frames", "tables"]
 
 
 def live_kind(path: str | None, chosen: Format | None, link: Link, *, is_decoded: bool) -> LiveKind:
-    """What `aces sniff -o` writes: with a protocol (`is_decoded`) lines or tables, without one lines, frames or bytes.
+    """Return what `aces sniff -o` writes: with a protocol (`is_decoded`) lines or tables, without one lines, frames or
+    bytes.
 
     Raises `CallerError` with what there is for a suffix that says none of these.
 
@@ -98,7 +123,7 @@ def live_kind(path: str | None, chosen: Format | None, link: Link, *, is_decoded
         line_format(path, chosen)
         return "lines"
     if not suffix:  # a folder: the slash is a part of what it says
-        suffix, table = f"{_suffix(path.rstrip('/'))}/", None
+        suffix, table = f"{_suffix(path.rstrip('/'))}/", None if table == "csv" else table
     if is_decoded:
         if table in GROWING:
             return "tables"
@@ -114,9 +139,11 @@ def live_kind(path: str | None, chosen: Format | None, link: Link, *, is_decoded
         return "frames"
     if table in GROWING:
         raise CallerError(f"-o {path}: {suffix} is for decoded messages; name what is spoken: -p NAME")
-    from aces_bus.recordings.write import FORMATS
+    from aces_bus.recordings.write import writer_formats
 
-    frames = dict.fromkeys(one for form in FORMATS.values() if form.link == link for one in form.suffixes)
+    frames = dict.fromkeys(
+        one for form in writer_formats().values() if form.link == link for one in form.suffixes
+    )
     raise CallerError(
         f"-o {path}: no format has the suffix {suffix!r}; there are {' '.join((*frames, *_LINES))}, and with -p"
         f" {' '.join(one for one, form in TABLES.items() if form in GROWING)}"
@@ -136,7 +163,7 @@ _LINES = [suffix for suffix in SUFFIXES if suffix]
 
 
 def _said(path: str | None) -> str | None:
-    """What a path says; None for a suffix that means nothing here."""
+    """Return what a path says; None for a suffix that means nothing here."""
     return (export_format(path) if path is not None else None) or SUFFIXES.get(_suffix(path))
 
 

@@ -55,7 +55,7 @@ def column_output(
 
 
 def beside(name: str, texts: Sequence[str], width: int | None, style: str, paint: Paint) -> list[str]:
-    """A name, and beside it paragraphs."""
+    """Return a name, and beside it paragraphs."""
     name, texts = printable(name), [printable_lines(text) for text in texts]
     start = len(name) + len(GAP)
     parts = [part for text in texts for part in _wrapped(text, None if width is None else width - start)]

@@ -100,7 +100,7 @@ class CsvOutput:
         return b"".join(lines)
 
     def _place(self, of: tuple[type[Record], str | None, int | None]) -> bytes:
-        """What stands between the time and the names of the message; of packets of a stream, up to the offset."""
+        """Return what stands between the time and the names of the message; of packets of a stream, up to the offset."""
         kind, channel, key = of
         direction = message_of(kind).direction
         if key is None:
@@ -137,7 +137,7 @@ def _cells(cells: Sequence[Any]) -> bytes:
 
 
 def _written(value: Any) -> str:
-    """A cell as it is written (RFC 4180). The csv module leaves a lone carriage return without quotes."""
+    """Return a cell as it is written (RFC 4180). The csv module leaves a lone carriage return without quotes."""
     if value is None:
         return ""
     text = cell_text(value) if isinstance(value, str) else str(value)
@@ -188,7 +188,7 @@ class RowPrinter(LinePrinter):
 
 
 def cell_of(node: p.Node) -> Callable[[Any], bytes]:
-    """A function that writes any value of a node as one cell."""
+    """Return a function that writes any value of a node as one cell."""
     plain, number = plain_of(node), nameless_number(node)
     if number is not None and number.is_inexact:
         return lambda value: _written(plain(value)).encode()
@@ -196,7 +196,7 @@ def cell_of(node: p.Node) -> Callable[[Any], bytes]:
 
 
 def cell(value: Any, plain: Callable[[Any], Any] = json_value) -> Any:
-    """A value as one cell."""
+    """Return a value as one cell."""
     match value:
         case None | str() | float():
             return value

@@ -91,7 +91,7 @@ class TokenPrinter(LinePrinter):
         self.body.line("return line")
 
     def _absent(self, leaf: RecordLeaf) -> str:
-        """The test for a value that is left out, which is `v` then; empty where it never is."""
+        """Return the test for a value that is left out, which is `v` then; empty where it never is."""
         if leaf.node.is_quiet:
             return f"not (v := {self.read(leaf)})"
         is_optional = leaf.conditional or isinstance(leaf.node, p.FromRequest)
@@ -131,7 +131,7 @@ class TokenPrinter(LinePrinter):
         self.body.line(f"if (n := len({self._tokens[number]})) > {most}: {most} = min(n, {WIDEST_TOKEN})")
 
     def _token(self, leaf: RecordLeaf, value: str) -> str:
-        """The expression of a token."""
+        """Return the expression of a token."""
         node = leaf.node
         label, unit = _label(leaf), unit_mark(node)
         parts = None if has_few_values(node) else self._numbers(node, value)
@@ -144,7 +144,7 @@ class TokenPrinter(LinePrinter):
         return f"{text} if (v := {value}) is not None else {self.constant(token_of(leaf)(None))}"
 
     def _numbers(self, node: p.Node, value: str) -> list[str | Read] | None:
-        """The text of a number, or of a list of numbers; None where it may be something else."""
+        """Return the text of a number, or of a list of numbers; None where it may be something else."""
         if isinstance(node, p.Many):
             found: list[str | Read] = []
             for number, item in enumerate(node.items):
@@ -176,7 +176,7 @@ class Padded(dict[Any, str]):
 
 
 def token_of(leaf: RecordLeaf) -> Show:
-    """A function that gives any value's token, behind a gap."""
+    """Return a function that gives any value's token, behind a gap."""
     label, shown, unit = _label(leaf), value_printer(leaf.node), unit_mark(leaf.node)
     return lambda value: label + ("unknown" if value is None else shown(value) + unit)
 

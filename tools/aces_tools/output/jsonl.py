@@ -90,7 +90,7 @@ def frame_head(
     flags: tuple[bool, bool, bool],
     is_rx: bool | None,
 ) -> str:
-    """What CAN says of a frame; `flags`: extended, fd, remote."""
+    """Return what CAN says of a frame; `flags`: extended, fd, remote."""
     extended, fd, _ = map(json_string, flags)
     head = f', "channel": {json_string(channel)}, "direction": {json_string(direction)}{BUS[is_rx]}'
     head += f', "id": {json_string(identifier)}, "extended": {extended}, "fd": {fd}'
@@ -98,7 +98,7 @@ def frame_head(
 
 
 def packet_head(channel: str | None, direction: str | None) -> str:
-    """What is said of a packet, up to its offset."""
+    """Return what is said of a packet, up to its offset."""
     return f', "channel": {json_string(channel)}, "direction": {json_string(direction)}, "offset": '
 
 

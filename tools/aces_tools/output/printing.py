@@ -26,7 +26,7 @@ HEADS = 1 << 16
 
 
 def decimal(number: float) -> bytes:
-    """A float as Python writes it."""
+    """Return a float as Python writes it."""
     return json_bytes(number) if 1e-4 <= abs(number) < 1e16 else str(number).encode()
 
 
@@ -55,31 +55,31 @@ class LinePrinter(FunctionSetup):
         self.body.depth = 1
 
     def load(self) -> Callable[..., Any]:
-        """The function."""
+        """Return the function."""
         source = "\n".join([*self.setup, "", *self.body.printed, ""])
         namespace = load_source(source, f"aces lines of {self.plan.name}", {**CALLED, **self.names.bound})
         made: Callable[..., Any] = namespace[self._name]
         return made
 
     def read(self, leaf: RecordLeaf) -> str:
-        """The expression of a value; None where it is not there."""
+        """Return the expression of a value; None where it is not there."""
         is_there = self.plan.is_flat and not leaf.conditional
         if len(leaf.way) == 1 or (is_there and all(isinstance(step, (str, int)) for step in leaf.way)):
             return "r" + "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in leaf.way)
         return f"{self._bound(f'get_{leaf.identifier}', leaf.get)}(r)"
 
     def shown(self, name: str, node: p.Node, show: Callable[[Any], str | bytes], value: str) -> Read:
-        """What a function makes of a value."""
+        """Return what a function makes of a value."""
         if has_few_values(node):
             return Read(f"{self._bound(f'text_{name}', OnDemand(show, most=KEPT), shown=name)}[{value}]")
         return Read(f"{self._bound(f'text_{name}', show, shown=name)}({value})")
 
     def constant(self, text: str | bytes) -> str:
-        """The name of a text."""
+        """Return the name of a text."""
         return self._bound(f"_{len(self.setup)}", text)
 
     def literal(self, parts: Sequence[str | Read]) -> str:
-        """An f-string; an expression may have a format behind it."""
+        """Return an f-string; an expression may have a format behind it."""
         return (
             f"f'{''.join('{' + (p if isinstance(p, Read) else self.constant(p)) + '}' for p in parts if p)}'"
         )
@@ -100,7 +100,7 @@ class LinePrinter(FunctionSetup):
 
 
 def has_few_values(node: p.Node) -> bool:
-    """Whether it pays to keep the texts of a node's values."""
+    """Return whether it pays to keep the texts of a node's values."""
     if any(isinstance(step, (p.FlagBits, p.ValueNames)) for step in node.steps):
         return True
     low, high = node.raw_range or (0, FEW)

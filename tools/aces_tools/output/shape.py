@@ -29,7 +29,7 @@ Convert = Callable[[Any], Any]
 
 
 def flag_names(flags: Any) -> list[str]:
-    """The names of the set bits; bits without a name as one hexadecimal number."""
+    """Return the names of the set bits; bits without a name as one hexadecimal number."""
     names = list(flags)
     return [*names, f"{flags.unknown:#x}"] if flags.unknown else names
 
@@ -71,7 +71,7 @@ json_bytes: Callable[[Any], bytes] = msgspec.json.Encoder(enc_hook=json_value).e
 
 
 def json_string(value: Any) -> str:
-    """The same as text."""
+    """Return the same as text."""
     return json_bytes(value).decode()
 
 
@@ -99,12 +99,12 @@ class PlainNumber(NamedTuple):
         return self.whole & self.whole - 1 != 0
 
     def mended(self, value: str) -> str:
-        """The expression of the float that is nearest to what is meant."""
+        """Return the expression of the float that is nearest to what is meant."""
         return f"round({value} * {self.whole}) / {self.whole}" if self.is_inexact else value
 
 
 def nameless_number(node: p.Node) -> PlainNumber | None:
-    """What is known of a node's numbers; None where its values may be something else."""
+    """Return what is known of a node's numbers; None where its values may be something else."""
     if not isinstance(node, (p.Scalar, p.FromIdentifier)) or node.known_names != []:
         return None
     if any(isinstance(step, p.FlagBits) for step in node.steps):
@@ -117,7 +117,7 @@ def nameless_number(node: p.Node) -> PlainNumber | None:
 
 
 def _whole(scale: p.Scale, raw_range: tuple[int, int] | None) -> int:
-    """What makes scaled integers whole; 0 where they are too great to be found again."""
+    """Return what makes scaled integers whole; 0 where they are too great to be found again."""
     if raw_range is None or not all(type(number) in (int, float) for number in (scale.scale, scale.offset)):
         return 0
     whole = lcm(*(Decimal(repr(number)).as_integer_ratio()[1] for number in (scale.scale, scale.offset)))
@@ -125,7 +125,7 @@ def _whole(scale: p.Scale, raw_range: tuple[int, int] | None) -> int:
 
 
 def plain_of(node: p.Node) -> Convert:
-    """A function that makes of a node's values what JSON has for them, scaled integers mended."""
+    """Return a function that makes of a node's values what JSON has for them, scaled integers mended."""
     match node:
         case p.Many() | p.Repeated() | p.Each():
             if isinstance(node, p.Many):
@@ -164,7 +164,7 @@ def plain_of(node: p.Node) -> Convert:
 
 
 def is_single_value(node: p.Node) -> bool:
-    """Whether msgspec writes the values of this node as they are."""
+    """Return whether msgspec writes the values of this node as they are."""
     if isinstance(node, p.Scalar):
         return node.kind != "bytes" and not node.flags
     return isinstance(node, (p.FromIdentifier, p.Rest, p.DelimitedField))
@@ -195,8 +195,8 @@ class RecordLeaf(msgspec.Struct, frozen=True):
 
 
 def record_leaves(plan: p.MessagePlan, *, is_split: bool = True) -> list[RecordLeaf]:
-    """The values of a record, nested records taken apart, and (`is_split`) lists; what has no fixed shape is one value. A
-    list of items is one too, with what is inside it behind it."""
+    """Return the values of a record, nested records taken apart, and (`is_split`) lists; what has no fixed shape is
+    one value. A list of items is one too, with what is inside it behind it."""
     nodes = plan.columns
     if not is_split:
         named = (one for one in plan.walk() if all(isinstance(step, str) for step in one.way))

@@ -173,7 +173,7 @@ class TextOutput:
         return head, head + " " * (width - len(kind.__name__))
 
     def _line(self, item: Any) -> list[str]:
-        """The lines of an item, coloured and cut as was asked for."""
+        """Return the lines of an item, coloured and cut as was asked for."""
         meta = item.meta
         place = self._when(meta.time)
         if self._is_can:
@@ -199,7 +199,7 @@ class TextOutput:
         return arrow if direction is None else self._paint(direction, arrow)
 
     def _when(self, time: float | None) -> str:
-        """The column of the time, with the gap behind it."""
+        """Return the column of the time, with the gap behind it."""
         widest = self._widths["time"]
         if time is None:
             return " " * max(widest, LEAST_TIME) + GAP if widest else ""
@@ -209,7 +209,7 @@ class TextOutput:
         return text.rjust(widest if widest > LEAST_TIME else LEAST_TIME) + GAP
 
     def _where(self, channel: Any, is_rx: bool | None, identifier: int | None, is_extended: bool) -> str:
-        """The columns that CAN says of a frame."""
+        """Return the columns that CAN says of a frame."""
         columns: list[str] = []
         name = "" if channel is None else printable(str(channel))
         if width := self._column("channel", name):
@@ -290,7 +290,7 @@ def _instant(time: float) -> str:
 
 
 def can_write(text: str, encoding: str) -> bool:
-    """Whether an output of this encoding has these characters."""
+    """Return whether an output of this encoding has these characters."""
     try:
         text.encode(encoding)
     except (UnicodeEncodeError, LookupError):

@@ -20,12 +20,12 @@ Show = Callable[[Any], str]
 
 
 def unit_mark(node: p.Node) -> str:
-    """What is behind a value of the node: its unit."""
+    """Return what is behind a value of the node: its unit."""
     return f" {node.unit}" if node.unit else ""
 
 
 def value_printer(node: p.Node) -> Show:
-    """How the values of a node are printed."""
+    """Return how the values of a node are printed."""
     match node:
         case p.Many():
             return _show_many(node)
@@ -83,7 +83,7 @@ def _show_each(node: p.Node) -> Show:
 
 
 def _show_items(shows: Mapping[str, tuple[Show, str]], otherwise: Show | None = None) -> Show:
-    """Each item as its kind and data, one that is unknown or malformed as bytes with the reason."""
+    """Return each item as its kind and data, one that is unknown or malformed as bytes with the reason."""
 
     def one(item: Any) -> str:
         kind = "" if item.kind is None else f"{item.kind}="
@@ -121,13 +121,13 @@ def _show_number(node: p.Scalar | p.FromIdentifier) -> Show:
 
 
 def number_format(node: p.Node) -> str | None:
-    """How the numbers of a node are formatted; None where a value may be something else, or None."""
+    """Return how the numbers of a node are formatted; None where a value may be something else, or None."""
     number = nameless_number(node)
     return None if number is None or number.has_unknown else step_format(node)
 
 
 def step_format(node: p.Node) -> str:
-    """How the numbers of a node are formatted, as many decimals as one raw step has."""
+    """Return how the numbers of a node are formatted, as many decimals as one raw step has."""
     if isinstance(node, p.Scalar) and node.kind == "float":
         return f".{ {2: 4, 4: 7}.get(node.size or 0, 15) }g"
     scales = [step for step in node.steps if isinstance(step, p.Scale)]
@@ -155,7 +155,7 @@ def shell_quoted(text: str) -> str:
 
 
 def anything(value: Any) -> str:
-    """A value of no fixed shape."""
+    """Return a value of no fixed shape."""
     match value:
         case None:
             return "unknown"

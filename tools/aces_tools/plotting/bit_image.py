@@ -99,15 +99,15 @@ class BitImage:
             array[:bins] = 0
 
     def coarseness(self) -> int:
-        """How many bins belong together so that a message that comes regularly has no gaps: four of five are no further
-        apart."""
+        """Return how many bins belong together so that a message that comes regularly has no gaps: four of five are no
+        further apart."""
         places = np.flatnonzero(self.frames)
         if len(places) < 2:
             return 1
         return int(np.quantile(np.diff(places), 0.8, method="higher"))
 
     def joined(self, array: Array, count: int, used: int) -> Array:
-        """An array's first `used` bins, `count` at a time."""
+        """Return an array's first `used` bins, `count` at a time."""
         size = -(-used // count)
         padded = np.zeros((size * count, *array.shape[1:]), np.int64)
         padded[:used] = array[:used]
@@ -115,7 +115,7 @@ class BitImage:
         return sums
 
     def _between(self, count: int, used: int) -> Array:
-        """Which joined bins without a frame are between two frames that are no further apart than usual: no gaps."""
+        """Return which joined bins without a frame are between two frames that are no further apart than usual: no gaps."""
         places = np.flatnonzero(self.frames[:used])
         near = np.flatnonzero(np.diff(places) <= NEAR * self.coarseness())
         edges = np.zeros(used + 1, np.int64)
@@ -124,8 +124,8 @@ class BitImage:
         return self.joined(np.cumsum(edges)[:used], count, used) > 0
 
     def rates(self, used: int, least: int = 1) -> tuple[int, Array]:
-        """How many bins are joined (at least `least`), and the share of frames in which each bit flips: (bins, bits), NaN in
-        gaps."""
+        """Return how many bins are joined (at least `least`), and the share of frames in which each bit flips: (bins,
+        bits), NaN in gaps."""
         count = max(least, self.coarseness())
         steps = self.joined(self.steps, count, used)[:, None]
         flips = self.joined(self.flips, count, used)
@@ -134,7 +134,7 @@ class BitImage:
         return count, np.where((there > 0) | held, flips / np.maximum(1, np.minimum(steps, there)), np.nan)
 
     def shares(self, used: int, least: int = 1) -> tuple[int, Array]:
-        """The same for the share of frames in which each bit is set; between two frames as in the one before."""
+        """Return the same for the share of frames in which each bit is set; between two frames as in the one before."""
         count = max(least, self.coarseness())
         ones, there = self.joined(self.ones, count, used), self.joined(self.there, count, used)
         found = np.where(there > 0, ones / np.maximum(1, there), np.nan)

@@ -34,7 +34,7 @@ ONE_COLUMN, TWO_COLUMNS = 2, 10
 
 
 def bit_order(length: int) -> Array:
-    """The bits of so many bytes from top to bottom: byte 0 first, of each byte bit 7 first."""
+    """Return the bits of so many bytes from top to bottom: byte 0 first, of each byte bit 7 first."""
     order: Array = (np.arange(length)[:, None] * 8 + np.arange(7, -1, -1)).ravel()
     return order
 
@@ -197,7 +197,7 @@ def print_bits(picture: BitPicture, colour: bool | None, *, is_by_byte: bool) ->
 
 
 def terminal_bits(picture: BitPicture, width: int, *, is_rich: bool, is_by_byte: bool) -> str:
-    """The images as lines of text, none wider than `width`."""
+    """Return the images as lines of text, none wider than `width`."""
     shades = np.array(list(RICH_SHADES if is_rich else PLAIN_SHADES))
     gutter = 7 if is_by_byte else 13
     room = max(8, width - gutter - 1)
@@ -249,6 +249,6 @@ def _wrapped(parts: Sequence[str], width: int) -> list[str]:
 
 
 def _most(rates: Array) -> Array:
-    """The largest rate of the bits of each byte, NaN where there is none."""
+    """Return the largest rate of the bits of each byte, NaN where there is none."""
     filled = np.where(np.isnan(rates), -1.0, rates).max(axis=1)
     return np.where(filled < 0, np.nan, filled)

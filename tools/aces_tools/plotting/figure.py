@@ -298,7 +298,7 @@ def _flags(picture: Picture, panel: PlotPanel, ax: Any) -> None:
 
 
 def _parts(line: PlotLine) -> Sequence[slice]:
-    """The stretches between gaps."""
+    """Return the stretches between gaps."""
     there = np.concatenate(([False], ~np.isnan(line.y), [False]))
     edges = np.flatnonzero(there[1:] != there[:-1]).tolist()
     return [slice(start, stop) for start, stop in zip(edges[::2], edges[1::2], strict=True)]

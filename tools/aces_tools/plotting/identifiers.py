@@ -27,7 +27,7 @@ class IdentifierPattern(NamedTuple):
     digits: str
 
     def fits(self, one: BusIdentifier) -> bool:
-        """Whether it may mean this one."""
+        """Return whether it may mean this one."""
         if self.channel is not None and str(one.channel) != self.channel:
             return False
         if self.is_wild:
@@ -41,7 +41,7 @@ class IdentifierPattern(NamedTuple):
 
 
 def parse_identifiers(text: str) -> list[IdentifierPattern] | None:
-    """The parts of a text, between commas; None where one cannot be an identifier."""
+    """Return the parts of a text, between commas; None where one cannot be an identifier."""
     found: list[IdentifierPattern] = []
     for part in text.split(","):
         typed = _TYPED.fullmatch(part.strip())
@@ -54,7 +54,7 @@ def parse_identifiers(text: str) -> list[IdentifierPattern] | None:
 def choose_identifiers(
     patterns: Sequence[IdentifierPattern], there: Sequence[BusIdentifier]
 ) -> list[BusIdentifier]:
-    """Those of `there` that are meant, in the order of the patterns. Raises `CallerError` for one that means none."""
+    """Return those of `there` that are meant, in the order of the patterns. Raises `CallerError` for one that means none."""
     found: dict[BusIdentifier, None] = {}
     for pattern in patterns:
         fitting = [one for one in there if pattern.fits(one)]

@@ -115,7 +115,7 @@ class Picture:
 
 
 def instant(ns: int) -> datetime.datetime:
-    """An instant as a date; the last second of the calendar for what lies behind it."""
+    """Return an instant as a date; the last second of the calendar for what lies behind it."""
     try:
         return datetime.datetime.fromtimestamp(ns / 1e9, datetime.UTC)
     except (OverflowError, ValueError, OSError):
@@ -129,8 +129,8 @@ def panels_of(
     longest_gap: float | None = None,
     by_unit: bool = False,
 ) -> list[PlotPanel]:
-    """The panels of subplots × axes × patterns. `by_unit` gives each unit its own; lines are interrupted where more than
-    `longest_gap` lies between two points (None: as each message's period says).
+    """Return the panels of subplots × axes × patterns. `by_unit` gives each unit its own; lines are interrupted where
+    more than `longest_gap` lies between two points (None: as each message's period says).
 
     Raises `CallerError` when there are too many lines.
     """
@@ -249,7 +249,7 @@ def _label(panel: PlotPanel, names: LineNames) -> None:
 
 
 def is_enumeration(y: Array, names: Mapping[Any, str]) -> bool:
-    """Whether values are mostly names; else they are numbers of which some have a name, such as "error" for 255."""
+    """Return whether values are mostly names; else they are numbers of which some have a name, such as "error" for 255."""
     numbers = np.unique(y[~np.isnan(y)]).tolist()
     named = sum(number in names for number in numbers)
     return len(numbers) <= MOST_CATEGORIES and 2 * named >= len(numbers)
@@ -286,7 +286,7 @@ def steps(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def lone(y: Array) -> Array:
-    """Which samples have a gap on both sides: a line would not show them."""
+    """Return which samples have a gap on both sides: a line would not show them."""
     there = ~np.isnan(y)
     before = np.concatenate(([False], there[:-1]))
     after = np.concatenate((there[1:], [False]))

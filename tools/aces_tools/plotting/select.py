@@ -58,7 +58,7 @@ class ImageFormat:
 
 
 def parse_format(text: str, where: str) -> ImageFormat:
-    """A format as it was typed behind the signal `where`; raises `CallerError` for what is none."""
+    """Return a format as it was typed behind the signal `where`; raises `CallerError` for what is none."""
     colour = marker = line = None
     is_stem = text.startswith("|")
     rest = text[1:] if is_stem else text
@@ -125,7 +125,7 @@ class Declared:
 
 
 def declared_signals(variants: Sequence[Variant]) -> dict[tuple[str, str], Declared]:
-    """All that these protocols declare, by protocol and message."""
+    """Return all that these protocols declare, by protocol and message."""
     found = {
         (variant.name, name): _declared(variant.name, name, message.plan)
         for variant in variants
@@ -205,7 +205,7 @@ class SignalPattern:
         return any(c in self.name + (self.rest or "") for c in "*?")
 
     def takes(self, signal: PlotSignal) -> bool:
-        """Whether it means this signal, devices apart."""
+        """Return whether it means this signal, devices apart."""
         name, rest = self._globs
         if rest is not None:
             return bool(name.fullmatch(signal.message)) and self._is_one(rest, signal.path, signal)
@@ -224,7 +224,7 @@ class SignalPattern:
         ) and (not signal.is_quiet)
 
     def holds(self, key: Sequence[tuple[str, str]]) -> bool:
-        """Whether the values of a device's fields are those in brackets."""
+        """Return whether the values of a device's fields are those in brackets."""
         values = dict(key)
         return all(name in values and _is_value(wanted, values[name]) for name, wanted in self.where)
 
@@ -239,7 +239,7 @@ def _is_value(wanted: str, value: str) -> bool:
 
 
 def parse_pattern(text: str) -> SignalPattern:
-    """A SIGNAL as it was typed; raises `CallerError` with how it is written."""
+    """Return a SIGNAL as it was typed; raises `CallerError` with how it is written."""
     found = _PATTERN.fullmatch(text)
     if found is None or not (found["head"] or found["where"]):
         raise CallerError(
@@ -288,7 +288,9 @@ class Wanted:
 def select(
     patterns: Sequence[SignalPattern], messages: dict[tuple[str, str], Declared]
 ) -> dict[tuple[str, str], Wanted]:
-    """The signals that patterns mean, by message. Raises `CallerError` for a pattern that means none, with near names."""
+    """Return the signals that patterns mean, by message. Raises `CallerError` for a pattern that means none, with near
+    names.
+    """
     hit: set[SignalPattern] = set()
     found: dict[tuple[str, str], Wanted] = {}
     for owner, message in messages.items():

@@ -110,7 +110,7 @@ class Series:
             self.points()
 
     def points(self) -> tuple[Array, Array]:
-        """What is kept, in order of time."""
+        """Return what is kept, in order of time."""
         if not self._x:
             return np.empty(0), np.empty(0)
         x, y = np.concatenate(self._x), np.concatenate(self._y)
@@ -153,7 +153,7 @@ class TimeAxis:
             self.is_set = True
 
     def place(self, table: MessageTable) -> Array:
-        """Where on the axis each message is, NaN where that is not known."""
+        """Return where on the axis each message is, NaN where that is not known."""
         self.see(table.time)
         if self.origin is None:
             return table.row.astype(np.float64)
@@ -277,7 +277,7 @@ class Collector:
 
 
 def _by_key(table: MessageTable, names: Sequence[str], rows: Array | None) -> list[tuple[Key, Any]]:
-    """The rows of each device on each channel."""
+    """Return the rows of each device on each channel."""
     columns: list[tuple[str, Array, Callable[[Any], str]]] = []
     channels = table.channels.names
     columns.append((CHANNEL, table.channel, lambda number: str(channels[number])))
@@ -322,7 +322,7 @@ def _by_key(table: MessageTable, names: Sequence[str], rows: Array | None) -> li
 
 
 def _numbers(column: Column, signal: PlotSignal) -> tuple[Array, Array | None]:
-    """The values as they are, and as float64 with NaN in gaps; None instead when they are no numbers."""
+    """Return the values as they are, and as float64 with NaN in gaps; None instead when they are no numbers."""
     if signal.bit is not None:
         bit = signal.bit
         if column.kind.is_object:
@@ -347,12 +347,12 @@ def _numbers(column: Column, signal: PlotSignal) -> tuple[Array, Array | None]:
 
 
 def matching(pattern: SignalPattern, series: Sequence[Series]) -> list[Series]:
-    """The series that a pattern means, in declared order."""
+    """Return the series that a pattern means, in declared order."""
     return [one for one in series if pattern.takes(one.signal) and pattern.holds(one.key)]
 
 
 def too_many(one: Series) -> CallerError:
-    """What is said of more lines than a picture can show."""
+    """Return what is said of more lines than a picture can show."""
     where = ",".join(f"{name}={value}" for name, value in one.key if name != CHANNEL)
     example = f"{one.signal.message}{f'[{where}]' if where else ''}.{one.signal.path}"
     return CallerError(

@@ -38,7 +38,7 @@ def _is_quantity(one: Series) -> bool:
 
 
 def _spread(panel: Sequence[Series]) -> list[Series]:
-    """The lines of a subplot: the first of each message, then the second of each, those with most samples first."""
+    """Return the lines of a subplot: the first of each message, then the second of each, those with most samples first."""
     rounds: dict[str, int] = {}
     ranked: list[tuple[int, int, Series]] = []
     for one in sorted(panel, key=lambda one: -one.count):

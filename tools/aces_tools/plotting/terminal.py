@@ -80,7 +80,7 @@ def draw_terminal(
     height: int | None = None,
     encoding: str = "utf-8",
 ) -> str:
-    """The picture as lines of text. `height` is what all of it may have, in lines; `paint` None is without colour."""
+    """Return the picture as lines of text. `height` is what all of it may have, in lines; `paint` None is without colour."""
     return _Drawing(picture, max(width, LEAST_WIDTH), paint, can_write("⣿│┤└─┬█▓…━", encoding)).text(height)
 
 
@@ -212,7 +212,7 @@ class _Drawing:
         return [*out, line]
 
     def _axis(self) -> list[str]:
-        """The time axis: a rule with ticks, their labels, what they are."""
+        """Return the time axis: a rule with ticks, their labels, what they are."""
         picture, columns = self.picture, self.columns
         room = 12 if picture.has_instants else 10
         offset = picture.offset
@@ -265,7 +265,7 @@ class _Drawing:
         return np.clip(places, 0, count - 1)
 
     def _lane(self, line: PlotLine, number: int) -> str:
-        """A flag: full while set, a thin line while not, half where both happen in one column."""
+        """Return a flag: full while set, a thin line while not, half where both happen in one column."""
         on = np.zeros(self.columns, bool)
         off = np.zeros(self.columns, bool)
         x, y = line.x, line.y
@@ -282,7 +282,7 @@ class _Drawing:
         return self.paint(_colour(line, number), "".join(marks.tolist()).rstrip())
 
     def _canvas(self, panel: PlotPanel, place: int, rows: int) -> list[str]:
-        """The lines of one axis, drawn in braille."""
+        """Return the lines of one axis, drawn in braille."""
         lines = panel.axes[place]
         low, high = (
             (-0.5, len(panel.categories) - 0.5)
@@ -407,7 +407,7 @@ def _colour(line: PlotLine, number: int) -> str:
 
 
 def nice_step(least: float) -> float:
-    """The next of 1, 2, 5, 10, 20, … from `least` on."""
+    """Return the next of 1, 2, 5, 10, 20, … from `least` on."""
     if not least > 0 or not math.isfinite(least):
         return 1.0
     power: float = 10.0 ** math.floor(math.log10(least))
@@ -421,7 +421,7 @@ def ticks(low: float, high: float, step: float) -> list[float]:
 
 
 def number_text(number: float, step: float) -> str:
-    """A tick's number, with the digits that its step has."""
+    """Return a tick's number, with the digits that its step has."""
     size = max(abs(number), step)
     if size >= 1e7 or (step < 1e-5 and size < 1e-2):
         return f"{number:.6g}"

@@ -18,6 +18,8 @@ from aces_bus.hardware.simulated.bus import SimulatedBus
 from aces_bus.robot import Runner
 from aces_bus.runtime import Task
 
+from ..console import counted
+
 #: What happens on a good day, and is not worth a line.
 USUAL = frozenset({"opened", "closed", "error-active", "clipped"})
 #: The longest classic frame: what a bus's load is estimated by where it is not measured.
@@ -102,7 +104,7 @@ class Figures:
 
 
 def often_clipped(runner: Runner) -> str:
-    """The joints that are led by their limits rather than by their controllers, most of all first; "" without any."""
+    """Return the joints that are led by their limits rather than by their controllers, most of all first; "" without any."""
     cycles = {task.name: task.ticks for task in runner.tasks.tasks}
     often: dict[str, int] = {}
     for supervisor in runner.supervisors:
@@ -120,7 +122,7 @@ def often_clipped(runner: Runner) -> str:
 
 
 def _limit(clips: Clipped, bounds: Bounds, unit: str, joint: Joint | None) -> str:
-    """The limit that changed most set-points."""
+    """Return the limit that changed most set-points."""
     if clips.position >= max(clips.rate, clips.acceleration):
         return f"limits {bounds.lower:g} … {bounds.upper:g} {unit}"
     if clips.acceleration > clips.rate:
@@ -154,12 +156,12 @@ class Watch:
         self._at_first, self._wall_first, self._first = self._at, wall_ns, dict(self._before)
 
     def total(self, wall_ns: int, seconds: float) -> Figures:
-        """The figures at the end of a run of so many seconds: rates are of all of it."""
+        """Return the figures at the end of a run of so many seconds: rates are of all of it."""
         self._wall, self._before = self._wall_first, dict(self._first)
         return self._figures(wall_ns, seconds, seconds)
 
     def look(self, wall_ns: int) -> Figures:
-        """The figures now; `wall_ns` is an instant of the monotonic clock."""
+        """Return the figures now; `wall_ns` is an instant of the monotonic clock."""
         now = self.runner.clock.now()
         passed = (now - self._at) / 1e9
         self._at = now
@@ -235,7 +237,7 @@ class Watch:
         for logger in runner.loggers:
             if logger.name == name:
                 lost = getattr(logger, "dropped", 0) + getattr(logger, "lost", 0)
-                rows = f"{getattr(logger, 'written', 0)} rows"
+                rows = counted(getattr(logger, "written", 0), "row")
                 return (f"{rows}, {lost} lost", True) if lost else (rows, False)
         return "", False
 
@@ -275,7 +277,7 @@ class Watch:
 
 
 def event_text(event: Any) -> str:
-    """An event as one line."""
+    """Return an event as one line."""
     source = event.source
     text = f"{source}: {event.kind}" + (f": {event.detail}" if event.detail else "")
     return " ".join(text.split())[:300]

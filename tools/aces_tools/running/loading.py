@@ -39,7 +39,7 @@ WALK_COLUMNS = (13, 21, 22)
 def load_controllers(
     words: Sequence[str], robot: Robot, rate_hz: float, arguments: argparse.Namespace
 ) -> list[ControllerLike]:
-    """The controllers that the words of a call name, in order; raises `CallerError` for what is none."""
+    """Return the controllers that the words of a call name, in order; raises `CallerError` for what is none."""
     found: list[ControllerLike] = []
     for word in words:
         path, name = _split(word)
@@ -92,7 +92,9 @@ def _of_program(path: str, name: str) -> list[ControllerLike]:
 
 
 def own_functions(words: Sequence[str]) -> dict[str, Any]:
-    """The functions of the Python files that a call names, but those of this package: reactions may be any of them."""
+    """Return the functions of the Python files that a call names, but those of this package: reactions may be any of
+    them.
+    """
     paths = dict.fromkeys(path for path, _ in map(_split, words) if path.endswith(".py"))
     return {
         name: item
@@ -105,7 +107,8 @@ def own_functions(words: Sequence[str]) -> dict[str, Any]:
 def reactions_of(
     texts: Sequence[str], robot: Robot, own: Mapping[str, Any], controllers: Sequence[ControllerLike]
 ) -> tuple[Action, dict[str, tuple[Reaction, ...]]]:
-    """What `--on-trip [KIND[@SOURCE,…]=]REACTION` says: how motion stops where nothing else is said, and reactions by kind.
+    """Return what `--on-trip [KIND[@SOURCE,…]=]REACTION` says: how motion stops where nothing else is said, and
+    reactions by kind.
 
     Raises `CallerError` for what is no reaction, and for kinds and sources that there are not.
     """
@@ -214,7 +217,7 @@ def _without(trajectory: Trajectory, names: set[str]) -> Trajectory:
 def make_loggers(
     texts: Sequence[str], controllers: Sequence[ControllerLike], robot: Robot, rate_hz: float
 ) -> list[Logger]:
-    """The logs of `--log FILE[:STATE,…]`; raises `CallerError` for a file that cannot be written."""
+    """Return the logs of `--log FILE[:STATE,…]`; raises `CallerError` for a file that cannot be written."""
     made: list[Logger] = []
     for text in texts:
         path, states = _log_parts(text)
@@ -260,7 +263,7 @@ def _states_of(patterns: Sequence[str], robot: Robot) -> list[str]:
 
 
 def default_states(controllers: Sequence[ControllerLike], robot: Robot) -> list[str]:
-    """What controllers read and write, beside what they wanted; without any, all joints."""
+    """Return what controllers read and write, beside what they wanted; without any, all joints."""
     written = [name for one in controllers for name in getattr(one, "writes", ())]
     read = [name for one in controllers for name in one.states]
     if not written and not read:

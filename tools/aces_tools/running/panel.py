@@ -51,7 +51,7 @@ STATES: Sequence[Column] = (
 
 
 def panel(figures: Figures, title: str, width: int, height: int) -> list[Line]:
-    """The whole panel, at most `width` × `height`."""
+    """Return the whole panel, at most `width` × `height`."""
     width = max(LEAST_WIDTH, width)
     parts = [
         _head(figures, title, width),
@@ -125,7 +125,7 @@ def _buses(buses: Sequence[BusLine], width: int) -> list[Line]:
 
 
 def _states(figures: Figures, width: int, room: int) -> list[Line]:
-    """Those without a fresh value first, then as the controllers name them."""
+    """Return those without a fresh value first, then as the controllers name them."""
     states = sorted(figures.states, key=lambda one: one.is_fresh)
     shown = states if len(states) < room else states[: max(1, room - 2)]
     rows = [
@@ -175,7 +175,7 @@ def _load(bus: BusLine) -> str:
 def _table(
     columns: Sequence[Column], rows: Sequence[Sequence[str]], styles: Sequence[str], width: int
 ) -> list[Line]:
-    """A head and rows, with those columns that there is room for."""
+    """Return a head and rows, with those columns that there is room for."""
     if not rows:
         return []
     cells = [[printable(cell) for cell in row] for row in rows]

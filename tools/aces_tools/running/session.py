@@ -22,24 +22,28 @@ from aces_bus.device import Device, Robot
 from aces_bus.errors import CallerError, DeviceError
 from aces_bus.frames import Frame
 from aces_bus.recordings import CanRecording, open_recording
-from aces_bus.robot import Ended, Runner, run_real, run_replay, run_virtual
+from aces_bus.robot import ActLog, Ended, Runner, run_real, run_replay, run_virtual
 
 from ..console import abandon_stdout, say, say_note, terminal_width, wants_colour
+from ..device_text import host_loss_text
 from ..live_view import live_view, show_bus, show_event
 from ..patience import Patience
-from ..robot_arg import NO_INTERFACE, bus_options, chosen_pose
+from ..robot_arg import INTERFACE_HELP, NO_INTERFACE, bus_options, chosen_pose
 from .figures import USUAL, Figures, Watch, event_text, often_clipped
 from .loading import own_functions, reactions_of
 from .panel import panel, plain_line, to_rich
 
 if TYPE_CHECKING:
-    from aces_bus.access.foxglove import LiveView
     from aces_bus.robot.runner import RunLogger
+
+    from ..live_view import LiveView
 
 #: Between two pictures of the panel, and two lines (ns).
 PANEL_EVERY, LINE_EVERY = 250_000_000, 1_000_000_000
 #: After a home search some boards take no references for three seconds (Hubo's user's manual, homing); then it begins.
 REST_S = 4.0
+#: How long it may take (s) until devices have said whether they are homed.
+HOMED_S = 2.0
 #: How long devices may take to be enabled, and to find their home.
 ENABLE_S, HOME_S = 30.0, 180.0
 #: Threads of Python wait for each other so long (s) before they ask for their turn: the default, 5 ms, is a whole cycle.
@@ -64,7 +68,7 @@ class Session:
         self.arguments, self.robot, self.controllers = arguments, robot, list(controllers)
         self.loggers, self.rate_hz, self.duration = list(loggers), rate_hz, arguments.duration
         self.is_real = not (arguments.virtual or arguments.replay)
-        self.patience = Patience()
+        self.patience = Patience(is_driving=self.is_real and arguments.tx)
         self.said: dict[tuple[str, str], int] = {}
         self._live: Any = None
         self._next = 0
@@ -85,6 +89,7 @@ class Session:
             "own_reactions": own,
             "hold_s": None if asked.hold_ns is None else asked.hold_ns / 1e9,
             "at_end": asked.at_end,
+            "unhomed": asked.unhomed,
         }
         if asked.virtual:
             return run_virtual(
@@ -97,7 +102,9 @@ class Session:
             )
         if asked.replay:
             frames = stack.enter_context(_frames(asked.replay))
-            return run_replay(self.robot, frames, self.controllers, **options)
+            placed = {bus: one["channel"] for bus, one in bus_options(self.robot, asked).items() if one}
+            channels = {channel: bus for bus, channel in placed.items()}
+            return run_replay(self.robot, frames, self.controllers, channels=channels, **options)
         return run_real(
             self.robot,
             self.controllers,
@@ -110,24 +117,21 @@ class Session:
         )
 
     def _live_states(self, view: LiveView | None) -> list[RunLogger]:
-        """What of the robot is shown live, beside its buses."""
+        """Return what of the robot is shown live, beside its buses."""
         if view is None:
             return []
-        from aces_bus.access.foxglove import LiveStates
         from aces_bus.kinematics import load_body
 
         body = None if self.robot.body is None else load_body(self.robot.body)
-        return [LiveStates(view, self.rate_hz, body=body)]
+        return [view.states(self.rate_hz, body)]
 
     @staticmethod
     def _show_live(view: LiveView, runner: Runner, stack: ExitStack) -> None:
         """Buses, events, and what controllers log."""
-        from aces_bus.access.foxglove import LogLines
-
         for name, host in runner.rig.hosts.items():
             show_bus(view, name, host, is_host=True)
         runner.handlers.append(lambda event: show_event(view, event))
-        lines = LogLines(view)
+        lines = view.lines()
         logging.getLogger().addHandler(lines)
         stack.callback(logging.getLogger().removeHandler, lines)
 
@@ -147,10 +151,11 @@ class Session:
         """Run, and say how it was; the exit status."""
         with ExitStack() as stack:
             stack.enter_context(self.patience)
-            view = stack.enter_context(live_view(self.arguments, self.title))
+            view = stack.enter_context(live_view("run", self.arguments, self.title))
             runner = self._make(stack, self._live_states(view))
             if view is not None:
                 self._show_live(view, runner, stack)
+            acts = self._acts(runner, stack)
             runner.bind()
             watch = Watch(runner, real=self.is_real)
             if self.is_real:
@@ -180,13 +185,28 @@ class Session:
                 status = 1
             except CallerError as error:
                 if NO_INTERFACE in str(error):  # python-can's own words
-                    raise CallerError(f"{error}; say which with -i, such as -i socketcan") from error
+                    raise CallerError(f"{str(error).partition(NO_INTERFACE)[0]}{INTERFACE_HELP}") from error
                 raise
             finally:
+                self._say_what_falls(runner)
                 ended, was_interrupted = self._stop(runner)
                 status = 130 if was_interrupted else status
                 self._stop_showing(watch, ended)
+            if acts is not None:
+                acts.note("end", self.robot.name, (self._end or ended).reason)
+                (say if acts.failure else say_note)(str(acts))
             return self._summarise(runner, watch, self._end or ended, missing, status)
+
+    def _acts(self, runner: Runner, stack: ExitStack) -> ActLog | None:
+        """Who did what, where it is wanted; beside the first log of a run that moves a real robot."""
+        path = self.arguments.acts
+        if path is None and self.loggers and self.arguments.tx and self.is_real:
+            path = f"{os.path.splitext(self.loggers[0].path)[0]}.acts.jsonl"
+        if path is None:
+            return None
+        acts = stack.enter_context(ActLog(path, "aces run")).keep(runner)
+        acts.note("begin", self.robot.name, " ".join(self.arguments.items))
+        return acts
 
     @staticmethod
     def _stop(runner: Runner) -> tuple[Ended, bool]:
@@ -197,6 +217,12 @@ class Session:
                 return runner.stop(), was_interrupted
             except KeyboardInterrupt:
                 was_interrupted = True
+
+    @staticmethod
+    def _say_what_falls(runner: Runner) -> None:
+        """Name what this end does not hold, before it lets go."""
+        for name, why in runner.letting_go.items():
+            say(f"{name} cannot be held, and may fall: without this program it {why}")
 
     def _prepare(self, runner: Runner, missing: Sequence[str]) -> bool:
         """Home and enable what is driven; False when some of it is not there."""
@@ -212,14 +238,35 @@ class Session:
             say("nothing was moved: what is to be driven has to be there")
             return False
         devices: list[Device] = list(driven.values())
+        for name, why in runner.unparkable.items():
+            say(f"{name} cannot be parked: {why}")
+        self._say_what_falls(runner)
+        if self.is_real and asked.enable:
+            for device in devices:
+                if device.host_loss.lacks_watchdog:
+                    say_note(host_loss_text(device))
         if asked.home:
             homed = runner.do("home", HOME_S, devices=devices)
             if homed:
                 say_note(f"homed: {', '.join(homed)}")
                 runner.clock.wait(lambda: False, round(REST_S * 1e9))
+        if not self._is_homed(runner):
+            return False
         if asked.enable:
             runner.do("enable", ENABLE_S, devices=devices)
         return True
+
+    def _is_homed(self, runner: Runner) -> bool:
+        """Return whether what is driven is homed, where it has to be; says who is not."""
+        if self.arguments.replay:
+            return True
+        runner.clock.wait(lambda: not runner.unhomed, round(HOMED_S * 1e9))
+        if runner.unhomed:
+            say(f"not homed, so that it is not known where they are: {', '.join(runner.unhomed)}")
+            say("nothing was moved: --home homes them, --unhomed drives them all the same")
+        elif self.arguments.unhomed and runner.rig.door.unhomed:
+            say(f"driven although not homed: {', '.join(runner.rig.door.unhomed)}")
+        return not runner.unhomed
 
     def _look(self, runner: Runner, watch: Watch) -> bool:
         """Asked every millisecond: show, keep the pace; whether it is to end."""
@@ -237,7 +284,7 @@ class Session:
         return False
 
     def _is_played(self, runner: Runner) -> bool:
-        """Whether all that has an end is at it, or the recording is."""
+        """Return whether all that has an end is at it, or the recording is."""
         if self.arguments.replay and runner.world.is_over:
             return True
         if self.duration is not None or runner.held:
@@ -331,13 +378,21 @@ class Session:
         idle = [name for name, what in waiting.items() if what and not runner.set_points]
         for name in idle:
             say(f"{name} gave no set-point: it waited for {waiting[name]}")
+        if self.arguments.replay and (unmatched := runner.world.unmatched):
+            say(f"{unmatched}; --bus BUS=CHANNEL says which is which")
         if self.arguments.replay and runner.missing:
             say(f"not in the recording: {', '.join(runner.missing)}")
         if ended.held:
             say(f"left enabled, where they are: {', '.join(ended.held)}")
             for name in ended.held:
-                if alone_s := runner.rig.devices[name].alone_s:
-                    say(f"{name}: its own watchdog stops it {alone_s:g} s after this program has ended")
+                if runner.rig.devices[name].host_loss.after_s is not None:
+                    say(host_loss_text(runner.rig.devices[name]))
+        if ended.parked:
+            say_note(f"parked: {', '.join(ended.parked)}")
+        for name, why in ended.not_parked.items():
+            say(f"NOT parked: {name}: {why}")
+        if ended.let_go:
+            say(f"not held, and switched off: {', '.join(ended.let_go)}")
         if ended.not_stopped:
             say(f"NOT switched off: {', '.join(ended.not_stopped)}")
         for text in ended.failed:
@@ -371,12 +426,14 @@ class Session:
         text = " ".join(f"{name}={number}" for name, number in counts.items())
         say(f"seconds={ended.seconds:.3f} {text}{sent}", who="")
         is_cut = self._is_cut or any(logger.failure for logger in self.loggers)
-        return status or int(bool(ended.tripped or ended.failed or missing or idle or is_cut))
+        return status or int(
+            bool(ended.tripped or ended.failed or ended.not_parked or missing or idle or is_cut)
+        )
 
 
 @contextmanager
 def _frames(path: str) -> Generator[Iterator[Frame]]:
-    """A CAN recording's frames, in order. Raises `CallerError` for one that is not CAN."""
+    """Yield a CAN recording's frames, in order. Raises `CallerError` for one that is not CAN."""
     with open_recording(path) as capture:
         if not isinstance(capture, CanRecording):
             raise CallerError(f"{path}: a serial recording; --replay takes those of CAN")

@@ -52,7 +52,7 @@ def make_screen(
     end: Callable[[], bool] | None = None,
     colour: bool | None = None,
 ) -> Any:
-    """The application that shows what a gate receives, not yet running; it listens to the gate from now on.
+    """Return the application that shows what a gate receives, not yet running; it listens to the gate from now on.
 
     `scanner` has to be made with `include_unknown`; None, or one without protocols, decodes nothing (CAN only). `filter` is
     applied before anything is counted; `show` is a filter as it can be typed, of words. `record` gives what the head says

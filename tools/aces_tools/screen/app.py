@@ -125,7 +125,7 @@ class Painter:
         self.ground = ground
 
     def __call__(self, spans: Sequence[StyledText], width: int) -> Strip:
-        """A line of this width."""
+        """Return a line of this width."""
         known = self._styles
         segments = [Segment(span.text, known[span.style]) for span in spans]
         return Strip(segments).adjust_cell_length(width, self.ground)
@@ -386,7 +386,7 @@ class LiveScreen(App[None]):
         pane.show(detail(row, self.model, self.view.instant(now), width, is_marking=self.table.is_marking))
 
     def status(self) -> Status:
-        """What the gate and the scanner say."""
+        """Return what the gate and the scanner say."""
         lost, bad, missed = self._counts()
         return Status(
             self.gate.name,

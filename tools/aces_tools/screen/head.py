@@ -58,7 +58,7 @@ class Status:
 
 
 def head(model: Model, status: Status, view: View, shown: int, now_ns: int, width: int) -> list[Line]:
-    """All lines of the head."""
+    """Return all lines of the head."""
     lines = [_title(status, view, now_ns, width)]
     channels = sorted(model.channels.values(), key=lambda one: one.name)
     if not channels:
@@ -146,12 +146,12 @@ def _event(model: Model, event: BusEvent) -> StyledText:
 
 
 def _if(wanted: object, text: str, style: str) -> Line:
-    """A piece of text where it is wanted."""
+    """Return a piece of text where it is wanted."""
     return [StyledText(text, style)] if wanted else []
 
 
 def plain_text(lines: Sequence[Line]) -> str:
-    """The text of lines, without styles."""
+    """Return the text of lines, without styles."""
     return "\n".join("".join(span.text for span in line) for line in lines)
 
 
@@ -167,7 +167,7 @@ MOST_VALUES = 400
 def detail(
     row: RepeatedFrame, model: Model, now_ns: int, width: int, *, is_marking: bool = True
 ) -> list[Line]:
-    """The lines of the pane."""
+    """Return the lines of the pane."""
     lines = [*_about(row, model, now_ns)]
     fields = model.fields_of(row)
     if fields is not None and row.record is not None:
@@ -245,7 +245,7 @@ def _values(values: Sequence[Value], width: int) -> list[Line]:
 
 
 def _bits(row: RepeatedFrame, now_ns: int, width: int, *, is_marking: bool) -> list[Line]:
-    """The bytes as hexadecimal digits and as bits, as many in a line as there is room for."""
+    """Return the bytes as hexadecimal digits and as bits, as many in a line as there is room for."""
     data = row.data[:64]
     if not data:
         return [[StyledText("no data", "dim")]]

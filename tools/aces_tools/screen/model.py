@@ -169,7 +169,7 @@ class RepeatedFrame:
         return self._meter.per_second(now_ns)
 
     def is_silent(self, now_ns: int) -> bool:
-        """Whether it has not come for longer than it should."""
+        """Return whether it has not come for longer than it should."""
         return now_ns - self.host_ns > max(SILENT_NS, SILENT_INTERVALS * self._interval_ns)
 
     @property
@@ -193,14 +193,14 @@ class RepeatedFrame:
         return found
 
     def frozen(self) -> RepeatedFrame:
-        """A copy that stays as it is."""
+        """Return a copy that stays as it is."""
         one = copy(self)
         one.changes, one.history, one._meter = copy(self.changes), copy(self.history), copy(self._meter)
         return one
 
 
 def changed_bits(before: bytes, after: bytes) -> int:
-    """The bits that differ, bit 0 the lowest bit of the first byte; of bytes that came or went, all."""
+    """Return the bits that differ, bit 0 the lowest bit of the first byte; of bytes that came or went, all."""
     before, after = before[:COMPARED], after[:COMPARED]
     mask = int.from_bytes(before, "little") ^ int.from_bytes(after, "little")
     if (size := len(after)) != (old := len(before)):
@@ -470,11 +470,11 @@ class Model:
     # ------------------------------------------------------------------ what is shown
 
     def load(self, channel: ChannelRates, now_ns: int) -> float | None:
-        """The share of the bus's time that is taken, 0…1; None where the bit rate is not known."""
+        """Return the share of the bus's time that is taken, 0…1; None where the bit rate is not known."""
         return channel.bit_meter.per_second(now_ns) / self.bitrate if self.bitrate else None
 
     def fields_of(self, row: RepeatedFrame) -> FieldFormat | None:
-        """How the row's message is shown; None where it is none."""
+        """Return how the row's message is shown; None where it is none."""
         return self.fields[type(row.record)]
 
     @property
@@ -528,7 +528,7 @@ class Meter:
         return self._amount * exp(-age / self._tau) if age > 0 else self._amount
 
     def per_second(self, now_ns: int) -> float:
-        """The amount a second at `now_ns`."""
+        """Return the amount a second at `now_ns`."""
         tau = self._tau / 1e9
         age = max((now_ns - self._start) / 1e9, YOUNGEST_S)
         return self._faded(now_ns) / (tau * (1.0 - exp(-age / tau)))

@@ -76,7 +76,7 @@ _PLAIN: dict[str, str] = {
 
 
 def styles(*, has_colour: bool = True) -> dict[str, Style]:
-    """What the names of styles mean."""
+    """Return what the names of styles mean."""
     if has_colour:
         return {name: Style.parse(text) for name, text in _COLOURS.items()}
     return {name: Style.parse(_PLAIN.get(name, "")) for name in _COLOURS}
@@ -103,7 +103,7 @@ def milliseconds(seconds: float) -> str:
 
 
 def paint_bits(value: float) -> str:
-    """A bit rate (bit/s) as text."""
+    """Return a bit rate (bit/s) as text."""
     for unit, size in (("Mbit/s", 1e6), ("kbit/s", 1e3)):
         if value >= size:
             return f"{value / size:.3g} {unit}"
@@ -119,7 +119,7 @@ def elapsed(ns: int) -> str:
 
 
 def bar(share: float, width: int) -> list[StyledText]:
-    """A bar, an eighth of a character exact."""
+    """Return a bar, an eighth of a character exact."""
     eighths = round(max(0.0, min(1.0, share)) * width * 8)
     full, rest = divmod(eighths, 8)
     part = " ▏▎▍▌▋▊▉"[rest] if rest else ""
@@ -154,7 +154,7 @@ class Needs:
 
     @classmethod
     def of(cls, model: Model, rows: Iterable[RepeatedFrame]) -> Needs:
-        """What these rows need."""
+        """Return what these rows need."""
         channel, identifier, message, size, is_can = 4, 2, 7, 1, True
         channels: set[str] = set()
         for row in rows:
@@ -174,7 +174,7 @@ LEAST_VALUES = 24
 
 
 def visible_columns(needs: Needs, width: int) -> list[TableColumn]:
-    """The columns that fit: what is shown elsewhere, too, is left out first."""
+    """Return the columns that fit: what is shown elsewhere, too, is left out first."""
     size = min(needs.size, 16)
     spaced, packed = 3 * size - 1, 2 * size
     message = min(needs.message, 20) if needs.is_decoded else 0
@@ -226,12 +226,12 @@ def visible_columns(needs: Needs, width: int) -> list[TableColumn]:
 
 
 def _left(found: Sequence[TableColumn], width: int) -> int:
-    """What the columns leave of a line."""
+    """Return what the columns leave of a line."""
     return width - sum(column.width + 1 for column in found)
 
 
 def title(found: Sequence[TableColumn], sort: str, *, is_reversed: bool) -> list[StyledText]:
-    """The line above the table; an arrow at the column that the rows are sorted by."""
+    """Return the line above the table; an arrow at the column that the rows are sorted by."""
     sorted_by = {"id": "id", "rate": "rate", "name": "message", "change": "data"}[sort]
     spans: list[StyledText] = []
     for column in found:
@@ -289,7 +289,7 @@ def _cell(name: str, row: RepeatedFrame, model: Model, now_ns: int) -> tuple[str
 
 
 def mark(row: RepeatedFrame, model: Model) -> tuple[str, str]:
-    """Which way it goes: to a device or from one, as far as its message says; else whether this host sent it."""
+    """Return which way it goes: to a device or from one, as far as its message says; else whether this host sent it."""
     fields = model.fields_of(row)
     if fields is not None and fields.direction is not None:
         return ("→" if fields.direction == "to device" else "←"), fields.direction
@@ -347,7 +347,7 @@ def paint_hexadecimal(
 
 
 def age_style(marks: Sequence[int], bit: int, mask: int) -> str:
-    """The style of bits by the age of their last change; `marks` are `RepeatedFrame.ages`, or none."""
+    """Return the style of bits by the age of their last change; `marks` are `RepeatedFrame.ages`, or none."""
     return next((fade for fade, mark in zip(FADES, marks, strict=False) if mark >> bit & mask), "data")
 
 

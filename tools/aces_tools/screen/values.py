@@ -63,11 +63,11 @@ class FieldFormat:
         self._picture: list[str] | None = None
 
     def page_of(self, record: Any) -> list[tuple[str, Any]]:
-        """The page's names and values."""
+        """Return the page's names and values."""
         return [(name, getattr(record, name)) for name in self.page]
 
     def tokens(self, record: Record) -> Iterator[FieldText]:
-        """The fields, each as a whole; those that are not there are left out."""
+        """Yield the fields, each as a whole; those that are not there are left out."""
         for one, get, shown, unit in self._short:
             value = get(record)
             if value is None:
@@ -77,7 +77,7 @@ class FieldFormat:
                 yield FieldText(one.name, shown(value), unit)
 
     def values(self, record: Record, history: Sequence[Record] = (), width: int = 24) -> list[Value]:
-        """Every single value, lists and nested records taken apart, with its curve over `history`."""
+        """Return every single value, lists and nested records taken apart, with its curve over `history`."""
         if self._leaves is None:
             self._leaves = [
                 (leaf, value_printer(leaf.node), leaf.node.unit) for leaf in record_leaves(self._plan)
@@ -114,7 +114,7 @@ class FieldFormat:
 
 
 def sparkline(values: Sequence[Any]) -> str:
-    """A curve of blocks, from the least value to the greatest; nothing where nothing varies.
+    """Return a curve of blocks, from the least value to the greatest; nothing where nothing varies.
 
     >>> sparkline([0, 1, 2, 3, None, 7])
     '▁▂▃▄ █'

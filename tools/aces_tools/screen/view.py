@@ -77,13 +77,13 @@ class View:
         self.frozen_ns, self._frozen, self._state = None, [], None
 
     def instant(self, now_ns: int) -> int:
-        """The instant that is shown: now, or when it was frozen."""
+        """Return the instant that is shown: now, or when it was frozen."""
         return now_ns if self.frozen_ns is None else self.frozen_ns
 
     # ------------------------------------------------------------------ the rows
 
     def rows(self, now_ns: int) -> list[RepeatedFrame]:
-        """The rows to show, in order."""
+        """Return the rows to show, in order."""
         generation = -1 if self.frozen_ns is not None else self.model.generation
         state = self.sort, self.is_reversed, self.unknown_only, self.text, generation
         is_moving = self.sort in ("rate", "change") and self.frozen_ns is None

@@ -15,20 +15,23 @@ import argparse
 import os
 import shlex
 from collections.abc import Callable, Iterable, Mapping
-from importlib.metadata import entry_points
 from importlib.resources import files
 from inspect import signature
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 from aces_bus.errors import AcesError, CallerError
+from aces_bus.plugins import installed_points
 
-from ..main import ACTIONS, parser_of
+from ..main import parser_of
 from ..options import Arguments, argument
+from ..verbs import actions_of
 from . import SCRIPTS
 
 if TYPE_CHECKING:
     from aces_bus.device import Device, Robot
+
+SUMMARY = "print what completes aces in bash, zsh and fish"
 
 EPILOG = """\
 exit status: 0; 2 a wrong call
@@ -51,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _points(group: str) -> Callable[[str], Iterable[str]]:
-    return lambda words: sorted({point.name for point in entry_points(group=group)})
+    return lambda words: sorted({point.name for point in installed_points(group)})
 
 
 def _robots(words: str) -> Iterable[str]:
@@ -61,7 +64,7 @@ def _robots(words: str) -> Iterable[str]:
 
 
 def _typed(words: str) -> list[str]:
-    """The words of a line."""
+    """Return the words of a line."""
     try:
         return shlex.split(words)
     except ValueError:  # a quote that is still open
@@ -69,7 +72,7 @@ def _typed(words: str) -> list[str]:
 
 
 def _placed(words: str, verb: str) -> list[str]:
-    """What stands in a verb's places so far, without options, their values, and the word that is being typed."""
+    """Return what stands in a verb's places so far, without options, their values, and the word that is being typed."""
     typed = iter(_typed(words if words[-1:].isspace() else words.rpartition(" ")[0])[1 + len(verb.split()) :])
     valued = {name for one in parser_of(verb).arguments if one.nargs != 0 for name in one.option_strings}
     found: list[str] = []
@@ -82,14 +85,14 @@ def _placed(words: str, verb: str) -> list[str]:
 
 
 def _robot(words: str) -> Robot | None:
-    """The robot that the line names, or that $ACES_ROBOT does."""
-    from aces_bus.robot import load_robot
+    """Return the robot that the line names, or that $ACES_ROBOT does."""
+    from aces_bus.robot import check_robot
 
     from ..robot_arg import VARIABLE
 
     named = [value for option, value in pairwise(_typed(words)) if option in ("-r", "--robot")]
     try:
-        return load_robot(named[-1] if named else os.environ.get(VARIABLE, ""))
+        return check_robot(named[-1] if named else os.environ.get(VARIABLE, ""))[0]
     except AcesError:  # not yet typed to its end, or wrong
         return None
 
@@ -101,16 +104,18 @@ def _devices(words: str) -> Iterable[str]:
     if is_action and "--twin" in typed:
         return NAMES["drivers"](words)
     names = {*robot.devices, *robot.joints, *robot.sensors} if robot is not None else set[str]()
-    return sorted(names) + ([] if is_action else list(ACTIONS["device"]))
+    return sorted(names) + ([] if is_action else list(actions_of("device")))
 
 
 def _device(words: str) -> tuple[Device, str | None] | None:
-    """The device of the line, on no bus, and the joint or sensor that is meant."""
+    """Return the device of the line, on no bus, and the joint or sensor that is meant."""
+    from aces_bus.protocol.files import python_file
+
     from ..device import config_of, described_device
 
     placed, robot = _placed(words, "device"), _robot(words)
-    if not placed or robot is None:
-        return None
+    if not placed or robot is None or any(python_file(name)[0] for name in robot.protocols):
+        return None  # a line that is typed runs no file
     try:
         config = config_of(robot, placed[0])
         return described_device(robot, config.name), None if placed[0] == config.name else placed[0]
@@ -149,11 +154,6 @@ def _values(words: str) -> Iterable[str]:
     ]
 
 
-def _channels(words: str) -> Iterable[str]:
-    """Buses; for `aces bus budget` robots."""
-    return NAMES["robots" if _typed(words)[2:3] == ["budget"] else "buses"](words)
-
-
 def _buses(words: str) -> Iterable[str]:
     from ..bus_arg import buses_here
 
@@ -168,7 +168,6 @@ NAMES: Mapping[str, Callable[[str], Iterable[str]]] = {
     "devices": _devices,
     "actions": _actions,
     "values": _values,
-    "channels": _channels,
     "buses": _buses,
 }
 

@@ -11,7 +11,8 @@ import re
 from collections.abc import Iterator
 from typing import Any
 
-from ..main import ACTIONS, VERBS, Parser, parser_of
+from ..main import Parser, parser_of
+from ..verbs import actions_of, summary_of, top_verbs, verbs
 from . import SCRIPTS
 
 #: Names of arguments → the kind of names that completes them (see `completion.NAMES`).
@@ -25,22 +26,23 @@ KINDS = {
 #: The same where an argument's name alone says too little.
 KINDS_OF_VERBS = {
     ("devices", "driver"): "drivers",
+    ("stop", "which"): "robots",
     ("device", "name"): "devices",
     ("device", "action"): "actions",
     ("device", "values"): "values",
     ("device fuzz", "name"): "devices",
-    ("bus", "channels"): "channels",
+    ("bus", "channels"): "buses",
     ("fuzz", "names"): "protocols",
     ("spec check", "names"): "protocols",
 }
 #: Kinds beside which files are offered: a name may be that of a file, a bus that of a port.
-OR_FILES = ("protocols", "robots", "buses", "channels")
+OR_FILES = ("protocols", "robots", "buses")
 #: Arguments that are files.
 FILES = ("files", "capture", "captures", "items", "paths", "path", "file")
 
 
 def generated() -> dict[str, str]:
-    """Each file's name and text."""
+    """Return each file's name and text."""
     from shtab import complete
 
     whole = whole_parser()
@@ -48,7 +50,7 @@ def generated() -> dict[str, str]:
     # fish offers actions behind what else the verb takes, where they are (`whole_parser`); they come first.
     found["aces.fish"] = re.sub(r"(npos) -ge \d+(' -a)\b", r"\1 -eq 0\2", found["aces.fish"])
     found["man/aces.1"] = _contents_page()
-    for verb in verbs():
+    for verb in our_verbs():
         parser = parser_of(verb)
         found[f"man/{parser.prog.replace(' ', '-')}.1"] = _page(verb, parser)
     return {
@@ -57,18 +59,9 @@ def generated() -> dict[str, str]:
     }
 
 
-def verbs() -> list[str]:
-    """Every verb, with its action where it has some: `decode`, `spec check`."""
-    return [
-        f"{verb} {action}".strip()
-        for verb, (module, _) in VERBS.items()
-        for action in (*([""] if module else []), *ACTIONS.get(verb, ()))
-    ]
-
-
-def _purpose(verb: str) -> str:
-    name, _, action = verb.partition(" ")
-    return (ACTIONS[name][action] if action else VERBS[name])[1]
+def our_verbs() -> list[str]:
+    """Return every verb of ours, with its action where it has some: `decode`, `spec check`."""
+    return [name for name, verb in verbs().items() if verb.distribution == "aces-bus"]
 
 
 # ---------------------------------------------------------------------- completion
@@ -79,19 +72,18 @@ def whole_parser() -> Parser:
     whole = Parser(prog="aces", allow_abbrev=False)
     whole.add_argument("-V", "--version", action="store_true", help="print the version")
     subparsers = whole.add_subparsers(dest="verb")
-    for verb, (_, purpose) in VERBS.items():
-        if VERBS[verb][0]:
-            _complete(
-                verb, parser_of(verb, made := subparsers.add_parser(verb, help=purpose, description=purpose))
-            )
-        else:
-            made = subparsers.add_parser(verb, help=purpose, description=purpose)
-        if verb not in ACTIONS:
+    known = our_verbs()
+    for verb in top_verbs():
+        purpose = summary_of(verb)
+        made = subparsers.add_parser(verb, help=purpose, description=purpose)
+        if verb in known:
+            _complete(verb, parser_of(verb, made))
+        if not actions_of(verb):
             continue
         # Behind the places of the verb's own arguments: in the first one their names complete it (`completion`).
         actions = made.add_subparsers(dest="whole_action")
-        for action, (_, what) in ACTIONS[verb].items():
-            name = f"{verb} {action}"
+        for action, found in actions_of(verb).items():
+            name, what = f"{verb} {action}", found.summary
             _complete(name, parser_of(name, actions.add_parser(action, help=what, description=what)))
     return whole
 
@@ -100,7 +92,7 @@ def _complete(verb: str, parser: Parser) -> None:
     """Say what completes each argument that is no choice."""
     from shtab import FILE
 
-    parser.description = _purpose(verb)
+    parser.description = summary_of(verb)
     for action in parser.arguments:
         if action.help and action.help is not argparse.SUPPRESS:
             action.help = _help(action, parser)
@@ -115,7 +107,7 @@ def _complete(verb: str, parser: Parser) -> None:
 
 
 def _names(kind: str) -> dict[str, Any]:
-    """What completes names of a kind, and files, in each shell."""
+    """Return what completes names of a kind, and files, in each shell."""
     is_file = kind in OR_FILES
     name, ask = f"_aces_{kind}", f"aces completion --list {kind} --words"
     bash = f"""
@@ -143,8 +135,8 @@ def _names(kind: str) -> dict[str, Any]:
 def _contents_page() -> str:
     lines = [*_head("aces", "devices on CAN and serial lines, from one declared protocol")]
     lines += [".SH SYNOPSIS", ".B aces", r".I VERB \fR…", ".SH VERBS"]
-    for verb in verbs():
-        lines += [".TP", f".BR aces\\-{_escaped(verb.replace(' ', '-'))} (1)", _escaped(_purpose(verb))]
+    for verb in our_verbs():
+        lines += [".TP", f".BR aces\\-{_escaped(verb.replace(' ', '-'))} (1)", _escaped(summary_of(verb))]
     lines += [
         ".SH ENVIRONMENT",
         ".TP",
@@ -157,7 +149,7 @@ def _contents_page() -> str:
 
 def _page(verb: str, parser: Parser) -> str:
     lines = [
-        *_head(parser.prog.replace(" ", "-"), _purpose(verb)),
+        *_head(parser.prog.replace(" ", "-"), summary_of(verb)),
         ".SH SYNOPSIS",
         f".B {_escaped(parser.prog)}",
     ]
@@ -183,7 +175,7 @@ def _head(name: str, purpose: str) -> list[str]:
 
 
 def _placed(one: argparse.Action) -> str:
-    """A positional argument as a synopsis has it."""
+    """Return a positional argument as a synopsis has it."""
     name = (
         one.metavar
         if isinstance(one.metavar, str)
@@ -215,6 +207,6 @@ def _prose(text: str) -> Iterator[str]:
 
 
 def _escaped(line: str) -> str:
-    """A line whose signs mean nothing to roff."""
+    """Return a line whose signs mean nothing to roff."""
     text = line.replace("\\", "\\e").replace("-", "\\-")
     return f"\\&{text}" if text[:1] in (".", "'") else text

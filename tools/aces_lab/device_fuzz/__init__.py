@@ -1,0 +1,1 @@
+"""Search for what breaks a device: `aces device fuzz`."""

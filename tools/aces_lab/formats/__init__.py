@@ -1,0 +1,54 @@
+"""Formats of recordings that the core does not need: MF4, BUSMASTER, CRTD, GVRET, Microchip, any CSV.
+
+They are entry points of the groups `aces_bus.readers` and `aces_bus.writers`, as a stranger's formats are. Only their first
+bytes are known here: a reader or writer is imported when its format is used.
+"""
+
+from __future__ import annotations
+
+from aces_bus.recordings.beginnings import begins
+from aces_bus.recordings.open import RecordingFormat
+from aces_bus.recordings.write import FormatOut
+
+from .beginnings import MDF, is_busmaster, is_crtd, is_gvret, is_id_csv, is_microchip
+
+#: Most specific first.
+READERS: tuple[RecordingFormat, ...] = (
+    RecordingFormat(
+        "mf4", "ASAM MDF 4 bus log", "can", begins(*MDF), "aces_lab.formats.mf4.reader:Mf4Capture"
+    ),
+    RecordingFormat(
+        "busmaster", "BUSMASTER log", "can", is_busmaster, "aces_lab.formats.busmaster:BusmasterCapture"
+    ),
+    RecordingFormat("crtd", "CRTD log", "can", is_crtd, "aces_lab.formats.crtd:CrtdCapture"),
+    RecordingFormat("gvret", "SavvyCAN GVRET CSV", "can", is_gvret, "aces_lab.formats.gvret:GvretCapture"),
+    RecordingFormat(
+        "microchip",
+        "Microchip CAN analyser log",
+        "can",
+        is_microchip,
+        "aces_lab.formats.microchip:MicrochipCapture",
+    ),
+    RecordingFormat(
+        "id-csv",
+        "CSV with named columns (time, id, data …)",
+        "can",
+        is_id_csv,
+        "aces_lab.formats.id_csv:IdCsvCapture",
+    ),
+)
+WRITERS: tuple[FormatOut, ...] = (
+    FormatOut(
+        "mf4", (".mf4",), "ASAM MDF 4", "can", "aces_lab.formats.mf4.writer", "Mf4Writer", needs_seek=True
+    ),
+    FormatOut(
+        "gvret",
+        (".gvret.csv", ".gvret", ".csv"),
+        "SavvyCAN's GVRET CSV",
+        "can",
+        "aces_lab.formats.gvret_writer",
+        "GvretWriter",
+        is_text=True,
+        grows=True,
+    ),
+)

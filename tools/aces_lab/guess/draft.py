@@ -1,0 +1,282 @@
+"""A guess as the source of a spec: a draft to be edited, with its evidence in comments.
+
+1. What is printed loads, passes `aces spec check`, and accounts for every frame that it was guessed from.
+2. A constant in a recording is no promise: bytes that never changed belong to no field, and are kept as `reserved`.
+3. An enumeration has the values that occurred, named by their numbers; another one decodes to its number.
+4. Nothing of a recording reaches the source but numbers and printable ASCII in comments.
+"""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+from aces_bus.protocol.exchange.names import python_name
+from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
+
+from .fields import FieldGuess
+from .traffic import MessageGuess, TrafficGuess
+
+TITLE = '"""A draft by `aces spec guess`: yours to name and to correct from here on."""'
+#: Columns of a comment, and of a field.
+WIDTH = 110
+#: What comes from aces_bus.protocol, and from construct.
+_OURS = frozenset(
+    (
+        *("AsciiText", "BitLayout", "Cobs", "Counter", "Crc", "Delimited", "Enumeration"),
+        *("Extra", "FastPacket", "Fletcher"),
+        *(
+            "IdBytes",
+            "IdField",
+            "Insert",
+            "InvertedSum",
+            "IsoTp",
+            "J1939Transport",
+            "Multiplexed",
+            "Protocol",
+        ),
+        *("Slip", "Sum", "TailByte", "Text", "Xor", "bits", "float_bits"),
+    )
+)
+_CONSTRUCTS = frozenset(("Byte", "Bytes", "GreedyBytes", "Int16ub", "Int16ul", "Struct", "this"))
+_WORDS = re.compile(r"\b(?:" + "|".join(sorted(_OURS | _CONSTRUCTS)) + r")\b")
+#: What is no code: comments and texts.
+_NO_CODE = re.compile(r"""#.*|b?'(?:[^'\\\n]|\\.)*'|b?"(?:[^"\\\n]|\\.)*\"""")
+
+
+def draft_source(guess: TrafficGuess, name: str = "draft", files: Iterable[str] = ()) -> str:
+    """Return the module that declares what was guessed as the protocol `name`; `files` are named as where it comes from.
+
+    Raises nothing for what is in the guess; a guess without messages becomes a protocol without any.
+    """
+    own = python_name(name).lower()
+    body: list[str] = []
+    nodes: dict[str, str] = {}
+    for message in guess.messages:
+        body += ["", *_message(message, own, nodes)]
+    head = [*_about(guess, files), "", *imports_of([*body, *nodes.values()])]
+    return "\n".join([*head, f'{own} = Protocol("{own}", link="can")', *nodes.values(), *body, ""])
+
+
+def imports_of(lines: Iterable[str]) -> list[str]:
+    """Return the import statements of a draft whose other lines these are."""
+    words = {"Protocol", *_WORDS.findall(_NO_CODE.sub("", "\n".join(lines)))}
+    found = ["from __future__ import annotations", ""]
+    for module, some in (("construct", words - _OURS), ("aces_bus.protocol", words & _OURS)):
+        if some:
+            ordered = sorted(some, key=lambda word: (not word[:1].isupper(), word))
+            found += [f"from {module} import {', '.join(ordered)}", ""]
+    return found
+
+
+def payload_lines(fields: Sequence[FieldGuess], size: int, trailing: bool = False) -> list[str]:
+    """Return the payload of a message of `size` bytes as an expression over several lines, each field with its evidence.
+
+    `trailing` says that bytes follow, as many as there are: they are the field `rest`.
+    """
+    if not size:
+        return ['Struct("rest" / GreedyBytes)'] if trailing else []
+    texts = [one for one in fields if one.kind == "text"]
+    if not texts:
+        return _layout(fields, 0, size, trailing)
+    lines = ["Struct("]
+    at = 0
+    for text in [*texts, None]:
+        end = size if text is None else text.first_byte
+        if end > at:
+            inner = [one for one in fields if at <= one.first_byte < end and one.kind != "text"]
+            layout = _layout(inner, at, end - at, False)
+            lines += [f'    "bytes_{at}" / {layout[0]}', *(f"    {line}" for line in layout[1:])]
+            lines[-1] += ","
+        if text is not None:
+            lines += _commented(text, f'"{field_name(text)}" / Text({text.length // 8}),')
+            at = end + text.length // 8
+    if trailing:
+        lines.append('    "rest" / GreedyBytes,')
+    return [*lines, ")"]
+
+
+def field_name(one: FieldGuess) -> str:
+    """Return what a field is called: its kind and where it is, by byte and, where that is not its first, bit."""
+    bit = one.start % 8
+    if one.kind == "multiplexer":
+        return f"{one.kind}_{one.first_byte}"
+    when = f"_at_{one.when[0]}" if one.when else ""
+    return f"{one.kind}_{one.first_byte}" + (f"_{bit}" if bit or one.length < 8 else "") + when
+
+
+# ---------------------------------------------------------------------- the head
+
+
+def _about(guess: TrafficGuess, files: Iterable[str]) -> Iterator[str]:
+    yield from (TITLE, "")
+    said = [f"Guessed from {guess.kept:,} frames" + "".join(f", {plain(file)}" for file in files) + "."]
+    if guess.kept < guess.frames - guess.errors:
+        said[0] += f" The recording has {guess.frames:,}."
+    if guess.known:
+        best = guess.known[0]
+        said.append(f"{guess.decoded:,} of these frames are {best.name}, and are not in here.")
+    said += [f"{one.name}: {one.evidence}" for one in guess.protocols]
+    said += [f"{_shown(one.reply)} answers {_shown(one.request)}: {one.evidence}" for one in guess.pairs]
+    for one in said:
+        yield from wrapped(one, "# ", "#   ")
+
+
+def _shown(key: int) -> str:
+    return f"{key & 0x1FFF_FFFF:0{8 if key & EXTENDED else 3}X}"
+
+
+def plain(text: str) -> str:
+    """Text of others, as one line of ASCII."""
+    return "".join(c if " " <= c < "\x7f" else "?" for c in text)
+
+
+def wrapped(text: str, first: str, others: str) -> list[str]:
+    """Return a comment, or code without texts, in lines that are no wider than `WIDTH` where there are blanks."""
+    return textwrap.wrap(
+        text,
+        WIDTH,
+        initial_indent=first,
+        subsequent_indent=others,
+        break_on_hyphens=False,
+        break_long_words=False,
+    )
+
+
+# ---------------------------------------------------------------------- messages
+
+
+def _message(message: MessageGuess, own: str, nodes: dict[str, str]) -> Iterator[str]:
+    key = message.keys[0]
+    said = f"{message.shown}: {message.frames:,} frames"
+    if message.timing is not None and message.frames > 2:
+        rate = f"every {message.timing.period_ns / 1e6:.4g} ms"
+        said += f", {rate}" if message.timing.is_regular else f", at no fixed rate (mostly {rate})"
+    if message.node is not None:
+        said += f"; {message.node.evidence} ({message.node.confidence:.2f})"
+    yield from wrapped(said, "# ", "# ")
+    fields = _named_once(message.fields)
+    for line in _constants(fields):
+        yield from wrapped(line, "# ", "#   ")
+    digits = 8 if key & EXTENDED else 3
+    identifier = f"0x{message.identifier:0{digits}X}"
+    if message.node is not None:
+        node = message.node
+        values = _values(node.numbers)
+        variable = nodes_name(nodes, node.name, values)
+        capture = f"{variable} << {node.shift}" if node.shift else variable
+        identifier = (
+            f"0x{node.base:0{digits}X} + ({capture})"
+            if node.shift
+            else f"0x{node.base:0{digits}X} + {capture}"
+        )
+    yield f"{own}.message("
+    yield f'    "{message.name}",'
+    yield f"    id={identifier},"
+    for flag, word in ((EXTENDED, "extended"), (FD, "fd"), (REMOTE, "remote")):
+        if key & flag:
+            yield f"    {word}=True,"
+    if message.transport:
+        yield f"    transport={message.transport},"
+    elif not key & REMOTE:
+        yield f"    length={message.length if message.length is not None else _values(message.lengths)},"
+    lines = payload_lines(fields, message.size, message.length is None)
+    if lines:
+        lines[-1] += ","
+        yield f"    payload={lines[0]}"
+        yield from (f"    {line}" for line in lines[1:])
+    check = next((one for one in fields if one.check is not None), None)
+    if check is not None and check.check is not None and not any(one.kind == "text" for one in fields):
+        yield f"    check={check.check.declare(field_name(check))},"
+    yield ")"
+
+
+def nodes_name(nodes: dict[str, str], name: str, values: str) -> str:
+    """Return the variable that holds a captured part with these values; a new one is entered in `nodes`, with its line."""
+    for variable, line in nodes.items():
+        if line == f'{variable} = IdField("{name}", {values})':
+            return variable
+    number = sum(variable.startswith(name.capitalize()) for variable in nodes)
+    variable = name.capitalize() + (str(number + 1) if number else "")
+    nodes[variable] = f'{variable} = IdField("{name}", {values})'
+    return variable
+
+
+def _values(numbers: Sequence[int]) -> str:
+    """Numbers as a range where they are one, else as a tuple."""
+    numbers = sorted(set(numbers))
+    if len(numbers) > 1 and numbers[-1] - numbers[0] == len(numbers) - 1:
+        return f"range({numbers[0]}, {numbers[-1] + 1})" if numbers[0] else f"range({numbers[-1] + 1})"
+    return f"({', '.join(map(str, numbers))}{',' if len(numbers) == 1 else ''})"
+
+
+def _constants(fields: Iterable[FieldGuess]) -> Iterator[str]:
+    for one in fields:
+        if one.kind == "constant":
+            first, last = one.first_byte, (one.start + one.length - 1) // 8
+            where = f"byte {first}" if first == last else f"bytes {first} to {last}"
+            if one.length % 8:
+                low = one.start % 8
+                where += f" bit {low}" if one.length == 1 else f" bits {low} to {low + one.length - 1}"
+            yield f"{where}: {one.evidence}"
+
+
+def _named_once(fields: Iterable[FieldGuess]) -> list[FieldGuess]:
+    """A second check is a number: a message has one."""
+    found: list[FieldGuess] = []
+    has_check = False
+    for one in fields:
+        if one.kind == "check" and has_check:
+            one = replace(one, kind="number")
+        has_check = has_check or one.kind == "check"
+        found.append(one)
+    return found
+
+
+# ---------------------------------------------------------------------- fields
+
+
+def _layout(fields: Sequence[FieldGuess], first: int, size: int, trailing: bool) -> list[str]:
+    """Return a `BitLayout` of these fields, of `size` bytes from byte `first` on."""
+    some = [one for one in fields if one.kind != "constant"]
+    multibyte = [one.order for one in some if one.positions[0] // 8 != one.positions[-1] // 8]
+    is_big = multibyte.count("big") > len(multibyte) / 2
+    lines = ["BitLayout(", f"    {size},"]
+    # A selector comes before what it selects.
+    for one in sorted(some, key=lambda one: one.kind != "multiplexer"):
+        lines += _commented(one, f'"{field_name(one)}" / {_field(one, first, is_big)},')
+    if is_big:
+        lines.append('    order="msb",')
+    if trailing:
+        lines.append('    trailing="rest",')
+    return [*lines, ")"]
+
+
+def _commented(one: FieldGuess, code: str) -> list[str]:
+    text = f"{one.evidence} ({one.confidence:.2f})"
+    return [f"    {line}" for line in (*wrapped(plain(text), "# ", "# "), *wrapped(code, "", "    "))]
+
+
+def _field(one: FieldGuess, first: int, is_big: bool) -> str:
+    spans = one.positions[0] // 8 != one.positions[-1] // 8
+    is_msb = one.order == "big" if spans else is_big
+    at = (one.positions[-1] ^ 7 if is_msb else one.positions[0]) - 8 * first
+    arguments = f"{one.length}, {at}"
+    order = "" if is_msb == is_big else f', order="{"msb" if is_msb else "lsb"}"'
+    if one.kind == "float":
+        made = f"float_bits({arguments}{order})"
+    else:
+        made = f"bits({arguments}{', signed=True' if one.signed else ''}{order})"
+    if one.kind == "counter" and one.value == 1 and one.modulus:
+        made = f"Counter({made}{f', {one.modulus}' if one.modulus != 1 << one.length else ''})"
+    if one.kind == "enumeration" and one.values:
+        made = f"Enumeration({made}, {', '.join(f'value_{value}={value}' for value in one.values)})"
+    if one.when:
+        made = f'Multiplexed("{one.selector}", {_set(one.when)}, {made})'
+    return made
+
+
+def _set(values: Sequence[int]) -> str:
+    return str(values[0]) if len(values) == 1 else f"{{{', '.join(map(str, values))}}}"

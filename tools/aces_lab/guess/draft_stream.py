@@ -1,0 +1,127 @@
+"""What was guessed of a stream as the source of a spec, with its evidence in comments.
+
+1. The framings are those whose packets were found: what the draft decodes is what the guess says.
+2. What never changed belongs to no field; what the language cannot say is a comment.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+from aces_bus.protocol.exchange.names import python_name
+
+from .checks import check_source
+from .draft import TITLE, imports_of, payload_lines, plain, wrapped
+from .fields import FieldGuess
+from .framings import FramingGuess, framing_check
+from .streams import PacketGuess, StreamGuess, body_end
+
+
+def stream_source(guess: StreamGuess, name: str = "draft", files: Iterable[str] = ()) -> str:
+    """Return the module that declares what was guessed of a stream as the protocol `name`."""
+    said = [f"Guessed from {guess.kept:,} bytes" + "".join(f", {file}" for file in files) + "."]
+    said.append(f"{guess.decoded:,} of them are in packets; the rest is unknown.")
+
+    own = python_name(name).lower()
+    body: list[str] = []
+    for number, framing in enumerate(guess.framings):
+        variable = "packet" if len(guess.framings) == 1 else f"packet_{number}"
+        body += ["", *_framing(framing, own, variable)]
+        if framing.kind == "lines" and framing.opcode is not None:
+            body.append(
+                f'{variable}_of = {variable}.family(prefix=Struct("word" / Bytes({framing.opcode[1]})))'
+            )
+        for one in guess.packets:
+            if one.framing == number:
+                body += ["", *_message(one, framing, variable)]
+    comments = [line for text in said for line in _comment(text)]
+    return "\n".join(
+        [TITLE, "", *comments, "", *imports_of(body), f'{own} = Protocol("{own}", link="serial")', *body, ""]
+    )
+
+
+def _comment(text: str) -> list[str]:
+    return wrapped(plain(text), "# ", "#   ")
+
+
+def _framing(framing: FramingGuess, own: str, variable: str) -> Iterator[str]:
+    yield from _comment(
+        f"{framing.packets:,} packets, {framing.share:.1%} of the bytes ({framing.confidence:.2f})"
+    )
+    for line in framing.evidence:
+        yield from _comment(line)
+    check = framing_check(framing)
+    if framing.check is not None and check is None:
+        yield from _comment(f"not declared, as no framing can say it: {framing.check.declared}")
+    yield f"{variable} = {own}.framing("
+    yield f'    name="{variable}",'
+    if framing.sync:
+        yield f"    sync={framing.sync!r},"
+    if framing.not_next:
+        yield f"    not_next={framing.not_next!r},"
+    head = ", ".join(f'"{field}" / {construct}' for field, construct in framing.head_fields())
+    if head:
+        yield f"    header=Struct({head}),"
+    if framing.length is not None:
+        constant = framing.length.constant
+        sign = f" {'+' if constant > 0 else '-'} {abs(constant)}" if constant else ""
+        yield f"    size=this.length{sign},"
+    elif framing.size is not None:
+        yield f"    size={framing.size},"
+    elif framing.kind == "silence":
+        yield '    end="silence",'
+    else:
+        yield f"    end={framing.end!r},"
+    if framing.stuffing is not None:
+        yield f"    stuffing={framing.stuffing_source},"
+    if framing.gap_s is not None:
+        yield f"    gap={framing.gap_s!r},  # s"
+    if framing.max_size:
+        yield f"    max_size={framing.max_size},"
+    if check is not None:
+        yield f"    check={check_source(check)},"
+    yield ")"
+
+
+def _message(one: PacketGuess, framing: FramingGuess, variable: str) -> Iterator[str]:
+    sizes = f"{one.sizes[0]} bytes" if len(one.sizes) == 1 else f"{one.sizes[0]} to {one.sizes[-1]} bytes"
+    yield from _comment(f"{one.count:,} packets of {sizes}, as {one.example[:24].hex(' ').upper()}")
+    if framing.kind == "lines":
+        yield from _line(one, framing, variable)
+        return
+    code = "" if one.opcode is None else f"_{one.opcode.hex().upper()}"
+    yield f"{variable}("
+    yield f'    "{variable.title()}{code}",'
+    if one.opcode is not None:
+        yield f'    match={{"opcode": 0x{one.opcode.hex().upper()}}},'
+    size = max(0, one.size - framing.head_end - body_end(framing))
+    lines = payload_lines(_without_checks(one.fields), size, len(one.sizes) > 1)
+    if lines:
+        yield f"    payload={lines[0]}"
+        yield from (f"    {line}" for line in lines[1:-1])
+        if len(lines) > 1:
+            yield f"    {lines[-1]},"
+    yield ")"
+
+
+def _without_checks(fields: Iterable[FieldGuess]) -> list[FieldGuess]:
+    """A framing's packets have its check: what looks like another one inside is a number."""
+    return [replace(one, kind="number", check=None) if one.kind == "check" else one for one in fields]
+
+
+def _line(one: PacketGuess, framing: FramingGuess, variable: str) -> Iterator[str]:
+    if one.opcode is None:
+        yield f'{variable}("{variable.title()}", payload=Struct("text" / GreedyBytes))'
+        return
+    end = len(one.example) - body_end(framing)
+    rest = one.example[len(framing.sync) + len(one.opcode) : end].decode("latin-1")
+    name = re.sub(r"\W", "_", one.opcode.decode("latin-1"))
+    name = name if name.isidentifier() else f"Line_{name}"
+    separator = rest[:1] if rest[:1] and not rest[:1].isalnum() else ""
+    if not separator:
+        payload = 'Struct("text" / GreedyBytes)'
+    else:
+        payload = f'Delimited({separator!r}, "field_1" / AsciiText(), lead=True, more=True)'
+    yield f'{variable}_of("{name}", word={one.opcode!r}, payload={payload})'

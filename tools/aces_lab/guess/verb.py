@@ -1,0 +1,295 @@
+"""Guess the spec of a recording that no protocol reads.
+
+  aces spec guess drive.log             what is on this bus: messages, rates,
+                                        fields, requests and replies
+  aces spec guess drive.log -o draft.py
+                                        a spec of it that loads and decodes,
+                                        evidence in comments, for you to edit
+  aces spec guess a.log b.log           several recordings of one bus
+  aces spec guess gnss.bin              a serial line: sync, length, check,
+                                        what tells packets apart, their fields
+  aces spec guess drive.log --no-known  do not try the installed protocols first
+  aces spec guess drive.log --json      all guesses, for programs
+
+A guess has its evidence, and a confidence from 0 to 1. Fields are named by
+kind and place: number_2_4 begins in byte 2, its lowest bit is bit 4 of a byte.
+What never changed is a constant of this recording, and no more than that; the
+longer a recording is and the more happens in it, the better the guesses.
+
+exit status: 0 guessed, or known already; 2 a wrong call, or a recording that is
+empty or cannot be read (what a damaged one holds is guessed nevertheless)
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+from aces_bus.errors import CallerError, CaptureError
+from aces_bus.plain_text import printable
+from aces_bus.protocol.fitting import FittingProtocol
+from aces_bus.recordings import CanRecording
+from aces_bus.recordings.pieces import open_any
+from aces_tools.console import (
+    check_suffix,
+    counted,
+    print_json,
+    report_unreadable,
+    say,
+    say_note,
+    write_text,
+)
+from aces_tools.options import COLOR, JSON, OUTPUT, Arguments, argument, flag
+from aces_tools.output.columns import Page
+from aces_tools.patience import Patience
+
+from . import (
+    FieldGuess,
+    MessageGuess,
+    StreamGuess,
+    StreamTraffic,
+    Traffic,
+    TrafficGuess,
+    draft_source,
+    stream_source,
+)
+from .traffic import runs_text
+
+#: Pairs and known protocols that are listed.
+LISTED = 20
+
+SUMMARY = "guess the spec of a recording that no protocol reads"
+
+ARGUMENTS: Arguments = (
+    argument(
+        "files",
+        nargs="+",
+        metavar="CAPTURE",
+        help="recordings of one bus or line, any format; '-': standard input",
+    ),
+    OUTPUT.but(metavar="draft.py", help="write the draft of a spec there"),
+    flag("--force", help="overwrite a draft that is there already"),
+    flag("--no-known", help="guess everything, also what an installed protocol decodes"),
+    JSON.but(help="all guesses as JSON"),
+    COLOR,
+)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    check_suffix("-o", arguments.output, ".py")
+    if arguments.output is not None and os.path.exists(arguments.output) and not arguments.force:
+        raise CallerError(f"{arguments.output}: is there already; choose another name, or say --force")
+    traffic, stream = Traffic(), StreamTraffic()
+    status = 0
+    with Patience() as patience:
+        for name in arguments.files:
+            try:
+                with patience.waiting():
+                    recording = open_any(name)
+                with recording:
+                    if isinstance(recording, CanRecording):
+                        for table in patience.each(recording.tables()):
+                            traffic.add(table)
+                    else:
+                        stream.next_recording()
+                        for chunk in patience.each(recording):
+                            stream.add(*chunk)
+                    report_unreadable(recording, is_over=True)
+            except CaptureError as error:  # what a damaged file holds is guessed nevertheless
+                if not (traffic.frames or stream.bytes):
+                    raise
+                say(str(error))
+                status = 2
+            if patience.is_over:
+                break
+    if stream.bytes and traffic.frames:
+        raise CallerError("recordings of a CAN bus and of a serial line: guess one after the other")
+    if stream.bytes:
+        _of_stream(stream.guess(known=not arguments.no_known), arguments)
+        return status
+    if not traffic.frames:
+        raise CaptureError(
+            f"{', '.join(map(_title, arguments.files))}: nothing to guess: no frames and no bytes"
+        )
+    guess = traffic.guess(known=not arguments.no_known)
+    if arguments.output is not None and guess.messages:
+        stem = Path(arguments.output).stem
+        write_text(
+            arguments.output,
+            draft_source(guess, stem, [Path(one).name for one in arguments.files]),
+            is_quiet=True,
+        )
+    if arguments.json:
+        print_json({**guess.as_dict(), "output": arguments.output if guess.messages else None})
+    else:
+        _show(guess, arguments)
+    if arguments.output is not None and not guess.messages:
+        said = f"is {_best(guess.known)}" if guess.known else "has nothing to guess"
+        say(f"no draft was written: the recording {said}")
+    return status
+
+
+def _best(known: Sequence[FittingProtocol]) -> str:
+    """Return the protocols that fit best, where bytes alone do not say which one it is."""
+    return " or ".join(one.name for one in known if one.share == known[0].share)
+
+
+# ---------------------------------------------------------------------- streams
+
+
+def _of_stream(guess: StreamGuess, arguments: argparse.Namespace) -> None:
+    if arguments.output is not None and guess.framings:
+        source = stream_source(
+            guess, Path(arguments.output).stem, [Path(one).name for one in arguments.files]
+        )
+        write_text(arguments.output, source, is_quiet=True)
+    if arguments.json:
+        print_json({**guess.as_dict(), "output": arguments.output if guess.framings else None})
+    else:
+        _show_stream(guess, arguments)
+    if arguments.output is not None and not guess.framings:
+        said = f"is {_best(guess.known)}" if guess.known else "has no framing that it shows plainly"
+        say(f"no draft was written: the recording {said}")
+
+
+def _show_stream(guess: StreamGuess, arguments: argparse.Namespace) -> None:
+    page = Page(arguments.color)
+    title = ", ".join(map(_title, arguments.files))
+    files = " ".join("-" if one == "-" else shlex.quote(one) for one in arguments.files)
+    packets = "" if guess.known else f", {guess.decoded:,} in packets"
+    page.lines([printable(f"{title}: {counted(guess.bytes, 'byte')}{packets}")])
+    if guess.kept < guess.bytes:
+        page.lines([f"only the first {guess.kept:,} bytes were looked at"])
+    for known in guess.known[:LISTED]:
+        page.lines([printable(f"{known.share:4.0%} is {known.name}:  aces decode {files} {known.options}")])
+    if guess.known:
+        page.lines(["nothing was guessed (--no-known: everything)"])
+    elif not guess.framings:
+        page.lines(["no sync bytes, length, line end or check that chance could not give as well"])
+    for number, framing in enumerate(guess.framings):
+        page.lines([""])
+        head = f"framing {number}: {counted(framing.packets, 'packet')}, {framing.share:.1%} of the bytes"
+        page.lines([page.paint("message", f"{head} ({framing.confidence:.2f})")])
+        page.lines(f"  {printable(line)}" for line in framing.evidence)
+        for packet in guess.packets:
+            if packet.framing != number:
+                continue
+            code = "" if packet.opcode is None else f" {_code(packet.opcode, framing.kind == 'lines')}"
+            sizes = packet.sizes
+            page.lines(["", page.paint("message", f"packet{code}  {packet.count:,} of {_bytes(sizes)}")])
+            if packet.fields:
+                page.table(
+                    ("field", "bits", "kind", "sure", "evidence"), [_cells(one) for one in packet.fields]
+                )
+    if guess.framings and arguments.output is None:
+        page.lines(["", f"a draft to edit: aces spec guess {printable(files)} -o draft.py"])
+    elif guess.framings:
+        quoted = shlex.quote(arguments.output)
+        say_note(f"{arguments.output}: written; next: aces decode {files} -p {quoted}")
+
+
+def _title(file: str) -> str:
+    return "standard input" if file == "-" else file
+
+
+def _code(opcode: bytes, is_text: bool) -> str:
+    return printable(opcode.decode("latin-1")) if is_text else opcode.hex(" ").upper()
+
+
+# ---------------------------------------------------------------------- text
+
+
+def _show(guess: TrafficGuess, arguments: argparse.Namespace) -> None:
+    page = Page(arguments.color)
+    title = ", ".join(map(_title, arguments.files))
+    page.lines(
+        [
+            printable(
+                f"{title}: {counted(guess.frames, 'frame')}, {counted(len(guess.messages), 'message')} guessed"
+            )
+        ]
+    )
+    if guess.kept < guess.frames - guess.errors:
+        page.lines([f"only the first {guess.kept:,} frames were looked at"])
+    if guess.beyond:
+        page.lines([f"{counted(guess.beyond, 'frame')} of still more identifiers were not looked at"])
+    files = " ".join("-" if one == "-" else shlex.quote(one) for one in arguments.files)
+    for known in guess.known[:LISTED]:
+        page.lines([printable(f"{known.share:4.0%} is {known.name}:  aces decode {files} {known.options}")])
+    if guess.known:
+        left = sum(message.frames for message in guess.messages)
+        page.lines(
+            [
+                f"guessed is what {guess.known[0].name} leaves: {counted(left, 'frame')} (--no-known: everything)"
+            ]
+        )
+    for protocol in guess.protocols:
+        page.lines([""])
+        page.beside(protocol.name, [f"{protocol.evidence} ({protocol.confidence:.2f})"], "message")
+    for message in guess.messages:
+        page.lines([""])
+        page.lines([page.paint("message", printable(_headline(message)))])
+        page.table(("field", "bits", "kind", "sure", "evidence"), [_cells(one) for one in message.fields])
+    if guess.pairs:
+        page.lines(["", "requests and replies"])
+        page.table(
+            ("request", "reply", "sure", "evidence"),
+            [
+                (_identifier(one.request), _identifier(one.reply), f"{one.confidence:.2f}", one.evidence)
+                for one in guess.pairs[:LISTED]
+            ],
+        )
+    if guess.messages and arguments.output is None:
+        page.lines(["", f"a draft to edit: aces spec guess {printable(files)} -o draft.py"])
+    elif guess.messages:
+        quoted = shlex.quote(arguments.output)
+        say_note(
+            f"{arguments.output}: written; next: aces decode {files} -p {quoted}; aces spec check {quoted} --against {files}"
+        )
+
+
+def _bytes(lengths: Sequence[int]) -> str:
+    return counted(lengths[0], "byte") if len(lengths) == 1 else f"{lengths[0]} to {lengths[-1]} bytes"
+
+
+def _identifier(key: int) -> str:
+    return f"{key & 0x1FFF_FFFF:0{8 if key >> 31 else 3}X}"
+
+
+def _headline(message: MessageGuess) -> str:
+    parts = [f"{message.shown}  {counted(message.frames, 'frame')}"]
+    if message.timing is not None and message.frames > 2:
+        period, jitter = message.timing.period_ns / 1e6, message.timing.jitter_ns / 1e6
+        parts.append(
+            f"every {period:.4g} ms ± {jitter / 2:.2g}" if message.timing.is_regular else "at no fixed rate"
+        )
+    lengths: Sequence[int] = message.lengths
+    parts.append(_bytes(lengths))
+    if message.transport:
+        parts.append(f"packets of {message.transport.removesuffix('()')}")
+    if message.node is not None:
+        node = message.node
+        parts.append(f"{node.name} {runs_text(node.numbers)} ({node.confidence:.2f})")
+    return ", ".join(parts)
+
+
+def _cells(one: FieldGuess) -> tuple[str, ...]:
+    first, last = one.positions[0], one.positions[-1]
+    where = f"{first // 8}.{first % 8}" + (f"…{last // 8}.{last % 8}" if first != last else "")
+    kind = one.kind
+    if one.kind in ("number", "counter", "float"):
+        size = f"{'s' if one.signed else 'u'}{one.length}" if one.kind != "float" else f"{one.length}"
+        order = f" {one.order}" if first // 8 != last // 8 else ""
+        kind = f"{one.kind} {size}{order}"  # type: ignore[assignment]  # text from here on
+    if one.when:
+        where += f" at {one.when[0]}"
+    return (_name(one), where, kind, f"{one.confidence:.2f}", one.evidence)
+
+
+def _name(one: FieldGuess) -> str:
+    from .draft import field_name
+
+    return "" if one.kind == "constant" else field_name(one)

@@ -1,0 +1,1 @@
+"""Proofs that generated codecs equal their spec for all inputs, with z3."""

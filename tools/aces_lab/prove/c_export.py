@@ -1,0 +1,131 @@
+"""The exported C against the decoder: compiled, and compared on every value of each field.
+
+1. A field's own bits take all numbers up to 16 bits, beyond them corners and drawn numbers; all other bits are 0, 1 and
+   drawn.
+2. What C reads is compared with the generated decoder's raw integers. Packing, floats and packets of streams are compared by
+   `tests/protocol/test_export_c.py`, on drawn packets.
+"""
+
+from __future__ import annotations
+
+import random
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from aces_bus.protocol.declare.protocol import Variant
+from aces_bus.protocol.exchange.export_c import CMessage, print_c_source
+from aces_bus.protocol.generate.load import decoders_of
+
+from .account import Outcome
+from .columns import accepted_packet, field_rows, with_constants
+from .decoding import Witness
+
+_MAIN = """
+#include "spec.h"
+#include <stdio.h>
+#include <inttypes.h>
+#include <string.h>
+int main(int count, char **names) {
+    static unsigned char data[4096], out[4096];
+    int which; uint32_t id, size;
+    (void)count; (void)names;
+    while (fread(&which, 4, 1, stdin) == 1 && fread(&id, 4, 1, stdin) == 1 && fread(&size, 4, 1, stdin) == 1) {
+        int length = -1; uint32_t made = 0;
+        if (fread(data, 1, size, stdin) != size) return 1;
+        memset(out, 0, sizeof out);
+        (void)made; (void)length;
+        switch (which) {
+CASES
+        }
+        printf("\\n");
+    }
+    return 0;
+}
+"""
+
+
+def check_c(variant: Variant) -> Iterator[Outcome]:
+    """Compare the C export of a variant with its decoders; yield an outcome for each message that C has, and has not."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    made = print_c_source(variant, name="spec")
+    for name in variant.messages.keys() - {one.message.name for one in made.messages}:
+        outcome = Outcome(variant.label, name)
+        why = next((loss for loss in made.losses if name in str(loss)), None)
+        outcome.add(
+            "C", "unknown", "not exported" if why is None else str(why).partition(": ")[2] or str(why)
+        )
+        yield outcome
+    if compiler is None:
+        return
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "spec.h").write_text(made.header, encoding="utf-8")
+        (folder / "spec.c").write_text(made.source, encoding="utf-8")
+        cases = "\n".join(_case(number, one) for number, one in enumerate(made.messages))
+        (folder / "main.c").write_text(_MAIN.replace("CASES", cases), encoding="utf-8")
+        call = [compiler, "-std=c99", "-O1", "-o", "read", "main.c", "spec.c", "-lm"]
+        subprocess.run(call, cwd=folder, check=True, capture_output=True)
+        for number, one in enumerate(made.messages):
+            yield _compared(variant, number, one, folder)
+
+
+def _case(number: int, one: CMessage) -> str:
+    """Return the C statements that print a message's members, or `refused`."""
+    is_can = one.message.framing is None
+    lines = [
+        f"        case {number}: {{ struct {one.name} s; memset(&s, 0, sizeof s);",
+        f'            if ({one.name}_unpack(&s, {"id, " if is_can else ""}data, size)) {{ printf("refused"); break; }}',
+    ]
+    for field in one.fields:
+        if field.type in ("float", "double", "bytes", "rest"):
+            continue
+        kind = "PRIu64, (uint64_t)" if field.type.startswith("u") else "PRId64, (int64_t)"
+        lines.append(f'            printf("%" {kind}s.{field.name}); printf(" ");')
+    return "\n".join([*lines, "            break; }"])
+
+
+def _compared(variant: Variant, number: int, one: CMessage, folder: Path) -> Outcome:
+    message = one.message
+    outcome = Outcome(variant.label, message.name)
+    base = accepted_packet(message)
+    if base is None or message.plan.lists or message.plan.is_checked:
+        outcome.add("C", "unknown", "no packet was drawn, a list, or a check of its own")
+        return outcome
+    chance = random.Random(message.name)
+    packets = [base.data]
+    for leaf in message.plan.leaves:
+        bits = leaf.node.place
+        if bits and max(bits) < 8 * len(base.data):
+            rows = with_constants(message, field_rows(base, bits, chance, all_others=True), base)
+            packets += [row.tobytes() for row in rows]
+            if len(bits) > 16:
+                outcome.add("C", "sampled", "fields of more than 16 bits: corners and drawn numbers")
+    if message.framing is not None:
+        outcome.add("C", "sampled", "packets of streams are compared by tests/protocol/test_export_c.py")
+        return outcome
+    key = base.key or 0
+    head = number.to_bytes(4, "little") + (key & 0x1FFF_FFFF).to_bytes(4, "little")
+    sent = b"".join(head + len(data).to_bytes(4, "little") + data for data in packets)
+    found = subprocess.run([folder / "read"], input=sent, capture_output=True, check=True, cwd=folder)
+    decode = decoders_of(variant, True)[message.name]
+    fields = [f for f in one.fields if f.type not in ("float", "double", "bytes", "rest")]
+    for data, line in zip(packets, found.stdout.decode().splitlines(), strict=True):
+        record = decode(data, key, None, None, data, None)
+        want = "refused" if record is None else " ".join(str(_number(record, f)) for f in fields)
+        if line.strip() != want:
+            outcome.witness = Witness(f"C has {line.strip()}, the decoder {want}", base.key, data)
+            outcome.add("C", "refuted", "other numbers than the decoder's")
+            return outcome
+    outcome.add("C", "bounded", "each field's own bits, all others at 0, at 1 and drawn")
+    return outcome
+
+
+def _number(record: Any, field: Any) -> int:
+    value = record
+    for step in field.leaf.way:
+        value = value[step] if isinstance(step, int) else getattr(value, step)
+    return 0 if value is None else int(value)

@@ -1,0 +1,160 @@
+"""Witnesses: what scanner and reference make of the bytes on which a proof failed; on paper, and as a capture."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from aces_bus.errors import AcesError
+from aces_bus.frame_table import FrameTable
+from aces_bus.frames import Frame
+from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol.declare.packet import key_image
+from aces_bus.protocol.declare.protocol import Variant
+from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
+from aces_bus.protocol.record import plain_value
+
+from .decoding import Witness
+
+
+def image_of(message: Message, witness: Witness) -> bytes:
+    """Return what `message.struct` parses: a frame's image, or the packet on the wire with its length and check written."""
+    if message.framing is None:
+        return key_image(witness.key or 0, witness.data)
+    framing, data = message.framing, witness.data
+    end = len(data) - framing.check_size - len(framing.end)
+    head, body = data[len(framing.sync) : message.payload_start], data[message.payload_start : max(end, 0)]
+    try:
+        return bytes(message.struct.framed(framing, head, body))
+    except (AcesError, ValueError, OverflowError):  # no packet of this message is so
+        return data
+
+
+def frame_of(witness: Witness) -> Frame:
+    """Return the frame of a witness on CAN."""
+    key = witness.key or 0
+    return Frame(
+        key & 0x1FFF_FFFF,
+        witness.data,
+        0.0,
+        "can0",
+        bool(key & EXTENDED),
+        bool(key & REMOTE),
+        False,
+        bool(key & FD),
+    )
+
+
+def by_reference(message: Message, image: bytes, *, raw: bool = True) -> dict[str, Any] | None:
+    """Return the fields that the reference reads; None when it refuses."""
+    try:
+        values = message.struct.parse(image, raw=raw)
+    except Exception:  # whatever a construct raises
+        return None
+    return {name: plain_value(values[name]) for name in message.fields}
+
+
+def by_function(
+    message: Message, decode: Callable[..., Any], witness: Witness, image: bytes, *, quick: bool = False
+) -> dict[str, Any] | None:
+    """Return the fields that a generated function reads, or what it raises; None when it refuses."""
+    framing = message.framing
+    try:
+        data = witness.data if framing is None else framing.logical(image)
+        record = decode(data, witness.key or 0, None, None, image, None)
+    except Exception as error:
+        return None if quick and isinstance(error, struct.error) else {"raises": type(error).__name__}
+    return None if record is None else {name: plain_value(getattr(record, name)) for name in message.fields}
+
+
+def by_encoder(message: Message, encode: Callable[..., Any], image: bytes) -> bytes | None:
+    """Return the image that a generated encoder makes of what the reference reads; None where it leaves it to construct."""
+    values = message.struct.parse(image, raw=False)
+    fields = {name: values[name] for name in message.fields if name not in message.request_fields}
+    try:
+        identifier, head, body = encode(fields)
+        if message.framing is not None:
+            return bytes(message.struct.framed(message.framing, head, body))
+    except Exception:  # construct decides
+        return None
+    flags = int.from_bytes(image[:4], "big") & ~0x1FFF_FFFF
+    return (flags | int(identifier)).to_bytes(4, "big") + image[4:5] + bytes(head + body)
+
+
+def plain_meaning(values: dict[str, Any] | None) -> Any:
+    """Return the declaration's fields as plain values, as the reference's are compared."""
+    return None if values is None else {name: plain_value(value) for name, value in values.items()}
+
+
+def text_of(value: Any) -> str:
+    """Fields for a comparison: NaN is NaN."""
+    return repr(value)
+
+
+def explained(
+    variant: Variant, message: Message, witness: Witness, width: int | None, paint: Any
+) -> list[str]:
+    """Return the witness as `aces spec explain` shows it."""
+    from aces_bus.protocol.explain import Tracer
+    from aces_tools.authoring.explain_text import attempt_lines
+
+    tracer = Tracer([variant])
+    if message.framing is None:
+        attempts = tracer.explain_frames([frame_of(witness)], 0) + tracer.explain_end()
+    else:
+        attempts = tracer.explain_stream(image_of(message, witness))
+    return [line for attempt in attempts[:3] for line in attempt_lines(attempt, width, paint)]
+
+
+def save(variant: Variant, message: Message, witness: Witness, folder: Path) -> Path:
+    """Write the witness as a capture that `aces decode` and `aces spec explain` read; return its path."""
+    from aces_bus.recordings.write import open_writer
+
+    folder.mkdir(parents=True, exist_ok=True)
+    name = f"{variant.label.replace(':', '_').replace('@', '_')}_{message.name}"
+    if message.framing is not None:
+        path = folder / f"{name}.bin"
+        path.write_bytes(image_of(message, witness))
+        return path
+    path = folder / f"{name}.log"
+    with open(path, "wb") as file, open_writer(file, "candump") as writer:
+        writer.write(FrameTable.from_frames([frame_of(witness)]))
+    return path
+
+
+def scanned(variant: Variant, message: Message, witness: Witness) -> tuple[str, str]:
+    """Return what the live scanner and the reference make of the witness alone, each in one line."""
+    from aces_bus.protocol import make_scanner
+    from aces_bus.protocol.reference import Reference
+
+    scanner: Any = make_scanner([variant], direction=message.direction, include_unknown=True, raw=True)
+    reference = Reference([variant], direction=message.direction, raw=True)
+    image = image_of(message, witness)
+    if message.framing is None:
+        records = scanner.feed([frame_of(witness)])
+        items = reference.frames([frame_of(witness)])
+    else:
+        records = [*scanner.feed(image), *scanner.close()]
+        items = reference.stream(image)
+    live = "; ".join(_line(type(r).__name__, _fields(r)) for r in records)
+    slow = "; ".join(
+        _line(i.message or i.reason, None if i.fields is None else plain_value(i.fields)) for i in items
+    )
+    return live or "nothing", slow or "nothing"
+
+
+def _fields(record: Any) -> Any:
+    from aces_bus.protocol.record import field_names
+
+    try:
+        return {name: plain_value(getattr(record, name)) for name in field_names(type(record))}
+    except (AcesError, AttributeError):
+        return getattr(record, "reason", None)
+
+
+def _line(name: str, fields: Any) -> str:
+    if isinstance(fields, dict):
+        return f"{name}({', '.join(f'{key}={value!r}' for key, value in fields.items())})"
+    return name if fields is None else f"{name}: {fields}"
