@@ -11,34 +11,17 @@ from typing import Any
 
 from aces_bus.errors import CallerError
 from aces_tools.console import SHOWN, StatusLine, say, say_note
+from aces_tools.decode_columns import wanted_columns
 from aces_tools.decoding import named_messages
-from aces_tools.options import Arguments, argument
 from aces_tools.output.shape import plans_of
 from aces_tools.protocols_arg import named_protocol
 
 from . import FleetInput, FleetProgress, FleetProtocol, FleetRun
 from . import decode as decode_with_fleet
 
-ARGUMENTS: Arguments = (
-    argument(
-        "--cluster",
-        metavar="WHERE",
-        help="tables, of many files and URIs, into a dataset: here (this process), local:4 (processes) or a Dask"
-        " scheduler's address; see below",
-    ),
-)
-
-
-def is_wanted(arguments: argparse.Namespace) -> bool:
-    """Return whether the call says where to decode, and what is spoken."""
-    return arguments.cluster is not None and bool(arguments.protocol)
-
 
 def run(arguments: argparse.Namespace) -> int:
     """Run `aces decode --cluster`; return the exit status."""
-    # Imported here: each `aces decode` imports this module for its option, and columns need NumPy.
-    from aces_tools.decode_columns import wanted_columns
-
     if arguments.count is not None:
         raise CallerError("--count is for lines, and --cluster writes tables; --from and --to choose a piece")
     if arguments.output is None or arguments.format not in (None, "parquet"):
