@@ -126,7 +126,7 @@ class _Line:
         self.is_ticked = device.host.is_ticked
         #: Its rate (unit/s) where speed is not reduced.
         self.full_rate = self.bounds.rate
-        self.scale()
+        self.take_rate()
         self.following = door.following.get(signal.name)
         self.owner, self.is_supervised = "", False
         #: Why no set-points are taken; "" while they are.
@@ -145,7 +145,7 @@ class _Line:
         self.recent: deque[tuple[int, float, Any]] = deque()
         self.begin_anew()
 
-    def scale(self) -> None:
+    def take_rate(self) -> None:
         """Lead it no faster than its full rate, times the door's scale."""
         self.rate = self.full_rate * self.door.scale
         self.utmost = self.rate * (1 + 1e-9)  # a hair more is rounding
@@ -231,7 +231,7 @@ class _Line:
 
     def slow_down(self) -> None:
         """The limits are others: a speed that has left, or is on its way, is held to them."""
-        self.scale()
+        self.take_rate()
         if self.epoch != self.device.epoch:
             return
         self.know_limits()
@@ -566,7 +566,7 @@ class Door:
         line = self._line(name)
         if rate < line.full_rate:
             line.full_rate = rate
-            line.scale()
+            line.take_rate()
             self.noted("limits", line.device, f"{line.signal.name}: at most {rate:g} {line.signal.unit}/s")
 
     def reduce(self, scale: float) -> None:

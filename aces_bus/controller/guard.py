@@ -53,7 +53,7 @@ _INFINITY = math.inf
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a state's set-points may be: unit, unit/s, unit/s². Infinity says "not limited".
+    """The limits of a state's set-points: unit, unit/s, unit/s². Infinity says "not limited".
 
     `rest` is the set-point at which it stands still; None: any, as of a position.
     """
@@ -303,7 +303,7 @@ class Guard:
 
     @property
     def bounds(self) -> dict[str, Bounds]:
-        """What the set-points of each state may be."""
+        """The limits of the set-points of each state."""
         lines = self._lines.values()
         return {x.name: Bounds(x.lower, x.upper, x.rate, x.acceleration, x.rest) for x in lines}
 

@@ -300,7 +300,7 @@ def _parsed(scope: Scope, place: str, text: str, mode: str) -> ast.AST:
 
 
 def flush(text: str) -> str:
-    """Return the lines without what they begin with: nothing nests in equations, so indentation says nothing."""
+    """Remove the indentation of the lines: nothing nests in equations, so it says nothing."""
     return "\n".join(line.strip() for line in text.splitlines())
 
 
@@ -364,7 +364,7 @@ class Program:
             raise EquationError(f"{scope.owner}: its equations are nested too deeply") from None
 
     def bind(self, states: Mapping[str, Any], memory: object) -> dict[str, Compiled]:
-        """Return the functions; `states` has every used one, `memory` the parameters and memory as attributes."""
+        """Compile the functions; `states` has every used name, `memory` the parameters and memory as attributes."""
         quantities = [states[name] for name in self.scope.used]
         for name, method in self.scope.derived:
             if not hasattr(states[name], method):

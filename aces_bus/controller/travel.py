@@ -38,7 +38,7 @@ APPROACH_S = 0.1
 
 
 class WatchedLine(Interface):
-    """What is asked of a line of the door."""
+    """The part of a line of the door that the travel reads."""
 
     signal: Signal
     given: Any
@@ -141,7 +141,7 @@ class Travel:
 
     @property
     def is_pushed(self) -> bool:
-        """Whether a speed or push other than 0 is under way."""
+        """True while a speed or push other than 0 is set."""
         return any(line.given for line in self._pushing if line.epoch == self.device.epoch)
 
     # ------------------------------------------------------------------ in each tick

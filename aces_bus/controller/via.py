@@ -195,7 +195,7 @@ class ViaPath:
         self._print()
 
     def _print(self) -> float:
-        """Return the polynomials for the present times; the factor by which the times must grow."""
+        """Compute the polynomials for the present times; return the factor by which the times must grow."""
         velocities, self._polynomials, stretch = self._velocities(), [], 0.0
         limits = np.array([(one.velocity, one.acceleration, one.jerk) for one in self.limits]).T
         for i in range(len(self.points) - 1):

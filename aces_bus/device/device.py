@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 
 def _free(action: str) -> str:
-    """Nothing stands in the way of any action."""
+    """Return "": no action is refused."""
     return ""
 
 
@@ -168,7 +168,7 @@ class Device(EndpointMember):
         )
 
     def start(self) -> Any:
-        """Return what to do when the bus has been opened: tickets, jobs; nothing by default. It must not move anything."""
+        """Begin what is due when the bus has been opened; return its tickets and jobs. It must not move anything."""
         return None
 
     def stop_motion(self) -> Any:
@@ -188,12 +188,12 @@ class Device(EndpointMember):
 
     @property
     def stop_leaves(self) -> Outcome:
-        """What `stop_motion` leaves of its joints."""
+        """The state in which `stop_motion` leaves its joints."""
         return "unknown"
 
     @property
     def host_loss(self) -> HostLoss:
-        """What it does when its host is gone, as it is set up here: `when_host_is_lost`, unless its settings change that."""
+        """Its behaviour when its host is gone, as it is set up here: `when_host_is_lost`, unless its settings change that."""
         return type(self).when_host_is_lost
 
     @property
@@ -275,7 +275,7 @@ class Device(EndpointMember):
         doc: str = "",
         source: str = "",
     ) -> Signal:
-        """Return a new signal, `OWNER.name`; the owner is a joint's or sensor's name, by default the device's.
+        """Add a signal, `OWNER.name`; the owner is a joint's or sensor's name, by default the device's.
 
         `of` are the fields that give it ("Encoder.position.1"), `set` is the field that sets it, or `setter` a function;
         `to_si` and `from_si` convert. `read_from`: the messages from which the driver itself updates it. Values that are set

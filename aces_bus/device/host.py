@@ -338,7 +338,7 @@ class Host(BusEndpoint[Device]):
         return used
 
     def set_points(self, now: int) -> Iterator[OutgoingMessage]:
-        """Return what is wanted and not sent yet, as few messages as the rules make of it."""
+        """Gather the set-points that are not sent yet, in as few messages as the rules make of it."""
         return gathered(self.members.values(), self.rule_of, now)
 
     def rule_of(self, message: str, device: Device) -> CoalescingRule | None:

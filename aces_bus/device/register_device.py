@@ -183,7 +183,7 @@ class RegisterDevice(Device):
         setter: Callable[[Any], None] | None = None,
         **options: Any,
     ) -> Signal:
-        """Return a signal that is read from the register `of` and set through the register `set`.
+        """Add a signal that is read from the register `of` and set through the register `set`.
 
         `to_si` takes the raw number (by default its value × `scale`), `to_raw` gives it. Set-points of all devices go out in
         one packet. Other options are those of `add_signal`. Raises `UnknownNameError` for an unknown register.
@@ -465,7 +465,7 @@ class RegisterDevice(Device):
     def _ask(
         self, message: str, span: RegisterSpan | None, confirms: bool = False, /, **fields: Any
     ) -> Ticket:
-        """Return a request; what it is answered with is remembered by its packet. `confirms` as of `ask`."""
+        """Send a request; its answer is remembered by its packet. `confirms` as of `ask`."""
         if span is not None:
             self._spans[self.host.packet(self, message, fields)] = span
         return self.ask(

@@ -140,7 +140,7 @@ class SingleMotor(MotorDevice[SingleAxis]):
             raise CallerError(f"{self.name}: no mode {mode!r} (there are: {', '.join(self.modes)})")
 
     def add_motor_signal(self, name: str, *, from_si: Callable[[Any], Any] = float, **more: Any) -> Signal:
-        """Return a signal of the joint; it can be set in the modes that name it. Arguments as those of `add_signal`."""
+        """Add a signal of the joint; it can be set in the modes that name it. Arguments as those of `add_signal`."""
         self._given_as[name] = from_si
         can_be_set = any(name in fields for fields in self.modes.values())
         made = self.add_signal(

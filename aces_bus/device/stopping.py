@@ -107,7 +107,7 @@ class _Stop:
             device.assume_driven()
 
     def begin(self) -> Job:
-        """Return the first attempt at once, the rest as a job."""
+        """Make the first attempt at once; return the rest as a job."""
         end = self.clock.now() + STOP_NS
         ticket = self._send()
         return Job(self.clock, f"{self.device.name} stop", lambda job: self._steps(ticket, end))

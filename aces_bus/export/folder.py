@@ -92,7 +92,7 @@ class Folder(Buffered):
 
     @abstractmethod
     def _open(self, arrow: ArrowLayout, stream: Any) -> Any:
-        """Return a writer into a stream of Arrow's, which has `close`."""
+        """Open a writer into a stream of Arrow's, which has `close`."""
 
     def _batch(self, arrow: ArrowLayout, block: Block) -> Any:
         """Rows as the record batch that is written."""

@@ -80,7 +80,7 @@ def open_export(
     sources: bool = False,
     live: bool = False,
 ) -> Export:
-    """Return an export into a file or folder, which is at `path` when it is closed.
+    """Open an export into a file or folder, which is at `path` when it is closed.
 
     `format` is one of "parquet", "arrow", "feather", "csv", "npz", "sqlite", "mcap"; by default the suffix says it.
     `variants` are the protocols that tables come from: they say what is in columns of Python objects (without them such

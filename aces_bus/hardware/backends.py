@@ -322,7 +322,7 @@ class SocketcanReader:
             self.state = "error-active"
 
     def take_dropped(self) -> int:
-        """Return how many frames the kernel has dropped since the last call."""
+        """Return how many frames the kernel has dropped since the last call, and begin to count anew."""
         found, self._dropped = self._dropped, 0
         return found
 

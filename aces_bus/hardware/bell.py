@@ -15,13 +15,16 @@ import os
 import select
 import socket
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
 from uuid import uuid4
 
-#: The largest message (bytes), and how many requests are read together.
-MESSAGE_SIZE, MOST_REQUESTS = 1 << 16, 16
+from ..plain_text import printable
+
+#: The largest message (bytes), how many requests are read together, and the longest name of a program (characters).
+MESSAGE_SIZE, MOST_REQUESTS, NAME_SIZE = 1 << 16, 16, 80
 _FAMILY = getattr(socket, "AF_UNIX", None)
 
 
@@ -56,9 +59,7 @@ class StopBell:
         with suppress(OSError):
             while len(found) < MOST_REQUESTS:
                 data, sender = self._socket.recvfrom(MESSAGE_SIZE)
-                found.append(
-                    StopRequest(self._socket, str(_content(data).get("who", "another program")), sender)
-                )
+                found.append(StopRequest(self._socket, program_of(_content(data)), sender))
         return found
 
     def close(self) -> None:
@@ -84,7 +85,7 @@ class Ringing:
             raise
 
     def wait(self, timeout_s: float) -> dict[str, Any] | None:
-        """Return the next answer; None when none came in time."""
+        """Wait for the next answer; None when none came in time."""
         end = time.monotonic() + timeout_s
         while select.select([self._socket], (), (), max(0.0, end - time.monotonic()))[0]:
             with suppress(OSError):
@@ -102,6 +103,12 @@ class Ringing:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def program_of(content: Mapping[str, Any]) -> str:
+    """Return the name of the program that sent a message, safe to print; "another program" where it gives none."""
+    who = content.get("who")
+    return printable(who[:NAME_SIZE]) if isinstance(who, str) and who.strip() else "another program"
 
 
 def _bound(path: Path) -> socket.socket:

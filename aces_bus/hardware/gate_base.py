@@ -162,7 +162,7 @@ class GateBase(ABC, Generic[Item]):
     def subscribe(
         self, *, limit: int = LIMIT, filter: ContentFilter[Item] | None = None
     ) -> Inbox[Received[Item]]:
-        """Return a queue of what arrives from now on, at most `limit` items of those that `filter` matches; `close` it
+        """Open a queue of what arrives from now on, at most `limit` items of those that `filter` matches; `close` it
         to leave.
         """
         wanted = None if filter is None else lambda item: filter.matches(item.content)

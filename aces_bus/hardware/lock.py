@@ -108,7 +108,7 @@ class BusLock:
 
 
 def lock_folder() -> Path:
-    """Return the folder of all users' locks, made where it is not there. Raises `CallerError` where it cannot be used."""
+    """Return the folder of all users' locks, and make it where it is not there. Raises `CallerError` where that fails."""
     folder = Path(tempfile.gettempdir(), "aces-locks")
     try:
         folder.mkdir(exist_ok=True)
@@ -158,5 +158,5 @@ def _bell_path(channel: str) -> Path:
 
 def program_name() -> str:
     """Return what this program is called, and its process: `aces run (pid 4711)`."""
-    words = [os.path.basename(sys.argv[0] or "python"), *sys.argv[1:2]]
-    return f"{' '.join(word for word in words if not word.startswith('-'))[:NAME_LENGTH]} (pid {os.getpid()})"
+    words = [os.path.basename(word) for word in sys.argv[:2] if not word.startswith("-")]  # `-c` is no name
+    return f"{' '.join(words)[:NAME_LENGTH].strip() or 'python'} (pid {os.getpid()})"

@@ -182,7 +182,7 @@ class Outbox(Generic[Packet]):
         self.size += item.size
 
     def pop(self) -> OutboxItem[Packet]:
-        """Return the next packet."""
+        """Remove the next packet, and return it."""
         item = heapq.heappop(self._heap)[3]
         self.size -= item.size
         return item

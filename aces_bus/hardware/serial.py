@@ -168,7 +168,7 @@ class SerialGate(Gate[bytes]):
             return data
 
     def _take_echo(self, data: bytes, now: int) -> int:
-        """Return how many of these bytes are our own, coming back."""
+        """Compare these bytes with those that were sent; return how many are our own, coming back."""
         with self._guard:
             due = self._echo_due
             if now > self._echo_until:
@@ -236,7 +236,7 @@ class SerialGate(Gate[bytes]):
         return True
 
     def _put_together(self, packets: list[bytes]) -> tuple[int, Exception | None]:
-        """Return a packet that the port took in part counts as taken, and its rest goes first."""
+        """Count a packet that the port took in part as taken; its rest goes first."""
         for number, packet in enumerate(packets):
             try:
                 if not self._push():

@@ -353,7 +353,7 @@ class Reference:
         return found
 
     def end(self) -> list[ReferenceItem]:
-        """Return the frames that are pending when the input ends."""
+        """End the input; return the frames that are pending."""
         return [
             ReferenceItem(one.number, 1, None, None, "pending", transport=transport, frame=one.frame)
             for transport, rule, _ in self.transports

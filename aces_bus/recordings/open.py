@@ -42,7 +42,7 @@ class RecordingFormat(NamedTuple):
     place: str
 
     def open(self, source: ByteSource) -> CanRecording | SerialRecording:
-        """Return the source as a recording of this format."""
+        """Open the source as a recording of this format."""
         module, _, name = self.place.partition(":")
         reader: type[CanRecording | SerialRecording] = getattr(import_module(module, __package__), name)
         return reader(source)
@@ -276,7 +276,7 @@ def may_be_split(capture: CanRecording) -> bool:
 
 
 def open_part(source: PathSource | BinaryIO, span: Span) -> CanRecording:
-    """Return the frames of a part; lines are counted from its start. A source that is open already gives the part alone."""
+    """Open a part of a source; lines are counted from its start. A source that is open already gives the part alone."""
     capture = CandumpCapture(ByteSource(source, span=span))
     capture.is_known = True  # by the file's start: a part may begin with unreadable lines
     return capture

@@ -159,7 +159,7 @@ class SerialWays:
 
 
 def open_any(name: str) -> CanRecording | SerialRecording:
-    """Return a recording of either link; a file of none of the formats that say what they are is raw bytes."""
+    """Open a recording of either link; a file of none of the formats that say what they are is raw bytes."""
     try:
         return open_recording(name)
     except CaptureError:

@@ -146,7 +146,7 @@ class AdoptedPieces:
         return counts
 
     def close(self, totals: Totals) -> list[MessageTable]:
-        """Return the end of the recording."""
+        """End the recording."""
         return self._passed(self._scanner.close(), totals)
 
     def _passed(self, tables: Iterable[MessageTable], totals: Totals) -> list[MessageTable]:

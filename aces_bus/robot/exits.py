@@ -44,6 +44,7 @@ def stop_forgotten() -> None:
         print(f"{who}: the program ended and left {', '.join(driven)} enabled: stopping", file=sys.stderr)
         try:
             end()
-        except AcesError as error:
-            print(f"{who}: {error}", file=sys.stderr)
+        except Exception as error:  # whatever it is, the other robots are stopped too
+            said = error if isinstance(error, AcesError) else f"not stopped: {error!r}"
+            print(f"{who}: {said}", file=sys.stderr)
         is_ended(rig)

@@ -1,7 +1,7 @@
 """Park a robot before it is switched off: its joints go to the pose that its file names, slowly, and under watch.
 
 1. A joint begins at its last commanded target, never where it was measured; one that is further from it is not parked.
-2. It moves through the door, no faster than the file says. All set-points end with the first stop, of whoever.
+2. It moves through the door, no faster than the file says. The first stop of any program or supervisor ends all set-points.
 3. The first joint that leaves its set-points, goes silent or is switched off ends it for all: they are switched off where
    they are.
 """

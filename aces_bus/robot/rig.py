@@ -243,7 +243,7 @@ def connect(
     passive: bool = False,
     load: Loader = load_driver,
 ) -> Rig:
-    """Return the robot's devices, on these ports (bus name → port), not open yet.
+    """Connect the robot's devices to these ports (bus name → port), which are not opened yet.
 
     `rate_hz` is the tick of buses whose rate the file does not state (None: no ticks at all); `rules` replace the drivers'
     rules of coalescing; `passive` hosts listen to what others ask, and send nothing. Raises `CallerError` for a bus

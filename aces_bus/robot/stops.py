@@ -1,4 +1,4 @@
-"""Stop a robot from any program, whoever drives it.
+"""Stop a robot from any program, also while another one drives it.
 
 1. A stop takes no lock and needs no permission. Nothing is sent but stops and what confirms them.
 2. A program that drives a bus is asked to stop its devices, and reports who has stopped. One that does not answer within
@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from time import monotonic
 from typing import Any
 
 from ..device.config import Robot
@@ -20,7 +21,7 @@ from ..device.host import Host
 from ..device.host_loss import Outcome
 from ..device.stopping import can_be_stopped, stop_devices, wait_stopped
 from ..errors import AcesError, NotStoppedError
-from ..hardware.bell import Ringing
+from ..hardware.bell import Ringing, program_of
 from ..runtime import Loop
 from .buses import lock_of, open_gates
 from .rig import Rig, connect
@@ -44,7 +45,9 @@ def stop_robot(
     load: Callable[[str], Driver] = load_driver,
     begun: Callable[[Mapping[str, Outcome]], object] | None = None,
 ) -> Stopped:
-    """Stop all devices of a robot that can be stopped, whoever drives them, as their drivers and the robot's file say.
+    """Stop all devices of a robot that can be stopped, as their drivers and the robot's file say.
+
+    Devices that another program drives are stopped, too.
 
     `buses` as of `run_real`. `begun` is called when the first stops are on their way, with what each will leave. Raises
     `NotStoppedError` with the devices of which it is not confirmed, and `CallerError` where it is not known where a bus is.
@@ -109,31 +112,49 @@ class _RobotStop:
         self.jobs.append((devices, job))
 
     def ask(self) -> None:
-        """Take the reports of the programs that drive; stop what they do not, or do not answer for."""
-        for name, ringing in self.asked.items():
-            host = self.rig.hosts[name]
-            answer = ringing.wait(ACK_S)
-            if answer is not None and "devices" not in answer:
-                answer = ringing.wait(REPORT_S)
-            done = self._reported(host, answer)
-            self.begin(host, [device for device in self.moving(host) if device.name not in done])
+        """Take the reports of the programs that drive; stop what they do not, or do not answer for.
 
-    def _reported(self, host: Host, answer: Mapping[str, Any] | None) -> set[str]:
+        The programs of all buses have the same `ACK_S` and `REPORT_S`, so that one that hangs costs the next bus nothing.
+        """
+        reports: dict[str, Mapping[str, Any]] = {}
+        reporting: list[str] = []
+        last = monotonic() + ACK_S
+        for name, ringing in self.asked.items():
+            answer = ringing.wait(max(0.0, last - monotonic()))
+            if answer is None:
+                self._begin_beside(name, {})
+            elif "devices" in answer:
+                reports[name] = answer
+            else:
+                reporting.append(name)
+        last = monotonic() + REPORT_S
+        for name in reporting:
+            reports[name] = self.asked[name].wait(max(0.0, last - monotonic())) or {}
+        for name, report in reports.items():
+            self._begin_beside(name, report)
+
+    def _begin_beside(self, name: str, answer: Mapping[str, Any]) -> None:
+        """Stop what the program that drives a bus has not reported as stopped."""
+        host = self.rig.hosts[name]
+        done = self._reported(host, answer)
+        self.begin(host, [device for device in self.moving(host) if device.name not in done])
+
+    def _reported(self, host: Host, answer: Mapping[str, Any]) -> set[str]:
         """Note what a driving program has reported; the devices that have stopped."""
-        reported = answer.get("devices") if answer is not None else None
-        found = {
-            (str(one.get("protocol")), *sorted(dict(one.get("credentials") or {}).items()))
+        reported = answer.get("devices")
+        found = [
+            (one.get("protocol"), one.get("credentials"))
             for one in (reported if isinstance(reported, list) else ())
             if isinstance(one, dict) and one.get("why") == ""
-        }
+        ]
         done: dict[str, Outcome] = {
             device.name: device.stop_leaves
             for device in self.moving(host)
-            if (device.variant.name, *sorted(device.credentials.items())) in found
+            if (device.variant.name, dict(device.credentials)) in found
         }
         self.stopped.devices.update(done)
-        if done and answer is not None:
-            self.stopped.by[host.name] = str(answer.get("who", "the program that drives it"))
+        if done:
+            self.stopped.by[host.name] = program_of(answer)
         return set(done)
 
     def finish(self) -> Stopped:

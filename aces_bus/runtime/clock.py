@@ -28,7 +28,7 @@ class Clock(Protocol):
         ...
 
     def sleep_until(self, instant: int) -> None:
-        """Return when `instant` (ns) has come: wait for it, or bring it about."""
+        """Wait until `instant` (ns) has come, or bring it about."""
         ...
 
 

@@ -103,7 +103,7 @@ class Tasks(ABC):
         self._is_running = False
 
     def add(self, name: str, step: Callable[[int], Any], *, rate_hz: float, priority: int = 0) -> Task:
-        """Return a component more. Of two that are due together the one of higher `priority` runs first.
+        """Add a component. Of two that are due together the one of higher `priority` runs first.
 
         Raises `CallerError` when they run already, or for a rate that is none.
         """

@@ -36,7 +36,7 @@ class Filter(Protocol):
         ...
 
     def start_filter(self, first: float) -> Step:
-        """Return a running filter, whose first value will be `first`."""
+        """Start a filter, whose first value will be `first`."""
         ...
 
 
@@ -69,7 +69,7 @@ class MovingAverage(AnyRate):
             raise StateError(f"{self}: give one or more lengths of 1 … {MOST_LENGTH} samples")
 
     def start_filter(self, first: float) -> Step:
-        """Return a running filter, whose first value will be `first`."""
+        """Start a filter, whose first value will be `first`."""
         lengths = self.lengths if isinstance(self.lengths, tuple) else (self.lengths,)
         level = first if self.initial == "steady" else 0.0
         return _cascade([_average(length, level) for length in lengths])
@@ -114,7 +114,7 @@ class Median(AnyRate):
             raise StateError(f"{self}: a length of 1 … {MOST_LENGTH} samples")
 
     def start_filter(self, first: float) -> Step:
-        """Return a running filter, whose first value will be `first`."""
+        """Start a filter, whose first value will be `first`."""
         length, recent, in_order = self.length, deque[float](), list[float]()
 
         def step(value: float, _instant: int) -> float:
@@ -140,7 +140,7 @@ class RateLimit(AnyRate):
             raise StateError(f"{self}: rates are unit per second, > 0")
 
     def start_filter(self, first: float) -> Step:
-        """Return a running filter, whose first value will be `first`."""
+        """Start a filter, whose first value will be `first`."""
         rise = self.rising_per_s * 1e-9
         fall = rise if self.falling_per_s is None else self.falling_per_s * 1e-9
         here = first
@@ -175,7 +175,7 @@ class LowPass(AnyRate):
             raise StateError(f"{self}: the time constant is seconds, > 0")
 
     def start_filter(self, first: float) -> Step:
-        """Return a running filter, whose first value will be `first`."""
+        """Start a filter, whose first value will be `first`."""
         decay, exp = -1e-9 / self.time_constant_s, math.expm1
         here, since = first, 0
         is_first = True
@@ -221,7 +221,7 @@ class Sos:
         object.__setattr__(self, "sections", rows)
 
     def start_filter(self, first: float) -> Step:
-        """Return a running filter, whose first value will be `first`."""
+        """Start a filter, whose first value will be `first`."""
         level = first if self.initial == "steady" else 0.0
         stages: list[Callable[[float], float]] = []
         for b0, b1, b2, a0, a1, a2 in self.sections:

@@ -15,7 +15,7 @@ import pytest
 from aces_bus.errors import CallerError
 from aces_bus.frames import Frame
 from aces_bus.hardware import CanGate
-from aces_bus.hardware.bell import StopRequest
+from aces_bus.hardware.bell import StopRequest, program_of
 from aces_bus.hardware.lock import BusLock, lock_folder
 from aces_bus.recordings.filters import parse_filter
 from aces_bus.runtime import Loop
@@ -159,6 +159,21 @@ def test_who_has_the_lock_can_be_asked_to_stop() -> None:
             assert ringing.wait(0) is None
         lock.release()
     assert other.ring() is None
+
+
+@pytest.mark.parametrize(
+    ("who", "said"),
+    [
+        ("aces stop (pid 7)", "aces stop (pid 7)"),
+        ("\x1b[2J" + "a" * 500, "\\x1b[2J" + "a" * 76),
+        ("", "another program"),
+        (["a"], "another program"),
+        (None, "another program"),
+    ],
+)
+def test_a_program_s_name_is_safe_to_print(who: object, said: str) -> None:
+    """Whoever reaches the bell says what it likes: control characters are spelt out, and a long name is cut."""
+    assert program_of({"who": who}) == said
 
 
 def test_a_bell_stays_out_of_the_way(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:

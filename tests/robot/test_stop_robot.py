@@ -7,6 +7,7 @@ import sys
 from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -26,7 +27,7 @@ from aces_bus.robot import (
     simulate,
     stop_robot,
 )
-from aces_bus.robot.exits import stop_forgotten
+from aces_bus.robot.exits import stop_at_exit, stop_forgotten
 from aces_bus.robot.file import print_robot
 from aces_bus.runtime import Loop
 from tests.robot.served_twins import PATIENCE_S, Twins
@@ -239,7 +240,54 @@ def test_who_does_not_answer_is_passed_over(bus: dict[str, Any], monkeypatch: py
         assert run.clock.wait(lambda: bool(run.rig.stopped_by), 20_000_000_000)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "report",
+    [
+        {"who": ["\x1b[2J"], "devices": [{"protocol": [], "credentials": 5, "why": ""}]},
+        {"devices": [{"protocol": "hubo2plus", "credentials": [["board"]], "why": ""}, None, 7]},
+        {"devices": "all"},
+    ],
+)
+def test_a_report_that_is_none_stops_nothing(
+    bus: dict[str, Any], monkeypatch: pytest.MonkeyPatch, report: dict[str, Any]
+) -> None:
+    """What answers says nothing of the devices that can be understood: the stops are sent beside it."""
+
+    def obey_stop(_: Rig, __: str, request: Any) -> None:
+        request.answer(is_stopping=True)
+        request.answer(**report)
+
+    monkeypatch.setattr(Rig, "obey_stop", obey_stop)
+    with run_real(hubo_leg(), [], buses=bus, transmit=True) as run:
+        run.do("enable", devices=["JMC2"])
+        stopped = stop_robot(hubo_leg(), buses=bus)
+        assert stopped.by == {}
+        assert stopped.devices["JMC2"] == "limp"
+
+
 # ---------------------------------------------------------------------- programs that forget their end
+
+
+def test_an_end_that_breaks_keeps_no_other_robot_enabled(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Two robots are left enabled, and the end of the first raises what nobody expected: the second has its end."""
+    monkeypatch.setattr("aces_bus.robot.exits._open", {})
+    ended: list[str] = []
+
+    def breaks() -> None:
+        raise RuntimeError("on purpose")
+
+    with Loop() as loop:
+        for name, end in (("first", breaks), ("second", lambda: ended.append("second"))):
+            device = SimpleNamespace(name="JMC2", is_driven=True)
+            robot = SimpleNamespace(name=name)
+            rig = SimpleNamespace(clock=loop, robot=robot, devices={"JMC2": device})
+            stop_at_exit(rig, end)  # type: ignore[arg-type]
+        stop_forgotten()
+    assert ended == ["second"]
+    assert "aces-bus: first: not stopped: RuntimeError('on purpose')" in capsys.readouterr().err
 
 
 def test_what_a_program_forgets_is_stopped_at_its_exit(

@@ -184,7 +184,7 @@ class Selection:
             return self._sorted(items, end)
 
     def idle(self, end: str) -> list[tuple[bytes, bool]]:
-        """Return what is incomplete, after a silence."""
+        """Give up what is incomplete after a silence, and return it."""
         with self._lock:
             return self._sorted(self.scanners[end].idle(), end)
 

@@ -132,7 +132,7 @@ class Decoding(ABC):
 
     @abstractmethod
     def _feed(self, scanner: Any, data: bytes, time: float | None) -> Any:
-        """Return what a scanner makes of bytes."""
+        """Give a scanner bytes; return what it makes of them."""
 
     @abstractmethod
     def _found(self, items: Any, totals: Totals) -> None:

@@ -355,7 +355,7 @@ class SimulatedRobot:
     # ------------------------------------------------------------------ how others join
 
     def listen_with(self, name: str, robot: str) -> str:
-        """Return a command that shows what happens on a bus; a serial line, which has one other end, is scanned."""
+        """Return a command line that shows what happens on a bus; a serial line, which has one other end, is scanned."""
         from aces_bus.protocol import list_protocols
         from aces_bus.protocol.files import python_file
         from aces_bus.robot.rig import spoken_on

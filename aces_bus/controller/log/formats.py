@@ -52,7 +52,7 @@ def log_format(path: str | os.PathLike[str], format: str | None = None) -> str:
 
 
 def open_sink(path: str, format: str, about: About, digits: int | None = None) -> LogSink:
-    """Return a log of that format; raises `OSError`, `sqlite3.Error`, and `CallerError` when a library is missing."""
+    """Open a log of that format. Raises `OSError`, `sqlite3.Error`, and `CallerError` when a library is missing."""
     return FORMATS[format](path, about) if digits is None else TextSink(path, about, digits)
 
 

@@ -49,7 +49,7 @@ class ServedAddress:
         return f"tcp:{host}:{self.port}" + (f"/{self.channel}" if self.channel else "")
 
     def connect(self, timeout: float) -> socket.socket:
-        """Return a stream to the server, `timeout` in s; raises `OSError`, and `CallerError` as `check_timeout`."""
+        """Open a stream to the server, `timeout` in s; raises `OSError`, and `CallerError` as `check_timeout`."""
         check_timeout(timeout)
         if not self.path:
             stream = socket.create_connection((self.host, self.port), timeout)
@@ -180,7 +180,7 @@ def notes() -> Iterator[tuple[Path, dict[str, Any]]]:
 
 
 def bind_unix(path: str) -> socket.socket:
-    """Return a listening socket at `path`, 0600. Raises `CallerError` when it is served already or cannot be made."""
+    """Open a listening socket at `path`, 0600. Raises `CallerError` when it is served already or cannot be made."""
     if len(os.fsencode(path)) > _PATH_MOST:
         raise CallerError(f"{path}: longer than the {_PATH_MOST} bytes that a Unix socket's path can have")
     listener = socket.socket(_unix())
@@ -236,7 +236,7 @@ def _alone(folder: str) -> Generator[None]:
 
 
 def bind_tcp(host: str, port: int) -> socket.socket:
-    """Return a listening TCP socket. Raises `CallerError`."""
+    """Open a listening TCP socket. Raises `CallerError`."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family, socket.SOCK_STREAM)
     try:

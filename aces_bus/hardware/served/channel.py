@@ -166,7 +166,7 @@ class ServedChannel:
         own: bool = False,
         restart_ns: int | None = None,
     ) -> BusClient:
-        """Return a new member. `own`: it receives what it sends."""
+        """Add a member, and return it. `own`: it receives what it sends."""
         member = BusClient(self, name, connection, fd=fd, own=own)
         if self.physics:
             node = self.wire.attach(
@@ -203,7 +203,7 @@ class ServedChannel:
     # ------------------------------------------------------------------ frames
 
     def send(self, member: BusClient, identifier: int, flags: int, length: int, data: bytes) -> bool:
-        """Return a checked frame of a member; False when the bus does not take it."""
+        """Put a checked frame of a member on the bus; return False when the bus does not take it."""
         flags &= _FLAGS
         if flags & FD and not member.fd:
             member.rejected += 1

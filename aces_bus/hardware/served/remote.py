@@ -369,7 +369,7 @@ class ServedBus(VirtualBus):
         return self._status.pop(0)
 
     def take_dropped(self) -> int:
-        """Return how many frames were lost since the last call."""
+        """Return how many frames were lost since the last call, and begin to count anew."""
         found, self.dropped = self.dropped, 0
         return found
 

@@ -28,7 +28,7 @@ _READ = 16_384
 
 
 def wait(number: int, timeout: float | None, *, writing: bool = False) -> bool:
-    """Return whether a socket has something to read (or room to write) within `timeout` seconds (None: however long it
+    """Wait until a socket has something to read (or room to write), at most `timeout` seconds (None: however long it
     takes).
     """
     timeout = None if timeout is None else max(0.0, timeout)
@@ -166,7 +166,7 @@ class ServerConnection:
 
 
 def ask(address: ServedAddress, timeout: float = 1.0) -> dict[str, Any]:
-    """Return a server's status, without joining a bus. Raises `OSError` or `PacketError`."""
+    """Ask a server for its status, without joining a bus. Raises `OSError` or `PacketError`."""
     stream = ServerConnection(address, packets.Hello(address.channel, looks=True), timeout)
     try:
         stream.write(packets.packet(packets.QUERY), timeout)

@@ -55,7 +55,7 @@ class Faults:
                 )
 
     def start(self) -> FaultSource:
-        """Return the faults, from the seed's beginning."""
+        """Begin the faults anew, from the seed's beginning."""
         return FaultSource(self)
 
 
@@ -327,7 +327,7 @@ class SimulatedBus:
         mailboxes: int = 1024,
         restart_ns: int | None = None,
     ) -> BusNode:
-        """Return a new node. `restart_ns` is when it comes back from bus-off by itself, None: only by `restart`."""
+        """Attach a new node. `restart_ns` is when it comes back from bus-off by itself, None: only by `restart`."""
         node = BusNode(
             self,
             name or f"node{len(self.nodes)}",

@@ -40,7 +40,7 @@ class SimulatedDatagrams:
         self.sent = self.lost = 0
 
     def attach(self, name: str = "", received: Callable[[bytes, int], None] | None = None) -> DatagramNode:
-        """Return a new node."""
+        """Attach a new node."""
         node = DatagramNode(self, name or f"node{len(self.nodes)}", received)
         self.nodes.append(node)
         return node

@@ -166,7 +166,7 @@ class SimulatedSerialLine:
         echo: bool | None = None,
         whole: bool = False,
     ) -> SerialNode:
-        """Return a new node. `echo`: it hears itself; None: on a half-duplex line.
+        """Attach a new node. `echo`: it hears itself; None: on a half-duplex line.
 
         `whole`: it may be given all bytes of one `send` together, at their end, as adapters do; otherwise byte by byte. That
         is what happens on a line without noise whose nodes all agree to it, and it is much cheaper.

@@ -61,7 +61,7 @@ class RecordingCheck:
         self.variants = (spec,) if isinstance(spec, Variant) else tuple(spec)
         if not self.variants:
             raise CallerError("a recording is held against one protocol at least")
-        self.direction = way_of(direction)
+        self.direction: Way | None = way_of(direction)
         self.is_can = self.variants[0].link == "can"
         #: Frames, or bytes, that were read.
         self.size = 0

@@ -186,7 +186,7 @@ class CanColumns:
     # ------------------------------------------------------------------ feeding
 
     def feed(self, table: FrameTable, rows: Array | None = None, /) -> list[MessageTable]:
-        """Return the tables of a piece of a capture, one a message that occurs in it.
+        """Decode a piece of a capture; return its tables, one a message that occurs in it.
 
         `rows` are the frames' numbers in the capture, rising; by default they go on where the last piece ended.
         """
@@ -271,7 +271,7 @@ class CanColumns:
         ]
 
     def close(self) -> list[MessageTable]:
-        """Return the end of a capture: frames of packets that are not whole are pending. Other frames are whole."""
+        """End a capture: frames of packets that are not whole are pending. Other frames are whole."""
         tables = self._slow.close()
         for carrier in self._carriers.values():
             left, rows = carrier.reassembler.close()

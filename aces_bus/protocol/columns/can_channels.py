@@ -52,7 +52,7 @@ class ChannelColumns(ChannelScanners[CanColumns]):
         return merge_tables(tables)
 
     def feed(self, table: FrameTable, /) -> list[MessageTable]:
-        """Return the tables of a piece of a capture, one a message that occurs in it."""
+        """Decode a piece of a capture; return its tables, one a message that occurs in it."""
         tables: list[MessageTable] = []
         for number in np.unique(table.channel).tolist():
             places: Array = np.flatnonzero(table.channel == number)
@@ -62,7 +62,7 @@ class ChannelColumns(ChannelScanners[CanColumns]):
         return merge_tables(tables)
 
     def close(self) -> list[MessageTable]:
-        """Return the end of a capture; see `CanColumns.close`."""
+        """End a capture; see `CanColumns.close`."""
         return merge_tables(table for scanner in self._scanners.values() for table in scanner.close())
 
 

@@ -104,7 +104,7 @@ class ColumnReassembler:
         return len(self._left_rows)
 
     def feed(self, table: FrameTable, rows: Array) -> DecidedTable:
-        """Return what frames of the transport decide, which are `rows` of the capture, in order."""
+        """Take frames of the transport, and return what they decide; they are `rows` of the capture, in order."""
         if self.pending:
             table = FrameTable.concat([self._left, table])
             rows = np.concatenate([self._left_rows, rows])
@@ -118,7 +118,7 @@ class ColumnReassembler:
         return piece.decided()
 
     def close(self) -> tuple[FrameTable, Array]:
-        """Return the frames that are pending at the end, and their numbers."""
+        """End the input; return the frames that are pending, and their numbers."""
         if self._talks is not None:
             self._talks.reset()
         left, rows = self._left, self._left_rows

@@ -34,7 +34,7 @@ class ColumnScanner(Protocol):
         ...
 
     def feed(self, traffic: Any, /) -> list[MessageTable]:
-        """Return the tables of a piece of a capture, one a message that occurs in it, in declared order."""
+        """Decode a piece of a capture; return its tables, one a message that occurs in it, in declared order."""
         ...
 
     def close(self) -> list[MessageTable]:
@@ -103,7 +103,7 @@ class RecordColumns:
         return self.scanner.counts
 
     def feed(self, traffic: Any, /) -> list[MessageTable]:
-        """Return the tables of a piece of a capture."""
+        """Decode a piece of a capture; return its tables."""
         if isinstance(traffic, FrameTable):
             rows = np.arange(self._rows, self._rows + len(traffic))
             self._rows += len(traffic)

@@ -77,7 +77,7 @@ class StreamColumns:
     # ------------------------------------------------------------------ feeding
 
     def feed(self, data: bytes, time: float | None = None) -> list[MessageTable]:
-        """Return the tables of what `data` completes, one a message, in declared order; none while little is gathered.
+        """Take `data`; return the tables of what it completes, one a message, in declared order; none while little is there.
 
         `time` (seconds) becomes the time of the packets. Raises nothing, whatever the bytes.
         """

@@ -327,7 +327,7 @@ class PacketRule:
         return last is not None and time is not None and time - last > self.transport.gap_s(given[0].part)
 
     def end(self) -> list[DecidedFrames]:
-        """Return the frames that are pending at the end of the input."""
+        """End the input; return the frames that are pending."""
         left, self.open = self.open, []
         return [
             DecidedFrames(tuple(frames), "pending") for _, frames in left if frames[0].part.role == "first"

@@ -440,7 +440,7 @@ class ListDecoder(FunctionSetup):
         self.offset = node.offset
 
     def print(self) -> str:
-        """Return the function's name; the text is in `setup` then, and the record types in `types`."""
+        """Print the function, and return its name; its text is in `setup` then, and the record types are in `types`."""
         node = self.node
         return self._items(node) if isinstance(node, p.TaggedItems) else self._groups(node)
 

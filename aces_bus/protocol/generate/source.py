@@ -82,7 +82,7 @@ class NameScope:
         return name, True
 
     def bind(self, wish: str, value: Any) -> tuple[str, bool]:
-        """Return the module's name for a value, and whether it is new: the same wish and value are one."""
+        """Give a value a name in the module; return the name, and whether it is new: the same wish and value are one."""
         module = self._module if self._module is not None else self
         count = 0
         while True:

@@ -130,7 +130,7 @@ class CanScanner:
         return self._make_feed()(frames)
 
     def take(self, frame: Any, /) -> Any:
-        """Return the record of one usual frame, without a list around it; None: nothing was done with it, `feed` is to
+        """Take one usual frame, and return its record without a list around it; None: nothing was done with it, `feed` is to
         have it.
 
         Usual are 11-bit data frames whose identifier has come before.
@@ -190,7 +190,7 @@ class CanScanner:
         return feed
 
     def feed_table(self, frames: FrameTable, /) -> list[Record]:
-        """Return the same for frames as columns: what `feed(frames.frames())` gives, without an object a frame in
+        """Take frames as columns: what `feed(frames.frames())` gives, without an object a frame in
         between.
         """
         if not len(frames):
@@ -479,7 +479,7 @@ class CanScanner:
         return self._end([packet for one in self._carriers for packet in one.reassembler.idle(time)])
 
     def close(self) -> list[Record]:
-        """Return the end of a capture: frames of packets that are not whole are pending, and stay so."""
+        """End a capture: frames of packets that are not whole are pending, and stay so."""
         return self.close_numbered()[0]
 
     def close_numbered(self) -> tuple[list[Record], list[int]]:

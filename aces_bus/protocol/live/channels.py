@@ -107,5 +107,5 @@ class ChannelScanner(ChannelScanners[CanScanner]):
         return [record for scanner in self._scanners.values() for record in scanner.idle(time)]
 
     def close(self) -> list[Record]:
-        """Return the end of a capture; see `CanScanner.close`."""
+        """End a capture; see `CanScanner.close`."""
         return [record for scanner in self._scanners.values() for record in scanner.close()]

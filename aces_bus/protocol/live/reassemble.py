@@ -155,7 +155,7 @@ class Reassembler:
     def take(
         self, frame: Any, number: int, key: int, data: bytes, channel: Any, time: float | None
     ) -> list[Packet]:
-        """Return what one more frame of the transport decides; `key` is without the flag of CAN FD."""
+        """Take one more frame of the transport, and return what it decides; `key` is without the flag of CAN FD."""
         transport = self.transport
         out: list[Packet] = []
         part = self._within(key, data, channel, time, out) if transport.has_conversations else None
@@ -309,14 +309,14 @@ class Reassembler:
         return [Packet(lost.frames, reason)] if lost.frames else []
 
     def idle(self, time: float | None) -> list[Packet]:
-        """Return the packets under way that are out of time at `time`; None: that nothing follows any more."""
+        """Give up the packets under way that are out of time at `time` (None: all, nothing follows); return them."""
         late = [
             (who, found) for who, found in self._open.items() if time is None or self._is_late(found, time)
         ]
         return [packet for who, found in late for packet in self._give_up(who, found.why("timed out"))]
 
     def close(self) -> list[Packet]:
-        """Return the frames of packets under way, which are pending for ever."""
+        """End the input; return the frames of packets under way, which stay pending."""
         return [packet for who in list(self._open) for packet in self._give_up(who, "pending")]
 
     @property

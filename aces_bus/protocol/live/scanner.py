@@ -48,7 +48,7 @@ class Scanner(typing.Protocol):
         ...
 
     def idle(self, time: float | None = None) -> list[Record]:
-        """Return the line fell silent: what is incomplete never will be."""
+        """Give up what is incomplete, because the line fell silent; return the records that this decides."""
         ...
 
     def close(self) -> list[Record]:

@@ -315,7 +315,7 @@ class _Stream:
             self._waiting, self._size = [], 0
 
     def end(self) -> list[FrameTable]:
-        """Return the rest."""
+        """End the input; return the rest."""
         tables = list(self._read(final=True))
         left = b"".join(self._waiting)
         if self._lost is not None:

@@ -102,7 +102,7 @@ class Cia401(CanopenNode):
     # ------------------------------------------------------------------ up
 
     def set_up_steps(self, job: Job) -> Steps:
-        """Return what it is, its PDOs, its heartbeat; its start; what its channels say."""
+        """Set up its PDOs and its heartbeat, start it, and read its channels."""
         job.text = "identity"
         data: bytes = yield self.sdo.upload(0x1000)
         profile = int.from_bytes(data[:2], "little")
@@ -259,7 +259,7 @@ class Cia401(CanopenNode):
                 self._writing = self.job("set outputs", self._write)
 
     def _write(self, job: Job) -> Steps:
-        """Return the watch over the host first; then what was set."""
+        """Set the watch over the host first; then write what was set."""
         try:
             yield from self.watchdog.begin()
             while self._unsent:

@@ -347,7 +347,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
         return self.job(name, steps)
 
     def _write_control(self, axes: Sequence[DriveAxis], word: int) -> Job:
-        """Return a controlword over SDO, instead of all that waits there."""
+        """Write a controlword over SDO, instead of all that waits there."""
         data = word.to_bytes(2, "little")
         return self.sdo.download_now([(CONTROLWORD + axis.offset, 0, data) for axis in axes])
 

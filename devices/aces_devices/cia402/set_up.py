@@ -36,7 +36,7 @@ SIZES = {
 
 
 def set_up(device: Cia402, job: Job) -> Steps:
-    """Return the steps, up to an operational node."""
+    """Yield the steps up to an operational node."""
     boots = device.boots
     job.text = "identity"
     data: bytes = yield device.sdo.upload(0x1000)

@@ -252,7 +252,7 @@ class Switching(MotorBoard):
         return [self.send(messages[axis.channel], kp=numbers[0], ki=numbers[1], kd=numbers[2])]
 
     def set_control_mode(self, mode: Literal["position", "torque", "current", "hybrid"]) -> Ticket:
-        """Return what references mean: position; current (D12) or torque (D08); hybrid: wrist position and finger
+        """Set what references mean: position; current (D12) or torque (D08); hybrid: wrist position and finger
         current.
         """
         known = ("position", "torque") if self.dialect != "D12" else ("position", "current", "hybrid")

@@ -303,7 +303,7 @@ class Odrive(SingleMotor):
         return ticket
 
     def ask_state(self) -> Awaited:
-        """Return the next heartbeat but one: the next may have been made before."""
+        """Wait for the next heartbeat but one: the next may have been made before."""
         before = self.beats
         return self.until(lambda: self.beats >= before + 2, HEARTBEAT_S, lambda: "no heartbeat comes")
 

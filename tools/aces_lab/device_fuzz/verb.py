@@ -393,7 +393,7 @@ class Searching:
         return bus.channel
 
     def _end(self, sent: int, findings: list[DeviceFinding]) -> int:
-        """Return the summary, and the status."""
+        """Print the summary, and return the status."""
         self.status_line.clear()
         seconds = max(1e-3, time.monotonic() - self.began)
         if self.arguments.json:

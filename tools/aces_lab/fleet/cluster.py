@@ -176,7 +176,7 @@ def _check_certificates(address: str) -> None:
 
 
 def open_workers(cluster: Any) -> Workers:
-    """Return what `cluster` names: "here", "local:4", an address of a scheduler; or a client of Dask. Raises
+    """Open the workers that `cluster` names: "here", "local:4", an address of a scheduler; or a client of Dask. Raises
     `CallerError`.
     """
     if cluster is None or cluster == "here":

@@ -133,7 +133,7 @@ class DayParts:
             self.parts.append(LocalPart(os.path.join(path, name), folder, self._files[day]))
 
     def close(self) -> list[LocalPart]:
-        """Return all parts; they are whole."""
+        """Close the parts, which are whole then, and return them."""
         for day in list(self._open):
             self._close(day)
         return self.parts

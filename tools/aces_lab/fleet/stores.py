@@ -170,7 +170,7 @@ class Place:
         return "/".join([self.path.rstrip("/"), *names])
 
     def ask(self, path: str, call: Callable[[], T], size: int = 0, seconds: float | None = None) -> T:
-        """Return what a call about a file of so many bytes gives; raises `StoreError`. Files of this machine are
+        """Make a call about a file of so many bytes; return what it gives. Raises `StoreError`. Files of this machine are
         waited for.
         """
         limit_s = None if self.is_local else (ANSWER_S if seconds is None else seconds) + size / SLOWEST

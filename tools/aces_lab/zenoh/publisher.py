@@ -81,7 +81,7 @@ def zenoh() -> Any:
 
 
 def open_session(listen: Iterable[str], connect: Iterable[str], options: Options) -> Any:
-    """Return a session with these endpoints and no others; raises `CallerError` when that cannot be."""
+    """Open a session with these endpoints and no others. Raises `CallerError` when that cannot be."""
     library = zenoh()
     settings = {
         "mode": "peer",

@@ -165,7 +165,7 @@ class Mf4Capture(CanRecording):
 
 
 def _start(folder: str, paths: list[str]) -> subprocess.Popen[bytes]:
-    """Return the other process, on its way through these files."""
+    """Start the other process on its way through these files."""
     environment = os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "TMPDIR": folder}
     arguments = [sys.executable, "-c", _START, json.dumps(sys.path), str(child.MEMORY), folder, *paths]
     return subprocess.Popen(

@@ -335,7 +335,7 @@ complete -c aces -n '_shtab_aces_using device fuzz' -s i -l interface -x -d 'pyt
 complete -c aces -n '_shtab_aces_using device fuzz' -l driver -xka "(__fish_complete_path (commandline -ct))" -d 'use the drivers, twins and protocols of a Python file, too; it is run with your rights'
 complete -c aces -n '_shtab_aces_using device fuzz' -l baud -x -d 'speed of its serial lines (default: the file'"'"'s)'
 complete -c aces -n '_shtab_aces_using device fuzz; and test $_shtab_aces_npos -eq 0' -ka "(aces completion --list devices --words (commandline -p | string collect) 2>/dev/null)" -d 'a device, joint or sensor of the robot; with --twin a driver'
-complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a stop -d 'stop a robot or a device, whoever drives it; needs no --tx'
+complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a stop -d 'stop a robot or a device, also while another program drives it; needs no --tx'
 complete -c aces -n '_shtab_aces_using stop' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using stop' -s p -l protocol -xka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'without a robot: what the devices of the one --bus speak, or their driver'
 complete -c aces -n '_shtab_aces_using stop' -l id -x -d 'with -p: the device of this number (default: all that answer)'
