@@ -253,15 +253,22 @@ def test_a_report_that_is_none_stops_nothing(
     bus: dict[str, Any], monkeypatch: pytest.MonkeyPatch, report: dict[str, Any]
 ) -> None:
     """What answers says nothing of the devices that can be understood: the stops are sent beside it."""
+    import threading
+
+    goes_on = threading.Event()
 
     def obey_stop(_: Rig, __: str, request: Any) -> None:
         request.answer(is_stopping=True)
         request.answer(**report)
+        goes_on.wait(30)  # it sends nothing more: frames of one identifier at once would be bit errors
 
     monkeypatch.setattr(Rig, "obey_stop", obey_stop)
     with run_real(hubo_leg(), [], buses=bus, transmit=True) as run:
         run.do("enable", devices=["JMC2"])
-        stopped = stop_robot(hubo_leg(), buses=bus)
+        try:
+            stopped = stop_robot(hubo_leg(), buses=bus)
+        finally:
+            goes_on.set()
         assert stopped.by == {}
         assert stopped.devices["JMC2"] == "limp"
 
