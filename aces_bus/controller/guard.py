@@ -31,7 +31,7 @@ from ..errors import CallerError
 from ..state.errors import raise_first
 from .base import NOTHING, StateLike, known_value
 from .events import ControlEvent, Listeners
-from .trip import ACTIONS, Action, Clipped, Trip
+from .trip import ACTIONS, HOLDING, Action, Clipped, Trip
 
 if TYPE_CHECKING:
     from ..device.config import Robot
@@ -321,7 +321,7 @@ class Guard:
 
     def release(self) -> None:
         """Let set-points through again. After a hold they go on from there; else from the present values."""
-        held = self.tripped is not None and self.tripped.action == "hold"
+        held = self.tripped is not None and self.tripped.action in HOLDING
         self.tripped = None
         self._pending.clear()
         self._received = None
@@ -339,7 +339,7 @@ class Guard:
         if self.tripped is not None:
             if self.tripped.latched:
                 self.swallowed += len(setpoints)
-                return self._stand(now) if self.tripped.action == "hold" else NOTHING
+                return self._stand(now) if self.tripped.action in HOLDING else NOTHING
             reason, self.tripped = self.tripped.reason, None
             self.listeners.emit(ControlEvent("late", now, self.name, f"set-points again after: {reason}"))
         dt = self._elapsed(now)
@@ -414,7 +414,7 @@ class Guard:
             reason = f"no set-points for {(now - received) / 1e6:.0f} ms"
             self._stop(Trip(now, self.action, reason, self.action != "hold"))
         assert self.tripped is not None
-        return self._stand(now) if self.tripped.action == "hold" else NOTHING
+        return self._stand(now) if self.tripped.action in HOLDING else NOTHING
 
     def _elapsed(self, now: int) -> float:
         """Seconds since the last set-points left; after a pause no more than two periods, so that it earns no jump."""

@@ -42,7 +42,7 @@ def degrade(
 
 
 def stop(action: Action | None = None, *, sources: Iterable[str] | None = None) -> Reaction:
-    """Stop motion by "hold", "zero duty" or "disable"; None: the guard's own action."""
+    """Stop motion by "hold", "park", "zero duty" or "disable"; None: the guard's own action."""
     if action is not None and action not in ACTIONS:
         raise CallerError(f"the action is one of {', '.join(ACTIONS)}, not {action!r}")
     return Reaction("stop", "", action, None if sources is None else frozenset(sources))
@@ -90,8 +90,8 @@ def parse_reactions(
     sources: Collection[str] | None = None,
     own: Mapping[str, Callable[[EventLike], object]] | None = None,
 ) -> dict[str, tuple[Reaction, ...]]:
-    """Reactions from words: `KIND` or `KIND@SOURCE,SOURCE` → `ignore`, `hold`, `disable`, `zero duty`, `degrade`,
-    `degrade:NAME`, or the name of one of `own`: functions that are called with the event, and motion goes on.
+    """Reactions from words: `KIND` or `KIND@SOURCE,SOURCE` → `ignore`, `hold`, `park`, `disable`, `zero duty`,
+    `degrade`, `degrade:NAME`, or the name of one of `own`: functions that are called with the event, and motion goes on.
 
     Raises `UnknownNameError` for a kind, source (None: any) or reaction that there is not.
 

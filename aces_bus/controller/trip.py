@@ -6,8 +6,12 @@ from typing import Literal
 
 import msgspec
 
-Action = Literal["hold", "zero duty", "disable"]
-ACTIONS: tuple[Action, ...] = ("hold", "zero duty", "disable")
+#: "park" holds, too: the run that the guard is part of then ends, and leads its joints to the pose of the robot's file.
+Action = Literal["hold", "park", "zero duty", "disable"]
+#: From the mildest to the strictest.
+ACTIONS: tuple[Action, ...] = ("hold", "park", "zero duty", "disable")
+#: Those that go on giving set-points, so that the joints stay where they are.
+HOLDING: frozenset[Action] = frozenset(("hold", "park"))
 
 
 class Clipped(msgspec.Struct):

@@ -193,7 +193,7 @@ class Device(EndpointMember):
 
     @property
     def host_loss(self) -> HostLoss:
-        """Its behaviour when its host is gone, as it is set up here: `when_host_is_lost`, unless its settings change that."""
+        """Its behaviour without its host, as it is set up here: `when_host_is_lost`, unless its settings change that."""
         return type(self).when_host_is_lost
 
     @property

@@ -128,6 +128,10 @@ def _check_reactions(robot: Robot, complain: Complain) -> None:
         path = ("reactions", key)
         kind, _, sources = key.partition("@")
         _check_reference(path, "kind of fault", kind, (*KINDS_OF_FAULTS, "*"), complain)
+        if word == "park" and robot.park is None:
+            complain(
+                path, "the file names no pose to park in: park = { pose = { JOINT = 0.0 }, speed = 0.2 }"
+            )
         known = (*robot.buses, *robot.devices)
         for one in sources.split(",") if sources else ():
             slip = "" if one.strip() in known else near(one.strip(), known, NEAR)

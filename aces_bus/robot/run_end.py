@@ -65,6 +65,8 @@ class RunEnd(RunFaults):
                     if self._parking is not None and self.rig.stopped_by:
                         self._parking.refuse(f"stopped by {self.rig.stopped_by}")
                     self.at_end = "disable"
+                elif self._to_park:
+                    self.at_end = "park"
                 if self.at_end == "park":
                     self._to_end.append(("park", self._park))
                 self._to_end.append(("stop", partial(self._in_time, self._begin_stop)))

@@ -3,7 +3,7 @@
 1. All of it is on the thread of the buses, where nothing waits for a controller: what a fault stops is stopped when the
    fault is received, whatever the controller's rate.
 2. When a guard trips, the devices that its controller drives are stopped as declared, or held where they are with live
-   set-points.
+   set-points; "park" then ends the run, whose end parks them.
 3. A stop that was not confirmed is owed: it is repeated when the bus or the device is back.
 """
 
@@ -13,7 +13,7 @@ from collections.abc import Collection
 
 from ..controller import ControlEvent, Supervisor
 from ..controller.events import EventLike, raised_text
-from ..controller.trip import Trip
+from ..controller.trip import HOLDING, Trip
 from ..device import Device, DeviceEvent, Job, stop_devices
 from ..errors import CallerError, NotStoppedError, UnknownNameError
 from ..runtime import Task
@@ -118,7 +118,9 @@ class RunFaults(RunBase):
         if trip is None or not trip.latched or self._obeyed.get(supervisor.name) is trip:
             return
         self._obeyed[supervisor.name] = trip
-        if trip.action == "hold":
+        if trip.action in HOLDING:
+            if trip.action == "park":
+                self._to_park[supervisor.name] = trip.reason
             if self.hold_s is not None:
                 self.clock.call_in(round(self.hold_s * 1e9), lambda: self._let_go(supervisor, trip))
             self._hold(supervisor, trip)
@@ -151,7 +153,7 @@ class RunFaults(RunBase):
         return {
             s.name: s.guard.tripped.reason
             for s in self.supervisors
-            if s.guard.tripped is not None and s.guard.tripped.action == "hold"
+            if s.guard.tripped is not None and s.guard.tripped.action in HOLDING
         }
 
     def release(self, controller: str) -> None:
@@ -169,6 +171,7 @@ class RunFaults(RunBase):
             if self.rig.stopped_by:
                 self.rig.release()
             self._stopped.pop(controller, None)
+            self._to_park.pop(controller, None)
             found[controller].release()
 
         self.clock.call(let_through)

@@ -32,6 +32,7 @@ from ..errors import AcesError, CallerError, DeviceError, NotStoppedError, Unkno
 from ..runtime import Task, Tasks, ThreadTasks, VirtualClock
 from .checks import KINDS_OF_FAULTS
 from .exits import stop_at_exit
+from .park import Parking
 from .rig import Rig
 from .run_base import RunLogger
 from .run_end import Ended, RunEnd
@@ -51,12 +52,12 @@ class Runner(RunEnd):
     """Runs controllers and loggers on a rig. Made by `run_virtual`, `run_real`, `run_replay`, or by hand.
 
     `tasks`: threads or events. `reactions` add to the robot file's, and these to the supervisor's; those that name functions
-    find them in `own_reactions`. `on_trip` is what stops motion where no reaction says how. "hold" ends after `hold_s`
-    (None: with `release`, or the run), then what was held is switched off. At the end `at_end` "hold"
-    leaves what runs as it is, "park" leads it to the file's pose before it is switched off. `guard` False leaves its limits
-    and dead-man away (the door's stay). `drives` False: set-points are counted
-    and not sent (a replay). `states` declares states (name → keywords of `State`), see `States`. Rates and priorities of the
-    robot's file replace the controllers' own. `unhomed`: joints that are not homed are driven, too.
+    find them in `own_reactions`. `on_trip` is what stops motion where no reaction says how: "park" ends the run as `at_end`
+    does, "hold" ends after `hold_s` (None: with `release`, or the run), then what was held is switched off. At the end
+    `at_end` "hold" leaves what runs as it is, "park" leads it to the file's pose before it is switched off. `guard` False
+    leaves its limits and dead-man away (the door's stay). `drives` False: set-points are counted and not sent (a replay).
+    `states` declares states (name → keywords of `State`), see `States`. Rates and priorities of the robot's file replace the
+    controllers' own. `unhomed`: joints that are not homed are driven, too.
     """
 
     def __init__(
@@ -99,6 +100,8 @@ class Runner(RunEnd):
             supervisor = self._supervised(controller, {**declared, **(reactions or {})}, guard, on_trip)
             self.supervisors.append(supervisor)
             self._add_task(controller, self._stepper(supervisor), CONTROL)
+        if self._parking is None and any(map(_may_park, self.supervisors)):
+            self._parking = Parking(rig)
         for logger in self.loggers:
             listeners = getattr(logger, "listeners", None)
             if isinstance(listeners, Listeners):
@@ -364,6 +367,9 @@ class Runner(RunEnd):
                 if self.rig.stopped_by:
                     self._reason = f"stopped by {self.rig.stopped_by}"
                     return True
+                if self._to_park:
+                    self._reason = f"to be parked: {', '.join(self._to_park)}"
+                    return True
                 if self._stopped and len(self._stopped) == len(self.supervisors):
                     self._reason = "every controller was stopped"
                     return True
@@ -392,6 +398,13 @@ class Runner(RunEnd):
         """The states that controllers read or write, as they call them."""
         names = [name for s in self.supervisors for name in (*s.writes, *s.states)]
         return list(dict.fromkeys(names))
+
+
+def _may_park(supervisor: Supervisor) -> bool:
+    """Return whether a trip of this controller may ask for the way to the robot's pose."""
+    found = supervisor.reactions.values()
+    reactions = [one for some in found for one in ((some,) if isinstance(some, Reaction) else some)]
+    return "park" in (supervisor.guard.action, *(one.action for one in reactions))
 
 
 __all__ = ["Ended", "RunLogger", "Runner"]

@@ -291,7 +291,7 @@ def test_bounds_of_a_robot() -> None:
     [
         ({"period_s": 0.0}, "not a period"),
         ({"dead_man_s": 0.005}, "more than the period"),
-        ({"action": "explode"}, "hold, zero duty, disable"),
+        ({"action": "explode"}, "hold, park, zero duty, disable"),
     ],
 )
 def test_wrong_settings_are_refused(options: dict[str, Any], message: str) -> None:

@@ -243,7 +243,7 @@ def test_a_state_machine_hears_what_the_supervisor_ignores() -> None:
 
 def test_an_unknown_action_is_refused_when_it_is_declared() -> None:
     """Not when it is needed."""
-    with pytest.raises(CallerError, match="hold, zero duty, disable"):
+    with pytest.raises(CallerError, match="hold, park, zero duty, disable"):
         stop("explode")  # type: ignore[arg-type]
     assert str(event("lost", detail="gone")) == "can0: lost: gone"
     assert DeviceEvent("silent", 0, "can0", "JMC6").kind == "silent"

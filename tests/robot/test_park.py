@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 from aces_bus.controller import controller
+from aces_bus.controller.trip import Action
 from aces_bus.device.config import Park, Robot
 from aces_bus.errors import CallerError
 from aces_bus.robot import Ended, Runner, parse_robot, print_robot, run_virtual
@@ -96,6 +97,78 @@ def test_a_joint_that_does_not_follow_ends_it() -> None:
     assert ended.parked == []
     assert "RKN: it is at 0.2" in ended.not_parked["RKN"]
     assert are_off(run)
+
+
+def tripped(
+    fault: Callable[[Runner], Any],
+    *,
+    on_trip: Action = "disable",
+    robot: Robot | None = None,
+    at_ms: int = 1500,
+) -> tuple[Ended, Runner]:
+    """Run until `fault`, after `at_ms`, ends it."""
+    robot = leg() if robot is None else robot
+    run = run_virtual(robot, [bend], rate_hz=100, on_trip=on_trip)
+    with run:
+        run.do("enable", devices=["JMC1", "JMC2"])
+        run.clock.call_in(at_ms * 1_000_000, lambda: fault(run))
+        return run.run(10.0), run
+
+
+def unplug_the_sensors(run: Runner) -> None:
+    """A fault of a device that drives no joint."""
+    run.world.twins["FT_RF"].power(False)
+
+
+def test_a_trip_parks_where_it_is_asked_for() -> None:
+    """The run ends at the trip: the joints hold, are led to the pose from there, and are then off."""
+    ended, run = tripped(unplug_the_sensors, on_trip="park")
+    assert "to be parked: bend" in ended.reason
+    assert ended.seconds < 3
+    assert "FT_RF" in ended.tripped["bend"]
+    assert (sorted(ended.parked), ended.not_parked, ended.not_stopped) == (["RHP", "RKN"], {}, {})
+    assert run.rig["RKN"].last == pytest.approx(0.1, abs=0.02)
+    assert are_off(run)
+
+
+def test_a_reaction_of_the_file_parks() -> None:
+    """Of the kinds and sources that it names; the others stop as `on_trip` says."""
+    robot = msgspec.structs.replace(leg(), reactions={"silent@FT_RF": "park"})
+    ended, _ = tripped(unplug_the_sensors, robot=robot)
+    assert sorted(ended.parked) == ["RHP", "RKN"]
+    ended, run = tripped(lambda run: run.supervisors[0].guard.trip("on purpose"), robot=robot)
+    assert (ended.parked, ended.not_parked) == ([], {})
+    assert are_off(run)
+
+
+def test_what_tripped_is_not_parked_but_named() -> None:
+    """A board that falls silent: its joint is named, and the others are parked."""
+    ended, run = tripped(lambda run: run.world.twins["JMC2"].power(False), on_trip="park")
+    assert ended.parked == ["RHP"]
+    assert ended.not_parked["RKN"] == "it is not known where it is"
+    assert "JMC2" in ended.not_stopped
+    assert not run.world.twins["JMC1"].channels[0].control_on
+
+
+def test_a_stricter_trip_goes_before_the_way_to_the_pose() -> None:
+    """An e-stop at the same instant: nothing is led anywhere."""
+
+    def both(run: Runner) -> None:
+        run.supervisors[0].guard.trip("first", "park")
+        run.rig.obey_stop("lower", Request())  # type: ignore[arg-type]
+
+    ended, run = tripped(both, on_trip="park")
+    assert ended.parked == []
+    assert are_off(run)
+
+
+def test_a_file_that_parks_without_a_pose_is_refused() -> None:
+    """By its check with the line, and by the run."""
+    text = print_robot(msgspec.structs.replace(hubo_leg(), reactions={"silent": "park"}))
+    _, problems = parse_robot(text)
+    assert "reactions.silent: the file names no pose to park in" in " ".join(map(str, problems))
+    with pytest.raises(CallerError, match="names no pose to park in"):
+        run_virtual(hubo_leg(), [bend], on_trip="park")
 
 
 def test_who_is_far_from_its_target_is_named_and_not_parked() -> None:

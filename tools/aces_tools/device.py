@@ -10,7 +10,7 @@
   aces device RHY set position=0.2 --enable --for 3s --tx
   aces device RHY set position=30deg --enable --tx
   aces device RHY set_gains kp=200 ki=0 kd=500 --tx
-  aces device RHY stop                  stop it, also while a program drives it; no --tx
+  aces device RHY stop                  stop it; any program may drive it
   aces device fuzz RHY --virtual        search for what breaks it ('aces device
                                         fuzz --help')
 

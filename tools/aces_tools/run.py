@@ -80,8 +80,8 @@ ARGUMENTS: Arguments = (
     several(
         "--on-trip",
         metavar="[KIND[@SOURCE,…]=]REACTION",
-        help="what a fault leads to: hold, disable, ignore, degrade[:NAME], or a function of a FILE.py; without KIND, all"
-        " others (default: disable)",
+        help="what a fault leads to: hold, park (the run ends as with --at-end park), disable, ignore, degrade[:NAME],"
+        " or a function of a FILE.py; without KIND, all others (default: disable)",
     ),
     argument(
         "--hold-for", dest="hold_ns", type=duration, metavar="T", help="switch off what is held after so long"

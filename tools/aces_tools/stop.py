@@ -1,4 +1,4 @@
-"""Stop a robot, also while another program drives it: at once, confirmed, or named.
+"""Stop a robot that any program drives: at once, confirmed, or named.
 
   aces stop hubo2plus -i socketcan       all devices of a robot
   aces stop arm.toml                     where its file says where the buses are
@@ -32,7 +32,7 @@ from .options import PROTOCOL, Arguments, argument, at_least
 from .patience import Patience
 from .robot_arg import ROBOT_AND_BUSES, bus_options, check_channels, chosen_robot, use_driver_files
 
-SUMMARY = "stop a robot or a device, also while another program drives it; needs no --tx"
+SUMMARY = "stop a robot or device that any program drives; needs no --tx"
 #: What a stop leaves of joints, in the order of danger.
 LEFT: Mapping[str, str] = {
     "limp": "switched off, and falls where nothing holds it",
@@ -202,8 +202,9 @@ def _numbered(drivers: Sequence[Driver], number: int) -> DeviceConfig:
 
 
 def _answering(robot: Robot, drivers: Sequence[Driver], arguments: argparse.Namespace) -> list[DeviceConfig]:
-    """Return the devices that answer, found beside the program that drives the bus. Raises `CallerError` where they cannot be
-    found.
+    """Return the devices that answer, found beside the program that drives the bus.
+
+    Raises `CallerError` where they cannot be found.
     """
     from .discover import open_hosts, scan_bus
 
