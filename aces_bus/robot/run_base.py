@@ -100,7 +100,7 @@ class RunBase:
         self._setters: dict[str, Callable[[float], None]] = {}
         self._failed_at_end: list[str] = []
         #: The way to the robot's pose, where its end, or a trip, is to park.
-        self._parking = Parking(rig) if at_end == "park" else None
+        self._parking: Parking | None = Parking(rig) if at_end == "park" else None
         #: Controller → why its trip asks for the way to the pose.
         self._to_park: dict[str, str] = {}
         self._not_stopped: dict[str, str] = {}

@@ -464,7 +464,7 @@ def test_reactions_may_be_functions_of_the_controllers_file(aces: Aces, robot: P
     )  # what the file imports of this package is no reaction
     assert result.status == 2
     assert (
-        "no reaction (ignore, degrade, hold, zero duty, disable), or function of a controller's file"
+        "no reaction (ignore, degrade, hold, park, zero duty, disable), or function of a controller's file"
         in result.err
     )
 
