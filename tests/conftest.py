@@ -104,9 +104,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     if leaks.IS_CHECKED:
         config.addinivalue_line("filterwarnings", "error::ResourceWarning")
-    # What a shell starts in the background ignores Ctrl-C, and so would every program that a test starts and interrupts.
+    # What a shell starts in the background ignores Ctrl-C, what `nohup` starts a hang-up, and so would every program that a
+    # test starts and interrupts.
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 @pytest.hookimpl(tryfirst=True)
