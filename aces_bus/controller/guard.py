@@ -280,7 +280,7 @@ class Guard:
         self._by_signal: dict[str, _Line] = {}
         self._last: int | None = None  # ns of the last call that gave set-points
         self._received: int | None = None  # ns of the last set-points that came
-        self._pending: deque[tuple[str, Action | None]] = deque(maxlen=2 * MOST_PENDING)
+        self._pending: deque[tuple[str, Action | None, str]] = deque(maxlen=2 * MOST_PENDING)
 
     def bind(self, states: Mapping[str, StateLike]) -> None:
         """Take the states whose present values the first set-points start from.
@@ -313,11 +313,11 @@ class Guard:
             line.given, line.step = None, 0.0
         self._last = self._received = None
 
-    def trip(self, reason: str, action: Action | None = None) -> None:
-        """Stop motion at the next `apply` or `tick`; may be called from any thread."""
+    def trip(self, reason: str, action: Action | None = None, *, source: str = "") -> None:
+        """Stop motion at the next `apply` or `tick`; may be called from any thread. `source`: whose fault it was."""
         # The first reasons are worth keeping, and the strictest action.
         if len(self._pending) < MOST_PENDING or (action or self.action) == ACTIONS[-1]:
-            self._pending.append((reason, action))
+            self._pending.append((reason, action, source))
 
     def release(self) -> None:
         """Let set-points through again. After a hold they go on from there; else from the present values."""
@@ -459,14 +459,14 @@ class Guard:
         return None
 
     def _obey(self, now: int) -> None:
-        reason, action = self._pending.popleft()
+        reason, action, source = self._pending.popleft()
         wanted: Action = action or self.action
-        for more, other in self._pending:  # the strictest of what came together
+        for more, other, whose in self._pending:  # the strictest of what came together
             if ACTIONS.index(other or self.action) > ACTIONS.index(wanted):
-                reason, wanted = more, other or self.action
+                reason, wanted, source = more, other or self.action, whose
         self._pending.clear()
         if self.tripped is None or ACTIONS.index(wanted) > ACTIONS.index(self.tripped.action):
-            self._stop(Trip(now, wanted, reason))
+            self._stop(Trip(now, wanted, reason, source=source))
         elif not self.tripped.latched:  # the dead-man held already; now it is asked for, too
             self.tripped = Trip(now, self.tripped.action, reason)
 

@@ -221,7 +221,7 @@ class Supervisor:
         reaction = self._reaction(kind, event.source)
         if reaction.what == "stop":
             detail = f": {event.detail}" if event.detail else ""
-            self.guard.trip(f"{event.source}: {kind}{detail}", reaction.action)
+            self.guard.trip(f"{event.source}: {kind}{detail}", reaction.action, source=event.source)
         elif reaction.what == "degrade" and reaction.name not in self.degraded:
             self.degraded[reaction.name] = f"{event.source}: {kind}"
             self.listeners.emit(

@@ -29,9 +29,13 @@ class Clipped(msgspec.Struct):
 
 
 class Trip(msgspec.Struct, frozen=True):
-    """Motion was stopped: when (ns), how, why, and whether it takes `release` to go on."""
+    """Motion was stopped: when (ns), how, why, and whether it takes `release` to go on.
+
+    `source`: the device, bus or controller whose fault it was; "" where none is known.
+    """
 
     instant: int
     action: Action
     reason: str
     latched: bool = True
+    source: str = ""

@@ -1,6 +1,7 @@
 """Park a robot before it is switched off: its joints go to the pose that its file names, slowly, and under watch.
 
-1. A joint begins at its last commanded target, never where it was measured; one that is further from it is not parked.
+1. A joint begins at its last commanded target, never where it was measured; one that is further from it, and one of the
+   device whose fault it is, is not parked.
 2. It moves through the door, no faster than the file says. The first stop of any program or supervisor ends all set-points.
 3. The first joint that leaves its set-points, goes silent or is switched off ends it for all: they are switched off where
    they are.
@@ -8,7 +9,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from ..device.device import Device
 from ..device.reading import UNKNOWN
@@ -45,12 +46,13 @@ class Parking:
         whole = self.rig.whole(joint)
         return "" if whole in device.readable else "its position is not read"
 
-    def begin(self) -> float:
-        """Set out, on the clock's thread; the seconds that it may take."""
+    def begin(self, left: Mapping[str, str]) -> float:
+        """Set out, on the clock's thread, without the devices in `left` (→ why); the seconds that it may take."""
         door, longest = self.rig.door, 0.0
         for device in self.rig.devices.values():
-            for joint in device.joints if device.is_driven else ():
-                why = self._lack(device, joint.name) or self._astray(device, joint.name)
+            for joint in device.joints if device.is_driven or device.name in left else ():
+                why = left.get(device.name) or self._lack(device, joint.name)
+                why = why or self._astray(device, joint.name)
                 if why:
                     self.failed[joint.name] = why
                 else:
@@ -76,7 +78,7 @@ class Parking:
         if device.takes(signal) is False:
             return "it is switched off"
         if given is None:
-            return "it was never commanded"
+            return "it has no set-point since it was enabled"
         if abs(measured - given) > self.park.within:
             return f"it is at {measured:.3g}, {abs(measured - given):.2g} from its target {given:.3g}"
         return ""

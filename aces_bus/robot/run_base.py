@@ -101,8 +101,8 @@ class RunBase:
         self._failed_at_end: list[str] = []
         #: The way to the robot's pose, where its end, or a trip, is to park.
         self._parking: Parking | None = Parking(rig) if at_end == "park" else None
-        #: Controller → why its trip asks for the way to the pose.
-        self._to_park: dict[str, str] = {}
+        #: Controller → its trip that asks for the way to the pose.
+        self._to_park: dict[str, Trip] = {}
         self._not_stopped: dict[str, str] = {}
         self._held: list[str] = []
         self._falling: dict[str, str] = {}

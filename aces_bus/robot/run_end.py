@@ -144,7 +144,12 @@ class RunEnd(RunFaults):
             parking.refuse(self.rig.door.barred)
             return
         try:
-            seconds = self._in_time(parking.begin)
+            left = {trip.source: f"it tripped: {trip.reason}" for trip in self._to_park.values()}
+            for supervisor in self.supervisors:
+                if supervisor.name in self._stopped:
+                    why = f"it was stopped: {self._stopped[supervisor.name]}"
+                    left.update(dict.fromkeys((device.name for device in self.driven(supervisor)), why))
+            seconds = self._in_time(partial(parking.begin, left))
             if not self.clock.wait(parking.is_over, round(seconds * 1e9)):
                 parking.give_up(f"it has not arrived after {seconds:.1f} s")
         except BaseException as error:

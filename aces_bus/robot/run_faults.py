@@ -120,7 +120,7 @@ class RunFaults(RunBase):
         self._obeyed[supervisor.name] = trip
         if trip.action in HOLDING:
             if trip.action == "park":
-                self._to_park[supervisor.name] = trip.reason
+                self._to_park[supervisor.name] = trip
             if self.hold_s is not None:
                 self.clock.call_in(round(self.hold_s * 1e9), lambda: self._let_go(supervisor, trip))
             self._hold(supervisor, trip)

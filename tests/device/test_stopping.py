@@ -230,13 +230,13 @@ def test_what_is_told_is_over_when_it_has_left(robot: VirtualRobot) -> None:
     robot.advance(0.001)
     assert ticket.state == "done"
     port: Any = robot.rig.hosts["line"].port
-    port.node.disconnect()
+    port.node.is_connected = False
     ticket = device.send("Set", left=0, right=0)
     robot.advance(0.9)
     assert not ticket.is_over
     robot.advance(0.2)
     assert "Set was not sent: it was not taken" in str(ticket.error)
-    port.node.connect()
+    port.node.is_connected = True
     recorder = ListeningNode(robot.wires["line"])
     robot.advance(0.005)
     assert "00000000" not in data_of(recorder, SET)  # nor does it leave late

@@ -223,12 +223,12 @@ def test_pulling_the_plug(clock: VirtualClock, wire: SimulatedBus) -> None:
     got: list[Frame] = []
     node = wire.attach("node", lambda frame, _: got.append(frame))
     other = wire.attach("other")
-    node.disconnect()
+    node.is_connected = False
     node.send(Frame(1))
     other.send(Frame(2))
     clock.advance(1_000_000)
     assert not got
-    node.connect()
+    node.is_connected = True
     clock.advance(1_000_000)
     assert [frame.arbitration_id for frame in heard.frames()] == [2, 1]
 

@@ -136,7 +136,7 @@ class BusNode:
         self.mailboxes, self.restart_ns = mailboxes, restart_ns
         self.transmit_errors = self.receive_errors = 0
         self.state: State = "error-active"
-        self.is_connected = True
+        self._is_connected = True
         self.quiet_until = 0
         #: Whether `happened` is called for every frame that was sent.
         self.hears_sent = happened is not None
@@ -195,16 +195,16 @@ class BusNode:
                 self.waiting = left
             self.reports.pop(number)("expired", "it was not taken; is anybody on the bus?")
 
-    def disconnect(self) -> None:
-        """Pull the plug: nothing arrives and nothing leaves; what waits goes on waiting."""
-        self.is_connected = False
-        self.wire.changed()
+    @property
+    def is_connected(self) -> bool:
+        """Whether its plug is in; without it nothing arrives and nothing leaves: what waits goes on waiting."""
+        return self._is_connected
 
-    def connect(self) -> None:
-        """Put the plug back."""
-        self.is_connected = True
+    @is_connected.setter
+    def is_connected(self, on: bool) -> None:
+        self._is_connected = on
         self.wire.changed()
-        if self.waiting:
+        if on and self.waiting:
             self.wire.wake()
 
     def report_sent(self) -> None:
@@ -355,7 +355,7 @@ class SimulatedBus:
 
     def _look(self) -> tuple[BusNode, ...]:
         """Return the nodes that take part."""
-        present = tuple(node for node in self.nodes if node.is_connected and node.state != "bus-off")
+        present = tuple(node for node in self.nodes if node._is_connected and node.state != "bus-off")
         self._acknowledging = sum(1 for node in present if not node.listen_only)
         self._present = present
         return present
@@ -481,7 +481,7 @@ class SimulatedBus:
             self._is_busy = False
             faults = self._faults
             for node in self._present or self._look():
-                if node in senders or not node.is_connected:
+                if node in senders or not node._is_connected:
                     continue
                 if node.receive_errors:
                     node.count_errors(0, -1, frame)
@@ -529,7 +529,7 @@ class SimulatedBus:
                 if node.state == "error-passive":
                     node.quiet_until = self._idle_from + SUSPEND * self.bit_ns
             for node in self.nodes:
-                if node not in senders and node.is_connected and node.state != "bus-off":
+                if node not in senders and node._is_connected and node.state != "bus-off":
                     node.count_errors(0, 1, frame)
             self.wake()
 

@@ -4,13 +4,18 @@
 2. Positions are counts of the servo, as fractions, and speeds counts a second.
 
 To a goal it turns at its speed limit, and stops there at once; otherwise it turns at the speed that it is driven with.
-There is no inertia and no load. A choice: no sheet says anything of dynamics.
+There is no inertia and no load. A choice: no sheet says anything of dynamics. What it measures of its speed is the mean of
+`WINDOW_NS`, as of counts of an encoder: a goal that moves on in small steps is followed at the mean speed of the steps.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
+
+#: The time that a measured speed is the mean of (ns). A choice.
+WINDOW_NS = 10_000_000
 
 
 @dataclass
@@ -26,10 +31,19 @@ class SteadyShaft:
     limit: float = 0.0
     #: The speed that it turns with, without a goal; None: it goes to its goal.
     speed: float | None = None
+    #: Instants (ns) at which motion changed, with where it was: the last before `WINDOW_NS`, and those since.
+    _path: deque[tuple[int, float]] = field(default_factory=deque[tuple[int, float]])
 
     def settle(self, now: int) -> None:
         """Make `now` (ns) the instant that motion is counted from."""
         self.at, self.since = self.position(now), now
+        self._path.append((now, self.at))
+        self._forget(now)
+
+    def _forget(self, now: int) -> None:
+        path = self._path
+        while len(path) > 1 and path[1][0] <= now - WINDOW_NS:
+            path.popleft()
 
     def position(self, now: int) -> float:
         """Return where it is."""
@@ -42,8 +56,17 @@ class SteadyShaft:
         return self.goal if abs(gap) <= self.limit * left else self.at + math.copysign(self.limit * left, gap)
 
     def speed_at(self, now: int) -> float:
-        """Return how fast it turns."""
-        return 0.0 if self.is_jammed else self.wanted_at(now)
+        """Return how fast it turned in the last `WINDOW_NS`, as it measures it."""
+        self._forget(now)
+        begin = now - WINDOW_NS
+        if not self._path:
+            return 0.0
+        before, was = self._path[0]
+        here = self.position(now)
+        after, then = self._path[1] if len(self._path) > 1 else (now, here)
+        if before < begin < after:  # on its way between these two
+            was += (then - was) * (begin - before) / (after - before)
+        return (here - was) / (WINDOW_NS / 1e9)
 
     def wanted_at(self, now: int) -> float:
         """Return how fast it would turn if nothing held it."""
