@@ -152,6 +152,19 @@ def test_minihubo_walks(names_of: Names, capsys: pytest.CaptureFixture[str]) -> 
 
 
 @pytest.mark.slow
+def test_the_arm(names_of: Names, capsys: pytest.CaptureFixture[str]) -> None:
+    """It folds itself, joint by joint; with `hold` it says what stays and what would fall."""
+    assert names_of("arm.py")["main"]("park") == 0
+    folded = capsys.readouterr().out.splitlines()
+    assert sorted(folded) == sorted(
+        f"{joint}: parked, then off" for joint in ("base", "shoulder", "elbow", "forearm", "wrist", "hand")
+    )
+    assert names_of("arm.py")["main"]("hold") == 0
+    left = capsys.readouterr().out.splitlines()
+    assert left[:3] == [f"{name}: left enabled, where it is" for name in ("O3", "X5", "X6")]
+    assert [line.partition(":")[0] for line in left[3:]] == ["M1", "M2", "D4"]
+
+
 def test_the_rover(names_of: Names, capsys: pytest.CaptureFixture[str]) -> None:
     """It finds its heading, comes to each place, and stands while its receiver has no fix."""
     near, blind = names_of("rover.py")["main"]([(2.0, 0.0), (2.0, 2.0)], lost_s=1.0)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
+from math import inf
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -35,16 +36,19 @@ class Way(NamedTuple):
     large: float
 
 
+#: A motor of MIT's law without the stiffness of the file: its torque alone moves it.
+FREE = "free"
+GAINS = ", gains = { kp = 50, kd = 2 }"
 #: By the joint's device: what its driver can be set by. A Damiao motor takes positions and torques in one mode.
 WAYS: Mapping[str, tuple[Way, ...]] = {
     "M": (Way("position", "position", 3.0), Way("speed", "velocity", 3.0)),
     "O": (Way("position", "position", 3.0), Way("speed", "velocity", 3.0), Way("current", "torque", 2.0)),
-    "D": (Way("position", "position", 3.0), Way("speed", "velocity", 3.0), Way("position", "torque", 3.0)),
+    "D": (Way("position", "position", 3.0), Way("speed", "velocity", 3.0), Way(FREE, "torque", 0.5)),
     "X": (
         Way("position", "position", 3.0),
         Way("speed", "velocity", 3.0),
         Way("current", "current", 1.0),
-        Way("duty", "duty", 0.5),
+        Way("duty", "duty", 0.2),
     ),
 }
 
@@ -54,17 +58,26 @@ def ways_of(joint: str) -> tuple[Way, ...]:
     return WAYS[DEVICE_OF[joint][0]]
 
 
-@cache
-def arm(*commands: str, more: str = "") -> Robot:
-    """Return the arm, whose joints are commanded so, in their order; "position" where nothing is said."""
+def arm_text(*commands: str) -> str:
+    """Return the arm's file, whose joints are commanded so, in their order; "position" where nothing is said, or `FREE`."""
     text = FILE.read_text(encoding="utf-8")
     for joint, command in zip(DEVICE_OF, commands, strict=False):
+        if command == FREE:
+            assert GAINS in text
+            text = text.replace(GAINS, "")
+            continue
         text = text.replace(f'\n{joint} = {{ device = "', f'\n{joint} = {{ command = "{command}", device = "')
     if any(command != "position" for command in commands):
         text = (
             text.partition("[park]")[0] + "[buses]" + text.partition("[buses]")[2]
         )  # none but positions park
-    robot, problems = parse_robot(f"{text}\n{more}")
+    return text
+
+
+@cache
+def arm(*commands: str, more: str = "") -> Robot:
+    """Return the arm of `arm_text`, with what its file says more."""
+    robot, problems = parse_robot(f"{arm_text(*commands)}\n{more}")
     assert robot is not None, problems
     return robot
 
@@ -120,7 +133,7 @@ class Truth:
         self.joints = {joint: world.simulation.world.joints[joint] for joint in DEVICE_OF}
         self.clock = world.clock
         self.was = self.now()
-        self.past = dict.fromkeys(DEVICE_OF, 0.0)
+        self.past = dict.fromkeys(DEVICE_OF, -inf)
         self.fastest = dict.fromkeys(DEVICE_OF, 0.0)
         self.clock.call_in(self.EVERY_NS, self._look)
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import subprocess
-import sys
 from typing import Any
 
 import pytest
@@ -197,15 +195,3 @@ def test_no_joint_gets_past_its_limits_in_any_mode(joint: str, way: Way, sign: i
     assert truth.beyond() == {}
     assert truth.past[joint] > -0.2, "it has not come to its bound"
     assert driving(run) == set()
-
-
-def test_the_example_runs_as_it_says() -> None:
-    """Typed as its first lines say, it folds; an end that there is not is an error."""
-    done = subprocess.run(
-        [sys.executable, str(FILE.with_suffix(".py")), "park"], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines() == [
-        line for line in done.stdout.splitlines() if "parked, then off" in line
-    ]
-    assert len(done.stdout.splitlines()) == len(JOINTS)

@@ -58,15 +58,15 @@ class SteadyShaft:
     def speed_at(self, now: int) -> float:
         """Return how fast it turned in the last `WINDOW_NS`, as it measures it."""
         self._forget(now)
-        begin = now - WINDOW_NS
-        if not self._path:
-            return 0.0
-        before, was = self._path[0]
-        here = self.position(now)
-        after, then = self._path[1] if len(self._path) > 1 else (now, here)
-        if before < begin < after:  # on its way between these two
-            was += (then - was) * (begin - before) / (after - before)
-        return (here - was) / (WINDOW_NS / 1e9)
+        begin, here, path = now - WINDOW_NS, self.position(now), self._path
+        if begin >= self.since or not path:
+            was = self.position(begin)
+        else:
+            (before, was), (after, then) = path[0], path[1] if len(path) > 1 else (self.since, self.at)
+            if before < begin < after:  # on its way between these two
+                was += (then - was) * (begin - before) / (after - before)
+        most = max(self.limit, abs(self.speed or 0.0))  # its counts jump where its zero is set
+        return max(-most, min(most, (here - was) / (WINDOW_NS / 1e9)))
 
     def wanted_at(self, now: int) -> float:
         """Return how fast it would turn if nothing held it."""
