@@ -499,3 +499,22 @@ def test_names_of_files(tmp_path: Path) -> None:
     assert [one.uri for one in Place(str(odd)).files()] == [str(odd)]
     with pytest.raises(StoreError, match=r"is a folder; name its files"):
         list(Place(str(tmp_path)).files())
+
+
+def test_a_worker_that_is_ending_takes_away_its_own_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What vanishes while the work of killed workers is swept away is not missed; the rest goes, too."""
+    dataset = FleetDataset(str(tmp_path / "lake"))
+    work = tmp_path / "lake" / "_fleet" / "work"
+    for name in ("parts-a", "parts-b"):
+        (work / name).mkdir(parents=True)
+    remove = dataset.place.fs.rm
+
+    def rm(path: str, recursive: bool = False) -> None:
+        if (work / "parts-a").exists():
+            (work / "parts-a").rmdir()
+            raise FileNotFoundError("parts-a")
+        remove(path, recursive=recursive)
+
+    monkeypatch.setattr(dataset.place.fs, "rm", rm)
+    dataset.sweep()
+    assert not work.exists()

@@ -219,8 +219,15 @@ class FleetDataset:
         """Take away what killed workers have left of their work; only while none works."""
         if self.place.is_local:
             path = self.path(FLEET, "work")
-            if self.place.exists(path):
-                patiently(self.uri, lambda: self.place.fs.rm(path, recursive=True))
+
+            def remove() -> None:
+                try:
+                    if self.place.exists(path):
+                        self.place.fs.rm(path, recursive=True)
+                except FileNotFoundError:  # a worker that is just ending has taken away its own: once more
+                    raise OSError("its files are being taken away") from None
+
+            patiently(self.uri, remove)
 
 
 def _entry(data: bytes, name: str) -> FleetInput:
