@@ -501,7 +501,9 @@ def test_names_of_files(tmp_path: Path) -> None:
         list(Place(str(tmp_path)).files())
 
 
-def test_a_worker_that_is_ending_takes_away_its_own_work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_that_is_ending_takes_away_its_own_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """What vanishes while the work of killed workers is swept away is not missed; the rest goes, too."""
     dataset = FleetDataset(str(tmp_path / "lake"))
     work = tmp_path / "lake" / "_fleet" / "work"

@@ -150,16 +150,37 @@ def test_nobody_acknowledges(clock: VirtualClock, wire: SimulatedBus) -> None:
     assert partner.state == "error-active"
 
 
-def test_two_nodes_with_one_identifier_destroy_each_other(clock: VirtualClock, wire: SimulatedBus) -> None:
-    """Equal identifiers and other data: bit errors at both, until both are off the bus; then they may come back."""
+def test_two_nodes_with_one_identifier_destroy_each_other_until_one_is_passive(
+    clock: VirtualClock, wire: SimulatedBus
+) -> None:
+    """Equal identifiers and other data: bit errors at both, until the passive loser disturbs the other no more.
+
+    Cho and Shin, CCS 2016: 16 errors of each, and one more of the loser, whose frame goes when it is alone.
+    """
     events: list[SimulatedBusEvent] = []
     left, right = wire.attach("left", happened=events.append), wire.attach("right", happened=events.append)
-    wire.attach("witness")
-    left.send(Frame(0x100, b"\x01"))
+    witness = ListeningNode(wire)
+    wire.attach("partner")
     right.send(Frame(0x100, b"\x02"))
+    left.send(Frame(0x100, b"\x01"))
     clock.advance(100_000_000)
-    assert left.state == right.state == "bus-off"
-    assert [e.kind for e in events].count("bit error") == 2 * (OFF // 8 + 1)
+    assert [event.kind for event in events].count("bit error") == 16 + 17
+    assert [bytes(frame.data) for _, frame in witness.received] == [b"\x01", b"\x02"]
+    assert (left.transmit_errors, right.transmit_errors) == (127, 135)
+    assert (left.state, right.state) == ("error-active", "error-passive")
+
+
+def test_who_loses_each_time_is_bus_off_and_may_come_back(clock: VirtualClock, wire: SimulatedBus) -> None:
+    """A node whose each frame meets a dominant one of its identifier is bus-off; the other goes on."""
+    wire.attach("witness")
+    left, right = wire.attach("left"), wire.attach("right")
+    for _ in range(OFF):
+        if left.state == "bus-off":
+            break
+        assert left.send(Frame(0x100, b"\x02"))
+        right.send(Frame(0x100, b"\x01"))
+        clock.advance(10_000_000)
+    assert (left.state, right.state) == ("bus-off", "error-active")
     assert not left.send(Frame(1))
     left.restart()
     clock.advance(RECOVERY * BIT - 1)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import random
+import re
 from pathlib import Path
 
 import pytest
 
+from aces_bus import load_protocol
 from aces_bus.errors import CallerError
 from aces_bus.frames import Frame
 from aces_bus.protocol.exchange import load_database
@@ -148,3 +150,19 @@ def test_a_damaged_eds(tmp_path: Path) -> None:
     (pdo,) = decoded(found, Frame(0x185, bytes(7)))
     assert pdo.x6041_0 == 0
     assert pdo.Position == 0
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"),
+    [
+        ("hubo:D08", "load_protocol('hubo').variant(dialect='D08')"),
+        ("hubo:D08@hubo2", "load_protocol('hubo').variant(dialect='D08', configuration='hubo2')"),
+        ("folder/common.xml:v1", "load_protocol('folder/common.xml').variant(dialect='v1')"),
+    ],
+)
+def test_a_program_is_told_how_it_asks_for_a_dialect(name: str, wanted: str) -> None:
+    """What `-p` takes as one word is a protocol and its variant."""
+    with pytest.raises(CallerError, match=re.escape(wanted)):
+        load_protocol(name)
+    with pytest.raises(CallerError, match="no protocol named 'nowhere:D08'"):
+        load_protocol("nowhere:D08")

@@ -12,7 +12,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -56,6 +56,8 @@ class Served(NamedTuple):
         buses = {bus: {"interface": "aces", "channel": channel} for bus, channel in self.channels.items()}
         buses["tip"] = {"channel": self.channels["tip"]}
         with run_real(self.robot, [], buses=buses, passive=False) as look:
+            where: dict[str, Any] = {}
+            does: dict[str, Any] = {}
             end = time.monotonic() + 30
             while time.monotonic() < end:
                 where = {joint: look.rig[f"{joint}.position"].value for joint in DEVICE_OF}
@@ -74,7 +76,7 @@ class Served(NamedTuple):
 
 
 @contextmanager
-def serving(folder: Path, *commands: str, more: str = "") -> Iterator[Served]:
+def serving(folder: Path, *commands: str, more: str = "") -> Generator[Served]:
     """Serve the arm's twins on buses of their own."""
     file = folder / "arm.toml"
     file.write_text(f"{arm_text(*commands)}\n{more}")

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -11,6 +12,7 @@ from aces_bus.device import Driver, load_driver, on
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError, UnknownNameError
 from aces_bus.protocol import make_scanner
 from aces_bus.robot import VirtualRobot
+from aces_bus.runtime import VirtualClock
 from aces_lab.device_fuzz.fuzzer import DeviceFuzzer, capture_steps, example_of, fuzz_device
 from aces_lab.device_fuzz.live import LiveDeviceFuzzer
 from aces_lab.device_fuzz.trial import Expectations, TwinTrial
@@ -205,10 +207,29 @@ def test_a_fault_that_needs_an_instant_is_made_small_without_losing_it() -> None
 
 
 def test_a_collision_is_no_fault_of_the_device(tmp_path: Path) -> None:
-    """An ODrive's estimates and a data frame that asks for them have one identifier: sent at once, both ends are bus-off."""
+    """An ODrive's estimates and a data frame that asks for them have one identifier: sent at once, both are sent again.
+
+    They pass when one of the ends is error-passive.
+    """
     log = tmp_path / "asked.log"
     log.write_text("(0.0) can0 7E6#R\n(0.00064) can0 016#00\n(0.15056) can0 015#R\n(0.15088) can0 009#\n")
     robot, name = example_of(load_driver("odrive"))
     problem, _, _ = DeviceFuzzer(robot, name).judged(capture_steps(str(log), "can"))
+    assert problem is None
+
+
+@pytest.mark.parametrize(("was_off", "kind"), [(True, "bus-off"), (False, "silent")])
+def test_silence_behind_a_bus_off_is_no_fault_of_the_device(
+    was_off: bool, kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where an end of the bus was off since, it is said so, and not that the device is silent."""
+    from aces_lab.device_fuzz import trial
+
+    polls = [SimpleNamespace(message="Query")]
+    tester: Any = SimpleNamespace(
+        clock=VirtualClock(), polls=polls, was_off=was_off, settle=lambda: None, pass_time=lambda _: None
+    )
+    monkeypatch.setattr(trial, "missed", lambda *_, **__: 0)
+    problem = trial.judged_alive(tester, cast("Any", SimpleNamespace(answers=True)))
     assert problem is not None
-    assert problem.kind == "bus-off"
+    assert problem.kind == kind

@@ -6,8 +6,10 @@
 
 A frame takes its real stuffed length (`frame_time`). Whoever wants to send when the bus falls idle takes part in
 arbitration; the lowest arbitration field wins, as on the wire: identifier, then RTR, SRR and IDE. A frame that no node
-acknowledges, that a fault destroys, or that meets another of the same identifier ends in an error frame, counts at both
-ends (ISO 11898-1:2015, 12.1.4) and is sent again, until its sender is bus-off.
+acknowledges, or that a fault destroys, ends in an error frame, counts at both ends (ISO 11898-1:2015, 12.1.4) and is
+sent again, until its sender is bus-off. So do frames of one identifier that meet, until those that lose by their data are
+error-passive: their passive error flags disturb no other frame, so that the dominant one passes (Cho and Shin, "Error
+Handling of In-vehicle Networks Makes Them Vulnerable", CCS 2016, section 4).
 
 **Not modelled**: propagation delay, sampling and clock tolerance; receivers that disagree about a frame without a fault
 asking for it; overload frames. An error flag is taken to be answered one bit late, so an error frame is 15 bits.
@@ -355,7 +357,7 @@ class SimulatedBus:
 
     def _look(self) -> tuple[BusNode, ...]:
         """Return the nodes that take part."""
-        present = tuple(node for node in self.nodes if node._is_connected and node.state != "bus-off")
+        present = tuple(node for node in self.nodes if node.is_connected and node.state != "bus-off")
         self._acknowledging = sum(1 for node in present if not node.listen_only)
         self._present = present
         return present
@@ -426,14 +428,17 @@ class SimulatedBus:
         frame = entry[2]
         senders = [sender]
         if others is not None:
+            senders += others
             for node in others:
                 node.sending = heappop(node.waiting)
-                if node.sending[2] != frame:
-                    best = _NOBODY
-            senders += others
-            if best == _NOBODY:
+            frame = min((_sent(node) for node in senders), key=_dominance)
+            losers = [node for node in senders if _dominance(_sent(node)) != _dominance(frame)]
+            if any(node.state != "error-passive" for node in losers):
                 self._destroy(senders, frame, "bit error", 20)
                 return False
+            senders = [node for node in senders if node not in losers]
+            for node in losers:
+                self._retry(node, "bit error", frame, now + self._time_of(frame_bits(frame)) + self._pause)
         elif self._acknowledging < 2:
             self._destroy(senders, frame, "no acknowledge", -8)
             return False
@@ -481,7 +486,7 @@ class SimulatedBus:
             self._is_busy = False
             faults = self._faults
             for node in self._present or self._look():
-                if node in senders or not node._is_connected:
+                if node in senders or not node.is_connected:
                     continue
                 if node.receive_errors:
                     node.count_errors(0, -1, frame)
@@ -519,21 +524,35 @@ class SimulatedBus:
             self._idle_from = self.clock.now() + self._pause
             self._is_busy = False
             for node in senders:
-                if node.sending is not None and node in self.nodes:
-                    heappush(node.waiting, node.sending)
-                node.sending = None
-                # A passive node whose frame no node acknowledges does not count it (12.1.4.2 c, exception 1).
-                if kind != "no acknowledge" or node.state != "error-passive":
-                    node.emit(kind, frame)
-                    node.count_errors(8, 0, frame)
-                if node.state == "error-passive":
-                    node.quiet_until = self._idle_from + SUSPEND * self.bit_ns
+                self._retry(node, kind, frame, self._idle_from)
             for node in self.nodes:
-                if node not in senders and node._is_connected and node.state != "bus-off":
+                if node not in senders and node.is_connected and node.state != "bus-off":
                     node.count_errors(0, 1, frame)
             self.wake()
 
         self.clock.call_in(duration, end)
+
+    def _retry(self, node: BusNode, kind: str, frame: Frame, idle_from: int) -> None:
+        """Count an error of a sender, whose frame waits again; a passive one lets others go first."""
+        if node.sending is not None and node in self.nodes:
+            heappush(node.waiting, node.sending)
+        node.sending = None
+        # A passive node whose frame no node acknowledges does not count it (12.1.4.2 c, exception 1).
+        if kind != "no acknowledge" or node.state != "error-passive":
+            node.emit(kind, frame)
+            node.count_errors(8, 0, frame)
+        if node.state == "error-passive":
+            node.quiet_until = idle_from + SUSPEND * self.bit_ns
+
+
+def _sent(node: BusNode) -> Frame:
+    assert node.sending is not None
+    return node.sending[2]
+
+
+def _dominance(frame: Frame) -> tuple[int, ...]:
+    """Return the bits behind the arbitration field, in their order: the lower tuple is dominant at the first difference."""
+    return (frame.is_fd, frame.bitrate_switch, frame.error_state_indicator, frame.length, *frame.data)
 
 
 class Babbler:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import typing
 import warnings
 from collections.abc import Callable, Sequence
@@ -176,10 +177,28 @@ def load_protocol(name: str) -> Protocol:
     from ..exchange import SUFFIXES
 
     if not name.lower().endswith(SUFFIXES):
+        _refuse_variant(name, (*SUFFIXES, ".py"))
         return PROTOCOLS.load(name)
     from ..exchange.read_once import known_database
 
     return known_database(name, lambda imported: warnings.warn(imported.summary, stacklevel=4))
+
+
+def _refuse_variant(name: str, suffixes: tuple[str, ...]) -> None:
+    """Raise `CallerError` for what `-p` takes and says more than a protocol: `hubo:D08`, `common.xml:v1`."""
+    found = re.fullmatch(r"(.+?)(?::([^:@/\\]+))?(?:@(.+))?", name)
+    if found is None or found[1] == name:
+        return
+    if found[1].lower().endswith(suffixes) or found[1] in list_protocols():
+        which = ", ".join(
+            f"{key}={value!r}"
+            for key, value in (("dialect", found[2]), ("configuration", found[3]))
+            if value is not None
+        )
+        raise CallerError(
+            f"{name}: is a protocol in one of its variants; load_protocol({found[1]!r}).variant({which}) gives it,"
+            f" and decode(…, {found[1]!r}, {which}) decodes with it"
+        )
 
 
 def adopt_protocol(path: str) -> str:

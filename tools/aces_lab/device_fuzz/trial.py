@@ -96,7 +96,7 @@ def missed(
 
 
 #: What has happened where frames of two senders destroy each other.
-COLLIDED = "a frame met one of the device with the same identifier; they destroyed each other until both ends were bus-off"
+COLLIDED = "frames met ones of the device with the same identifier, again and again, until an end was bus-off"
 
 
 def judged_alive(tester: DeviceTester, fresh: FreshDevice) -> Problem | None:
