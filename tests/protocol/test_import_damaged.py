@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,7 +13,7 @@ from aces_bus.frames import Frame
 from aces_bus.protocol import draw, make_scanner
 from aces_bus.protocol.exchange import load_database
 from aces_bus.protocol.exchange.import_statements import split_statements
-from aces_bus.protocol.exchange.problems import EXCERPT
+from aces_bus.protocol.exchange.problems import EXCERPT, ImportedProtocol, ImportProblem
 from aces_bus.protocol.plan.flatten import flatten
 from tests.protocol.imported import ABOVE, CAR, HEAD, MUX, decoded, imported, laws_hold, reasons
 
@@ -229,3 +230,15 @@ def test_every_line_is_in_a_statement() -> None:
         text = "".join(rng.choice(pieces) for _ in range(30))
         lines = "".join(one.whole for one in split_statements(text)).splitlines()
         assert sorted(lines) == sorted(text.splitlines())
+
+
+def test_a_message_of_which_several_fields_are_lost_is_one_statement() -> None:
+    """Never "3 of 1 statements"."""
+    problems = tuple(ImportProblem(line, "its type is not known") for line in (1, 2, 3))
+    protocol: Any = None
+    assert ImportedProtocol(protocol, problems, 1, "a.xml").summary.startswith(
+        "a.xml: 3 parts of 1 statement were left out; first: "
+    )
+    assert ImportedProtocol(protocol, problems[:1], 1, "a.xml").summary.startswith(
+        "a.xml: 1 of 1 statement was left out; first: "
+    )

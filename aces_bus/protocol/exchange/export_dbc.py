@@ -41,7 +41,10 @@ def print_dbc(
 
     messages, losses = identified(variant, only=only, expand=expand)
     if not messages:
-        raise CallerError(f"{variant.label}: nothing of it can be said in a DBC")
+        reasons = list(dict.fromkeys(map(str, losses)))
+        more = f", and {len(reasons) - 1} more" if len(reasons) > 1 else ""
+        why = f": {reasons[0]}{more}" if reasons else ""
+        raise CallerError(f"{variant.label}: nothing of it can be said in a DBC{why}")
     specifics: Any = DbcSpecifics()
     definition: Any = None
     if any(one.is_fd or one.is_j1939 for one in messages):

@@ -76,7 +76,10 @@ class ImportedProtocol(msgspec.Struct, frozen=True):
         parts = []
         if lost:
             verb = "was" if len(lost) == 1 else "were"
-            parts.append(f"{len(lost):,} of {self.statements:,} statements {verb} left out")
+            count = f"{self.statements:,} statement{'' if self.statements == 1 else 's'}"
+            # Where a statement is a whole message, several fields of it may be lost.
+            what = f"{len(lost):,} of" if len(lost) <= self.statements else f"{len(lost):,} parts of"
+            parts.append(f"{what} {count} {verb} left out")
         if noted:
             parts.append(f"{noted:,} {'is' if noted == 1 else 'are'} taken over differently")
         first = (lost or list(self.problems))[0]
