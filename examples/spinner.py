@@ -157,7 +157,7 @@ def spin(rate: float, seconds: float, folder: Path | None = None, seed: int = 0)
         more = ["X(integral)", "X(rate)"] if rate >= 1000 else []
         loggers.append(Logger(folder / f"log{rate:g}.txt", [*AXES, *more], rate_hz=rate))
     load = {"loop": SPINNER}.__getitem__
-    bench = VirtualRobot(robot, rate_hz=None, seed=seed, load=load)  # event-driven: nothing waits for a tick
+    bench = VirtualRobot(robot, rate_hz=0, seed=seed, load=load)  # event-driven: nothing waits for a tick
     ended = run_virtual(bench, [sines], loggers=loggers, load=load).run(seconds)
     assert not ended.tripped, ended
     return judge

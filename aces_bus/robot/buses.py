@@ -163,7 +163,8 @@ class VirtualRobot:
         robot["RHY.position"].value
 
     `faults` and `noise` (bus → what its wire does wrong); `pose` (joint → rad: where its twin is at first); `homed` False:
-    as after power-up, what needs homing is not homed. The other options are those of `connect` and `simulate`.
+    as after power-up, what needs homing is not homed. `rate_hz` is the tick of buses whose rate the file does not state,
+    when absent the file's own; 0: no ticks. The other options are those of `connect` and `simulate`.
     """
 
     def __init__(
@@ -193,6 +194,7 @@ class VirtualRobot:
             )
             for name, protocol in spoken_on(robot, load).items()
         }
+        rate_hz = (robot.rate_hz if rate_hz is None else rate_hz) or None
         self.rig: Rig = connect(
             robot, self.ports("host"), rate_hz=rate_hz, budget=budget, rules=rules, load=load
         )

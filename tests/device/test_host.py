@@ -158,7 +158,7 @@ class HeldUp:
 @pytest.mark.parametrize(("held_ms", "is_heard"), [(4, False), (6, True)])
 def test_a_machine_that_was_held_up_reads_before_it_counts_a_miss(held_ms: int, is_heard: bool) -> None:
     """Over 5 ms late, a time-out waits 10 ms more for answers that may lie there; one that then comes is in time."""
-    with made(rate_hz=None) as robot:
+    with made(rate_hz=0) as robot:
         host = host_of(robot)
         robot.twins["A"].fault("late", 0.0101)  # just over
         ticket = robot.devices["A"].ask("Ask", reply="State", timeout_s=0.01, retries=0)
@@ -170,7 +170,7 @@ def test_a_machine_that_was_held_up_reads_before_it_counts_a_miss(held_ms: int, 
 @replaces_methods
 def test_a_machine_that_was_held_up_counts_what_never_comes_once() -> None:
     """Ten milliseconds after a late time-out the request has failed, although the machine is late once more."""
-    with made(rate_hz=None) as robot:
+    with made(rate_hz=0) as robot:
         host = host_of(robot)
         robot.twins["A"].fault("silent")
         for count in (1, 2):
@@ -247,7 +247,7 @@ def test_both_answers_to_a_poll_that_was_sent_again_are_one_device_s() -> None:
 
 def test_a_host_without_a_rate_sends_at_once() -> None:
     """Without a rate nothing is polled by itself; set-points and polls go out when they are given."""
-    with made(rate_hz=None) as robot:
+    with made(rate_hz=0) as robot:
         robot.advance(0.1)
         assert robot["A.left"].value is UNKNOWN
         host_of(robot).poll()
@@ -270,7 +270,7 @@ def test_a_request_has_its_answer() -> None:
 
 def test_a_lost_answer_is_asked_for_again() -> None:
     """A request is repeated as often as said; then it fails, naming device, message and what to look at."""
-    with made(rate_hz=None) as robot:
+    with made(rate_hz=0) as robot:
         robot.twins["A"].fault("loses", 2)
         ticket = robot.devices["A"].ask("Ask", reply="State", retries=1)
         assert ticket.wait().node == 1
@@ -304,7 +304,7 @@ def test_what_a_twin_does_by_itself_ends_when_it_is_switched_off() -> None:
     def load(name: str) -> Driver:
         return replace(drivers(name), twin=BeatingTwin)
 
-    with VirtualRobot(robot_of(ROBOT), load=load) as robot:
+    with VirtualRobot(robot_of(ROBOT), rate_hz=0, load=load) as robot:
         twin = robot.twins["A"]
         robot.advance(0.055)
         assert (twin.beats, twin.replies) == (5, 5)
@@ -470,7 +470,7 @@ def test_wrong_calls_say_what_would_be_right() -> None:
 
 def test_a_probe_asks_and_leaves() -> None:
     """A probe asks by number without there being a device; it leaves no trace."""
-    with made(rate_hz=None) as robot:
+    with made(rate_hz=0) as robot:
         host = host_of(robot)
         probe = host.probe("fan", node=1)
         del robot.rig.hosts["line"].members["A"]

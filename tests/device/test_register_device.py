@@ -209,7 +209,7 @@ def test_what_was_forgotten_betrays_a_reboot() -> None:
 
 def test_an_answer_of_another_size_is_no_value() -> None:
     """What comes late, for another request, is told and changes nothing."""
-    with made(1, rate_hz=None) as robot:
+    with made(1, rate_hz=0) as robot:
         device = robot.devices["G1"]
         robot.twins["G1"].fault("silent")
         job = device.read("place")

@@ -126,7 +126,7 @@ def test_a_bus_without_ticks_leads_there_too() -> None:
     """Without a rate the way is taken in steps of 10 ms, and what has arrived is silent."""
     robot, _ = parse_robot(ROBOT)
     assert robot is not None
-    world = VirtualRobot(robot, rate_hz=None)
+    world = VirtualRobot(robot, rate_hz=0)
     heard = ListeningNode(world.wires["can"])
     with world:
         world.rig.hosts["can"].poll()
@@ -205,3 +205,15 @@ def test_a_jam_that_a_d08_board_never_reports_is_found() -> None:
             world["RKP"].set(here)
         world.rig.door.release()
         world["RKP"].set(here)
+
+
+def test_a_virtual_robot_has_the_rate_of_its_file() -> None:
+    """Not said twice: it polls as a run does; 0 is no ticks, and any other rate replaces the file's."""
+    robot = load_robot("hubo2plus").part("RKN")
+    assert robot.rate_hz is not None
+    assert VirtualRobot(robot).rig.hosts["lower"].rate_hz == robot.rate_hz
+    assert VirtualRobot(robot, rate_hz=50).rig.hosts["lower"].rate_hz == 50
+    assert VirtualRobot(robot, rate_hz=0).rig.hosts["lower"].rate_hz is None
+    with VirtualRobot(robot) as virtual:
+        virtual.advance(0.1)
+        assert virtual["RKN"].value is not None
