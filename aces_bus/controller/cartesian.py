@@ -223,7 +223,7 @@ class CartesianPath(Controller):
         self._q, self._began, self.mode = found.vector, now, "approaching"
 
     def _go(self, now: int) -> Mapping[str, float]:
-        """On the way to where the path begins; it begins at the instant at which the way ends."""
+        """Lead the joints to where the path begins; it begins at the instant at which the way ends."""
         assert self._way is not None
         seconds = (now - self._began) / 1e9
         if seconds >= self._way.duration_s:

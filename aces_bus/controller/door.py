@@ -73,7 +73,9 @@ class Following:
 
 
 def following_of(robot: Robot) -> dict[str, Following]:
-    """By joint, as its file says: `following_error` (0: never) and `following_time_s`. Joints that are set by position only.
+    """Return by joint what the file says: `following_error` (0: never) and `following_time_s`.
+
+    Only joints that are set by position are in it.
 
     A revolute joint whose file says nothing has 0.2 rad and 1.5 s: boards of some firmwares never report a jam, and what
     stays 11° from where it was sent is held up, whatever its gains. Others have none: no bound fits all wheels and slides.
@@ -152,7 +154,7 @@ class _Line:
         self.is_led = self.rate < _INFINITY
 
     def begin_anew(self) -> None:
-        """Nothing is wanted; the next set-point begins where the joint is, within the limits of then."""
+        """Forget what was wanted: the next set-point begins where the joint is, within the limits of then."""
         self.goal = self.given = None
         self.epoch = self.device.epoch
         self.recent.clear()
@@ -244,7 +246,7 @@ class _Line:
             self.device.host.wake()
 
     def _pushed(self, value: float, travel: Travel) -> float:
-        """As much of a speed or push as its joint's limits allow where it is."""
+        """Return as much of a speed or push as its joint's limits allow where it is."""
         allowed = travel.allowed(self.signal, value)
         if allowed != value:
             self.counts.position += 1
@@ -528,7 +530,9 @@ class Door:
     # ------------------------------------------------------------------ who writes
 
     def claim(self, name: str, owner: str, *, is_supervised: bool = False) -> None:
-        """From now on `owner` alone gives this signal's set-points; where it `is_supervised`, trips are its supervisor's.
+        """Give this signal to `owner`, who alone gives its set-points from now on.
+
+        Where it `is_supervised`, trips are its supervisor's.
 
         Raises `CallerError` naming both where it has another owner, `UnknownNameError` for a signal that there is not.
         """

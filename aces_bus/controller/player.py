@@ -273,7 +273,7 @@ class Player(Controller):
         return self._faded(now, self._play(now))
 
     def _go(self, now: int) -> list[float]:
-        """On the way to the first row."""
+        """Lead the joints to the first row."""
         first = self.motion.at(0.0)
         done = (now - self._began) / 1e9
         if done < self._approach_s:

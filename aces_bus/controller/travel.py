@@ -205,7 +205,7 @@ def is_push(signal: Signal) -> bool:
 
 
 def travel_of(robot: Robot) -> dict[str, Bounds]:
-    """By joint: its limits of position, its largest speed and its largest acceleration, whatever it is commanded by."""
+    """Return by joint its limits of position, its largest speed and its largest acceleration, in every mode of command."""
     found = {
         joint.name: Bounds(
             -math.inf if joint.lower is None else joint.lower,

@@ -219,7 +219,7 @@ class Device(EndpointMember):
         """A frame or packet that is probably this device's was not understood."""
 
     def renumbered(self) -> None:
-        """Its credentials are others now (`Host.renumber`): frames that were encoded before are not its own."""
+        """Drop the frames that were encoded for its credentials of before (`Host.renumber`)."""
 
     def no_reply(self, ticket: Ticket) -> None:
         """A request was not answered."""
@@ -431,7 +431,7 @@ class Device(EndpointMember):
         return value
 
     def forget(self) -> None:
-        """Nothing that was known is true any more, and set-points are not either."""
+        """Forget all values and set-points: nothing that was known is true any more."""
         for one in self.signals.values():
             one.forget()
         self._given.clear()

@@ -125,7 +125,7 @@ class OutgoingPacket:
             self._timer.cancel()
 
     def steered(self, steering: Steering) -> None:
-        """Its receiver says how to go on; before it has begun, that was another packet's."""
+        """Take what its receiver says of how to go on; before it has begun, that was another packet's."""
         if self.fate or not self.has_begun:
             return
         if any(self.opening[at : at + len(given)] != given for at, given in steering.opening):
@@ -172,7 +172,7 @@ class OutgoingPacket:
             self._finish()
 
     def _finish(self) -> None:
-        """No frame of it is left: say so to its receiver where that is due, then let the next one go."""
+        """End it, as no frame is left: tell its receiver where that is due, then let the next one go."""
         gone = partial(self._gone, self, self.fate == "sent")
         transport, given_up = self.transport, self._given_up
         if transport is not None and given_up is not None and self.has_begun:

@@ -130,7 +130,7 @@ class _StartedGate:
             return False
 
     def wire_ns(self, packet: Any) -> int:
-        """Not asked for: nothing is budgeted here."""
+        """Raise: nothing is budgeted here."""
         return 0
 
     def close(self) -> None:

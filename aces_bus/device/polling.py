@@ -30,7 +30,7 @@ QUIET_SHARE = 5
 
 
 def _nothing() -> None:
-    """There is nothing to note."""
+    """Note nothing."""
 
 
 class Polling:

@@ -97,11 +97,11 @@ class UpperPort:
         return self.port.half_duplex
 
     def on_event(self, handler: Callable[[str, str], Any]) -> None:
-        """As of the port below."""
+        """Pass the handler on to the port below."""
         self.port.on_event(handler)
 
     def wire_ns(self, packet: Any) -> int:
-        """As of the port below."""
+        """Return what the port below says."""
         return self.port.wire_ns(packet)
 
     def close(self) -> None:

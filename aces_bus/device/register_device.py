@@ -409,7 +409,7 @@ class RegisterDevice(Device):
             self.emit_event("limited", f"{name} was set to {wanted} and stays {number}")
 
     def forget(self) -> None:
-        """Nothing that was known is true any more, save what survives power-off."""
+        """Forget all that was known, save what survives power-off."""
         super().forget()
         eeprom = self.eeprom
         self.known = {k: v for k, v in self.known.items() if self.codecs[k].address in eeprom}
@@ -500,7 +500,7 @@ class RegisterDevice(Device):
             raise DeviceError(f"{self.name}: {doing}: refused: {why}")
 
     def renumbered(self) -> None:
-        """Its credentials are others now: what its requests read is known by other packets."""
+        """Forget the packets by which its requests were known, as its credentials are others now."""
         self._spans.clear()
         for poll in self.polls:
             if poll.message == self._read_message:

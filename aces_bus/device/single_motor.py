@@ -256,6 +256,6 @@ class SingleMotor(MotorDevice[SingleAxis]):
             raise DeviceError(f"{self.name}: {what} while it is off; disable it first")
 
     def forget(self) -> None:
-        """Nothing is known any more."""
+        """Forget all that was known."""
         super().forget()
         self.is_on = None

@@ -79,7 +79,7 @@ def wait_stopped(stopping: Job, timeout_s: float = PATIENCE_S) -> None:
 
 
 def _outage(device: Device) -> str:
-    """That its bus is gone, where it is."""
+    """Return that its bus is gone, where it is."""
     return f"bus {device.host.name} is {device.host.outage}: " if device.host.outage else ""
 
 
@@ -147,7 +147,7 @@ class _Stop:
             ticket = self._send()
 
     def _over(self, awaited: Any, otherwise: str) -> Steps:
-        """Until it is over, for at most `ATTEMPT_NS`; raises its error."""
+        """Wait until it is over, for at most `ATTEMPT_NS`; raises its error."""
         if awaited is None:
             return
         if isinstance(awaited, Exception):

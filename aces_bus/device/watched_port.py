@@ -37,7 +37,7 @@ class WatchedPort(UpperPort):
         topic: object = None,
         report: Left | None = None,
     ) -> bool:
-        """As of the port below."""
+        """Send on the port below."""
         is_taken = self.port.send(packet, age_ns, urgent=urgent, topic=topic, report=report)
         if is_taken:
             self._passed(packet, self.port.clock.now(), True)

@@ -381,4 +381,4 @@ class Buffered(Export):
 
     @abstractmethod
     def _end(self, dataset: Dataset) -> None:
-        """No more rows of a message come; none may have come at all."""
+        """End the rows of a message; none may have come at all."""

@@ -35,7 +35,7 @@ class Behind:
         self._under_way.append(thread.submit(work))
 
     def wait(self) -> None:
-        """Until all is done; raises the first that failed."""
+        """Wait until all is done; raises the first that failed."""
         while self._under_way:
             self._under_way.popleft().result()
 

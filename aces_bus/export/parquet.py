@@ -139,7 +139,7 @@ def close_journal(path: str) -> int:
 
 
 def parquet_of_journal(journal: str, path: str) -> int:
-    """As `close_journal`, of a journal with any name."""
+    """Do what `close_journal` does, of a journal with any name."""
     pa = load_parquet()
     made = path + ".part"
     rows = 0

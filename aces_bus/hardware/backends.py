@@ -229,7 +229,7 @@ class SocketcanReader:
         return self._socket.fileno()
 
     def frames(self, most: int) -> list[Frame]:
-        """At most so many of the frames that are there. Raises as a call."""
+        """Return at most so many of the frames that are there. Raises as a call."""
         found: list[Frame] = []
         while len(found) < most and (frame := self(0)) is not None:
             found.append(frame)

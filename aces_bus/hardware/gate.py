@@ -212,7 +212,7 @@ class Gate(SendingGate[Item]):
             pass
 
     def _readable(self) -> None:
-        """On the loop's thread: its file has something."""
+        """Read its file, on the loop's thread."""
         if self.state != "open" or self._stopping.is_set():
             return
         try:

@@ -326,7 +326,7 @@ class DatagramPort(BasePort[bytes]):
             handle(item.content, item.host_ns)
 
     def wire_ns(self, datagram: bytes) -> int:
-        """Nothing worth counting."""
+        """Return 0: nothing worth counting."""
         return 0
 
     def _detach(self) -> None:

@@ -81,7 +81,7 @@ class Inbox(Generic[Item]):
         return len(self._items)
 
     def end(self) -> None:
-        """Nothing more comes: readers are woken, and get what is left."""
+        """End the queue: readers are woken, and get what is left."""
         with self._ready:
             self._is_closed = True
             self._ready.notify_all()

@@ -211,7 +211,7 @@ class SerialGate(Gate[bytes]):
         return self._queue(bytes(data), len(data), 0, age_s, urgent, topic, report)
 
     def _leaves_at(self) -> int:
-        """On a half-duplex line others must have been silent for long enough."""
+        """Return when it may leave: on a half-duplex line others must have been silent for long enough."""
         return self._received_at + self.turnaround_ns if self.turnaround_ns else 0
 
     def _name_of(self, packet: bytes) -> str:

@@ -270,7 +270,7 @@ class Body:
     # ---- many poses ------------------------------------------------------------------------------------------------
 
     def forward_many(self, angles: Floats) -> dict[str, tuple[Floats, Floats]]:
-        """For (n, number of joints) angles the positions (n, 3) and rotations (n, 3, 3) of every tip."""
+        """Return for (n, number of joints) angles the positions (n, 3) and rotations (n, 3, 3) of every tip."""
         q = np.asarray(angles, dtype=np.float64)
         if q.ndim != 2 or q.shape[1] != len(self.joints):
             raise CallerError(f"{self.name} needs (n, {len(self.joints)}) angles, not {q.shape}")

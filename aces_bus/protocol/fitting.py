@@ -123,7 +123,7 @@ def _closed(scanner: Any, variant: Variant, tables: Iterable[MessageTable]) -> f
 
 
 def _runs(frames: FrameTable, most: int) -> FrameTable:
-    """At most so many of the frames, in runs of neighbours: what hangs on other frames is decoded, too."""
+    """Return at most so many of the frames, in runs of neighbours: what hangs on other frames is decoded, too."""
     if len(frames) <= most:
         return frames
     starts = np.linspace(0, len(frames) - most // RUNS, RUNS).astype(int)

@@ -257,7 +257,7 @@ Span = tuple[int, int]
 
 
 def split_capture(path: str, pieces: int) -> list[Span] | None:
-    """That many parts of about the same size, none smaller than `LEAST`.
+    """Return that many parts of about the same size, none smaller than `LEAST`.
 
     None for what can only be read from its start: packed files, pipes, other formats.
 

@@ -320,7 +320,7 @@ def split_lines(path: PathSource, pieces: int, at_least: int = 1 << 20) -> list[
 def cut_lines(
     read_at: Callable[[int, int], bytes], size: int, pieces: int, at_least: int
 ) -> list[tuple[int, int]]:
-    """As `split_lines`, of `size` bytes that are not packed; `read_at(place, count)` reads some of them."""
+    """Do what `split_lines` does, of `size` bytes that are not packed; `read_at(place, count)` reads some of them."""
     borders = [0]
     pieces = max(1, min(pieces, size // max(at_least, 1)))
     for number in range(1, pieces):

@@ -81,7 +81,7 @@ class Unpacker:
         self._ready: memoryview = memoryview(b"")
 
     def read(self, size: int) -> bytes:
-        """At least one byte and at most `size`; none at the end."""
+        """Return at least one byte and at most `size`; none at the end."""
         if not self._ready:
             self._ready = memoryview(self._more_unpacked())
         given, self._ready = bytes(self._ready[:size]), self._ready[size:]

@@ -108,7 +108,7 @@ def check_robot_file(
 def parse_robot(
     text: str | bytes, file: str = "robot.toml", *, is_strict: bool = False
 ) -> tuple[Robot | None, list[RobotFileProblem]]:
-    """As `check_robot`, of a file's content. Problems call it `file`, whose stem is the name of a robot without one."""
+    """Do what `check_robot` does, of a file's content. Problems call it `file`, whose stem names a robot without a name."""
     return _parse(text, file, is_strict, None)
 
 
@@ -130,7 +130,7 @@ Place = Callable[[Sequence[str]], tuple[str, int]]
 def make_robot(
     content: Mapping[str, Any], place: Place, *, is_strict: bool = False
 ) -> tuple[Robot | None, list[RobotFileProblem]]:
-    """As `check_robot`, of tables that come from anywhere; `place` says where a key of theirs comes from."""
+    """Do what `check_robot` does, of tables that come from anywhere; `place` says where a key of theirs comes from."""
     return _make(content, place, is_strict, None)
 
 

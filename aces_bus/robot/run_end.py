@@ -157,7 +157,7 @@ class RunEnd(RunFaults):
             raise
 
     def _begin_stop(self) -> None:
-        """On the buses' thread: all is stopped, or where it is to be left held, what was not switched off stays."""
+        """Stop all, on the buses' thread; where it is to be left held, what was not switched off stays."""
         devices = list(self.rig.devices.values())
         if self.at_end == "hold":
             self._tripped = self._reasons

@@ -94,7 +94,7 @@ class RunFaults(RunBase):
         self._handle(event)
 
     def _watch(self) -> None:
-        """On the buses' thread: a controller that does not come back from a step cannot say so itself."""
+        """Look, on the buses' thread, for a controller that does not come back from a step: it cannot say so itself."""
         if self._phase != "running":
             return
         self.clock.call_in(WATCH_NS, self._watch)

@@ -210,7 +210,7 @@ class Runner(RunEnd):
         return run
 
     def _pass_on(self, supervisor: Supervisor, now: int, wanted: Mapping[str, float]) -> None:
-        """On the buses' thread: what a controller wants, through its guard; what comes after the end goes nowhere."""
+        """Pass on what a controller wants through its guard, on the buses' thread; what comes after the end goes nowhere."""
         if self._phase == "running":
             given = supervisor.pass_on(now, wanted)
             self._obey(supervisor)

@@ -130,7 +130,7 @@ class ReplayPort:
         self._received = received
 
     def on_event(self, handler: Callable[[str, str], Any]) -> None:
-        """Nothing happens to a recording."""
+        """Ignore the handler: nothing happens to a recording."""
 
     def send(
         self,

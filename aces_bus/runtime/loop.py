@@ -190,7 +190,7 @@ class Loop(RealClock):
         self._first.discard(number)
 
     def gather(self, most_ns: int) -> None:
-        """From now on read files that gather once in so long (ns) at most; of several that are said the shortest counts."""
+        """Read files from now on that gather once in so long (ns) at most; of several that are said the shortest counts."""
         self._gather_ns = min(most_ns, self._gather_ns or GATHER_NS)
 
     def hurry(self, until: int) -> None:

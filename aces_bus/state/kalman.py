@@ -66,7 +66,7 @@ class Kalman(AnyRate):
         )
 
     def start(self, state: State) -> Estimation:
-        """As an estimator: into the future from the newest sample, into the past by filtering backwards in time."""
+        """Begin as an estimator: into the future from the newest sample, into the past by filtering backwards in time."""
         track = self.track()
 
         def estimate(instant: int) -> Any:
@@ -82,7 +82,7 @@ class Kalman(AnyRate):
         return Estimation(track.observe, estimate)
 
     def start_filter(self, first: float) -> Callable[[float, int], float]:
-        """As a filter."""
+        """Begin as a filter."""
         track, which = self.track(), self.derivative
 
         def step(value: float, instant: int) -> float:

@@ -111,7 +111,7 @@ def check_declared(stand: TestBench) -> None:
 
 
 def check_quiet_before(stand: TestBench) -> None:
-    """Nothing moves when a bus is opened: joints stay where they are until they are enabled and set."""
+    """Check that nothing moves when a bus is opened: joints stay where they are until they are enabled and set."""
     with stand.made() as robot:
         joints = robot.simulation.world.joints
         robot.advance(0.01)
@@ -479,7 +479,7 @@ def _needs_arguments(method: Callable[..., Any]) -> bool:
 
 
 def check_noise(stand: TestBench) -> None:
-    """On a wire with faults nothing raises, everything is counted, and what gets through is received."""
+    """Check that on a wire with faults nothing raises, everything is counted, and what gets through is received."""
     with stand.made(faults=Faults(seed=3, corrupt=0.05), noise=Noise(seed=3, flip=0.002)) as robot:
         robot.advance(SETTLE_S)
         for device, _ in stand.mine(robot):

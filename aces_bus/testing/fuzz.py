@@ -236,7 +236,7 @@ def shrink(law: Law, trial: Trial, said: str, number: int | None = None, calls: 
 
 
 def _few(cuts: tuple[int, ...]) -> tuple[int, ...]:
-    """Not more cuts than a long scene can be played with in reasonable time."""
+    """Return not more cuts than a long scene can be played with in reasonable time."""
     return cuts if len(cuts) <= LONG_CUTS else cuts[:: len(cuts) // LONG_CUTS + 1]
 
 

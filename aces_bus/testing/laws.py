@@ -160,7 +160,7 @@ def oracle(trial: Trial) -> None:
 
 
 def _each(trial: Trial, got: Sequence[ScannedItem]) -> Sequence[Any]:
-    """On CAN the records of some items; of a stream an item says by itself where it is."""
+    """Return on CAN the records of some items; of a stream an item says by itself where it is."""
     return trial.given if trial.bench.is_can else [None] * len(got)
 
 
@@ -531,7 +531,7 @@ def conflicts(variant: Variant, direction: Way) -> tuple[Conflict, ...]:
 
 @lru_cache(maxsize=1024)
 def _apart(variant: Variant, direction: Way) -> dict[str, tuple[Message, ...]]:
-    """For each message those that its bytes alone tell it from."""
+    """Return for each message those that its bytes alone tell it from."""
     messages = variant.messages_for(direction)
     found: dict[str, list[Message]] = {m.name: [] for m in messages}
     for i, one in enumerate(messages):

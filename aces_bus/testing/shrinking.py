@@ -342,7 +342,7 @@ def simpler_frames(bench: Bench, frame: Frame) -> Iterator[Frame]:
 
 
 def _packets(best: _Best) -> None:
-    """For laws about packets as they were drawn: one packet, alone, with the simplest values."""
+    """Yield, for laws about packets as they were drawn, one packet, alone, with the simplest values."""
     for packet in best.scene.packets:
         if best.offer(Scene(_traffic_of(best.scene, packet), packets=(packet,)), ()):
             break

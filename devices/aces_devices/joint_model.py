@@ -130,7 +130,7 @@ class MotorJoint:
     # ------------------------------------------------------------------ what drives it
 
     def free(self, now: int) -> None:
-        """No duty: it runs out and stays."""
+        """Take the duty away: it runs out and stays."""
         self.sync(now)
         self.mode, self.duty = "free", 0.0
 
@@ -267,7 +267,7 @@ class MotorJoint:
         self.moved_at, self.saturated_since = moved_at, saturated
 
     def _rest(self, duration: float) -> None:
-        """Nothing moves; what flows heats."""
+        """Pass a step in which nothing moves; what flows heats."""
         motor = self.motor
         current = motor.stall_current * self.duty
         if current == 0.0 and self.temperature == AMBIENT:

@@ -113,5 +113,5 @@ class MitMotor(SingleMotor):
         return self.mode == self.mit_mode and not self._given.get("Command", {}).get("kp")
 
     def is_followed(self, signal: Signal) -> bool:
-        """Not while it has no stiffness: then it gives way on purpose."""
+        """Return False while it has no stiffness: then it gives way on purpose."""
         return not self._is_soft and super().is_followed(signal)

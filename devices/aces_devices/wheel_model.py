@@ -28,7 +28,7 @@ class TurningWheel:
         self._at = now
 
     def lead(self, now: int, speed: float, time_constant: float) -> None:
-        """From now on to this speed, with this time constant (s)."""
+        """Lead it to this speed from now on, with this time constant (s)."""
         self._sync(now)
         self._goal, self._tau = speed, time_constant
 

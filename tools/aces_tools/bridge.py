@@ -215,7 +215,7 @@ class OneWay:
         self.error: Exception | None = None
 
     def run(self, patience: Patience) -> None:
-        """Until there is an end; a way that fails is the end of both."""
+        """Carry frames until there is an end; a way that fails is the end of both."""
         try:
             while not patience.is_over and not self.inbox.is_closed:
                 wait = STEP_S if self._received_at is None else min(STEP_S, self._gap_s)

@@ -181,7 +181,7 @@ class ColumnDecoding(TableDecoding):
             say_note(note)
 
     def _flush(self) -> None:
-        """Nothing of the output is printed."""
+        """Flush nothing: the output is not printed."""
 
     def _clean_up(self) -> None:
         self.progress.close()

@@ -175,7 +175,7 @@ class MemoryLog:
             row.append(float(value) if isinstance(value, int | float) else np.nan)
 
     def stop(self, now: int) -> None:
-        """Nothing is to be closed."""
+        """Close nothing."""
 
     def _table(self) -> Array:
         return np.array(self._rows, np.float64).reshape(-1, 1 + len(self.states))

@@ -72,7 +72,7 @@ class LiveFile(Protocol):
         """Close the file as it is, after a failure; what was committed is in it."""
 
     def abandon(self) -> None:
-        """There is nothing to write after all: leave no file behind."""
+        """Leave no file behind: there is nothing to write after all."""
 
 
 # ---------------------------------------------------------------------- frames and bytes
@@ -152,7 +152,7 @@ class DatabaseFile:
         self._rows += self._writer.rows(table)
 
     def settle(self) -> None:
-        """Nothing to do: rows are whole."""
+        """Do nothing: rows are whole."""
 
     def commit(self) -> None:
         rows, self._rows = self._rows, []

@@ -133,7 +133,7 @@ class RecordingFile:
             self.failure = (isinstance(error, OSError) and error.strerror) or str(error)
 
     def abandon(self) -> None:
-        """There is nothing to record after all: leave no file behind."""
+        """Leave no file behind: there is nothing to record after all."""
         self._end()
         self._log.abandon()
 

@@ -141,7 +141,7 @@ def chosen_pose(robot: Robot, texts: Sequence[str]) -> dict[str, float]:
 
 
 def bus_options(robot: Robot, arguments: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    """By bus, what the call says of it; raises `UnknownNameError` for a bus that the robot has not."""
+    """Return by bus what the call says of it; raises `UnknownNameError` for a bus that the robot has not."""
     found: dict[str, dict[str, Any]] = {name: {} for name in robot.buses}
     for text in arguments.bus:
         name, equals, channel = text.partition("=")

@@ -465,7 +465,7 @@ class Replies:
             self._registers.see(self._requests.datagram(packet))
 
     def wait(self, patience: Patience) -> None:
-        """Until the first reply, or until the time is up; of a broadcast all that come in time."""
+        """Wait until the first reply, or until the time is up; of a broadcast all that come in time."""
         until = time.monotonic_ns() + self._wait_ns
         while not patience.is_over and (not self.count or self._is_broadcast):
             left = until - time.monotonic_ns()

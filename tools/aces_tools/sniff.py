@@ -401,7 +401,7 @@ class Sniffing(LiveDecoding):
         self.received_at, self.is_settled = item.host_ns, False
 
     def _silence(self) -> None:
-        """Nothing came: after the protocol's gap, what is incomplete never will be whole."""
+        """Take note that nothing came: after the protocol's gap, what is incomplete never will be whole."""
         now = time.monotonic_ns()
         if self.is_settled or now - self.received_at <= self.gap_ns:
             return

@@ -51,7 +51,7 @@ class About(msgspec.Struct, frozen=True):
         return self.start_ns if self.wall_ns is None else self.wall_ns
 
     def to_json(self) -> str:
-        """As formats with metadata keep it."""
+        """Return it as formats with metadata keep it."""
         return msgspec.json.encode(self).decode()
 
 

@@ -323,7 +323,7 @@ class ServerLink:
         raise NotImplementedError
 
     def woken(self) -> None:
-        """There is something to send."""
+        """Send what waits."""
         self.server.dirty.append(self)
 
     def happened(self, event: SimulatedBusEvent) -> None:

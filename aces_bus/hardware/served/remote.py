@@ -204,7 +204,7 @@ class ServedBus(VirtualBus):
         return None
 
     def frames(self, most: int) -> list[Frame]:
-        """At most so many frames of those that have come and pass the filters, without waiting.
+        """Return at most so many frames of those that have come and pass the filters, without waiting.
 
         Raises `CanOperationError` when the server has gone or the bus is closed.
         """

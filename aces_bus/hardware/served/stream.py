@@ -119,7 +119,7 @@ class ServerConnection:
             self._push(None)
 
     def hold_little(self) -> None:
-        """From now on what the server does not read waits here, and not with the system."""
+        """Have what the server does not read wait here from now on, and not with the system."""
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, OFFERED)
 
     def offer(self, packet: bytes) -> bool:

@@ -206,7 +206,7 @@ def _step(state: int, bit: int) -> tuple[int, int]:
 
 @cache
 def _table(width: int) -> bytes:
-    """For each state and number of up to 8 bits: the state after them × 8 + the stuff bits."""
+    """Return for each state and number of up to 8 bits: the state after them × 8 + the stuff bits."""
     table = []
     for state in range(_START + 1):
         for number in range(1 << width):

@@ -15,7 +15,7 @@ from ..lint.finding import Finding
 class Moment(NamedTuple):
     """Where in a recording something is: the frame's number from 0, or the packet's offset in bytes.
 
-    `time_ns` is counted from the recording's first instant, None where it has none. `source` names the recording where
+    `time_ns` is counted from the first instant, None where it has none. `source` names the recording where
     there are several, else it is empty.
     """
 
@@ -44,7 +44,7 @@ class Observation(Finding):
     remedy: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON: what every finding has, and the evidence; times in seconds from the recording's first instant."""
+        """Return it for JSON: what every finding has, with the evidence; times in s from the recording's first instant."""
         first = self.first
         return {
             **super().as_dict(),

@@ -287,8 +287,8 @@ class Runs:
         return found
 
     def _places(self, starts: Array, count: int) -> tuple[Array, Array]:
-        """By place in each packet, where behind its start that frame is (m, count); in which packets all are there, each
-        once."""
+        """Return by place in each packet where behind its start that frame is (m, count); in which packets all are there,
+        each once."""
         transport = self.transport
         number = self.parts.number[starts[:, None] + np.arange(1, count)].astype(np.int64)
         place = (number - transport.first_number) % transport.modulo + 1

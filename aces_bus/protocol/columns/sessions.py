@@ -61,7 +61,7 @@ class _Ways:
 
 
 def _tied(frames: GroupedFrames, way: Array, back: Callable[[Array], Array], ends: Array) -> Array | None:
-    """By frame the number of its conversation where one of `ends` (places) is in it, else −1; None where there are none.
+    """Return by frame the number of its conversation where one of `ends` (places) is in it, else −1; None: there are none.
     `back` gives the other ways of conversations."""
     if not len(ends):
         return None

@@ -389,7 +389,7 @@ class Sums:
         self.reset()
 
     def reset(self) -> None:
-        """As if nothing had been summed."""
+        """Begin anew, as if nothing had been summed."""
         self.work = 0
         self.forget()
 
@@ -422,7 +422,7 @@ class Sums:
     def compute_runs(
         self, buffer: bytes, base: int, start: int, end: int, over: Sequence[Covered], extra: bytes
     ) -> int:
-        """As `compute`, over what `over` takes of the packet at [start, end) of the stream."""
+        """Return what `compute` does, over what `over` takes of the packet at [start, end) of the stream."""
         self._reach(buffer, base, start, end)
         first = second = 0
         for part in over:

@@ -143,7 +143,7 @@ class J1939Transport(Transport):
         return FramePart("first", (source, destination), b"", packet, size, is_broadcast=data[0] == BAM)
 
     def pause_s(self, key: int) -> float:
-        """That of a broadcast."""
+        """Return the pause of a broadcast."""
         return PAUSE_S
 
     def in_turn(self, key: int) -> int:

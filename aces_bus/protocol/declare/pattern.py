@@ -228,7 +228,7 @@ class IdPattern(Arithmetic, msgspec.Struct, frozen=True, eq=False):
         return replace(self, captures=tuple(captures))
 
     def describe(self, digits: int = 3) -> str:
-        """As the sheet would write it: `0x060 + board`."""
+        """Return it as the sheet would write it: `0x060 + board`."""
         parts = [f"{c.name} << {c.shift}" if c.shift else c.name for c in self.captures]
         if self.constant or not parts:
             parts.insert(0, f"0x{self.constant:0{digits}X}")

@@ -31,7 +31,7 @@ class ImportProblem(msgspec.Struct, frozen=True, order=True):
         return f"{where}{self._said}"
 
     def of(self, path: str) -> str:
-        """As compilers say it: `file:line:column: …`."""
+        """Return it as compilers say it: `file:line:column: …`."""
         place = ":".join(str(number) for number in (self.line, self.column) if number)
         return f"{path}:{place}: {self._said}" if self.line else f"{path}: {self._said}"
 

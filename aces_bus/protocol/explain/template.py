@@ -192,7 +192,7 @@ class Template:
                 yield leaf.path, [*range(leaf.node.offset, leaf.node.offset + 512)]
 
     def _delimited(self, prefix: bytes) -> tuple[str, list[tuple[str, Any, str]]]:
-        """To which field between separators the last byte belongs, and the field that it completes."""
+        """Return to which field between separators the last byte belongs, and the field that it completes."""
         split, payload = self.plan.split, self.message.payload
         assert split is not None
         texts = prefix[split.start :].split(split.separator)
@@ -209,7 +209,7 @@ class Template:
     # ------------------------------------------------------------------ what was read
 
     def _field_ends(self) -> dict[int, list[p.NodePath]]:
-        """By the byte that completes them: the fields with a fixed place."""
+        """Return by the byte that completes them the fields with a fixed place."""
         found: dict[int, list[p.NodePath]] = {}
         for leaf in self.plan.leaves if not self.is_moved else ():
             places = _bytes_of(leaf.node)

@@ -56,7 +56,7 @@ class Finding:
         return False
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return it for JSON."""
         return {
             "file": self.place.file,
             "line": self.place.line,
@@ -70,5 +70,5 @@ class Finding:
 
 
 def sort_key(finding: Finding) -> tuple[Any, ...]:
-    """By file and line, worse ones first."""
+    """Return what sorts by file and line, worse ones first."""
     return finding.place.file, finding.place.line, LEVELS.index(finding.level), finding.rule, finding.text

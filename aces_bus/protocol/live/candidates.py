@@ -123,7 +123,7 @@ class Segments:
         self.reset()
 
     def reset(self) -> None:
-        """As if nothing had been judged."""
+        """Begin anew, as if nothing had been judged."""
         self.work = self.checked = 0
         self._data = b""
         self._forget()

@@ -157,7 +157,7 @@ class Context:
         return None
 
     def modes_of(self, messages: Sequence[Message], identifier: int, channel: Any) -> Modes | None:
-        """For `mode`: the requests that messages with this identifier hang on, and where each is found.
+        """Return for `mode` the requests that messages with this identifier hang on, and where each is found.
 
         None where the identifier alone does not say, or a request is used up or too old some time.
         """

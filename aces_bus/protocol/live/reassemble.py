@@ -99,7 +99,7 @@ class _Conversation:
             self.total = 2 + max(1, -(-(part.size - len(part.data)) // room))
 
     def lose(self) -> None:
-        """From now on it is lost."""
+        """Take it for lost from now on."""
         self.is_lost, self.frames = True, []
         self.parts = [FramePart("ready", self.parts[0].session, is_acknowledged=True)]
         self.data, self.block = bytearray(), {}

@@ -302,7 +302,7 @@ class StreamScanner:
     # ------------------------------------------------------------------ losses
 
     def _leave_pending(self, found: list[Any], buffer: bytes, base: int) -> None:
-        """At the end of the stream: what follows the last packet, from the first incomplete one on, is pending."""
+        """Take what follows the last packet, from the first incomplete one on, for pending: the stream has ended."""
         last = 0
         if found:
             last = found[-1]._key + len(found[-1]._raw)

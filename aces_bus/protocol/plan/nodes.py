@@ -353,7 +353,7 @@ class Repeated(ListNode, msgspec.Struct, frozen=True):
     count: Scalar | None = None
 
     def inside(self, leaf: NodePath) -> Iterator[NodePath]:
-        """For each value of a group the list of all groups' values."""
+        """Return for each value of a group the list of all groups' values."""
         for one in self.plan.leaves:
             if len(one.way) == 1:
                 continue  # a group of one number is the list itself

@@ -66,7 +66,7 @@ def _weighted(pair: bool, zeros: int) -> Ints:
 
 
 def _kept() -> Ints:
-    """For each of 16 little-endian words: number of digits in all of them → mask that keeps those of this word."""
+    """Return for each of 16 little-endian words: number of digits in all of them → mask that keeps those of this word."""
     kept = np.arange(128)[None, :] < np.arange(129)[:, None]
     masks: Ints = np.where(kept, 0xFF, 0).astype(np.uint8).view("<u8")
     return np.ascontiguousarray(masks.T)

@@ -143,7 +143,7 @@ class BlfWriter(StartedWriter):
         self._file.seek(0, 2)
 
     def close(self) -> None:
-        """As `settle`; a file to which nothing was written has its header, too."""
+        """Settle it; a file to which nothing was written has its header, too."""
         self.settle()
 
     def _packed(self, count: int) -> bytes:

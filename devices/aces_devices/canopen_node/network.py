@@ -56,7 +56,7 @@ class StationNetwork(Network):
         return task
 
     def stop(self) -> None:
-        """Nothing repeats any more."""
+        """End all that repeats."""
         for task in self.repeated:
             task.stop()
         self.repeated.clear()

@@ -203,7 +203,7 @@ class Cia401(CanopenNode):
                 self._known((place.index, place.subindex), place.take(word), instant)
 
     def forget(self) -> None:
-        """Nothing is known any more, and nothing is set."""
+        """Forget all that was known and set."""
         super().forget()
         self.numbers.clear()
         self._early.clear()
@@ -346,7 +346,7 @@ class Cia401(CanopenNode):
         return self.job("stop", steps)
 
     def assume_driven(self) -> None:
-        """Its outputs were set by another program: what they were before is not known."""
+        """Take it that another program set its outputs: what they were before is not known."""
         super().assume_driven()
         self._is_foreign = True
 

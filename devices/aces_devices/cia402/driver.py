@@ -175,7 +175,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
         return emergency_text(code)
 
     def forget(self) -> None:
-        """Nothing is known any more."""
+        """Forget all that was known."""
         super().forget()
         for axis in self.axes:
             axis.forget()
@@ -352,7 +352,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
         return self.sdo.download_now([(CONTROLWORD + axis.offset, 0, data) for axis in axes])
 
     def _off(self, axis: DriveAxis, within_s: float, *, is_asked: bool) -> Steps:
-        """Until its statusword says that it is not enabled; where no PDO brings it, it is asked for over SDO."""
+        """Wait until its statusword says that it is not enabled; where no PDO brings it, it is asked for over SDO."""
         end = self.clock.now() + round(within_s * 1e9)
         while is_asked:
             data: bytes = yield self.sdo.upload(STATUSWORD + axis.offset)

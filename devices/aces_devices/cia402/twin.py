@@ -102,7 +102,7 @@ class Cia402Twin(CanopenTwin):
     # ------------------------------------------------------------------ misbehaving
 
     def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
-        """As `Twin.fault`; what the axes must know is passed on to them."""
+        """Do what `Twin.fault` does; what the axes must know is passed on to them."""
         super().fault(name, amount, on=on)
         self._apply_faults()
 

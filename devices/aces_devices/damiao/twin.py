@@ -124,7 +124,7 @@ class DamiaoTwin(Twin):
 
     @on("SetZero")
     def zero(self, request: Any) -> None:
-        """Here is 0."""
+        """Make here 0."""
         self.offset -= self.angle
         self.feedback()
 
@@ -141,7 +141,7 @@ class DamiaoTwin(Twin):
         self._watch = self.clock.call_in(wait, self.lost) if wait else None
 
     def lost(self) -> None:
-        """No command for too long."""
+        """Go off: no command came for too long."""
         if self.is_powered and self.status == "enabled":
             self.go_off("lost_communication")
 

@@ -116,7 +116,7 @@ class Dynamixel(ServoDevice):
     # ------------------------------------------------------------------ declaration
 
     def setup(self) -> None:
-        """As every servo, with a model."""
+        """Set up what every servo has, and the model."""
         self.model = MODEL_NAMES.get(self.config.model or "")
         self._asks_why = False
         #: Whether a goal would switch its torque on (`drive_mode`).
@@ -136,12 +136,12 @@ class Dynamixel(ServoDevice):
         self._spans[self.host.packet(self, "Ping", {})] = span
 
     def renumbered(self) -> None:
-        """Its Ping is another, too."""
+        """Forget its Ping, too, which is another now."""
         super().renumbered()
         self._span_ping()
 
     def wanted_mode(self) -> str:
-        """By what the joint is commanded by."""
+        """Return the mode that the joint's command needs."""
         return mode_of(self.joints[0] if self.joints else None, self.settings)
 
     def range_counts(self) -> tuple[int, int]:
@@ -269,7 +269,7 @@ class Dynamixel(ServoDevice):
         return "" if code == "none" else str(code)
 
     def changed(self, which: Mapping[str, tuple[int, int]]) -> None:
-        """Its watchdog may have stopped it."""
+        """Look whether its watchdog has stopped it."""
         if which.get("bus_watchdog", (0, 0))[1] == WATCHDOG_ERROR:
             self.is_cut_off = True
             self.drop(self.goal)
@@ -279,7 +279,7 @@ class Dynamixel(ServoDevice):
             super().changed(which)
 
     def takes(self, signal: Signal) -> bool | None:
-        """Not what `want` drops."""
+        """Return False for what `want` drops."""
         return False if self._takes_no_goals else super().takes(signal)
 
     @property
@@ -289,7 +289,7 @@ class Dynamixel(ServoDevice):
         return self.is_cut_off or (self.is_woken_by_goals and is_off)
 
     def want(self, message: str, path: str, value: Any) -> None:
-        """As `RegisterDevice.want`; a goal that it does not take now is reported, and not kept for later."""
+        """Do what `RegisterDevice.want` does; a goal that it does not take now is reported, and not kept for later."""
         if path == self.goal and self._takes_no_goals:
             self.emit_event("not sent", f"{path} = {value}: it is not enabled")
         else:
@@ -320,7 +320,7 @@ class Dynamixel(ServoDevice):
             yield self.write("bus_watchdog", max(1, round(self.settings.watchdog_s / WATCHDOG_S)), raw=True)
 
     def stop_motion(self) -> Job:
-        """As `ServoDevice.stop_motion`; a servo that its watchdog has stopped takes no goal, and has stopped."""
+        """Do what `ServoDevice.stop_motion` does; a servo that its watchdog has stopped takes no goal, and has stopped."""
         stopping = super().stop_motion()
 
         def steps(job: Job) -> Steps:
@@ -344,7 +344,7 @@ class Dynamixel(ServoDevice):
         return self.job("reboot", steps)
 
     def check_write(self, name: str, confirm: bool = False) -> None:
-        """As `RegisterDevice.check_write`; what survives power-off is written without torque only."""
+        """Do what `RegisterDevice.check_write` does; what survives power-off is written without torque only."""
         super().check_write(name, confirm)
         if self.codec(name).address in self.eeprom and self.cached("torque_enable", raw=True) == 1:
             raise CallerError(

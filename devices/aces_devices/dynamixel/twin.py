@@ -49,7 +49,7 @@ class DynamixelTwin(ServoTwin):
     }
 
     def make(self) -> None:
-        """As delivered, with the speed, delay, level and mode that the robot's file means."""
+        """Make it as delivered, with the speed, delay, level and mode that the robot's file means."""
         self.motion = SteadyShaft()
         joint = self.joints[0] if self.joints else None
         self.model = MODEL_NAMES.get(self.config.model or "", MODELS[0])
@@ -278,7 +278,7 @@ class DynamixelTwin(ServoTwin):
 
     @on("Reboot")
     def restart(self, request: Any) -> None:
-        """As after power-off: full turns are forgotten, too."""
+        """Begin as after power-off: full turns are forgotten, too."""
         self.answer(request)
         self.motion.settle(self.clock.now())
         self.motion.at %= TURN
@@ -297,7 +297,7 @@ class DynamixelTwin(ServoTwin):
 
     @on("FactoryReset")
     def reset(self, request: Any) -> None:
-        """As from the factory; id and speed where they are to be kept."""
+        """Set all as from the factory; id and speed where they are to be kept."""
         if request.id == BROADCAST and request.keep == "nothing":
             return
         self.answer(request)

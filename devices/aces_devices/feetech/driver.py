@@ -80,7 +80,7 @@ class Feetech(ServoDevice):
     # ------------------------------------------------------------------ a family's own
 
     def command_of_joint(self) -> str:
-        """As the robot's file says; a joint that turns without end has no positions here."""
+        """Return what the robot's file says; a joint that turns without end has no positions here."""
         joint = self.joints[0] if self.joints else None
         if joint is not None and joint.type == "continuous" and joint.command == "position":
             raise CallerError(
@@ -161,7 +161,7 @@ class Feetech(ServoDevice):
         yield super().write("lock", "locked")
 
     def write(self, name: str, value: Any, *, confirm: bool = False, raw: bool = False) -> Job:
-        """As `RegisterDevice.write`; what survives power-off is written unlocked, and locked again."""
+        """Do what `RegisterDevice.write` does; what survives power-off is written unlocked, and locked again."""
         writing = super().write
         codec = self.codec(name)
         if codec.address not in self.eeprom:
@@ -177,7 +177,7 @@ class Feetech(ServoDevice):
         return self.job(f"write {name}", steps)
 
     def check_write(self, name: str, confirm: bool = False) -> None:
-        """As `RegisterDevice.check_write`; what survives power-off is written without torque only."""
+        """Do what `RegisterDevice.check_write` does; what survives power-off is written without torque only."""
         super().check_write(name, confirm)
         if self.codec(name).address in self.eeprom and self.cached("torque_enable", raw=True) == 1:
             raise CallerError(

@@ -51,7 +51,7 @@ class FeetechTwin(ServoTwin):
         super().setup()
 
     def make(self) -> None:
-        """As delivered, with the speed, delay, level and mode that the robot's file means."""
+        """Make it as delivered, with the speed, delay, level and mode that the robot's file means."""
         #: Counts are the sensor's: without the homing offset.
         self.motion = SteadyShaft(at=self.turn / 2)
         self._factory()
@@ -169,7 +169,7 @@ class FeetechTwin(ServoTwin):
     # ------------------------------------------------------------------ instructions
 
     def refused(self, why: str) -> int:
-        """No bit of a status is about the request: what is refused is not done, and that is all."""
+        """Say nothing: no bit of a status is about the request, and what is refused is not done."""
         return 0
 
     def with_errors(self, refusal: int, errors: int) -> int:
@@ -184,7 +184,7 @@ class FeetechTwin(ServoTwin):
 
     @on("Reset")
     def reset(self, request: Any) -> None:
-        """As from the factory, save the id."""
+        """Set all as from the factory, save the id."""
         self.answer(request)
         number = self["id"]
         self._factory()

@@ -311,7 +311,7 @@ class UbxTwin(ReceiverTwin):
     settings_type: ClassVar = UbxSettings
 
     def setup(self) -> None:
-        """As it was set when it was switched on: NavPvt in each solution, at the rate of the file."""
+        """Begin as it was set when it was switched on: NavPvt in each solution, at the rate of the file."""
         super().setup()
         self.rates: dict[tuple[int, int], int] = {NAV_PVT: 1}
         self.solutions = 0

@@ -36,7 +36,7 @@ class ForceTorqueTwin(SensorTwin):
     tilt_feed: Feed | None = None
 
     def setup(self) -> None:
-        """Nothing nulled."""
+        """Begin with nothing nulled."""
         super().setup()
         is_foot = self.config.kind == "foot"
         self.side = _FEET.get(self.credentials.get("sensor", 0)) if is_foot else None

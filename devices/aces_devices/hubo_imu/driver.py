@@ -44,7 +44,7 @@ class ImuBoard(SensorBoard):
         return super().null() if self.is_old else self.nulled(("NullImu", {}))
 
     def init(self) -> Ticket | Job:
-        """Not known of this board in D12: only force/torque boards have it there."""
+        """Refuse: it is not known of this board in D12; only force/torque boards have it there."""
         if self.is_old:
             return super().init()
         return self.refused("init", "only force/torque boards are known to be initialised")

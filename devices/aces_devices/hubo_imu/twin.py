@@ -23,7 +23,7 @@ class ImuTwin(SensorTwin):
     feed: Callable[[int], Sequence[float]] | None = None
 
     def setup(self) -> None:
-        """Nothing nulled."""
+        """Begin with nothing nulled."""
         super().setup()
         self.groups["motion"] = Axes(4, noise=2.0, hot=1.0)
         signs = next((one.signs for one in self.sensors if one.kind == "imu" and one.signs is not None), None)

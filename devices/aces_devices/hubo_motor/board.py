@@ -496,7 +496,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         super().want(message, path, value)
 
     def is_followed(self, signal: Signal) -> bool:
-        """Not while it is compliant, searches its home, or takes references for currents."""
+        """Return False while it is compliant, searches its home, or takes references for currents."""
         return (
             self.comply is None
             and not self.homing
@@ -570,7 +570,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         return fields
 
     def hold_off(self, duration_s: float) -> None:
-        """No references for a while; a hold-off that lasts longer goes on."""
+        """Send no references for a while; a hold-off that lasts longer goes on."""
         until = self.clock.now() + round(duration_s * 1e9)
         if until > self._held_until:
             self._held_until = until
@@ -588,7 +588,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         return "position" if self.set_message == "ReferenceHandPosition" else "hybrid"
 
     def quiet(self) -> None:
-        """No set-points any more."""
+        """Send no set-points any more."""
         self.takes_set_points = self.is_enabled = self._filtering = False
         self.comply = None
         for message in (self.set_message, self.shape.pwm):

@@ -133,7 +133,7 @@ class MotorChannel:
     # ------------------------------------------------------------------ power and switches
 
     def powered(self, now: int) -> None:
-        """As after power-up: the encoder counts from here, nothing is on, nothing is known."""
+        """Begin as after power-up: the encoder counts from here, nothing is on, nothing is known."""
         joint = self.joint
         joint.free(now)
         self.offset = 0.0 if self.kind == "neck" else float(round(self.raw(joint.q)))

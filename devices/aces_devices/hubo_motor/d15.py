@@ -221,7 +221,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
         return self._off("stop", is_driver_too=False)
 
     def confirm_stopped(self) -> Job:
-        """By the board's status."""
+        """Ask the board's status."""
         return self.confirm_off(
             self._status, lambda: [axis.name for axis in self.axes if "control_on" in axis.drive]
         )
@@ -354,7 +354,7 @@ class HuboMotorD15Twin(Twin):
     }
 
     def setup(self) -> None:
-        """As just switched on: where it stood, controlling nothing."""
+        """Begin as just switched on: where it stood, controlling nothing."""
         now = self.clock.now()
         self.motors: dict[int, _SimulatedMotor] = {}
         for joint in self.joints:

@@ -68,7 +68,7 @@ class HuboMotor(Homing):
     asking = ("parameters",)
 
     def setup(self) -> None:
-        """As declared in `shapes`; the actions that this board has."""
+        """Set up what `shapes` declares; the actions that this board has."""
         super().setup()
         shape = self.shape
         actions = dict(_ALWAYS)

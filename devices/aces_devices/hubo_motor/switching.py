@@ -93,7 +93,7 @@ class Switching(MotorBoard):
         return axis.count or 0
 
     def tick_ns(self) -> int:
-        """Until the next tick has surely sent what was given (ns)."""
+        """Return the time until the next tick has surely sent what was given (ns)."""
         rate = self.host.rate_hz
         return PAUSE_NS if rate is None else round(1e9 / rate) + PAUSE_NS
 
@@ -180,7 +180,7 @@ class Switching(MotorBoard):
         return self.job("disable", steps)
 
     def stop_motion(self) -> Ticket | None:
-        """No set-points any more, control off (duty off for boards without that), at once."""
+        """Send no set-points any more, and control off (duty off for boards without that), at once."""
         self.end_led()
         self.homing = set()
         was_compliant = self.comply is not None
@@ -194,7 +194,7 @@ class Switching(MotorBoard):
         return ticket
 
     def confirm_stopped(self) -> Job | None:
-        """By the board's status, where it has that of its drives."""
+        """Ask the board's status, where it has that of its drives."""
         status = self.shape.status
         if status is None or not self.shape.reports_drive or not self.shape.has_switches:
             return None

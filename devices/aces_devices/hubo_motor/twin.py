@@ -103,7 +103,7 @@ class HuboMotorTwin(Twin):
     # ------------------------------------------------------------------ faults
 
     def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
-        """As all twins; those of motors take effect at once."""
+        """Do what all twins do; those of motors take effect at once."""
         super().fault(name, amount, on=on)
         # Off the bus nothing is received.
         self._handlers = {} if "can_error" in self.active_faults else self._listening

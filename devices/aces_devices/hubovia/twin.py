@@ -22,7 +22,7 @@ class MotorTwin(Twin):
     faults: ClassVar = {"stuck": "does not turn"}
 
     def setup(self) -> None:
-        """At zero until the first angle; a PC that was switched off leaves the motor where it is."""
+        """Stand at zero until the first angle; a PC that was switched off leaves the motor where it is."""
         now = self.clock.now()
         joint = self.joints[0] if self.joints else None
         self._direction = joint.direction if joint is not None else 1

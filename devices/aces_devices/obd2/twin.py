@@ -64,7 +64,7 @@ class Obd2Twin(Twin):
 
     @on("ClearCodes", "ClearCodesAll")
     def clear(self, request: Any) -> None:
-        """No codes any more, but permanent ones."""
+        """Clear the codes, but permanent ones."""
         self.ecu.codes.clear()
         self.reply("CodesCleared")
 

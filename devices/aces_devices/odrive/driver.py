@@ -291,7 +291,7 @@ class Odrive(SingleMotor):
         return self.scale.raw_angle(here)
 
     def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
-        """Nothing is fed forward."""
+        """Complete a command: nothing is fed forward."""
         return {**_FORWARD.get(message, {}), **fields}
 
     def switch_off(self) -> Ticket:

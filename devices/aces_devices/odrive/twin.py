@@ -212,7 +212,7 @@ class OdriveTwin(Twin):
 
     @on("ClearErrors")
     def clear(self, request: Any) -> None:
-        """No errors any more, unless their cause is there."""
+        """Clear the errors, unless their cause is there."""
         self.errors = frozenset()
 
     @on("Reboot")

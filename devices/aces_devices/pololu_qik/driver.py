@@ -294,7 +294,7 @@ class Qik(Device):
         return self.job("ask whether it has understood", steps)
 
     def want(self, message: str, path: str, value: Any) -> None:
-        """As `Device.want`; it ends what is left of a stop."""
+        """Do what `Device.want` does; it ends what is left of a stop."""
         self._given_count += 1
         super().want(message, path, value)
 

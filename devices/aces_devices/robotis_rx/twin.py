@@ -42,7 +42,7 @@ class RobotisRXTwin(ServoTwin):
     }
 
     def make(self) -> None:
-        """As delivered, with the speed, delay and level of the robot's file, and the joint where the world has it."""
+        """Make it as delivered, with the speed, delay and level of the file, and the joint where the world has it."""
         self.motion = ShaftMotion()
         self._factory()
         self.tune()
@@ -79,7 +79,7 @@ class RobotisRXTwin(ServoTwin):
     # ------------------------------------------------------------------ motion
 
     def load_table(self, table: bytes) -> None:
-        """As `ServoTwin.load_table`; it is where that was read."""
+        """Do what `ServoTwin.load_table` does; it is where that was read."""
         super().load_table(table)
         self.motion.settle(self.clock.now())
         self.motion.at = float(self["present_position"])
@@ -168,7 +168,7 @@ class RobotisRXTwin(ServoTwin):
 
     @on("Reset")
     def reset(self, request: Any) -> None:
-        """As from the factory."""
+        """Set all as from the factory."""
         self.answer(request, WRITE)
         self._factory()
         self.begin()

@@ -206,7 +206,7 @@ class Robstride(MitMotor):
             self.emit_alarms(now, before, f"{self.owner}: ")
 
     def takes(self, signal: Signal) -> bool | None:
-        """Until it has said that it is on, it counts as off."""
+        """Return False until it has said that it is on."""
         return super().takes(signal) if self.is_on else False
 
     # ------------------------------------------------------------------ switching

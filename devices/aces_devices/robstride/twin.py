@@ -88,7 +88,7 @@ class RobstrideTwin(Twin):
 
     @on("GetId")
     def identify(self, request: Any) -> None:
-        """Its unique id."""
+        """Answer with its unique id."""
         self.reply("Id", unique_id=0x1122334455667700 | self.credentials["motor"])
 
     @on("SetId")
@@ -108,7 +108,7 @@ class RobstrideTwin(Twin):
         self._watch = self.clock.call_in(wait, self.lost) if wait and self.state == "run" else None
 
     def lost(self) -> None:
-        """No message for too long."""
+        """Go off: no message came for too long."""
         if self.is_powered and self.state == "run":
             self.go_off()
 
@@ -147,7 +147,7 @@ class RobstrideTwin(Twin):
 
     @on("SetZero")
     def zero(self, request: Any) -> None:
-        """Here is 0."""
+        """Make here 0."""
         self.offset -= self.angle
         self.feedback(request)
 

@@ -346,7 +346,7 @@ class ServoDevice(RegisterDevice):
         return frozenset(name for name, bit in self.error_bits.items() if mask >> bit & 1)
 
     def malformed(self, reason: str, instant: int) -> None:
-        """Its answers are malformed again and again: noise does that now and then, two servos with one id each time."""
+        """Count malformed answers: noise makes one now and then, two servos with one id each time."""
         self.malformed_in_a_row += 1
         if self.malformed_in_a_row % MALFORMED == 0:
             self.report_double(
@@ -355,7 +355,7 @@ class ServoDevice(RegisterDevice):
             )
 
     def is_followed(self, signal: Signal) -> bool:
-        """Not while the torque is off."""
+        """Return False while the torque is off."""
         return self.cached("torque_enable", raw=True) != 0 and super().is_followed(signal)
 
     # ------------------------------------------------------------------ actions

@@ -361,7 +361,7 @@ class ServoTwin(Twin):
     # ------------------------------------------------------------------ misbehaving
 
     def fault(self, name: str, amount: float | None = None, *, on: bool = True) -> None:
-        """As `Twin.fault`; motion before it stays as it was."""
+        """Do what `Twin.fault` does; motion before it stays as it was."""
         self.before_write()
         super().fault(name, amount, on=on)
         self.apply()

@@ -110,7 +110,7 @@ class SignalLane:
 
     @classmethod
     def of(cls, series: Sequence[Series]) -> SignalLane:
-        """For the series of both sides."""
+        """Return it for the series of both sides."""
         signal = series[0].signal
         values = np.unique(np.concatenate([one.points()[1] for one in series]))
         values = values[~np.isnan(values)]

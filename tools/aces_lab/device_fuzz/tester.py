@@ -124,7 +124,7 @@ class TapEnd:
         self.tap.attach(received)
 
     def on_event(self, handler: Callable[[str, str], Any]) -> None:
-        """As of the port below."""
+        """Pass the handler on to the port below."""
         self.tap.on_event(handler)
 
     def send(
@@ -141,7 +141,7 @@ class TapEnd:
         return self.tap.port.send(packet, age_ns, urgent=urgent, topic=topic, report=report)
 
     def wire_ns(self, packet: Any) -> int:
-        """As of the port below."""
+        """Return what the port below says."""
         return self.tap.port.wire_ns(packet)
 
     def close(self) -> None:
@@ -299,7 +299,7 @@ class DeviceTester(BusEndpoint[_Ear]):
         return SentStep(packet, self.clock.now() - began, how)
 
     def _await_quiet(self) -> None:
-        """On a half-duplex line: until nothing was on it for a moment, and for the silence that may end a packet."""
+        """Wait, on a half-duplex line, until nothing was on it for a moment, and for the silence that may end a packet."""
         if not self._end.half_duplex:
             return
         end = self.clock.now() + BUSY_NS

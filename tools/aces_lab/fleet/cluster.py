@@ -64,7 +64,7 @@ class Workers(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """No more tasks."""
+        """Take no more tasks."""
 
 
 class _Called(NamedTuple):

@@ -202,7 +202,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         )
 
     def encoded(self) -> bytes:
-        """As it lies in the dataset."""
+        """Return it as it lies in the dataset."""
         return msgspec.json.format(msgspec.json.encode(self))
 
     @staticmethod

@@ -323,7 +323,7 @@ class StoreReader:
         return file
 
     def read(self, size: int = -1) -> bytes:
-        """At most so many bytes; none at the end. Raises `OSError` where the store refuses."""
+        """Return at most so many bytes; none at the end. Raises `OSError` where the store refuses."""
         if not self._ready:
             self._ready = memoryview(self._block())
         given = bytes(self._ready if size < 0 else self._ready[:size])
@@ -364,7 +364,7 @@ class StoreReader:
             pass
 
     def close(self) -> None:
-        """Nothing more is read."""
+        """End reading."""
         with suppress(Exception):
             self._file.close()
 

@@ -467,7 +467,7 @@ class LiveStates:
             self._transforms = self.view.channel("/tf", "foxglove.FrameTransforms", TRANSFORMS_SCHEMA, {})
 
     def start(self, now: int) -> None:
-        """Nothing has to be begun."""
+        """Begin nothing."""
 
     def step(self, now: int) -> None:
         """Sample once, where a client looks on."""
@@ -476,7 +476,7 @@ class LiveStates:
             view.put(self, (now + view.epoch_ns, [_number(read) for read in self._reads]))
 
     def stop(self, now: int) -> None:
-        """Nothing has to be ended: the view is its owner's."""
+        """End nothing: the view is its owner's."""
 
     def publish(self, items: Sequence[Any]) -> None:
         """Rows, and of the transforms the newest."""

@@ -51,7 +51,7 @@ def split(sample: Rows, free: Array) -> list[tuple[list[int], ByteOrder]]:
 
 
 def _joined(sample: Rows, free: Array) -> dict[int, int]:
-    """From each bit to the one above it in its number."""
+    """Return the step from each bit to the one above it in its number."""
     edges: dict[tuple[int, int], float] = {}
     orders: Sequence[ByteOrder] = ("little", "big")
     for order in orders:

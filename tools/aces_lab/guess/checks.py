@@ -160,7 +160,7 @@ def _different(lengths: Array, *parts: Array) -> Array:
 
 
 def _spread(items: Sequence[Any], most: int) -> list[Any]:
-    """At most so many, evenly over all."""
+    """Return at most so many, evenly over all."""
     if len(items) <= most:
         return list(items)
     return [items[index] for index in np.linspace(0, len(items) - 1, most).astype(int).tolist()]

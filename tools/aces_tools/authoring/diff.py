@@ -61,7 +61,7 @@ class Difference:
         return not (self.removed or self.added or self.changed)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return it for JSON."""
         return {
             "removed": self.removed,
             "added": self.added,

@@ -109,7 +109,7 @@ class StreamInput:
         return attempts[:count]
 
     def _around(self, at: int, count: int) -> tuple[int, int]:
-        """From where to where the reference has to read: the scanner, which is quick, finds the decisions' borders."""
+        """Return from where to where the reference has to read: the scanner, which is quick, finds the borders."""
         scanner: Any = make_scanner(self.variants, direction=self.direction, include_unknown=True)
         last: deque[int] = deque(maxlen=BEFORE)
         behind = 0

@@ -305,7 +305,7 @@ def _parts(line: PlotLine) -> Sequence[slice]:
 
 
 def short_name(name: str, *, is_end: bool = False) -> str:
-    """As much of a name as there is room for: its beginning, or its end."""
+    """Return as much of a name as there is room for: its beginning, or its end."""
     if len(name) <= LONGEST_NAME:
         return name
     return "…" + name[1 - LONGEST_NAME :] if is_end else name[: LONGEST_NAME - 1] + "…"

@@ -299,7 +299,7 @@ LARGEST = 8e307
 
 
 def values_range(lines: Sequence[PlotLine], limits: Limits) -> tuple[float, float]:
-    """From where to where a vertical axis goes: all values with a margin, or what the caller said."""
+    """Return from where to where a vertical axis goes: all values with a margin, or what the caller said."""
     values = [line.y[~np.isnan(line.y)] for line in lines]
     some = np.concatenate(values) if values else np.empty(0)
     if any(line.format.is_stem for line in lines):

@@ -126,7 +126,7 @@ def broken(x: Array, y: Array, longest: float) -> tuple[Array, Array]:
 
 
 def longest_period(x: Array) -> float:
-    """From where on nothing between two points is a gap: some periods where they come periodically, else no time is."""
+    """Return the longest time between two points that is no gap: some periods where they come periodically, else any."""
     steps = np.diff(x)
     if len(steps) < PERIODS:
         return np.inf

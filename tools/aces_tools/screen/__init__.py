@@ -127,7 +127,7 @@ class ModelFeed:
             self._received_ns, self._is_settled = item.host_ns, self._are_datagrams
 
     def idle(self, now_ns: int) -> None:
-        """Nothing came until now."""
+        """Note that nothing came until now."""
         if not self._is_settled and now_ns - self._received_ns > self._gap_ns:
             self._is_settled = True
             self._model.feed_records(self._scanner.idle(now_ns / 1e9), now_ns)

@@ -178,7 +178,7 @@ class RepeatedFrame:
         return self.changes[-1][0] if self.changes else 0
 
     def ages(self, now_ns: int, steps_ns: Sequence[int]) -> list[int]:
-        """For each of the steps, in ns and rising, the bits that changed within it and not within one before."""
+        """Return for each of the steps, in ns and rising, the bits that changed within it and not within one before."""
         found = [0] * len(steps_ns)
         for when, mask in self.changes:
             age = now_ns - when

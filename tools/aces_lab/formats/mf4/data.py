@@ -272,7 +272,7 @@ class RecordFinder:
         return int(self._format.unpack_from(buffer, at)[0])
 
     def _step(self, buffer: bytearray, at: int, end: int) -> int:
-        """From the record that begins there to the next; 0 where there is none, or it is not whole."""
+        """Return the step from the record that begins there to the next; 0 where there is none, or it is not whole."""
         step = self.steps.get(self.number(buffer, at), 0)
         if step == _OWN:
             if at + self.width + 4 > end:
