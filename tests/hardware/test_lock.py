@@ -200,3 +200,10 @@ def test_a_bell_stays_out_of_the_way(folder: Path, monkeypatch: pytest.MonkeyPat
     lock.take()
     assert lock.ring() is None
     lock.release()
+
+
+def test_asking_who_drives_loads_no_backend() -> None:
+    """A stop asks first: it waits neither for python-can with all its file formats, nor for NumPy."""
+    code = "import sys, aces_bus.hardware.lock; print([m for m in ('can', 'numpy', 'serial') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
