@@ -103,8 +103,9 @@ class Travel:
         """Return the part of a speed or push that may leave now."""
         bounds, here = self.bounds, self._position.last
         has_bounds = bounds.lower > -math.inf or bounds.upper < math.inf
-        if has_bounds and here is UNKNOWN and value:
-            self.device.emit_event("limited", f"{signal.name}: 0 until it is known where {self.name} is")
+        if has_bounds and here is UNKNOWN:
+            if value:
+                self.device.emit_event("limited", f"{signal.name}: 0 until it is known where {self.name} is")
             return 0.0
         most = least = math.inf
         if has_bounds:

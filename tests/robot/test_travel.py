@@ -8,6 +8,7 @@ import pytest
 
 from aces_bus.controller import controller
 from aces_bus.device import Robot
+from aces_bus.device.reading import UNKNOWN
 from aces_bus.errors import CallerError
 from aces_bus.robot import VirtualRobot, parse_robot, run_virtual
 
@@ -103,6 +104,20 @@ def test_torque_no_longer_accelerates_a_joint_at_its_speed() -> None:
             fastest = max(fastest, motor.motor.v)
         assert 4.5 < fastest < 1.5 * 5.0
         assert virtual.rig.door.tripped == {}
+    finally:
+        virtual.__exit__(None, None, None)
+
+
+def test_no_speed_may_be_set_before_it_is_known_where_a_joint_is() -> None:
+    """A drawn schedule had a controller stop a joint of a device that answered late: 0 raised, and nothing was sent."""
+    virtual = enabled("moteus", 'command = "speed", lower = -1.0, upper = 1.0, max_speed = 3.0')
+    try:
+        virtual.devices["M"].forget()
+        assert virtual.rig["J"].last is UNKNOWN
+        virtual.rig["J.velocity"].set(0.0)
+        assert virtual.events.count("limited") == 0
+        virtual.rig["J.velocity"].set(1.0)
+        assert virtual.events.count("limited") == 1
     finally:
         virtual.__exit__(None, None, None)
 
