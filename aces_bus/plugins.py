@@ -13,7 +13,7 @@ import os
 import sys
 import warnings
 from collections.abc import Iterator
-from functools import cache
+from functools import cache, lru_cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
 
@@ -61,6 +61,24 @@ def installed_points(group: str) -> Iterator[InstalledPoint]:
                 yield InstalledPoint(name.strip(), value.strip(), distribution)
 
 
+def entry_points_of(group: str) -> tuple[EntryPoint, ...]:
+    """Return the entry points of a group. They are read again when a folder of `sys.path` has changed."""
+    folders: list[tuple[str, int]] = []
+    for folder in sys.path:
+        try:
+            folders.append((folder, os.stat(folder or ".").st_mtime_ns))
+        except OSError:
+            continue
+    return _read_points(group, tuple(folders))
+
+
+@lru_cache(maxsize=32)
+def _read_points(group: str, folders: tuple[tuple[str, int], ...]) -> tuple[EntryPoint, ...]:
+    from importlib.metadata import entry_points  # a tenth of a second
+
+    return tuple(entry_points(group=group))
+
+
 @cache
 def installed_items(group: str, kind: type[T]) -> tuple[T, ...]:
     """Return the objects of a kind that the entry points of a group name; one may name a tuple of them.
@@ -100,10 +118,10 @@ class Plugins(Generic[T]):
 
     def points(self) -> dict[str, EntryPoint]:
         """Return the entry points in order of names, not imported. Raises `SpecError` when two packages claim a name."""
-        from importlib.metadata import entry_points  # a tenth of a second
-
         found: dict[str, EntryPoint] = {}
-        for point in sorted([*entry_points(group=self.group), *self._added], key=lambda one: one.name):
+        for point in sorted(
+            [*entry_points_of(self.group), *self._added], key=lambda one: (one.name, one.value)
+        ):
             other = found.setdefault(point.name, point)
             if other.value != point.value:
                 raise SpecError(

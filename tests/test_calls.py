@@ -164,6 +164,7 @@ def test_calls_raise_errors_of_ours(
 ) -> None:
     """Values of the annotated types are taken, or refused with an `AcesError`."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # what this machine serves is nobody's business here
+    monkeypatch.chdir(tmp_path)  # a drawn text may be the name of a file that is written
 
     @settings(
         max_examples=max(4, settings().max_examples // 10),
@@ -210,8 +211,16 @@ def methods() -> Iterator[Any]:
 
 @looks_at_parameters
 @pytest.mark.parametrize(("kind", "made_of", "name", "arguments"), list(methods()))
-def test_methods_raise_errors_of_ours(kind: Any, made_of: Arguments, name: str, arguments: Arguments) -> None:
+def test_methods_raise_errors_of_ours(
+    kind: Any,
+    made_of: Arguments,
+    name: str,
+    arguments: Arguments,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """A method takes values of the annotated types, or refuses them with an `AcesError`."""
+    monkeypatch.chdir(tmp_path)  # as above
 
     @settings(
         max_examples=max(4, settings().max_examples // 10),

@@ -284,6 +284,37 @@ def test_source_roots_are_folders_not_packages() -> None:
     assert [name for name, (folder, _) in PACKAGES.items() if not (folder / "py.typed").exists()] == []
 
 
+#: All that stands at the top of the repository.
+TOP = {
+    *(
+        ".ci",
+        ".gitattributes",
+        ".gitignore",
+        "CONTRIBUTING.md",
+        "LICENSE",
+        "Makefile",
+        "README.md",
+        "aces_bus",
+    ),
+    *(
+        "changelog.d",
+        "constraints.txt",
+        "devices",
+        "docs",
+        "examples",
+        "protocols",
+        "pyproject.toml",
+        "tests",
+        "tools",
+    ),
+}
+
+
+def test_nothing_else_stands_at_the_top() -> None:
+    """A test that writes where it is started leaves files there, which are then committed by accident."""
+    assert {path.relative_to(ROOT).parts[0] for path in tracked_files() if path.exists()} == TOP
+
+
 # ---- what no file may say -----------------------------------------------------------------------------------------
 
 #: The first folder of a checkout's path is nobody's business either, unless every system has one of that name.

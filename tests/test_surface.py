@@ -13,6 +13,7 @@ import pkgutil
 from collections import defaultdict
 from collections.abc import Callable, Container, Iterator
 from enum import Enum
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from types import FunctionType, MethodType, ModuleType
@@ -35,14 +36,14 @@ TWICE: dict[str, str] = {
 }
 
 
-def sources() -> Iterator[tuple[str, bool, ast.Module]]:
+@cache
+def sources() -> list[tuple[str, bool, ast.Module]]:
     """Each module of ours: its name, whether it is a package's `__init__`, its syntax tree."""
-    for folder, _ in PACKAGES.values():
-        for path in sorted(folder.rglob("*.py")):
-            yield *module_name(path), ast.parse(path.read_text(encoding="utf-8"))
-
-
-SOURCES = list(sources())
+    return [
+        (*module_name(path), ast.parse(path.read_text(encoding="utf-8")))
+        for folder, _ in PACKAGES.values()
+        for path in sorted(folder.rglob("*.py"))
+    ]
 
 
 def packages() -> list[str]:
@@ -119,7 +120,7 @@ def test_the_public_surface(golden: Callable[[str, str], None]) -> None:
 def test_a_package_lists_what_it_exports() -> None:
     """An `__init__` that binds public names lists them in `__all__`, each once and there."""
     wrong: list[str] = []
-    for name, is_package, tree in SOURCES:
+    for name, is_package, tree in sources():
         if not is_package:
             continue
         binds = {
@@ -158,7 +159,7 @@ def test_importing_all_names_binds_no_module() -> None:
 def test_one_name_has_one_meaning() -> None:
     """No public class or function is defined under the same name in two modules, but for those above."""
     where: dict[str, list[str]] = defaultdict(list)
-    for module, _, tree in SOURCES:
+    for module, _, tree in sources():
         for node in tree.body:
             if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
                 if not node.name.startswith("_"):
@@ -177,7 +178,7 @@ def owner(module: str) -> str:
 def test_private_modules_stay_at_home() -> None:
     """No module imports a private module or name of another package."""
     wrong: list[str] = []
-    known = {module: is_package for module, is_package, _ in SOURCES}
+    known = {module: is_package for module, is_package, _ in sources()}
     for folder, _ in PACKAGES.values():
         for path in sorted(folder.rglob("*.py")):
             module, is_package = module_name(path)

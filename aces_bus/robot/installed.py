@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import os
-from importlib.metadata import entry_points
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Final
 
 from ..device.config import Robot
 from ..errors import SpecError, UnknownNameError
+from ..plugins import entry_points_of
 from .file import RobotError, RobotFileProblem, check_robot_file, parse_robot
 
 GROUP: Final = "aces_bus.robots"
@@ -23,7 +23,7 @@ GROUP: Final = "aces_bus.robots"
 def list_robots() -> dict[str, Traversable]:
     """Return the installed robots, in order of names: name → its file. Raises `SpecError` when two packages bring a name."""
     found: dict[str, Traversable] = {}
-    for package in sorted({point.value for point in entry_points(group=GROUP)}):
+    for package in sorted({point.value for point in entry_points_of(GROUP)}):
         for file in files(package).iterdir():
             name, suffix = os.path.splitext(file.name)
             if suffix == ".toml":

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.metadata
+import shutil
 import subprocess
 import sys
-from importlib.metadata import EntryPoint
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -34,26 +32,38 @@ def test_an_unknown_name_lists_those_that_exist() -> None:
         load_driver("hubo_moter")
 
 
-def test_two_claims_on_a_name_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def installed(folder: Path, **points: str) -> str:
+    """Have a folder hold a package that registers these drivers; return its path."""
+    for number, (name, value) in enumerate(points.items()):
+        place = folder / f"brings{number}_{name}-1.0.dist-info"
+        place.mkdir(parents=True)
+        (place / "METADATA").write_text(f"Name: brings{number}-{name}\nVersion: 1.0\n")
+        (place / "entry_points.txt").write_text(f"[{DRIVERS.group}]\n{name.strip('_')} = {value}\n")
+    return str(folder)
+
+
+def test_two_claims_on_a_name_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two packages with one name raise, with both places; so does an entry that is no driver or has another name."""
-    points: list[EntryPoint] = []
-
-    def entry_points(group: str) -> Any:
-        return points
-
-    monkeypatch.setattr(importlib.metadata, "entry_points", entry_points)
-    points[:] = [
-        EntryPoint("fan", "one:driver", DRIVERS.group),
-        EntryPoint("fan", "two:driver", DRIVERS.group),
-    ]
-    with pytest.raises(SpecError, match="one:driver and two:driver"):
-        list_drivers()
-    points[:] = [EntryPoint("fan", "math:pi", DRIVERS.group)]
+    with monkeypatch.context() as patch:
+        patch.syspath_prepend(installed(tmp_path / "clash", blower="one:driver", blower_="two:driver"))
+        with pytest.raises(SpecError, match="one:driver and two:driver"):
+            list_drivers()
+    monkeypatch.syspath_prepend(installed(tmp_path / "wrong", blower="math:pi"))
     with pytest.raises(SpecError, match="not a Driver but float"):
-        load_driver("fan")
-    points[:] = [EntryPoint("ventilator", "tests.device.fan:FAN", DRIVERS.group)]
+        load_driver("blower")
+    monkeypatch.syspath_prepend(installed(tmp_path / "named", ventilator="tests.device.fan:FAN"))
     with pytest.raises(SpecError, match="calls itself 'fan'"):
         load_driver("ventilator")
+
+
+def test_what_is_installed_meanwhile_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A package that is installed while a program runs is there at the next look, and gone when it is removed."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+    assert "blower" not in list_drivers()
+    installed(tmp_path, blower="one:driver")
+    assert "blower" in list_drivers()
+    shutil.rmtree(tmp_path / "brings0_blower-1.0.dist-info")
+    assert "blower" not in list_drivers()
 
 
 @pytest.mark.parametrize("name", NAMES)

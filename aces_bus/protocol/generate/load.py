@@ -10,7 +10,8 @@ import linecache
 import re
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache, partial
+from functools import cache, lru_cache, partial
+from types import CodeType
 from typing import Any, TypeVar
 
 import msgspec
@@ -40,8 +41,14 @@ def load_source(source: str, name: str, names: Mapping[str, Any]) -> dict[str, A
     linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
     # `__builtins__` comes along with exec; the text is ours, printed from a plan.
     namespace: dict[str, Any] = {"__name__": name, **names}
-    exec(compile(source, filename, "exec"), namespace)
+    exec(_compiled(source, filename), namespace)
     return namespace
+
+
+@lru_cache(maxsize=512)
+def _compiled(source: str, filename: str) -> CodeType:
+    """Return the code of a source: a scanner more of one protocol prints what was compiled before."""
+    return compile(source, filename, "exec")
 
 
 @cache

@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -46,6 +46,15 @@ class _Later:
         if self._decode is None:
             self._decode = self._make()
         return self._decode(*arguments)
+
+
+@lru_cache(maxsize=512)
+def _choice_of(messages: tuple[Message, ...], name: str) -> str:
+    """Return the printed choice among messages; of one protocol many scanners are made."""
+    choice: Choice = choose([m.plan for m in messages])
+    out = SourceText()
+    print_choice(out, name, choice)
+    return out.text()
 
 
 @mypyc_attr(allow_interpreted_subclasses=True)
@@ -114,13 +123,11 @@ class Decider:
         if len(plain) == 1:
             decode = functions[plain[0].name]
         elif plain:
-            choice: Choice = choose([m.plan for m in plain])
-            out = SourceText()
             name = f"choose_{len(self._chosen)}"
-            print_choice(out, name, choice)
-            self.source += out.text()
+            source = _choice_of(tuple(plain), name)
+            self.source += source
             space = load_source(
-                out.text(),
+                source,
                 f"aces {self.variant.label} {name}",
                 {f"decode_{n}": f for n, f in functions.items()},
             )
