@@ -60,6 +60,7 @@ _draw_no_constants_of_modules()
 collect_ignore = [
     "pristine.py",
     "steady.py",
+    "mutants/lines.py",  # measures from the moment it is imported: everything takes twice as long
     "bench/framings.py",
     "bench/soak.py",
     "bench/run_stops.py",

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .lines import ROOT
+from .operators import ROOT
 from .lookup import Lines
 from .operators import KINDS, Mutant, mutants_of
 from .serve import MARK

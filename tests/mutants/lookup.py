@@ -15,7 +15,7 @@ from pathlib import Path
 
 import coverage
 
-from .lines import ROOT
+from .operators import ROOT
 
 
 class Recording:
