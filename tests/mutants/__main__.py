@@ -24,9 +24,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .operators import ROOT
 from .lookup import Lines
-from .operators import KINDS, Mutant, mutants_of
+from .operators import KINDS, ROOT, Mutant, mutants_of
 from .serve import MARK
 
 BUILD = ROOT / "build" / "mutants"

@@ -9,6 +9,9 @@ from __future__ import annotations
 
 import ast
 from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
 
 #: What becomes of a comparison: its bound moves, or its answer turns.
 COMPARISONS: dict[type[ast.cmpop], tuple[str, ...]] = {
