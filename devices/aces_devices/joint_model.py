@@ -140,12 +140,12 @@ class MotorJoint:
         self.mode, self.duty = "duty", max(-1.0, min(1.0, duty))
 
     def push(self, now: int, current: float) -> None:
-        """A motor current (A)."""
+        """Drive the motor with a current (A)."""
         self.sync(now)
         self.mode, self.current_wanted = "current", current
 
     def follow(self, now: int, goal: float) -> None:
-        """The position controller, to `goal` (rad)."""
+        """Control the position to `goal` (rad)."""
         self.sync(now)
         self.mode, self.goal = "position", goal
 

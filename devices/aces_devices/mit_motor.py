@@ -32,7 +32,7 @@ class MitMotor(SingleMotor):
     def declare_mit(
         self, spec_ranges: Ranges, ranges: Ranges | None, stale_s: Mapping[str, float] | None = None
     ) -> None:
-        """The signals of the joint, after `declare`; `stale_s` of those that are asked for less often than others."""
+        """Add the joint's signals, after `declare`; `stale_s` for signals that are asked for less often than others."""
         self.spec_ranges = spec_ranges
         #: Of this motor; None: not known yet.
         self.ranges: Ranges | None = None
@@ -74,7 +74,7 @@ class MitMotor(SingleMotor):
         return self.signals[f"{self.owner}.{name}"]
 
     def know(self, ranges: Ranges) -> None:
-        """What its numbers mean: signals are limited to what can be said, within what the joint may do."""
+        """Set the motor's ranges: limit signals to values that a frame can carry, within the joint's limits."""
         self.ranges = ranges
         joint, scale = self.joint, self.scale
         low, high = sorted((scale.angle(-ranges[0]), scale.angle(ranges[0])))
@@ -96,7 +96,7 @@ class MitMotor(SingleMotor):
         self.epoch += 1
 
     def stay(self) -> None:
-        """Where it is, with the stiffness and damping of the file; no velocity, no torque."""
+        """Hold the present position with the stiffness and damping of the file; no velocity, no torque."""
         here = self.of_joint("position").last
         for name, path in self.modes[self.mode].items():
             message, _, field = path.partition(".")

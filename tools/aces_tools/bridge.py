@@ -239,7 +239,7 @@ class OneWay:
             self._bytes(self.selection.idle(self.source.name))
 
     def close(self) -> None:
-        """What is left of a packet, at the end."""
+        """Forward the beginning of a packet that is still held, at the end."""
         if not self._is_can and self._gap_s:
             self._bytes(self.selection.idle(self.source.name))
 
@@ -274,7 +274,7 @@ class OneWay:
 
     @property
     def lost(self) -> int:
-        """What passed and did not arrive."""
+        """Number of frames or bytes that were read here and did not reach the other side."""
         return self.passed - self._sent if self.target is not None else 0
 
     @property
@@ -390,7 +390,9 @@ class Bridge:
             time.sleep(LINGER_S)
 
     def _watched(self, ways: Sequence[OneWay], back: Any, patience: Patience) -> list[list[Any]]:
-        """What comes before anything is forwarded; raises `CallerError` where both ends receive the same."""
+        """Return what each way receives before anything is forwarded; raise `CallerError` if both ends
+        receive the same.
+        """
         if self.ends[0].kind != "can":
             return [[] for _ in ways]
         patience.wait_until(time.monotonic_ns() + round(WATCH_S * 1e9))

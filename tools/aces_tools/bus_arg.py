@@ -117,12 +117,12 @@ class ChosenBus:
 
     @property
     def link(self) -> Literal["can", "serial"]:
-        """What captures call it: bytes are bytes."""
+        """Link as captures name it: every byte stream is `serial`."""
         return "can" if self.kind == "can" else "serial"
 
     @property
     def described(self) -> str:
-        """How messages call it."""
+        """Name of the bus in messages."""
         return f"{self.name} (interface {self.options.get('interface')})" if self.kind == "can" else self.name
 
     def on(self, channel: str) -> ChosenBus:
@@ -233,7 +233,7 @@ def chosen_end(text: str, variants: Sequence[Variant] = ()) -> ChosenBus:
 
 
 def _take_name(arguments: argparse.Namespace) -> None:
-    """A bus that is named without an option, as the option that it stands for; raises `CallerError` for two names."""
+    """Turn a bus named without an option into the option that it stands for; raise `CallerError` for two names."""
     text: str = arguments.bus
     other = "--channel" if "channel" in arguments else "--udp" if arguments.udp is not None else None
     other = "--serial" if arguments.serial is not None else other

@@ -63,7 +63,7 @@ def standard_input() -> list[str]:
 
 
 def print_json(value: Any, indent: int | None = 2) -> None:
-    """A value on standard output, for programs; without `indent` on one line."""
+    """Print a value as JSON to standard output; without `indent` on one line."""
     import json
 
     print(json.dumps(value, ensure_ascii=False, indent=indent), flush=True)
@@ -104,7 +104,9 @@ def write_text(
 
 
 def check_suffix(option: str, path: str | None, *suffixes: str) -> None:
-    """Raises `CallerError` for a file whose name says another format than these; no suffix says none."""
+    """Raise `CallerError` for a file whose suffix names a format that is not in `suffixes`; a path without a
+    suffix passes.
+    """
     suffix = os.path.splitext(path or "")[1].lower()
     if suffix and suffix not in suffixes:
         raise CallerError(
@@ -134,7 +136,7 @@ class Output:
 
     @property
     def encoding(self) -> str:
-        """What people's text is written in."""
+        """Encoding of text for people."""
         return "utf-8" if self._file is not None else getattr(sys.stdout, "encoding", None) or "utf-8"
 
     def write(self, data: bytes) -> None:
@@ -167,7 +169,7 @@ class Output:
             ) from error
 
     def close(self) -> None:
-        """What has been written is in the file. Does nothing more once that has succeeded."""
+        """Write what is buffered and close the file. Do nothing if that has succeeded before."""
         if self._file is not None and self._file.closed:
             return
         try:
@@ -266,7 +268,7 @@ class Progress:
         )
 
     def opened(self, capture: Any) -> None:
-        """The next file is being read."""
+        """Begin the progress of the next file."""
         self._before += self._place
         self._place = 0
         # The file beneath the capture, packed or not: its place says how much has been read.

@@ -346,7 +346,7 @@ def _renamed(texts: list[str]) -> dict[str | None, str]:
 
 
 def _link(name: str) -> str | None:
-    """What the content of a file says it is of."""
+    """Return the link of a file by its content; None if it cannot be read."""
     try:
         with open_recording(name) as capture:
             return capture.link

@@ -296,7 +296,7 @@ class LiveDecoding(Decoding):
         self.output.close()
 
     def _clean_up(self) -> None:
-        """The output is closed however the run ended, and what could not be written is said."""
+        """Close the output, however the run has ended, and report what could not be written."""
         try:
             self.output.close()
         except BrokenPipeError:
@@ -392,7 +392,7 @@ class LiveDecoding(Decoding):
         self._begin_at(None if first is None else first.meta.time)
 
     def _begin_at(self, time: float | None) -> None:
-        """The same, with the time that relative ones count from."""
+        """Begin the pending file, with the time that relative times count from."""
         if self.pending is not None:
             source, link = self.pending
             self.pending = None

@@ -270,7 +270,7 @@ _worker: JobsDecoding | None = None
 
 
 def _begin(arguments: argparse.Namespace, form: str) -> None:
-    """A process starts: Ctrl-C is the first one's to handle."""
+    """Start a worker process; leave Ctrl-C to the first process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     global _worker
     if _worker is None:
@@ -315,13 +315,13 @@ class Parts:
         return os.path.join(self._folder, f"{number}{self.suffix}")
 
     def adopt(self) -> None:
-        """The next piece is written: its files take their places, those of the piece before are complete."""
+        """Begin to write the next piece: its files take their places, and those of the piece before are complete."""
         self._close_own()
         self._move(self.piece(self._adopted), f"part-{self._adopted:05}")
         self._adopted += 1
 
     def begin_own(self) -> None:
-        """The next piece is of this process alone."""
+        """Begin a piece that this process alone writes."""
         self._close_own()
         self._adopted += 1
 
@@ -345,7 +345,7 @@ class Parts:
             self._move(os.path.join(self._folder, f"own{self.suffix}"), name)
 
     def _move(self, place: str, part: str) -> None:
-        """The files of a piece, each into the folder of its message."""
+        """Move the files of a piece, each into the folder of its message."""
         with telling(self._path):
             if os.path.isfile(place):  # a single message: the parts are the folder
                 os.rename(place, os.path.join(self._staging.temporary, f"{part}{self.suffix}"))

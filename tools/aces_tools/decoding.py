@@ -140,13 +140,13 @@ class Decoding(ABC):
 
     @abstractmethod
     def _after(self, capture: Recording, frames: int = 0) -> None:
-        """A piece of a recording has been decoded, with so many frames."""
+        """Note that a piece of a recording with `frames` frames has been decoded."""
 
     def _opened(self, capture: CanRecording | SerialRecording) -> None:  # noqa: B027 - a way may have nothing to do
-        """A file is about to be decoded."""
+        """Note that a file is about to be decoded."""
 
     def _done(self) -> None:  # noqa: B027
-        """A file has been decoded."""
+        """Note that a file has been decoded."""
 
     @abstractmethod
     def _finish(self, *, is_whole: bool) -> None:
@@ -157,7 +157,7 @@ class Decoding(ABC):
         """Flush what has been written before a message about it is printed. Must not raise."""
 
     def _clean_up(self) -> None:  # noqa: B027
-        """The run is over, whichever way."""
+        """Release everything at the end of the run, whether it failed or not."""
 
     # ------------------------------------------------------------------ running
 
@@ -183,7 +183,7 @@ class Decoding(ABC):
 
     @property
     def is_done(self) -> bool:
-        """Whether all that is asked for has been shown."""
+        """True once everything that was asked for has been shown."""
         return False
 
     def _complain(self, message: str) -> None:
@@ -236,7 +236,7 @@ class Decoding(ABC):
             return open_any(name)
 
     def _seen(self, channels: set[str]) -> None:
-        """These interfaces have occurred."""
+        """Note that these interfaces have occurred."""
         self.present |= channels
         self.absent -= channels
 

@@ -60,7 +60,7 @@ def chosen_signals(device: Device, part: str | None, names: list[str]) -> list[S
 
 
 def checked(device: Device, part: str | None, action: str, values: Any) -> None:
-    """Whether a device has such signals, such an action with such arguments; raises `CallerError`."""
+    """Raise `CallerError` unless the device has these signals, or this action with these arguments."""
     if action == "stop":
         return
     if action in ("get", "watch"):

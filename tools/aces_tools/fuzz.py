@@ -258,7 +258,7 @@ class Tally:
 
     @property
     def rate(self) -> float:
-        """How many examples a minute."""
+        """Examples per minute."""
         return 60 * self.examples / self.seconds
 
     def coverage(self) -> Coverage:

@@ -137,7 +137,7 @@ class SendQueue:
 
     @property
     def pending(self) -> int:
-        """What was queued and waits to leave."""
+        """Number of items that are queued and have not left yet."""
         counters = self.gate.counters
         return self._queued - counters.sent - counters.not_sent
 

@@ -62,7 +62,7 @@ class LiveFile(Protocol):
 
     @property
     def size(self) -> int:
-        """How many bytes the file has so far."""
+        """Size of the file so far, in bytes."""
         ...
 
     def close(self) -> None:
@@ -229,7 +229,7 @@ class LiveRecording:
 
     @property
     def size(self) -> int:
-        """How many bytes the file has so far."""
+        """Size of the file so far, in bytes."""
         return int(self._file.size)
 
     def write(self, item: Any) -> None:
@@ -307,7 +307,7 @@ class LiveTables:
 
     @property
     def size(self) -> int:
-        """How many bytes the file has so far."""
+        """Size of the file so far, in bytes."""
         return self._export.size
 
     def write(self, item: Sequence[Any]) -> None:
@@ -323,7 +323,7 @@ class LiveTables:
         self._export.commit()
 
     def sync(self) -> None:
-        """The system brings it to the disk."""
+        """Do nothing: the operating system writes the file to the disk."""
 
     def close(self) -> None:
         """Finish the files."""

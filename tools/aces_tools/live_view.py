@@ -121,16 +121,16 @@ def live_view(verb: str, arguments: argparse.Namespace, name: str) -> AbstractCo
 
 
 def show_event(view: LiveView, event: EventLike) -> None:
-    """An event of a device or controller."""
+    """Show an event of a device or a controller."""
     view.event(event.instant, event.kind, event.source, event.detail, _LEVELS.get(event.kind, "warning"))
 
 
 def show_bus_event(view: LiveView, bus: str, kind: str, detail: str) -> None:
-    """What has just happened to a bus."""
+    """Show an event of a bus."""
     view.event(view.now(), kind, bus, detail, _LEVELS.get(kind, "warning"))
 
 
 def show_bus(view: LiveView, name: str, side: BusEndpoint[Any], *, is_host: bool) -> None:
-    """What passes one side of a bus; before it is opened."""
+    """Show all traffic of one side of a bus; call this before the bus is opened."""
     bus = view.bus(list(side.variants.values()), name=name, link=side.port.link, is_host=is_host)
     side.watch(bus.passed)

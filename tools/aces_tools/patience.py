@@ -104,7 +104,7 @@ class Patience:
         return False
 
     def each(self, items: Iterable[T]) -> Iterator[T]:
-        """The items, until there are no more or Ctrl-C."""
+        """Yield the items, until there are no more or Ctrl-C is pressed."""
         iterator = iter(items)
         while not self.is_over:
             try:

@@ -346,7 +346,7 @@ class Playing:
             self._progress()
 
     def _show_live(self, view: LiveView, item: Frame | Chunk, stamp: int) -> None:
-        """What was played, at the recording's own time."""
+        """Show a played item in the live view, at the recording's own time."""
         is_can = isinstance(item, Frame)
         link: Literal["can", "serial", "datagram"] = (
             "can" if is_can else "datagram" if self.unit == "datagrams" else "serial"
@@ -365,13 +365,15 @@ class Playing:
 
     @property
     def most(self) -> int:
-        """How much may wait to be sent: what leaves well within `PATIENCE_S`, so that little is old after a standstill."""
+        """Most items that may wait to be sent: as many as leave within `PATIENCE_S`, so that few are old
+        after a standstill.
+        """
         most, rate = WAITING[self.unit], self.arguments.rate
         return most if rate is None else max(1, min(most, int(rate * PATIENCE_S / 2)))
 
     @property
     def _byte_ns(self) -> float:
-        """How long a byte takes where a recording has no times."""
+        """Duration of a byte (ns), for a recording without times."""
         baud = self.bus.options.get("baud") if self.bus is not None else None
         return 10e9 / baud / self.speed if baud and self.speed else 0.0
 

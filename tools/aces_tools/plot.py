@@ -280,7 +280,7 @@ class Plotting(TableDecoding):
 
     @property
     def _longest_gap(self) -> float | None:
-        """Where lines are interrupted (s); None as the messages' periods say."""
+        """Gap (s) that interrupts a line; None to take it from each message's period."""
         given: float | None = self.arguments.break_time
         return math.inf if self.clock.origin is None or (given is not None and given < 0) else given
 
@@ -389,7 +389,9 @@ LIST_HEAD = ("signal", "count", "min", "max", "unit")
 
 
 def split_arguments(items: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Captures, then signals: the first is a capture, and so are those behind it that are files."""
+    """Split arguments into captures and signals: the first is a capture, and so is each that follows and
+    names a file.
+    """
     files, rest = [items[0]], list(items[1:])
     while rest and rest[0] not in ("-", ",") and os.path.exists(rest[0]):
         files.append(rest.pop(0))

@@ -79,7 +79,7 @@ class RecordingFile:
 
     @property
     def dropped(self) -> int:
-        """What came faster than the disk took it."""
+        """Number of frames or bytes that were dropped because the disk was too slow."""
         return 0 if self._inbox is None else int(self._inbox.dropped)
 
     @property

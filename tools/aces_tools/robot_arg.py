@@ -224,7 +224,7 @@ def channel_of(robot: Robot, name: str, options: Mapping[str, Mapping[str, Any]]
 
 
 def check_channels(robot: Robot, options: Mapping[str, Mapping[str, Any]]) -> None:
-    """Whether it is known where each bus is that has active devices; raises `CallerError`."""
+    """Raise `CallerError` unless the channel of each bus with active devices is known."""
     examples = {"can": "can0", "serial": "/dev/ttyUSB0"}
     for name in dict.fromkeys(config.bus for config in robot.devices.values() if config.active):
         if channel_of(robot, name, options) is None:

@@ -212,7 +212,7 @@ class Sending:
 
     @property
     def link(self) -> str:
-        """What writers call the kind of bus."""
+        """Link as writers name it: `can` or `serial`."""
         return "can" if self.is_can else "serial"
 
     def _receiver(self) -> Any:

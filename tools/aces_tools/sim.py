@@ -151,7 +151,7 @@ def _list_faults(robot: Robot, as_json: bool) -> int:
 
 
 def _announce(robot: Robot, arguments: argparse.Namespace, stand: SimulatedRobot) -> None:
-    """How to join each bus, on stdout: programs and people read it."""
+    """Print how to join each bus to stdout, for programs and people."""
     given = arguments.robot or robot.name
     if arguments.json:
         print_json({"robot": robot.name, "buses": stand.reached}, None)
@@ -228,7 +228,7 @@ class SimulatedRobot:
                 self.reached[name] = {"kind": links[name], "address": str(channel), **options[name]}
 
     def _show_live(self, view: LiveView) -> None:
-        """Where its joints are, and what passes its buses."""
+        """Show the robot's joints, and the traffic of its buses."""
         from aces_bus.kinematics import load_body
 
         for name, twins in self.simulation.buses.items():
@@ -379,7 +379,7 @@ class SimulatedRobot:
 
     @property
     def device_options(self) -> str:
-        """What `aces device`, `scan -r` and `run` take to reach all buses."""
+        """Options with which `aces device`, `scan -r` and `run` reach all buses."""
         said = [f"--bus {name}={self.reached[name]['address']}" for name in self.simulation.buses]
         interface = next((way["interface"] for way in self.reached.values() if way.get("interface")), None)
         if interface not in (None, "aces"):

@@ -74,7 +74,7 @@ def _put(tree: dict[str | int, Any], path: Sequence[str | int], value: Any, name
 
 
 def _whole(value: Any, name: str) -> Any:
-    """Lists and records out of what was given one by one."""
+    """Build lists and records from values that were given one by one."""
     if not isinstance(value, _Given):
         return value
     if any(isinstance(step, str) for step in value):

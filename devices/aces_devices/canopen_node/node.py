@@ -28,7 +28,7 @@ class CanopenNode(ObjectAccess):
     heartbeat_ms: int
 
     def add_node(self, heartbeat_ms: int, sdo_timeout_s: float, watchdog: Watchdog) -> None:
-        """The signals of any node, and what its life is known by."""
+        """Add the signals of any node, and the watch over its heartbeat."""
         self.heartbeat_ms = heartbeat_ms
         beats = 3.5 * heartbeat_ms / 1000 if heartbeat_ms else 1e6
         self.network: Signal = self.add_signal(
@@ -53,7 +53,7 @@ class CanopenNode(ObjectAccess):
         """Ask the node what it is, set it up, start it; then `is_set_up`."""
 
     def quiet(self, on: bool) -> None:
-        """Whether the node is not to be expected to answer polls now."""
+        """Stop polling the node (`on`), or poll it again: it does not answer now."""
 
     # ------------------------------------------------------------------ up
 
@@ -155,7 +155,7 @@ class CanopenNode(ObjectAccess):
 
     @property
     def is_operational(self) -> bool:
-        """Whether it takes PDOs, as far as is known: one that has lost the host does not."""
+        """True if the node takes PDOs, as far as is known; a node that has lost the host does not."""
         return self.is_set_up and self.network.last in (UNKNOWN, "operational")
 
     @property

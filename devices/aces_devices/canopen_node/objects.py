@@ -75,7 +75,7 @@ class ObjectAccess(Device):
         return self.sdo.download(index, subindex, data)
 
     def identity(self) -> Job:
-        """What the node says it is: device type, vendor, product, revision, serial number, name."""
+        """Read what the node says about itself: device type, vendor, product, revision, serial number, name."""
 
         def steps(job: Job) -> Steps:
             found: dict[str, Any] = {}

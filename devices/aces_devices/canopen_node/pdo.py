@@ -65,7 +65,7 @@ class PdoLayout:
 
     @property
     def is_synchronous(self) -> bool:
-        """Whether the node sends or applies it at SYNC."""
+        """True if the node sends or applies the PDO at SYNC."""
         return self.kind <= 240
 
     def has(self, index: int) -> bool:

@@ -62,7 +62,7 @@ class BlockSdoServer(SdoServer):
         self._upload: _Upload | None = None
 
     def on_request(self, can_id: int, data: Any, timestamp: float) -> None:
-        """A frame of the client: while it writes a block nearly all of them are segments."""
+        """Handle a frame of the client; while a block is written nearly all frames are segments."""
         block = self._download
         if block is not None and not block.is_all and data[0] & 0x7F:
             try:
@@ -85,7 +85,7 @@ class BlockSdoServer(SdoServer):
         super().abort(abort_code)  # type: ignore[no-untyped-call]
 
     def block_download(self, data: Any) -> None:
-        """The beginning or the end of a download."""
+        """Begin or end a block download."""
         if data[0] & 3 == _END:
             self._written(data)
             return
@@ -96,7 +96,7 @@ class BlockSdoServer(SdoServer):
         self._say(0xA0 | data[0] & 4, bytes(data[1:4]) + bytes([BLOCK]))
 
     def _refuse_now(self, index: int, subindex: int) -> None:
-        """What cannot be written is refused before the data come."""
+        """Raise `SdoAbortedError` for an object that cannot be written, before its data are sent."""
         dictionary = self._node.object_dictionary
         known = dictionary.get_variable(index, subindex)
         if known is None:

@@ -45,14 +45,14 @@ class CanopenTwin(Twin):
     # ------------------------------------------------------------------ for kinds of nodes
 
     def take_object(self, index: int, subindex: int, value: int, now: int) -> None:
-        """A number that was written: in a PDO, or over SDO."""
+        """Take a number that was written in a PDO or over SDO."""
 
     def object_value(self, index: int, subindex: int, now: int) -> Any:
         """Return what an object says now; None: what the dictionary has."""
         return None
 
     def lost_host(self, now: int) -> None:
-        """The host's heartbeat is missed."""
+        """React to the loss of the host's heartbeat."""
 
     def changed_state(self, state: str, now: int) -> None:
         """Network management has led it into a state, as canopen calls it."""
@@ -64,7 +64,7 @@ class CanopenTwin(Twin):
     # ------------------------------------------------------------------ its node
 
     def add_node(self, dictionary: Any) -> None:
-        """The node, as just switched on; in `setup`. Its boot-up message follows."""
+        """Create the node as if just switched on; call this in `setup`. Its boot-up message follows."""
         import canopen
 
         from .network import StationNetwork
@@ -148,7 +148,7 @@ class CanopenTwin(Twin):
         return [entry & 0xFFFF for entry in entries if entry >> 16 & 0xFF == node and entry & 0xFFFF][:1]
 
     def _lost(self, node: int) -> None:
-        """A node that it watches over is gone: its kind does what it does then; PDOs are ignored from now on (1029 is 0)."""
+        """React to the loss of a watched node as the kind of node does; ignore PDOs from now on (1029 is 0)."""
         self._watched.pop(node, None)
         if not self._waits_for(node):  # its consumer entry was cleared
             return
@@ -182,7 +182,7 @@ class CanopenTwin(Twin):
         return int.from_bytes(self.node.get_data(index, subindex), "little")
 
     def _process(self, number: int, data: bytes, now: int) -> None:
-        """An RPDO: at once, or at the next SYNC."""
+        """Process an RPDO, at once or at the next SYNC."""
         layout = self.inputs.get(number)
         if layout is None:
             return
@@ -246,7 +246,7 @@ class CanopenTwin(Twin):
     # ------------------------------------------------------------------ saying
 
     def _put(self, identifier: int, data: bytes) -> None:
-        """What canopen sends."""
+        """Send a frame that canopen has made."""
         if not self.is_powered or ("no_heartbeat" in self.active_faults and identifier & 0x780 == 0x700):
             return
         for record in self._scanner.feed([Frame(identifier, data)]):

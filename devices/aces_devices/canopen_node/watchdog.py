@@ -42,7 +42,7 @@ class Watchdog:
 
     @property
     def is_possible(self) -> bool:
-        """Whether it is wanted, and the node's file has the object."""
+        """True if the watchdog is wanted, and the node's file has the object."""
         return bool(self.wait_ms) and self.device.dictionary.get_variable(CONSUMER, 1) is not None
 
     def begin(self) -> Steps:
@@ -73,7 +73,7 @@ class Watchdog:
         self.entry = None
 
     def forget(self) -> None:
-        """It has booted: it does not watch."""
+        """Note that the node has booted, and does not watch the host any more."""
         self.entry = None
 
     def _free(self) -> Steps:
@@ -110,7 +110,7 @@ class Watchdog:
             ) from error
 
     def _beat(self) -> None:
-        """The first of the bus's nodes that watch this number has the heartbeat sent for all."""
+        """Have the first of the bus's nodes that watch this number send the heartbeat for all of them."""
         device = self.device
         if self.entry is None:
             self._beats = False

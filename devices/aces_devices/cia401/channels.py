@@ -91,7 +91,7 @@ class IoChannel:
 
     @property
     def is_output(self) -> bool:
-        """Whether it can be set."""
+        """True if the channel can be set."""
         return self.index in OUTPUTS
 
     @property

@@ -55,7 +55,7 @@ class Cia401(CanopenNode):
     }
 
     def setup(self) -> None:
-        """A signal for each channel that the module's file has."""
+        """Add a signal for each channel that the module's file has."""
         self.settings = settings = settings_of(self.name, ModuleSettings, self.config.settings)
         node = self.credentials["node"]
         self.dictionary = module_dictionary(settings.eds, node)
@@ -151,7 +151,9 @@ class Cia401(CanopenNode):
         return int.from_bytes(data, "little", signed=index == ERROR_VALUES[0x6411][1])
 
     def quiet(self, on: bool) -> None:
-        """It is not operational: what was set is not sent any more, nor again when it is. A stop sees to it all the same."""
+        """Drop waiting set-points while the module is not operational (`on`). They are not sent again; a stop
+        still acts.
+        """
         if on:
             for number in range(1, 5):
                 self.drop(f"Rpdo{number}")
@@ -214,7 +216,7 @@ class Cia401(CanopenNode):
     # ------------------------------------------------------------------ down
 
     def takes(self, signal: Signal) -> bool | None:
-        """Outputs are taken by a module that is operational; while nothing is known of it they wait."""
+        """Return True if an operational module takes the output, False if not, None while its state is unknown."""
         if self._is_unknown:
             return None
         return super().takes(signal) if self.is_operational else False
@@ -230,7 +232,7 @@ class Cia401(CanopenNode):
 
     @property
     def _is_unknown(self) -> bool:
-        """Whether it is being set up, or has never been."""
+        """True if the module is being set up, or never has been."""
         return not self.numbers or (self._set_up is not None and not self._set_up.is_over)
 
     def _give(self, one: IoChannel, value: Any) -> None:
@@ -273,7 +275,7 @@ class Cia401(CanopenNode):
             raise
 
     def _send(self) -> None:
-        """What PDOs take, with the next tick."""
+        """Put the changed outputs into their PDOs, to be sent with the next tick."""
         for number, layout in self._taking():
             held = {(place.index, place.subindex) for place in layout.places} & self._unsent
             if held:
@@ -309,7 +311,9 @@ class Cia401(CanopenNode):
     # ------------------------------------------------------------------ stopping
 
     def stop_motion(self) -> Job | None:
-        """What was set takes its `stop`, else the module's error value: in PDOs at once, then over SDO; read back."""
+        """Set driven outputs to their `stop`, or else to the module's error value: by PDO at once, then over
+        SDO; read back.
+        """
         self._unsent.clear()
         self._early.clear()
         for job in (self._writing, self._reading):
@@ -364,7 +368,7 @@ class Cia401(CanopenNode):
         return self.job("say that its outputs stay", steps)
 
     def _stop_number(self, where: tuple[int, int], number: int) -> int | None:
-        """What an output's object that is `number` becomes when what was set of it is stopped; None: that is not known."""
+        """Return the number that an output's object gets when its driven channels stop; None if it is not known."""
         mode, value = self.errors.get(where, (0xFF, 0))
         found = error_number(where[0], number, mode, value)
         stated = [one for one, _ in self._by_where[where] if one.given.stop is not None]

@@ -78,12 +78,12 @@ class Cia401Twin(CanopenTwin):
     # ------------------------------------------------------------------ objects
 
     def take_object(self, index: int, subindex: int, value: int, now: int) -> None:
-        """An output was set."""
+        """Take an output."""
         if index in OUTPUTS and (index, subindex) in self.numbers and "stuck" not in self.active_faults:
             self.numbers[index, subindex] = value
 
     def object_value(self, index: int, subindex: int, now: int) -> Any:
-        """Inputs and outputs; the error register."""
+        """Return an input, an output or the error register."""
         if index == 0x1001:
             return HOST_GONE_REGISTER if self.has_lost_host else 0
         return self.numbers.get((index, subindex))
@@ -91,12 +91,12 @@ class Cia401Twin(CanopenTwin):
     # ------------------------------------------------------------------ error values
 
     def lost_host(self, now: int) -> None:
-        """Outputs take their error values."""
+        """Give outputs their error values."""
         self.has_lost_host = True
         self._to_error_values()
 
     def changed_state(self, state: str, now: int) -> None:
-        """Outputs take their error values when it is stopped."""
+        """Give outputs their error values when the module is stopped."""
         if state == "STOPPED":
             self._to_error_values()
         elif state == "OPERATIONAL":

@@ -127,7 +127,7 @@ class DriveAxis:
         )
 
     def choose(self, mode: str) -> None:
-        """This is its mode from now on: its target can be set, and nothing else."""
+        """Choose a mode: from now on only its target can be set."""
         self.wanted = mode
         target = TARGETS[mode][0]
         for name, setter in self._setters.items():
@@ -137,7 +137,7 @@ class DriveAxis:
     # ------------------------------------------------------------------ up
 
     def update(self, index: int, value: int, instant: int) -> None:
-        """An object of the drive has been received; `index` is that of axis 0."""
+        """Update signals from an object of the drive; `index` is that of axis 0."""
         signals = self.signals
         if index in self.scales:
             name, scale, zero = self.scales[index]
@@ -170,7 +170,7 @@ class DriveAxis:
     state = "unknown"
 
     def forget(self) -> None:
-        """The drive has lost its settings, and nothing is known of it."""
+        """Forget everything known of the drive, which has lost its settings."""
         self.statusword = self.position_raw = self.mode_shown = None
         self.state = "unknown"
         self.outputs = {CONTROLWORD: 0, MODE: 0}
@@ -188,7 +188,7 @@ class DriveAxis:
 
     @property
     def takes(self) -> bool | None:
-        """Whether it is enabled, in its mode; None: nothing is known of the drive yet."""
+        """True if the drive is enabled and in its mode; None while nothing is known of it."""
         if self.statusword is None or self.mode_shown is None:
             return None
         return self.state == "operation enabled" and self.mode_shown == MODES[self.wanted]
@@ -223,7 +223,7 @@ class DriveAxis:
         return f"in mode {MODE_NAMES.get(self.mode_shown or 0, self.mode_shown)}, not in {self.wanted}"
 
     def hand_over(self, now: int) -> None:
-        """The next part of the handshake of profile position."""
+        """Take the next step in the handshake of profile position."""
         if self.wanted != "profile_position" or self.state != "operation enabled" or self.statusword is None:
             return
         is_taken = bool(self.statusword & TAKEN)

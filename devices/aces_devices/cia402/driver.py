@@ -139,13 +139,13 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
         return set_up(self, job)
 
     def begin(self) -> None:
-        """It was started, and its PDOs are known: from now on it is watched."""
+        """Begin to watch the drive: it was started, and its PDOs are known."""
         self._wire()
         self.is_set_up = True
         self.quiet(False)
 
     def quiet(self, on: bool) -> None:
-        """Whether it is not to be expected at SYNC."""
+        """Do not expect the drive at SYNC (`on`), or expect it again."""
         if on:
             self.host.postpone(self, "Sync", LONG_S)
             return
@@ -238,7 +238,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
         )
 
     def _ready(self) -> Steps:
-        """The node is set up and says its state."""
+        """Set the node up if needed, until it reports its state."""
         if not self.is_set_up:
             yield self.set_up()
         elif not self.is_operational:

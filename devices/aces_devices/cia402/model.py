@@ -137,7 +137,7 @@ class AxisModel:
     # ------------------------------------------------------------------ what is written
 
     def written(self, index: int, value: int, now: int) -> None:
-        """An object has a new value."""
+        """Act on the new value of an object."""
         self.advance(now)
         self.objects[index] = value
         if index == 0x6040:
@@ -159,7 +159,7 @@ class AxisModel:
         return mode == 0 or (mode > 0 and bool(self.objects.get(0x6502, 0) >> mode - 1 & 1))
 
     def control(self, word: int) -> None:
-        """A controlword: what the state machine makes of it."""
+        """Apply a controlword to the state machine."""
         old, self.word = self.word, word
         state = self.state
         if state in ("fault", "fault reaction active"):
@@ -207,7 +207,7 @@ class AxisModel:
         self.motor.place(self.at, self.motor.q)
 
     def _of_mode(self, old: int, word: int) -> None:
-        """The bits of the controlword that belong to the mode."""
+        """Apply the bits of the controlword that belong to the mode."""
         rises, falls = word & START and not old & START, old & START and not word & START
         name = MODE_NAMES.get(self.mode)
         if name == "profile_position":
@@ -252,7 +252,7 @@ class AxisModel:
         self.goal = self.demand + step * 1e12
 
     def _searching(self) -> None:
-        """A millisecond of a search: the switch is at the joint's limit, or half a turn from 0."""
+        """Advance a search by a millisecond; the switch is at the joint's limit, or half a turn from 0."""
         self._searched += 1
         joint, units = self.joint, self.units
         low = -3.14 if joint.lower is None else joint.lower
@@ -268,7 +268,7 @@ class AxisModel:
             self._found(at)
 
     def _found(self, at: float) -> None:
-        """The switch is at this count: it is the home offset from now on."""
+        """End the search with the switch at count `at`, which is the home offset from now on."""
         self.shift += float(self.objects.get(0x607C, 0)) - at
         self._bits |= TAKEN
         self._stop_search()
@@ -281,7 +281,7 @@ class AxisModel:
     # ------------------------------------------------------------------ faults
 
     def fail(self, code: int) -> None:
-        """A fault: it stops, and says so."""
+        """Stop the axis with a fault, and report it."""
         self._fail(code)
         self._report(code, REGISTERS.get(code, 0x01))
 
@@ -294,7 +294,7 @@ class AxisModel:
         self.motor.free(self.at)
 
     def lost_connection(self) -> None:
-        """What object 6007 says of a connection that is lost: 1 a fault, 2 disable voltage, 3 quick stop."""
+        """React to a lost connection as object 6007 says: 1 a fault, 2 disable voltage, 3 quick stop."""
         match self.objects.get(0x6007, 0):
             case 1 if self.state != "fault":
                 self._fail(HOST_GONE)
@@ -306,7 +306,7 @@ class AxisModel:
                 pass
 
     def cause(self, code: int, there: bool) -> None:
-        """The cause of a fault has come, or gone."""
+        """Set or clear the cause of a fault."""
         if there and code not in self.causes:
             self.causes.add(code)
             if self.state != "fault":
@@ -384,7 +384,7 @@ class AxisModel:
         self.demand += self.speed * STEP
 
     def _towards(self) -> None:
-        """A trapezoid to the goal."""
+        """Advance along a trapezoid of speed towards the goal."""
         objects = self.objects
         if self._searched >= 0:
             fastest = float(objects.get(0x6099 << 8 | 1, 20000))
@@ -408,7 +408,7 @@ class AxisModel:
             self.demand += step
 
     def _follow(self) -> None:
-        """The motor goes where it is planned, unless something is in its way."""
+        """Move the motor to the planned place, unless something is in its way."""
         self.motor.place(self.at, (self.demand - self.units.zero - self.shift) / self.units.per_rad)
         behind = abs(self.demand - self._actual())
         self._torque = 0.0 if self.speed == 0 else copysign(20.0, self.speed)

@@ -95,7 +95,7 @@ def _last_error(device: Cia402) -> Steps:
 
 
 def _check(device: Cia402) -> None:
-    """Whether what the driver needs in each tick is in PDOs, and sent when it is expected."""
+    """Raise `DeviceError` unless what the driver needs in each tick is in PDOs that are sent when expected."""
     help_ = 'settings pdo = "write" makes it so'
     for axis in device.axes:
         holders = [

@@ -30,7 +30,7 @@ class Cia402Twin(CanopenTwin):
     }
 
     def setup(self) -> None:
-        """The node and its axes, as just switched on."""
+        """Create the node and its axes, as if just switched on."""
         settings = settings_of(self.name, DriveSettings, self.config.settings)
         self.dictionary = dictionary_of(settings.eds, self.credentials["node"])
         now = self.clock.now()
@@ -71,7 +71,7 @@ class Cia402Twin(CanopenTwin):
         return sorted(places, key=lambda one: one.index - offset_of(one.index) == 0x6040)
 
     def take_object(self, index: int, subindex: int, value: int, now: int) -> None:
-        """An object of an axis was written."""
+        """Take an object of an axis that was written."""
         offset = offset_of(index)
         axis = self.axes.get(offset)
         if axis is not None and index >= 0x6000:
@@ -94,7 +94,7 @@ class Cia402Twin(CanopenTwin):
         return found
 
     def lost_host(self, now: int) -> None:
-        """What object 6007 says."""
+        """React to the loss of the host as object 6007 says."""
         for axis in self.axes.values():
             axis.advance(now)
             axis.lost_connection()

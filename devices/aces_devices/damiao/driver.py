@@ -111,7 +111,7 @@ class Damiao(MitMotor):
     )  # fmt: skip
 
     def setup(self) -> None:
-        """The signals of the motor; its numbers mean nothing yet."""
+        """Declare the signals of the motor; its ranges are not known yet."""
         settings = self.settings = settings_of(self.name, DamiaoSettings, self.config.settings)
         self.declare(mode=settings.mode)
         dialect = str(self.variant.dialect)
@@ -135,7 +135,7 @@ class Damiao(MitMotor):
             self.add_signal(name, unit="°C", of=of, doc=doc, source="MIT frame, bytes 6, 7")
 
     def read_ranges(self) -> Steps:
-        """Steps that read PMAX, VMAX and TMAX. Raises `DeviceError` for ranges that are none."""
+        """Yield steps that read PMAX, VMAX and TMAX. Raise `DeviceError` for ranges that are not positive."""
         found: list[float] = []
         for name in ("position_max", "velocity_max", "torque_max"):
             found.append((yield self.read(name)))
@@ -167,7 +167,7 @@ class Damiao(MitMotor):
         return self.job("start", steps)
 
     def received(self, record: Any, instant: int) -> None:
-        """A feedback says whether it is on."""
+        """Take from a feedback whether the motor is on."""
         if type(record).__name__ != "Feedback":
             return
         status = str(record.status)
@@ -240,7 +240,7 @@ class Damiao(MitMotor):
         return self.ask("ClearError", reply="Feedback")
 
     def set_zero(self, confirm: bool) -> Job:
-        """The present position is the motor's 0 from now on, also after power-off. Fails while it is on."""
+        """Make the present position the motor's 0, also after power-off. Fails while the motor is on."""
         if confirm is not True:
             raise CallerError(f"{self.name}: say confirm=True; its old zero is lost")
 

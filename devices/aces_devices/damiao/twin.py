@@ -71,7 +71,7 @@ class DamiaoTwin(Twin):
 
     @property
     def angle(self) -> float:
-        """Where the motor is (rad)."""
+        """Position of the motor (rad)."""
         return self.scale.raw_angle(self.motor.position(self.clock.now())) + self.offset
 
     def feedback(self) -> None:
@@ -134,7 +134,7 @@ class DamiaoTwin(Twin):
         self.feedback()
 
     def watch_over(self) -> None:
-        """A command has come: the time-out begins anew."""
+        """Restart the time-out: a command has come."""
         if self._watch is not None:
             self._watch.cancel()
         wait = round(self.registers[9] * 50_000)
@@ -154,7 +154,7 @@ class DamiaoTwin(Twin):
     # ------------------------------------------------------------------ commands
 
     def received(self, record: Any, instant: int) -> None:
-        """A command of a mode, where it is the present one."""
+        """Carry out a command of the present mode; ignore commands of others."""
         if type(record).__name__ != _MODES[int(self.registers[10])]:
             return
         if self.status == "enabled":
@@ -187,7 +187,7 @@ class DamiaoTwin(Twin):
 
     @on("ReadFloat", "ReadInteger")
     def read(self, request: Any) -> None:
-        """What it holds; registers that it has not are not answered."""
+        """Answer with the value of a register; registers that the motor does not have are not answered."""
         self.answer(request, "Read")
 
     @on("WriteFloat", "WriteInteger")
@@ -209,7 +209,7 @@ class DamiaoTwin(Twin):
         return number not in INTEGERS or (math.isfinite(value) and 0 <= value < 1 << 32)
 
     def answer(self, request: Any, verb: str) -> None:
-        """The register of a request."""
+        """Answer a request with its register."""
         number = REGISTERS.get(request.register)
         if number is None:
             return

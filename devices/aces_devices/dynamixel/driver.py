@@ -130,7 +130,7 @@ class Dynamixel(ServoDevice):
         self._span_ping()
 
     def _span_ping(self) -> None:
-        """A Ping is answered by model and firmware."""
+        """Declare the values in the answer to a Ping: model and firmware."""
         span = RegisterSpan(0, PINGED, ())
         span.codecs = (0, self.codec("model_number")), (2, self.codec("firmware_version"))
         self._spans[self.host.packet(self, "Ping", {})] = span
@@ -227,7 +227,7 @@ class Dynamixel(ServoDevice):
     # ------------------------------------------------------------------ up
 
     def learned(self, table: Mapping[str, int]) -> None:
-        """The servo's own limits limit the joint."""
+        """Limit the joint to the servo's own limits."""
         drive_mode = self.codec("drive_mode").value(table["drive_mode"])
         self.is_woken_by_goals = bool(drive_mode.torque_on_by_goal)
         if self.is_woken_by_goals:
@@ -249,7 +249,9 @@ class Dynamixel(ServoDevice):
             _narrow(self.current, table["current_limit"] * self.model.current_step_a)
 
     def errors_of(self, record: Any) -> frozenset[str] | None:
-        """A status only says that there are errors; which, the register `hardware_error` does."""
+        """Return the servo's errors; a status only says that there are some, the register `hardware_error`
+        says which.
+        """
         known = self.known.get("hardware_error")
         if not record.error.alert:
             self._asks_why = False
@@ -312,7 +314,7 @@ class Dynamixel(ServoDevice):
     # ------------------------------------------------------------------ actions
 
     def before_torque(self) -> Steps:
-        """The mode must be right; the watchdog is cleared, then set."""
+        """Yield steps that check the mode, clear the watchdog and set it."""
         yield from super().before_torque()
         yield self.write("bus_watchdog", 0, raw=True)
         self.is_cut_off = False

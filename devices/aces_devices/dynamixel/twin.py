@@ -80,7 +80,7 @@ class DynamixelTwin(ServoTwin):
         self["current_limit"], self["velocity_limit"] = model.current_limit, model.velocity_limit
 
     def begin(self) -> None:
-        """The RAM's defaults; goals are the limits, and where it is."""
+        """Load the RAM's defaults; goals are the limits, or the present place."""
         now = self.clock.now()
         super().begin()
         #: When it last had an instruction (ns).
@@ -111,7 +111,7 @@ class DynamixelTwin(ServoTwin):
         self.motion.settle(self.clock.now())
 
     def apply(self) -> None:
-        """What the registers mean for the motion, from now on."""
+        """Apply the registers to the motion."""
         motion, mode = self.motion, self["operating_mode"]
         motion.settle(self.clock.now())
         motion.is_driven = bool(self["torque_enable"])
@@ -178,7 +178,7 @@ class DynamixelTwin(ServoTwin):
     # ------------------------------------------------------------------ instructions
 
     def receive(self, record: Any, instant: int) -> None:
-        """An instruction; each of them keeps the watchdog quiet."""
+        """Carry out an instruction; each of them resets the watchdog."""
         if self.is_powered and self.is_tuned:
             self._watch(self.clock.now())
             self._instructed_at = self.clock.now()
@@ -227,21 +227,24 @@ class DynamixelTwin(ServoTwin):
 
     @on("BulkRead")
     def answer_bulk(self, request: Any) -> None:
-        """An area of one's own, after those who are asked before."""
+        """Answer with the servo's own area, after the servos that are asked before it."""
         self.answer_in_turn(_areas(request))
 
     @on("FastSyncRead")
     def answer_fast(self, request: Any) -> None:
-        """A part of a joint answer."""
+        """Answer with a part of a joint status."""
         self._jointly([(number, request.start, request.count) for number in request.ids])
 
     @on("FastBulkRead")
     def answer_fast_bulk(self, request: Any) -> None:
-        """A part of a joint answer, of an area of one's own."""
+        """Answer with a part of a joint status, from the servo's own area."""
         self._jointly(_areas(request))
 
     def _jointly(self, areas: Sequence[tuple[int, int, int]]) -> None:
-        """The first servo sends what all of them send one behind another; it ends before the first that is not there.
+        """Send, as the first servo, the parts of all servos in one status; it ends before the first servo
+        that is absent.
+
+        A request for more than a packet holds is not answered.
 
         There is no answer to a request of more than one packet holds.
         """
@@ -286,7 +289,7 @@ class DynamixelTwin(ServoTwin):
 
     @on("Clear")
     def forget_turns(self, request: Any) -> None:
-        """The position within one turn; refused while it is moved."""
+        """Reduce the position to one turn; refused while torque is on."""
         why = "result_fail" if self["torque_enable"] else ""
         self.answer(request, WRITE, why)
         if not why:
@@ -311,7 +314,7 @@ class DynamixelTwin(ServoTwin):
         self.twins.renumber(self, id=self["id"])
 
     def not_understood(self, data: bytes, reason: str) -> None:
-        """An instruction with a wrong check, or that does not exist: answered with that error."""
+        """Answer an instruction with a wrong check, or an unknown instruction, with that error."""
         if (
             len(data) < STATUS - 1
             or data[4] != self.credentials["id"]

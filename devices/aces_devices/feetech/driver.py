@@ -143,11 +143,11 @@ class Feetech(ServoDevice):
             self.declare_torque_limit(FULL)
 
     def learned(self, table: Mapping[str, int]) -> None:
-        """The servo's own limits limit the joint."""
+        """Limit the joint to the servo's own limits."""
         self.limit_to(table["min_position_limit"], table["max_position_limit"])
 
     def refusal(self, record: Any) -> str:
-        """A status of these servos says nothing of the request."""
+        """Return no reason: a status of these servos says nothing about the request."""
         return ""
 
     # ------------------------------------------------------------------ what survives power-off
@@ -157,7 +157,7 @@ class Feetech(ServoDevice):
         yield super().write("lock", "open")
 
     def lock(self) -> Steps:
-        """What is written from now on is lost without power."""
+        """Yield steps after which written values are lost without power."""
         yield super().write("lock", "locked")
 
     def write(self, name: str, value: Any, *, confirm: bool = False, raw: bool = False) -> Job:

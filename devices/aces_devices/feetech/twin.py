@@ -79,7 +79,7 @@ class FeetechTwin(ServoTwin):
         self["firmware_major"], self["firmware_minor"] = FIRMWARE
 
     def begin(self) -> None:
-        """What was saved, the RAM's defaults; the goal is where it is."""
+        """Load the saved registers and the RAM's defaults; the goal is the present place."""
         super().begin()
         self.motion.settle(self.clock.now())
         self.table[:RAM] = self._saved
@@ -123,7 +123,7 @@ class FeetechTwin(ServoTwin):
             self._saved = bytes(self.table[:RAM])
 
     def apply(self) -> None:
-        """What the registers mean for the motion, from now on."""
+        """Apply the registers to the motion."""
         motion = self.motion
         motion.settle(self.clock.now())
         motion.is_driven = bool(self["torque_enable"])

@@ -83,7 +83,7 @@ class Epoch:
 
     @property
     def used(self) -> int:
-        """How many satellites are used."""
+        """Number of satellites that are used."""
         return sum(one.used for one in self.satellites)
 
 
@@ -126,7 +126,7 @@ class ReceiverTwin(Twin):
     feed: Callable[[int], AntennaMotion] | None = None
 
     def setup(self) -> None:
-        """It is switched on, and knows at once where it is."""
+        """Switch the receiver on; it knows its place at once."""
         self.settings = settings_of(self.name, self.settings_type, self.config.settings)
         latitude, longitude, height = USUAL_PLACE
         self.powered_at = self.clock.now()

@@ -89,7 +89,7 @@ class Receiver(Device):
         return 1 / self.settings.rate_hz
 
     def setup(self) -> None:
-        """A signal for each quantity; metres from the origin where the file says one."""
+        """Add a signal for each quantity; positions in metres if the file names an origin."""
         self.settings = settings_of(self.name, self.settings_type, self.config.settings)
         self.origin = origin_of(self.settings)
         given: dict[str, list[str]] = {}
@@ -130,7 +130,7 @@ class Receiver(Device):
                 one.update(value, instant)
 
     def lost(self) -> None:
-        """It does not know where it is."""
+        """Forget the position."""
         for name in LOCATED:
             one = self.signals.get(f"{self.name}.{name}")
             if one is not None:

@@ -323,7 +323,7 @@ class UbxTwin(ReceiverTwin):
         self.every(period_ms / 1000, self._solve)
 
     def _solve(self) -> None:
-        """A solution: send what is due."""
+        """Compute a solution and send the messages that are due."""
         self.solutions += 1
         epoch = self.epoch()
         for key, rate in sorted(self.rates.items()):
@@ -373,12 +373,12 @@ class UbxTwin(ReceiverTwin):
 
     @on("CfgRatePoll")
     def answer_rate(self, request: Any) -> None:
-        """How often it measures."""
+        """Answer with the measuring rate."""
         self.reply("CfgRate", period=self.period_ms, measurements=1, time_reference="utc")
 
     @on("CfgMsgPoll")
     def answer_message_rate(self, request: Any) -> None:
-        """How often a message is sent."""
+        """Answer with the rate of a message."""
         key = request.message_group, request.message_number
         if not self._is_known(key):
             self._acknowledge(CFG_MSG, False)
@@ -406,7 +406,7 @@ class UbxTwin(ReceiverTwin):
         self._acknowledge(CFG_MSG, self._is_known(key))
 
     def not_understood(self, data: bytes, reason: str) -> None:
-        """A setting that this receiver does not have is refused."""
+        """Refuse a setting that this receiver does not have."""
         if reason == "unknown" and len(data) > 4 and data[2] == CFG_MSG[0]:
             self._acknowledge((data[2], data[3]), False)
 

@@ -63,7 +63,7 @@ class ForceTorqueBoard(SensorBoard):
             self.products(force, self._force, _AXES)
 
     def received(self, record: Any, instant: int) -> None:
-        """What a matrix makes of digits; readings at the end of their range."""
+        """Turn digits into forces by the matrix; report readings at the end of their range."""
         name = type(record).__name__
         update = self.made_of.get(name) if self.made_of else None
         if name == self._force:

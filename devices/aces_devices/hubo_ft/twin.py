@@ -112,7 +112,7 @@ class ForceTorqueTwin(SensorTwin):
 
     @on("TiltRequest")
     def answer_tilt(self, request: Any) -> None:
-        """A foot's tilt; a hand has none and does not answer."""
+        """Send a foot's tilt; a hand has no tilt sensor and does not answer."""
         self._send_tilt(request.mode == "tilt_digital")
 
     @on("SensorRequest")

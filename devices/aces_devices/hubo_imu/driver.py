@@ -35,7 +35,7 @@ class ImuBoard(SensorBoard):
         self.axes(sensor, "Imu", [(name, name, unit, _DEGREE) for name, unit in MOTION])
 
     def received(self, record: Any, instant: int) -> None:
-        """What a matrix makes of digits."""
+        """Turn digits into signals by the matrix."""
         if self.made_of and type(record).__name__ == "ImuD08":
             self.made_of["ImuD08"]((*record.acceleration, *record.gyro), instant)
 

@@ -64,11 +64,11 @@ class ImuTwin(SensorTwin):
 
     @on("NullImu")
     def take_null(self, request: Any) -> None:
-        """The present attitude is zero."""
+        """Make the present attitude zero."""
         self.null("motion")
 
     @on("NullSensor")
     def take_null_of_old(self, request: Any) -> None:
-        """The older firmware has one null command for all boards."""
+        """Null the sensor; the older firmware has one null command for all boards."""
         if self._is_old and str(request.what) == "force_torque":
             self.null("motion")

@@ -95,7 +95,7 @@ class MotorAxis:
         self.duty: Signal | None = None
 
     def to_counts(self, position: float) -> int:
-        """Counts of a position (rad), truncated toward zero."""
+        """Return the counts of a position (rad), truncated toward zero."""
         return int((self.direction * position + self.zero) * self.counts)
 
     def to_rad(self, count: float) -> float:
@@ -103,7 +103,7 @@ class MotorAxis:
         return count * self.scale - self.zero * self.direction
 
     def received(self, count: int, instant: int, moves: bool) -> None:
-        """The encoder says `count`; `moves` False: a zero is being set, and the difference is no movement."""
+        """Update position and velocity from an encoder `count`; `moves` is False while a zero is set: no movement."""
         position, velocity, scale = self.position, self.velocity, self.scale
         if position is not None:
             position.update(count * scale - self.zero * self.direction, instant)
@@ -113,12 +113,12 @@ class MotorAxis:
         self.count, self.instant = count, instant
 
     def forget(self) -> None:
-        """The board has forgotten."""
+        """Forget count, reference and home: the board has lost them."""
         self.count = self.reference = self.goal = None
         self.was_homed = False
 
     def show(self, name: str, value: Any, instant: int) -> None:
-        """A new value of a signal, where there is one of this name."""
+        """Update the signal `name`, if the axis has it."""
         found = self.signals.get(name)
         if found is not None:
             found.update(value, instant)
@@ -377,13 +377,13 @@ class MotorBoard(MotorDevice[MotorAxis]):
         self.polls = polls
 
     def start(self) -> None:
-        """The start's hold-off begins."""
+        """Begin the hold-off of a start."""
         self.hold_off(self.settings.hold_start_s)
 
     # ------------------------------------------------------------------ up
 
     def received(self, record: Any, instant: int) -> None:
-        """A record of this board."""
+        """Take a record of this board."""
         take = self._receivers.get(type(record).__name__)
         if take is not None:
             take(record, instant)
@@ -462,7 +462,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         return [axis.name] if is_lost else []
 
     def rebooted(self, detail: str) -> None:
-        """The board has forgotten its settings: nothing moves until it is enabled again."""
+        """Note that the board has lost its settings: nothing moves until it is enabled again."""
         self.quiet()
         for axis in self.axes:
             axis.forget()
@@ -471,7 +471,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
     # ------------------------------------------------------------------ down
 
     def want(self, message: str, path: str, value: Any) -> None:
-        """A set-point: kept for the next tick while enabled, else reported as not sent."""
+        """Keep a set-point for the next tick while the board is enabled; otherwise report it as not sent."""
         if not self.takes_set_points:
             super().want(message, path, value)  # which reports it
             return
@@ -505,7 +505,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         )
 
     def want_raw(self, message: str, path: str, value: Any) -> None:
-        """A field for the next tick, as it is."""
+        """Set a field for the next tick, unfiltered."""
         super().want(message, path, value)
 
     def _duty_sign(self, axis: MotorAxis) -> int:
@@ -513,7 +513,7 @@ class MotorBoard(MotorDevice[MotorAxis]):
         return self.shape.positive * (axis.direction if self.shape.reference is not None else 1)
 
     def give(self, axis: MotorAxis, value: Any) -> None:
-        """A set-point past filter, trigger and compliance."""
+        """Pass a set-point on behind filter, trigger and compliance."""
         message = self.set_message
         if message is None:
             return
@@ -579,12 +579,12 @@ class MotorBoard(MotorDevice[MotorAxis]):
 
     @property
     def follows(self) -> bool:
-        """Whether its set-points are references, not duties."""
+        """True if set-points are references, not duties."""
         return self.set_message is not None and self.set_message != self.shape.pwm
 
     @property
     def hand_mode(self) -> str:
-        """What a DRC-Hubo hand's fingers are given: currents (hybrid), or positions."""
+        """Mode of a DRC-Hubo hand's fingers: `hybrid` (currents) or `position`."""
         return "position" if self.set_message == "ReferenceHandPosition" else "hybrid"
 
     def quiet(self) -> None:

@@ -127,7 +127,7 @@ class MotorChannel:
         return (self.direction * angle + self.zero) * self.counts
 
     def angle(self, raw: float) -> float:
-        """The angle at raw counts."""
+        """Return the angle (rad) at raw counts."""
         return self.direction * (raw / self.counts - self.zero)
 
     # ------------------------------------------------------------------ power and switches
@@ -190,7 +190,7 @@ class MotorChannel:
         return int(count + (1e-6 if count >= 0 else -1e-6))
 
     def zero_here(self, now: int) -> None:
-        """The encoder counts from here."""
+        """Make the present place the zero of the encoder."""
         self.sync(now)
         self.offset = float(round(self.raw(self.joint.q)))
         self.reference = 0.0
@@ -200,7 +200,7 @@ class MotorChannel:
     # ------------------------------------------------------------------ set-points
 
     def refer(self, now: int, count: float) -> None:
-        """A reference (counts; A in current mode)."""
+        """Take a reference (counts; A in current mode)."""
         self.sync(now)
         if count == self.reference and self.pwm is None and self.joint.mode == "position":
             self.step = 0.0
@@ -270,7 +270,7 @@ class MotorChannel:
         self.apply(now)
 
     def _search_step(self, at: int) -> None:
-        """A millisecond of a home search, which is a movement of constant speed."""
+        """Advance a home search, a movement of constant speed, by a millisecond."""
         search, joint, board = self.search, self.joint, self.board
         assert search is not None
         before = self.raw(joint.q)
@@ -296,7 +296,7 @@ class MotorChannel:
         self._go_on(at, search, after, is_jammed)
 
     def _go_on(self, at: int, search: Search, raw: float, is_jammed: bool) -> None:
-        """The next phase, when this one is over."""
+        """Begin the next phase of a search when the present one is over."""
         phase, way = search.phase, search.way
         if phase == "stop":
             if is_jammed:
@@ -385,7 +385,7 @@ class MotorChannel:
 
     @property
     def at_switch(self) -> bool:
-        """Whether the limit switch is active."""
+        """True if the limit switch is active."""
         return "no_switch" not in self.faults and (self.raw(self.joint.q) - self.edge) * self.side > 0
 
     def drive_flags(self) -> list[str]:

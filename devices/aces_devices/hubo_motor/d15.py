@@ -83,7 +83,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
     }
 
     def setup(self) -> None:
-        """A board's joints; the polls."""
+        """Add the signals of the board's joints, and the polls."""
         self.axes = [D15Axis(joint.channel, joint) for joint in self.joints]
         self.is_enabled = False
         temperature: dict[str, Any] = {"unit": "°C", "stale_s": 5 * TEMPERATURE_S}
@@ -122,7 +122,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
         )
 
     def want(self, message: str, path: str, value: Any) -> None:
-        """A set-point; one of a board that is not enabled is dropped and reported."""
+        """Queue a set-point; drop and report it while the board is not enabled."""
         if self.is_enabled:
             super().want(message, path, value)
         else:
@@ -162,7 +162,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
     # ------------------------------------------------------------------ up
 
     def received(self, record: Any, instant: int) -> None:
-        """The status: switches, home, errors."""
+        """Take the status: switches, home, errors."""
         if type(record).__name__ not in REPLIES:
             return
         for axis in self.axes:
@@ -373,7 +373,7 @@ class HuboMotorD15Twin(Twin):
 
     @on("SendEncoderD15")
     def encoder(self, request: Any) -> None:
-        """The positions; again and again when asked so."""
+        """Send the positions, repeatedly if the request says so."""
         self._continuous += 1
         self._say()
         if request.mode == "continuous":
@@ -408,7 +408,7 @@ class HuboMotorD15Twin(Twin):
         self.reply("StatusD15", motor=states, rest=b"")
 
     def _look(self, motor: _SimulatedMotor, now: int) -> None:
-        """What has become of it since it was looked at."""
+        """Advance a motor to `now`, and raise the errors of its faults."""
         faults = self.active_faults
         motor.model.jammed = "jammed" in faults
         angle = motor.model.position(now)
@@ -440,14 +440,14 @@ class HuboMotorD15Twin(Twin):
 
     @on("GetBoardInfoD15")
     def info(self, request: Any) -> None:
-        """What it is."""
+        """Answer with the board's version."""
         self.reply("BoardInfoD15", period=5, unknown=bytes(2), version=VERSION, rest=b"")
 
     # ------------------------------------------------------------------ reported
 
     @on("ReferenceD15")
     def reference(self, request: Any) -> None:
-        """Where to."""
+        """Take references: the positions to move to."""
         now = self.clock.now()
         for number, motor in self.motors.items():
             motor.aim(request.position[number], now)
@@ -494,7 +494,7 @@ class HuboMotorD15Twin(Twin):
 
     @on("PositionModeD15")
     def position_mode(self, request: Any) -> None:
-        """What references count from."""
+        """Choose whether references are absolute or count from the present place."""
         motor = self._one(request.channel)
         if motor is not None:
             motor.is_incremental = request.mode == "incremental"

@@ -64,7 +64,7 @@ class Homing(Switching):
         self.homing = set()
 
     def _announce(self) -> None:
-        """A home command goes out: no references on this bus for a while (hubo-ach)."""
+        """Hold off references on this bus while a home command goes out (hubo-ach)."""
         duration = self.settings.hold_home_s
         for device in self.host.devices.values():
             if isinstance(device, MotorBoard):
@@ -281,7 +281,7 @@ class Homing(Switching):
         return self.job("clear errors", steps)
 
     def only_d12_errors(self) -> None:
-        """Raises `CallerError` where errors cannot be cleared."""
+        """Raise `CallerError` on a board whose errors cannot be cleared."""
         if self.dialect != "D12" or self.shape.status is None:
             raise CallerError(
                 f"{self.name} speaks {self.dialect} and is of kind {self.kind}: it reports no errors"

@@ -264,7 +264,7 @@ class Switching(MotorBoard):
         return self.send("ControlMode" if self.dialect == "D12" else "ControlModeD08", mode=mode)
 
     def _change_hand(self, mode: str) -> None:
-        """A hand's fingers are given currents or, in mode `position`, positions: another message."""
+        """Send a hand's set-points as currents or, in mode `position`, as positions: another message."""
         other = "ReferenceHandPosition" if mode == "position" else "ReferenceHand"
         old = self.set_message
         if old == other or old is None:
@@ -302,7 +302,7 @@ class Switching(MotorBoard):
         return self.send("Alarm", sound="off" if sound == 0 else f"sound_{sound}")
 
     def only_d12(self, what: str) -> None:
-        """Raises `CallerError` on a board of the older firmware."""
+        """Raise `CallerError` on a board of the older firmware."""
         if self.dialect != "D12" or self.kind == "neck":
             raise CallerError(
                 f"{self.name} speaks {self.dialect} and is of kind {self.kind}: it has not got {what}"

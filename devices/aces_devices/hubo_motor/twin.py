@@ -226,7 +226,7 @@ class HuboMotorTwin(Twin):
 
     @on("SendPm")
     def send_pm(self, request: Any) -> None:
-        """The index of the first two motors, within its turn (D08)."""
+        """Send the index of the first two motors, within its turn (D08)."""
         phases = [round(channel.index % channel.turn) for channel in self.channels[:2]]
         self.reply("Pm", z_phase=[*phases, 0][:2])
 
@@ -234,7 +234,7 @@ class HuboMotorTwin(Twin):
 
     @on("GetBoardInfo")
     def get_board_info(self, request: Any) -> None:
-        """The period is set, and reported."""
+        """Set the period and report it."""
         self.board.period = request.period
         self.reply("BoardInfo", period=request.period)
 
@@ -308,7 +308,7 @@ class HuboMotorTwin(Twin):
 
     @on("ControlMode", "ControlModeD08")
     def control_mode(self, request: Any) -> None:
-        """What references mean; `hybrid`: the fingers of a hand get currents."""
+        """Choose the meaning of references; in `hybrid` the fingers of a hand take currents."""
         now = self.clock.now()
         mode = request.mode
         for channel in self.channels:
@@ -350,7 +350,7 @@ class HuboMotorTwin(Twin):
 
     @on("EncoderZero", "EncoderZeroD08")
     def encoder_zero(self, request: Any) -> None:
-        """Encoders are zero here; errors are gone. D08 counts motors from 1."""
+        """Zero encoders at the present place and clear errors. D08 counts motors from 1."""
         is_d12 = type(request).__name__ == "EncoderZero"
         which = str(request.channel if is_d12 else request.motor)
         now = self.clock.now()
@@ -387,7 +387,7 @@ class HuboMotorTwin(Twin):
 
     @on("Home3D08", "Home3D08X")
     def search_home_3(self, request: Any) -> None:
-        """The first motor has the switch; the others are zero where they are."""
+        """Search home with the first motor, which has the switch; the others become zero at their present place."""
         now = self.clock.now()
         side = 1 if request.direction == "ccw" else -1
         self.channels[0].begin_search(now, offset=-side * request.pulses, side=side)
@@ -429,7 +429,7 @@ class HuboMotorTwin(Twin):
 
     @on("LowerLimit", "UpperLimit")
     def store_limit(self, request: Any) -> None:
-        """A limit of one motor."""
+        """Store a limit of one motor."""
         if request.channel < len(self.channels):
             kept = self.channels[request.channel].stored
             side = "lower" if type(request).__name__ == "LowerLimit" else "upper"
@@ -460,17 +460,17 @@ class HuboMotorTwin(Twin):
 
     @on("SetBoardNumber")
     def set_board_number(self, request: Any) -> None:
-        """It answers to another number from now on."""
+        """Answer to another board number from now on."""
         self.board.period = request.period
         self.twins.renumber(self, board=request.number)
         self._frames.clear()
 
     @on("Beep")
     def beep(self, request: Any) -> None:
-        """Noted."""
+        """Note a beep."""
         self.beeps.append((self.clock.now(), request.time))
 
     @on("Alarm")
     def alarm(self, request: Any) -> None:
-        """Noted."""
+        """Note an alarm."""
         self.alarms.append((self.clock.now(), request.sound))

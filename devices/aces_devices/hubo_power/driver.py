@@ -59,7 +59,7 @@ class PowerBoard(Device):
             )
 
     def received(self, record: Any, instant: int) -> None:
-        """Whether the battery is low."""
+        """Take the battery's voltage, and report when it becomes low."""
         if type(record).__name__ != "Power":
             return
         voltage = record.voltage
@@ -86,7 +86,7 @@ class PowerBoard(Device):
 
 
 def _scan(host: Host, job: Job) -> Steps:
-    """The power board is one number of D12; older robots have none."""
+    """Look for the power board: one number of D12; older robots have no such board."""
     variant = host.variants["hubo"]
     found: list[DeviceConfig] = []
     if variant.dialect != "D12":

@@ -35,7 +35,7 @@ class PowerTwin(Twin):
     feed: Callable[[int], tuple[float, float]] | None = None
 
     def setup(self) -> None:
-        """A full battery: a robot that is switched off gets charged."""
+        """Begin with a full battery: a robot that is switched off gets charged."""
         self.charge = 1.0
         self.sound = "off"
         self.beeping_until = 0

@@ -66,11 +66,11 @@ class SensorBoard(Device):
 
     @property
     def is_old(self) -> bool:
-        """Whether it speaks D08, in either reading."""
+        """True if the board speaks D08, in either reading."""
         return self.variant.dialect != "D12"
 
     def motion_of_old(self, sensor: Sensor | None) -> None:
-        """The acceleration and rotation that D08 sends in digits; a matrix makes rad and rad/s of them."""
+        """Add acceleration and rotation, which D08 sends in digits; a matrix turns them into rad and rad/s."""
         names = ("acceleration.0", "acceleration.1", "gyro.0", "gyro.1")
         short = ("acc1", "acc2", "gyro1", "gyro2")
         turned = sensor is None or sensor.matrix is None
@@ -112,7 +112,7 @@ class SensorBoard(Device):
         *,
         turned: bool = True,
     ) -> None:
-        """A signal for each (name, field, unit, factor to SI) of a message, `turned` by the sensor's signs."""
+        """Add a signal for each (name, field, unit, factor to SI) of a message, `turned` by the sensor's signs."""
         signs: Sequence[int] = (1,) * len(named)
         if turned and sensor is not None and sensor.signs is not None:
             signs = sensor.signs
@@ -130,7 +130,7 @@ class SensorBoard(Device):
             )
 
     def products(self, sensor: Sensor, message: str, named: Sequence[tuple[str, str]]) -> None:
-        """A signal for each (name, unit), made of all digits of a message by the sensor's matrix."""
+        """Add a signal for each (name, unit), computed from all digits of a message by the sensor's matrix."""
         matrix = sensor.matrix or ()
         if len(matrix) != len(named):
             raise CallerError(f"{self.name}: {sensor.name} needs a matrix of {len(named)} rows")

@@ -41,7 +41,7 @@ class SensorTwin(Twin):
     body: BodyPose
 
     def setup(self) -> None:
-        """A board that was just powered: nothing nulled, period unknown."""
+        """Begin as a board that was just powered: nothing nulled, period unknown."""
         self.body = body_of(self.world, self.robot)
         self.period_ms = 0
         self.da_value = 0
@@ -97,7 +97,7 @@ class SensorTwin(Twin):
 
     @on("GetBoardInfo")
     def send_info(self, request: Any) -> None:
-        """The period that the request carries is taken, and reported."""
+        """Set the period that the request carries, and report it."""
         self.period_ms = request.period
         self.reply("SensorBoardInfo", period=self.period_ms)
 
@@ -109,7 +109,7 @@ class SensorTwin(Twin):
 
     @on("NameInfoSensor")
     def send_name(self, request: Any) -> None:
-        """The period, and limits that a sensor has not."""
+        """Send the period, and limits of 0: the sensor has none."""
         self.period_ms = request.period
         self.reply("NameInfoReply", period=self.period_ms, limit=[0, 0])
 
@@ -120,12 +120,12 @@ class SensorTwin(Twin):
 
     @on("DaOut")
     def put_out(self, request: Any) -> None:
-        """The analogue value, which the D/A offsets show."""
+        """Set the analogue value, which the D/A offsets show."""
         self.da_value = min(HIGH, request.value)
 
     @on("DataType")
     def take_type(self, request: Any) -> None:
-        """An average of four readings has half the noise."""
+        """Choose the kind of reading: an average of four readings has half the noise."""
         wanted = request.type == "average"
         if wanted != self.averages:
             self.averages = wanted
@@ -134,12 +134,12 @@ class SensorTwin(Twin):
 
     @on("DaOffsetQuery")
     def send_da(self, request: Any) -> None:
-        """The same offset on all axes."""
+        """Send the same offset for all axes."""
         self.reply("DaOffset", mx=self.da_value, my=self.da_value, fz=self.da_value)
 
     @on("AdOffsetQuery")
     def send_ad(self, request: Any) -> None:
-        """What was nulled."""
+        """Send the nulled offsets."""
         mx, my, fz = self._zeros()
         self.reply("AdOffset", mx=mx, my=my, fz=fz)
 

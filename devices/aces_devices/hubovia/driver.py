@@ -45,7 +45,7 @@ class HuboviaJoint(Device):
     actions: ClassVar = {"repeat": "send the last set-point once more: a datagram may have been lost"}
 
     def setup(self) -> None:
-        """The position of the joint."""
+        """Add the position of the joint."""
         if len(self.joints) > 1:
             names = ", ".join(joint.name for joint in self.joints)
             raise CallerError(f"{self.name}: one motor moves one joint, not {names}")

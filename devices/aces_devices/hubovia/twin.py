@@ -53,7 +53,7 @@ class MotorTwin(Twin):
 
     @property
     def bad_checks(self) -> int:
-        """How many bytes began a datagram whose check failed."""
+        """Number of bytes that began a datagram whose check failed."""
         return self.twins.scanner.counts.reasons.get("malformed: checksum", 0)
 
     @on("Joint")

@@ -39,7 +39,7 @@ class MinihuboADCTwin(Twin):
         self.every(1 / settings_of(self.name, AdcSettings, self.config.settings).rate_hz, self._sample)
 
     def resting(self, now: int) -> Sequence[float]:
-        """The recording's means, swinging a little, with a count of noise."""
+        """Return the recording's means, swinging a little, with a count of noise."""
         swing = SWING * math.sin(math.tau * SWING_HZ * now / 1e9)
         return [mean + swing + self.random.uniform(-1, 1) for mean in MEANS]
 

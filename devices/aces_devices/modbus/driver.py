@@ -83,7 +83,7 @@ class ModbusDevice(Device):
     settings: ModbusSettings
 
     def setup(self) -> None:
-        """A signal for each register, a poll for each stretch of neighbours that is read equally often."""
+        """Add a signal for each register, and a poll for each run of neighbours that is read equally often."""
         self.settings = given = settings_of(self.name, self.settings_type, self.config.settings)
         self.table = registers_of(self.name, given.table or self.shipped_table, given.registers)
         #: What reads each register: table, first address and number.
@@ -163,7 +163,7 @@ class ModbusDevice(Device):
     # ------------------------------------------------------------------ up
 
     def receive(self, record: Any, instant: int) -> None:
-        """A record of this device; an answer of another size than was asked for is late, and gives no value."""
+        """Take a record; an answer of another size than was asked for is late, and updates no signal."""
         if type(record).__name__ in ("Registers", "Bits") and self._raw_of(record) is None:
             self.last_received = instant
             self.emit_event("late reply", f"{len(record.meta.raw)} bytes, which nothing asks for now")
@@ -204,7 +204,7 @@ class ModbusDevice(Device):
     # ------------------------------------------------------------------ down
 
     def _asked(self, message: str, reply: tuple[str, ...], fields: dict[str, Any]) -> Steps:
-        """Steps that ask, and once more when no answer came: its record."""
+        """Yield steps that ask, and ask again after no answer; return the record."""
         for is_last in (False, True):
             if (left := self._quiet_until - self.clock.now()) > 0:
                 yield left
@@ -276,7 +276,9 @@ class ModbusDevice(Device):
             raise DeviceError(f"{self.name}: {doing}: refused: {answer.reason}")
 
     def _set(self, name: str, value: Any) -> None:
-        """A set-point: written now, or when the write before is over; of several that wait the last."""
+        """Write a set-point now, or when the present write is over; of several waiting set-points only the
+        last is written.
+        """
         self._register(name).raw(value)  # raises for what does not fit
         if self.host.passive:
             self.emit_event("not sent", f"{name}: this bus is only listened to")

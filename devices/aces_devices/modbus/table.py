@@ -86,7 +86,7 @@ class ModbusRegister:
         return self._ordered(struct.unpack(f">{self.size}H", data))
 
     def _ordered(self, raw: Sequence[int]) -> tuple[int, ...]:
-        """Registers in the other order, of words and of bytes; the same there and back."""
+        """Reverse the order of words and bytes where the table says so; the function undoes itself."""
         words = tuple(raw) if self.entry.words == "high first" else tuple(reversed(raw))
         if self.entry.bytes == "high first":
             return words

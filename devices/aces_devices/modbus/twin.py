@@ -58,7 +58,7 @@ class ModbusTwin(Twin):
 
     @on("ReadRegisters")
     def read_registers(self, request: Any) -> None:
-        """Holding or input registers."""
+        """Answer with holding or input registers."""
         found = self._read(request, request.function, MOST_REGISTERS)
         if found is not None:
             self._answer(request, "Registers", function=request.function, registers=found)
@@ -143,7 +143,7 @@ class ModbusTwin(Twin):
 
     @on("Other")
     def refuse_other(self, request: Any) -> None:
-        """A function that this device does not have."""
+        """Refuse a function that this device does not have."""
         self._refuse(request, request.function, "function")
 
     def _write(self, request: Any, function: int, table: str, start: int, numbers: Iterable[int]) -> bool:
@@ -163,7 +163,7 @@ class ModbusTwin(Twin):
         return False
 
     def was_set(self, name: str) -> None:
-        """A register has been written."""
+        """React to a register that has been written."""
         if self.changed is not None:
             self.changed(name, self.take(name))
 

@@ -155,7 +155,7 @@ class MoteusTwin(Twin):
         self.reply("Reply" if self.credentials["id"] < 8 else "ReplyExtended", subframes=items)
 
     def _answers(self, form: str, names: Iterable[str]) -> Iterable[dict[str, Any]]:
-        """The values of one read, in runs between registers that there are not."""
+        """Yield the values of a read, in runs between registers that do not exist."""
         run: dict[str, Any] = {}
         for name in names:
             value = self.value_of(name)

@@ -90,7 +90,7 @@ class Obd2(Device):
         )
 
     def _add_values(self, names: Iterable[str], stale_s: float) -> None:
-        """A signal for each value; raises `UnknownNameError` for a name that is none."""
+        """Add a signal for each value; raise `UnknownNameError` for an unknown name."""
         self._wanted = tuple(names)
         for name in self._wanted:
             if name not in VALUES:

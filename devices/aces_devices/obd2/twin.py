@@ -24,7 +24,7 @@ class Obd2Twin(Twin):
     faults: ClassVar = {"misfire": "cylinder 2 misfires: P0302 is stored, and the lamp is on"}
 
     def setup(self) -> None:
-        """What it had stored it has."""
+        """Keep the codes that the ECU had stored."""
         self.ecu = ecu_of(self.world, self.config)
 
     def kept(self) -> None:
@@ -34,7 +34,7 @@ class Obd2Twin(Twin):
 
     @on("ReadLive", "ReadLiveAll")
     def send_values(self, request: Any) -> None:
-        """The values that it has of up to six; nothing when it has none of them."""
+        """Send those of up to six values that the ECU has; send nothing if it has none of them."""
         self.kept()
         values: list[dict[str, Any]] = []
         for pid in request.pids if len(request.pids) <= AT_ONCE else ():
@@ -47,7 +47,7 @@ class Obd2Twin(Twin):
 
     @on("ReadStoredCodes", "ReadStoredCodesAll")
     def send_stored(self, request: Any) -> None:
-        """Confirmed codes."""
+        """Send the confirmed codes."""
         self.kept()
         self.reply("StoredCodes", codes=self.ecu.with_status({"confirmed"}))
 
@@ -70,7 +70,7 @@ class Obd2Twin(Twin):
 
     @on("ReadInfo", "ReadInfoAll")
     def send_info(self, request: Any) -> None:
-        """The vehicle's number, its software, its name."""
+        """Send the vehicle's number, the calibrations, or the ECU's name."""
         match request.what:
             case "supported":
                 self.reply("SupportedInfo", types=["vin", "calibrations", "ecu_name"])

@@ -140,7 +140,7 @@ class Odrive(SingleMotor):
     asking: ClassVar = ("read_errors", "version", "read")
 
     def setup(self) -> None:
-        """The signals of the axis, and what is asked."""
+        """Add the signals of the axis, and its polls."""
         settings = self.settings = settings_of(self.name, OdriveSettings, self.config.settings)
         self.declare(1 / tau, settings.mode)
         self.is_new = self.variant.dialect == "0.6"
@@ -215,7 +215,7 @@ class Odrive(SingleMotor):
             self.polls = [Poll("GetEncoderEstimates", "EncoderEstimates"), *self.polls]
 
     def received(self, record: Any, instant: int) -> None:
-        """A heartbeat says whether it is on."""
+        """Take from a heartbeat whether the axis is on, and its errors."""
         if type(record).__name__ == "Heartbeat":
             self.beats += 1
             faults = set(record.error)
@@ -277,7 +277,7 @@ class Odrive(SingleMotor):
             raise DeviceError(f"{self.name}: its watchdog is not set: it says {wait_s:g} s, on: {is_set}")
 
     def stay(self) -> None:
-        """Where it is; no velocity, no torque."""
+        """Hold the present position; no velocity, no torque."""
         self.want(TARGETS[self.mode][0], self.mode, self._present())
 
     def _present(self) -> float:
@@ -351,7 +351,7 @@ class Odrive(SingleMotor):
         return self.lead("calibrate", steps)
 
     def set_zero(self) -> Job:
-        """The present position is the joint's 0 from now on. Fails while it is on."""
+        """Make the present position the joint's 0. Fails while the axis is on."""
 
         def steps(job: Job) -> Steps:
             yield self.ask_state()

@@ -58,11 +58,11 @@ class OdriveTwin(Twin):
 
     @property
     def turns(self) -> float:
-        """Where the motor is (rev)."""
+        """Position of the motor (rev)."""
         return self.scale.raw_angle(self.motor.position(self.clock.now())) + self.offset
 
     def beat(self) -> None:
-        """The heartbeat; an error that is there disarms."""
+        """Send the heartbeat; a present error disarms."""
         if "over_temperature" in self.active_faults:
             self.fail("inverter_over_temperature" if self.is_new else "over_temperature")
         if "no_heartbeat" in self.active_faults:
@@ -165,7 +165,7 @@ class OdriveTwin(Twin):
 
     @on("GetAdcVoltage")
     def adc(self, request: Any) -> None:
-        """A pin at half of 3.3 V."""
+        """Report a pin at half of 3.3 V."""
         self.reply("AdcVoltage", voltage=1.65)
 
     # ------------------------------------------------------------------ state and errors
@@ -183,7 +183,7 @@ class OdriveTwin(Twin):
 
     @on("SetAxisState")
     def change_state(self, request: Any) -> None:
-        """Closed loop, a calibration, idle."""
+        """Enter closed loop, a calibration, or idle."""
         state = str(request.state)
         if state == "closed_loop":
             if self.errors or "uncalibrated" in self.active_faults:
@@ -224,7 +224,7 @@ class OdriveTwin(Twin):
 
     @on("SetControllerModes")
     def change_mode(self, request: Any) -> None:
-        """What is controlled."""
+        """Choose the control mode."""
         self.control = str(request.control)
 
     @on("SetInputPosition")
@@ -243,7 +243,7 @@ class OdriveTwin(Twin):
         self.take("torque", request.torque)
 
     def take(self, control: str, target: float) -> None:
-        """A set-point; of another mode than the present one it does nothing."""
+        """Take a set-point; ignore it if it is for another mode."""
         if control == self.control:
             self.target = target
             self.drive()
@@ -264,12 +264,12 @@ class OdriveTwin(Twin):
 
     @on("SetAbsolutePosition")
     def set_position(self, request: Any) -> None:
-        """It is there from now on."""
+        """Make `position` (rev) the present position."""
         self.offset += request.position - self.turns
 
     @on("SetLinearCount")
     def set_count(self, request: Any) -> None:
-        """It is there from now on, in counts."""
+        """Make `count` (8192 per turn) the present position."""
         self.offset += request.count / 8192 - self.turns
 
     @on("SetNodeId")

@@ -133,7 +133,7 @@ class Qik(Device):
     )
 
     def setup(self) -> None:
-        """A duty for each joint; errors, where the device answers."""
+        """Add a duty for each joint, and the errors if the device answers."""
         settings = settings_of(self.name, QikSettings, self.config.settings)
         self.bits, self.answers = settings.bits, settings.answers
         # Without ticks nothing is repeated: a time-out would stop motors that are meant to run.

@@ -131,13 +131,13 @@ class QikTwin(Twin):
 
     @on("GetError")
     def send_errors(self, request: Any) -> None:
-        """The errors, which are over now."""
+        """Send the errors and clear them."""
         bits, self.errors = self.errors, 0
         self.reply("Errors", errors=bits)
 
     @on("GetConfiguration")
     def send_parameter(self, request: Any) -> None:
-        """A parameter; of one that does not exist 0xFF, and a format error."""
+        """Send a parameter; for an unknown number send 0xFF, and note a format error."""
         known = self.parameters.get(str(request.parameter))
         if known is None:
             self._failed(FORMAT)

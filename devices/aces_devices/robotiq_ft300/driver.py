@@ -80,7 +80,7 @@ class Ft300(ModbusDevice):
             yield round(AGAIN_S * 1e9)
 
     def _sent(self, value: int) -> Steps:
-        """Steps that write `stream`, whose answer may be lost among the packets."""
+        """Yield steps that write `stream`, whose answer may be lost among the packets."""
         yield self.send(
             "WriteRegisters", start=self.table["stream"].entry.address, count=1, registers=[value]
         )
@@ -129,7 +129,7 @@ class Ft300Twin(ModbusTwin):
         self.every(PERIOD_S, self._stream)
 
     def was_set(self, name: str) -> None:
-        """A register has been written."""
+        """Begin to stream when the register `stream` is written."""
         super().was_set(name)
         if name == "stream" and self.take("stream") == START:
             self.is_streaming, self._rubbish = True, self._undecoded()

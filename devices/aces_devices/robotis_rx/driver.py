@@ -85,7 +85,7 @@ class RobotisRX(ServoDevice):
         return min(raw, TOP)
 
     def goal_at(self, here: int) -> int:
-        """A goal is within 300°."""
+        """Return the goal for the present place, within 300°."""
         return min(here, TOP)
 
     def counts(self, position: float) -> int:
@@ -135,7 +135,7 @@ class RobotisRX(ServoDevice):
         self.declare_torque_limit(TOP)
 
     def learned(self, table: Mapping[str, int]) -> None:
-        """The servo's own limits limit the joint; both 0 are endless turn."""
+        """Limit the joint to the servo's own limits; both 0 mean endless turn."""
         low, high = table["cw_angle_limit"], table["ccw_angle_limit"]
         turns = self.command == "duty"
         if (low == high == 0) != turns:

@@ -52,7 +52,7 @@ class ShaftMotion:
         self.at, self.since = self.position(now), now
 
     def position(self, now: int) -> float:
-        """Where it is (counts); in endless turn without end, from 0 to a whole turn."""
+        """Return the position (counts); in endless turn it wraps at a whole turn."""
         left = max(0, now - self.since) / 1e9
         if not self.is_driven or self.is_jammed or not left:
             return self.at
@@ -101,7 +101,7 @@ class ShaftMotion:
         return FREE * PER_SPEED
 
     def _top(self) -> float:
-        """The greatest speed it may run at (counts a second)."""
+        """Return the greatest allowed speed (counts a second)."""
         most = self._free() * self.limit / TOP
         return min(most, self.speed * PER_SPEED) if self.speed else most
 

@@ -67,7 +67,7 @@ class RobotisRXTwin(ServoTwin):
         self["firmware_version"] = FIRMWARE
 
     def begin(self) -> None:
-        """The RAM's defaults; the goal is where it is."""
+        """Load the RAM's defaults; the goal is the present place."""
         self.blinks = False
         super().begin()
         self.load_defaults(EEPROM, len(self.table))
@@ -92,7 +92,7 @@ class RobotisRXTwin(ServoTwin):
 
     @property
     def is_endless(self) -> bool:
-        """Whether it turns without end: both angle limits are 0."""
+        """True if the servo turns without end: both angle limits are 0."""
         return not any(self.table[0x06:0x0A])
 
     def before_write(self) -> None:
@@ -100,7 +100,7 @@ class RobotisRXTwin(ServoTwin):
         self.motion.settle(self.clock.now())
 
     def apply(self) -> None:
-        """What the registers mean for the motion, from now on."""
+        """Apply the registers to the motion."""
         motion = self.motion
         motion.settle(self.clock.now())
         motion.is_driven = bool(self["torque_enable"])
@@ -158,7 +158,9 @@ class RobotisRXTwin(ServoTwin):
         return super().wrong_place(address, codec)
 
     def wrong_value(self, name: str, value: int) -> str:
-        """A goal is within the angle limits; the moving speed has a direction in endless turn."""
+        """Return the error of a value: a goal outside the angle limits; in endless turn the moving speed has
+        a direction.
+        """
         if name == "moving_speed" and self.is_endless:
             return "" if value <= CLOCKWISE | TOP else "range"
         why = super().wrong_value(name, value)
@@ -175,7 +177,7 @@ class RobotisRXTwin(ServoTwin):
         self.twins.renumber(self, id=self["id"])
 
     def not_understood(self, data: bytes, reason: str) -> None:
-        """A packet with a wrong checksum, or with an instruction that does not exist: answered with that error."""
+        """Answer a packet with a wrong checksum, or with an unknown instruction, with that error."""
         if len(data) < 6 or data[2] != self.credentials["id"] or not self.is_powered or not self.is_tuned:
             return
         if self.clock.now() - self.spoke_at < QUIET_NS or not data[4]:

@@ -147,7 +147,7 @@ class RobotDescription:
 
     @property
     def is_hopeless(self) -> bool:
-        """Whether so much is wrong that the rest need not be read."""
+        """True if there are so many problems that the rest need not be read."""
         return len(self.problems) > MOST
 
     def complain(self, line: WordLine, key: str, text: str) -> None:
@@ -155,7 +155,7 @@ class RobotDescription:
         self.problems.append(RobotFileProblem(line.file, line.number, key, text))
 
     def unknown(self, line: WordLine, key: str, what: str, name: str, known: Collection[str]) -> None:
-        """A name is none of those that are known."""
+        """Report a name that is not among the known names."""
         self.complain(
             line, key, f"no {what} named {name!r:.60}{near(name, known)} (there are: {', '.join(known)})"
         )
@@ -201,7 +201,7 @@ class RobotDescription:
         active: bool = True,
         **entry: Any,
     ) -> None:
-        """A sensor and its board, whose kind its sensors tell: feet have tilt beside force and torque."""
+        """Add a sensor and its board, whose kind follows from its sensors: feet have tilt beside force and torque."""
         devices, sensors = self.content["devices"], self.content["sensors"]
         known = 0 < number <= len(SENSOR_BOARDS)
         board = SENSOR_BOARDS[number - 1] if known else f"SENSOR_{number}"

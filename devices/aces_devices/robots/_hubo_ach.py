@@ -93,7 +93,7 @@ def _rows(
 
 
 def read_joints(path: Path, made: RobotDescription) -> None:
-    """A joint table: joints and their boards."""
+    """Read joints and their boards from a joint table."""
     motors: dict[str, tuple[int, int]] = {}
     devices, joints = made.content["devices"], made.content["joints"]
     for line, row in _rows(made, path, JOINT_COLUMNS):
@@ -133,7 +133,7 @@ def read_joints(path: Path, made: RobotDescription) -> None:
 
 
 def read_sensors(path: Path, made: RobotDescription) -> None:
-    """A sensor table: sensors and their boards."""
+    """Read sensors and their boards from a sensor table."""
     for line, row in _rows(made, path, SENSOR_COLUMNS):
         name = row["name"]
         kind = "force_torque" if "FT" in name else "tilt" if "TILT" in name else "imu"
@@ -143,7 +143,7 @@ def read_sensors(path: Path, made: RobotDescription) -> None:
 
 
 def read_homes(path: Path, made: RobotDescription) -> None:
-    """A .home table, into joints that are there."""
+    """Read a .home table into the joints that exist."""
     names = made.names()
     for line, row in _rows(made, path, HOME_COLUMNS):
         known = names.get(row["JointName"])

@@ -164,7 +164,7 @@ class BlockTree:
         self._end(block)
 
     def _end(self, block: FileBlock | None) -> None:
-        """A block that has no end ends here."""
+        """End a block that has no end of its own."""
         if block is not None:
             self.made.complain(block.line, "begin", f"no end {block.type} follows")
             self.blocks.append(block)

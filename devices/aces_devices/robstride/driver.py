@@ -125,7 +125,7 @@ class Robstride(MitMotor):
     )  # fmt: skip
 
     def setup(self) -> None:
-        """The signals of the motor, and the parameters that are asked for."""
+        """Declare the signals of the motor, and the parameters that are polled."""
         settings = self.settings = settings_of(self.name, RobstrideSettings, self.config.settings)
         self.declare(mode=settings.mode)
         dialect = str(self.variant.dialect)
@@ -182,7 +182,7 @@ class Robstride(MitMotor):
     # ------------------------------------------------------------------ up
 
     def received(self, record: Any, instant: int) -> None:
-        """A feedback says whether it is on; parameters are where it is, and how it is."""
+        """Take from a feedback whether the motor is on; take position and state from parameters."""
         name = type(record).__name__
         if name == "Feedback":
             faults = {fault for fault in FAULTS if getattr(record, fault, 0)}
@@ -235,7 +235,7 @@ class Robstride(MitMotor):
         return self.watchdog_s or None
 
     def bring_up(self, job: Job) -> Steps:
-        """Stopped, its mode; then on, and its limits."""
+        """Yield steps that stop the motor, set its mode, enable it and set its limits."""
         yield self.ask_state()
         number = RUN_MODES[self.mode]
         yield from self._written("run_mode", number)
@@ -276,7 +276,7 @@ class Robstride(MitMotor):
         return self.ask("Stop", reply="Feedback", timeout_s=ANSWER_S, host=self.settings.host, clear=1)
 
     def set_zero(self) -> Job:
-        """The present position is the motor's 0 from now on. Fails unless it says that it is off: disable it first."""
+        """Make the present position the motor's 0. Fails unless the motor reports that it is off: disable it first."""
 
         def steps(job: Job) -> Steps:
             self.check_off("zero can be set")

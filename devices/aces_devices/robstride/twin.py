@@ -33,7 +33,7 @@ class RobstrideTwin(Twin):
     reply_delay_ns = 30_000
 
     def setup(self) -> None:
-        """Stopped, in run mode motion, its zero where the motor's is."""
+        """Begin stopped, in run mode motion, with the motor's own zero."""
         dialect = str(self.variant.dialect)
         self.spec = DIALECTS[dialect]
         model = "CyberGear" if dialect == FAMILY else dialect
@@ -55,11 +55,11 @@ class RobstrideTwin(Twin):
 
     @property
     def angle(self) -> float:
-        """Where the motor is (rad)."""
+        """Position of the motor (rad)."""
         return self.scale.raw_angle(self.motor.position(self.clock.now())) + self.offset
 
     def look(self) -> None:
-        """A fault switches it off."""
+        """Switch off at a new fault, and report it."""
         new = {fault for fault in _FAULTS if fault in self.active_faults} - self.failed
         if new:
             self.failed |= new
@@ -153,7 +153,7 @@ class RobstrideTwin(Twin):
 
     @on("Command")
     def command(self, request: Any) -> None:
-        """The MIT law, in run mode motion."""
+        """Apply the MIT law, in run mode motion."""
         if self.state == "run" and self.parameters["run_mode"] == 0:
             position, velocity, torque, kp, kd = (
                 getattr(request, name) * whole / unit
@@ -204,7 +204,7 @@ class RobstrideTwin(Twin):
 
     @on("ReadParameter")
     def read(self, request: Any) -> None:
-        """What it is; one that there is not is an error."""
+        """Answer with a parameter; an unknown parameter is an error."""
         name = request.index
         kind = _KIND.get(name)
         if kind is None:

@@ -127,7 +127,7 @@ class ServoDevice(RegisterDevice):
 
     @abstractmethod
     def range_counts(self) -> tuple[int, int]:
-        """The counts that a goal may have."""
+        """Return the least and greatest counts that a goal may have."""
 
     def signed(self, raw: int) -> int:
         """Return a raw number of position or speed as counts with a sign."""
@@ -138,7 +138,7 @@ class ServoDevice(RegisterDevice):
         return self.signed(raw)
 
     def unsigned(self, count: int) -> int:
-        """Counts with a sign as a register has them: what `signed` undoes."""
+        """Return signed counts as a register holds them: the inverse of `signed`."""
         return count
 
     def counts(self, position: float) -> int:
@@ -154,18 +154,18 @@ class ServoDevice(RegisterDevice):
         return ""
 
     def unlock(self) -> Steps:
-        """Steps before something is written that survives power-off."""
+        """Yield steps that must precede a write that survives power-off."""
         yield from ()
 
     def lock(self) -> Steps:
-        """Steps after that."""
+        """Yield steps that follow a write that survives power-off."""
         yield from ()
 
     def learned(self, table: Mapping[str, int]) -> None:
-        """What survives power-off was read: raw numbers by name."""
+        """Take the registers that survive power-off: raw numbers by name."""
 
     def before_torque(self) -> Steps:
-        """Steps that must succeed before a servo is given a goal and torque: it must be in the mode of its joint."""
+        """Yield steps that must succeed before a servo gets a goal and torque: it must be in the mode of its joint."""
         if self.mode_register and self.answers:
             mode = yield self.read(self.mode_register)
             if mode != self.mode:
@@ -215,7 +215,7 @@ class ServoDevice(RegisterDevice):
         self.answers, self.acknowledges = level >= 1, level >= 2
 
     def span_rad(self, low: int, high: int) -> tuple[float, float]:
-        """The joint's angles (rad) at these counts, the lesser first."""
+        """Return the joint's angles (rad) at two counts, the lesser first."""
         ends = sorted(self.direction * (count * self.step - self.zero) for count in (low, high))
         return ends[0], ends[1]
 
@@ -311,7 +311,7 @@ class ServoDevice(RegisterDevice):
             self.note_errors(now, instant)
 
     def note_errors(self, now: frozenset[str], instant: int) -> None:
-        """The servo's errors are these: what is new or over is reported."""
+        """Take the servo's present errors, and report those that are new or over."""
         self._errors.update(tuple(sorted(now)), instant)
         if now == self.errors:
             return
@@ -534,7 +534,7 @@ class ServoDevice(RegisterDevice):
         return self.job(f"set id {number}", steps)
 
     def _is_free(self, number: int) -> Steps:
-        """Steps that fail when a servo answers to an id."""
+        """Yield steps that fail if a servo answers to an id."""
         if (
             yield from self.host.answers(
                 self.variant.name, {"id": number}, "Ping", reply=self.reply, timeout_s=self.timeout_s
@@ -571,7 +571,7 @@ class ServoDevice(RegisterDevice):
         return self.job(name, steps)
 
     def _try(self, message: str, **fields: Any) -> Steps:
-        """Steps that send something once, and wait for an acknowledgement that may not come."""
+        """Yield steps that send a request once, and wait for an acknowledgement that may not come."""
         if not self.acknowledges:
             yield from self._unanswered(message, **fields)
             return

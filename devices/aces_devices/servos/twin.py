@@ -78,7 +78,7 @@ class ServoTwin(Twin):
         self._pushing_since: int | None = None
 
     def apply(self) -> None:
-        """What the registers mean for the motion, from now on."""
+        """Apply the registers to the motion."""
         raise NotImplementedError
 
     def measure(self) -> int:
@@ -183,7 +183,7 @@ class ServoTwin(Twin):
 
     @property
     def is_tuned(self) -> bool:
-        """Whether the line runs at its speed."""
+        """True if the line runs at the servo's speed."""
         wanted = getattr(self.twins.port, "baud", None)
         return wanted is None or abs(self.baud - wanted) < TUNED * wanted
 
@@ -197,7 +197,7 @@ class ServoTwin(Twin):
         )
 
     def receive(self, record: Any, instant: int) -> None:
-        """A request that it receives: one at its line speed."""
+        """Receive a request if it was sent at the servo's line speed."""
         if self.is_tuned:
             super().receive(record, instant)
 
@@ -234,7 +234,7 @@ class ServoTwin(Twin):
 
     @on("Ping")
     def answer_ping(self, request: Any) -> None:
-        """A Ping; to a broadcast after those with lower numbers."""
+        """Answer a Ping; a broadcast is answered after the servos with lower numbers."""
         data, mine = self.identification(), self.credentials["id"]
         others = self.twins.members.values() if request.id == BROADCAST else ()
         before = [len(data) for other in others if other.credentials["id"] < mine]
@@ -246,11 +246,11 @@ class ServoTwin(Twin):
 
     @on("Read")
     def answer_read(self, request: Any) -> None:
-        """A stretch of the table, or why there is none."""
+        """Answer with a stretch of the table, or with the reason why it cannot be read."""
         self.answer_stretch(request, request.start, request.count)
 
     def answer_stretch(self, request: Any, start: int, count: int, delay_ns: int | None = None) -> None:
-        """A status with a stretch of the table; `request` None: one that asked several servos."""
+        """Send a status with a stretch of the table; `request` is None if several servos were asked."""
         errors = self.measure()
         data = self.stretch(start, count)
         if data is None:
@@ -271,7 +271,9 @@ class ServoTwin(Twin):
         return (len(before) + 1) * self.delay_ns + (self.twins.port.wire_ns(bytes(size)) if size else 0)
 
     def answer_in_turn(self, areas: Sequence[tuple[int, int, int]]) -> None:
-        """A status where several servos were asked: (id, start, count) of each, in the order of their answers."""
+        """Answer in turn, where several servos were asked: (id, start, count) of each, in the order of their
+        answers.
+        """
         mine, before = self.credentials["id"], list[int]()
         for number, start, count in areas:
             if number == mine:
@@ -297,7 +299,7 @@ class ServoTwin(Twin):
 
     @on("Action")
     def act(self, request: Any) -> None:
-        """What was held back."""
+        """Carry out the write that was held back."""
         held, self._held = self._held, None
         self.answer(request, WRITE, self.put(*held) if held is not None else "instruction")
 
@@ -311,7 +313,7 @@ class ServoTwin(Twin):
 
     @property
     def is_holding(self) -> bool:
-        """Whether a RegWrite waits for its Action."""
+        """True if a RegWrite waits for its Action."""
         return self._held is not None
 
     # ------------------------------------------------------------------ writing
@@ -353,7 +355,7 @@ class ServoTwin(Twin):
         return ""
 
     def before_write(self) -> None:
-        """The table is about to change: what moves has been moved up to now."""
+        """Bring the motion up to now, before the table changes."""
 
     def after_write(self, touched: range) -> None:
         """Bytes at these addresses were written."""

@@ -69,7 +69,7 @@ class Uds(Device):
     settings: UdsSettings
 
     def setup(self) -> None:
-        """A signal for each value, and polls. Raises `CallerError` for a wrong table or setting."""
+        """Add a signal for each value, and polls. Raise `CallerError` for a wrong table or setting."""
         self.settings = given = settings_of(self.name, UdsSettings, self.config.settings)
         if given.session not in SESSIONS or given.session == "default":
             others = ", ".join(name for name in SESSIONS if name != "default")
@@ -161,7 +161,7 @@ class Uds(Device):
     # ------------------------------------------------------------------ up
 
     def receive(self, record: Any, instant: int) -> None:
-        """A record of this device: patience, an answer to what was asked, or one that is late and answers nothing."""
+        """Take a record: a plea for patience, an answer to a request, or a late answer that belongs to none."""
         name = type(record).__name__
         if name == "Refused" and record.reason == "response_pending":
             self.last_received = instant
@@ -209,7 +209,7 @@ class Uds(Device):
         self._session.update(self.session, instant)
 
     def _take(self, data: bytes, instant: int) -> None:
-        """Identifiers and values, as far as the table knows them."""
+        """Update signals from identifiers and values, as far as the table knows them."""
         while len(data) >= 2:
             one = self.by_number.get(int.from_bytes(data[:2], "big"))
             if one is None:
@@ -223,14 +223,16 @@ class Uds(Device):
             self.signals[f"{self.name}.{one.name}"].update(one.value(inside), instant)
 
     def _begun(self, session: str) -> None:
-        """It is, or may be, in another session: nothing is unlocked any more. One that is not the default is kept."""
+        """Note that another session may have begun, in which nothing is unlocked; keep a session that is not
+        the default.
+        """
         self.session, self.unlocked = session, 0
         self.epoch += 1
         if session != "default" and (self._keeper is None or self._keeper.is_over):
             self._keeper = self.job("keep the session", self._keep)
 
     def _is_over(self, is_over: bool) -> None:
-        """The ECU has said whether there is anything to stop."""
+        """Note the ECU's word whether there is anything left to stop."""
         self.is_engaged = not is_over
         if is_over:
             self.started.clear()
@@ -245,7 +247,7 @@ class Uds(Device):
                     pass  # reported as not sent; the session may be over, and refusals will say so
 
     def no_reply(self, ticket: Any) -> None:
-        """A device that is silent may have rebooted: it must be enabled anew."""
+        """Note that a silent device may have rebooted and must be enabled anew."""
         if self.misses >= self.silent_after and self.session != "default":
             self._begun("default")
 
@@ -266,7 +268,7 @@ class Uds(Device):
         retries: int = 0,
         **fields: Any,
     ) -> Steps:
-        """Steps that ask: the answer. They raise `DeviceError` with the reason when it is refused."""
+        """Yield steps that ask, and return the answer. Raise `DeviceError` with the reason for a refusal."""
         for left in reversed(range(BUSY_TRIES)):
             answer = yield self.ask(
                 message,
@@ -385,7 +387,7 @@ class Uds(Device):
         return self.lead(f"write {name}", steps)
 
     def _set(self, name: str, value: Any) -> None:
-        """A set-point: written now."""
+        """Write a set-point now."""
         if self.host.passive or not self.takes(self[name]):
             why = "this bus is only listened to" if self.host.passive else f"{self.name} is not enabled"
             self.emit_event("not sent", f"{name}: {why}")

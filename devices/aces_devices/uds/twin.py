@@ -197,7 +197,7 @@ class UdsTwin(Twin):
         self._is_loading = False
 
     def _keep_session(self) -> None:
-        """A request was served: the session's time begins anew."""
+        """Restart the session's time after a request."""
         if self._end is not None:
             self._end.cancel()
         self._end = None

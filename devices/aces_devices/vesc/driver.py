@@ -277,7 +277,7 @@ class Vesc(Device):
         self.is_enabled.update(self.takes_set_points, instant)
 
     def no_reply(self, ticket: Ticket) -> None:
-        """A device that is silent may have rebooted: it must be enabled anew."""
+        """Note that a silent device may have rebooted and must be enabled anew."""
         if self.takes_set_points and self.misses >= self.silent_after:
             self._off()
 

@@ -142,7 +142,7 @@ class VescModel:
 
     @property
     def values(self) -> dict[str, Any]:
-        """What it measures now, by the names of VALUES."""
+        """Present measurements, by the names of VALUES."""
         now = self.clock.now()
         turned = self.motor.position(now)
         speed = self.motor.speed(now)

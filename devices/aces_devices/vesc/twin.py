@@ -22,7 +22,7 @@ class VescMotorTwin(Twin):
     model: VescModel
 
     def powered(self, number: int) -> None:
-        """The controller `number` begins: its motor stays where it is."""
+        """Boot the controller `number`; its motor stays where it is."""
         if "model" in self.__dict__:
             self.model.boot()
         else:
@@ -61,17 +61,17 @@ class VescTwin(VescMotorTwin):
 
     @on(*SET_POINTS)
     def take(self, request: Any) -> None:
-        """A set-point."""
+        """Take a set-point."""
         self.model.set(request)
 
     @on("Ping")
     def pong(self, request: Any) -> None:
-        """It is there."""
+        """Answer a Ping."""
         self.reply("Pong", host=request.host, hardware="vesc")
 
     @on("PollPosition")
     def send_position(self, request: Any) -> None:
-        """The rotor's angle."""
+        """Send the rotor's angle."""
         self.reply("RotorPosition", position=self.model.values["position"])
 
     def send_status(self) -> None:
@@ -84,7 +84,7 @@ class VescTwin(VescMotorTwin):
 
     @on("ShortRequest", "LongRequest", "FillBuffer", "FillBufferFar")
     def take_piece(self, request: Any) -> None:
-        """A piece of a packet; a whole one is carried out."""
+        """Take a piece of a packet; carry out a packet that is complete."""
         packet = self.buffers.take(request)
         record = None if packet is None else self.reader.read(packet)
         answer = None if record is None else self.model.answer(record)
@@ -108,7 +108,7 @@ class VescUartTwin(VescMotorTwin):
 
     @on("GetSelected", "GetValues", "GetFirmware", "Alive", *SET_POINTS)
     def carry_out(self, request: Any) -> None:
-        """A packet."""
+        """Carry out a packet."""
         answer = self.model.answer(request)
         if answer is not None:
             self.reply(answer[0], **answer[1])

@@ -32,7 +32,7 @@ CURRENT = 6.5  # mA a count
 
 
 def _add_common(table: RegisterMap, add: Any, word: Any, angle: float, series: str) -> None:
-    """What both have, up to the controller's gains."""
+    """Add the registers that both series have, up to the controller's gains."""
     read = partial(add, access="read")
     read("firmware_major", 0, Byte, doc="Version of the firmware.")
     read("firmware_minor", 1, Byte, doc="Version of the firmware, behind the point.")
@@ -96,7 +96,7 @@ def _add_common(table: RegisterMap, add: Any, word: Any, angle: float, series: s
 
 
 def _add_measured(read: Any, word: Any, position: Any, speed: Any, load: Any, angle: float) -> None:
-    """What is measured, and where."""
+    """Add the measured registers."""
     read("present_position", 56, position, unit="°", scale=angle, doc="Where it is.")
     read("present_speed", 58, speed, doc="How fast it turns (counts a second).")
     read("present_load", 60, load, unit="%", scale=SHARE, doc="The drive as a share of the greatest.")

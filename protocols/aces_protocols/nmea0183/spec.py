@@ -45,7 +45,7 @@ sentence = nmea0183.framing(
 
 
 def _declare(line: bytes, doc: str, *fields: Any, optional: int = 0, **values: Any) -> None:
-    """A sentence, named as its type is in the example `line`, which means `values`."""
+    """Declare a sentence, named as its type is in the example `line`, which means `values`."""
     name = line[3:6]
     sentence(
         name.decode(),

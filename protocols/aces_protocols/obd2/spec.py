@@ -55,7 +55,7 @@ def _asks(
 def _says(
     name: str, service: int, *fields: Construct, to: tuple[Any, Any], source: str = J1979, **more: Any
 ) -> None:
-    """An ECU's answer."""
+    """Declare an ECU's answer."""
     obd2.message(
         name, transport=ONE_ECU, direction="from device", payload=Struct(Const(0x40 | service, Byte), *fields),
         reply_to=to, source=source, **more,

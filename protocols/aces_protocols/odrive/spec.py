@@ -79,7 +79,10 @@ NEWTON_METRE, CELSIUS = Quantity(Float32l, unit="N·m"), Quantity(Float32l, unit
 
 
 def tells(name: str, command: int, payload: Construct, **more: Any) -> None:
-    """What a drive says by itself or when asked: `Get…` by a remote frame, `Get…Empty` by a data frame without data.
+    """Declare a message that a drive sends by itself or when asked: `Get…` by a remote frame, `Get…Empty` by
+    a data frame without data.
+
+    The first example's identifier is that of the requests' examples, too.
 
     The first example's identifier is that of the requests' examples, too.
     """
@@ -100,7 +103,7 @@ def tells(name: str, command: int, payload: Construct, **more: Any) -> None:
 
 
 def takes(name: str, command: int, payload: Construct | None = None, **more: Any) -> None:
-    """What a drive is told."""
+    """Declare a message that the host sends to a drive."""
     if payload is not None:
         more["payload"] = payload
     odrive.message(name, id=Node << 5 | command, direction="to device", **more)

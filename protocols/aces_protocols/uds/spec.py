@@ -108,7 +108,7 @@ def _asks(
 
 
 def _says(name: str, service: int, *fields: Construct, to: tuple[Any, ...], **more: Any) -> None:
-    """An ECU's answer."""
+    """Declare an ECU's answer."""
     uds.message(
         name, transport=ONE_ECU, direction="from device", payload=Struct(Const(0x40 | service, Byte), *fields),
         reply_to=to, source=STANDARD, **more,

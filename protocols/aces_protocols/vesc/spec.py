@@ -296,7 +296,9 @@ vesc.message(
 def _piece(
     packet: int, to_device: bool, name: str, payload: Struct, length: Any, doc: str, *examples: Any
 ) -> None:
-    """The last frame of a packet, or the only one: who is addressed is in the identifier, who sends it the first byte."""
+    """Declare the last frame of a packet, or its only frame: the identifier addresses, the first byte names
+    the sender.
+    """
     addressed, sender = ("id", "host") if to_device else ("host", "id")
     vesc.message(
         name,

@@ -173,6 +173,8 @@ class MessageSet:
         return self.queues.get(message.node, "priority") == "fifo"
 
     def error_ns(self, window_ns: int, frames: Iterable[int]) -> int:
-        """What errors in a window cost, where frames of these lengths (ns) may have to be sent again."""
+        """Return the time (ns) that errors within a window cost when any of `frames` (durations in ns) may be
+        sent again.
+        """
         count = self.errors.within(window_ns)
         return count * (ERROR_BITS * self.bit_ns + max(frames, default=0)) if count else 0

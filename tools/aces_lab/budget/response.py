@@ -46,7 +46,7 @@ class ResponseTime:
 
     @property
     def is_met(self) -> bool:
-        """Whether it has always arrived by its deadline."""
+        """True if the message always arrives by its deadline."""
         return self.response_ns is not None and self.response_ns <= self.message.due_ns
 
 

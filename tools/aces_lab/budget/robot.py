@@ -70,7 +70,7 @@ class MessageBudget:
 
     @property
     def is_met(self) -> bool:
-        """Whether its deadline is always kept."""
+        """True if the message always keeps its deadline."""
         return self.response_ns is not None and self.response_ns <= self.deadline_ns and not self.is_carried
 
 
@@ -95,7 +95,7 @@ class BusBudget:
 
     @property
     def is_met(self) -> bool:
-        """Whether every deadline is kept."""
+        """True if every deadline of the bus is kept."""
         return not self.missed
 
 
@@ -108,7 +108,7 @@ class RobotBudget:
 
     @property
     def is_met(self) -> bool:
-        """Whether every deadline is kept."""
+        """True if every deadline of every bus is kept."""
         return all(bus.is_met for bus in self.buses.values())
 
 

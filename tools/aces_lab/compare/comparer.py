@@ -61,7 +61,7 @@ class ComparedSide:
 
     @property
     def is_windowed(self) -> bool:
-        """Whether only a part of the recording is its."""
+        """True if this side is only a part of its recording."""
         return bool(self.windows) or self.rest_of is not None
 
     def places(self, times: Ints) -> Ints:
@@ -98,7 +98,7 @@ class RecordingComparison:
 
     @property
     def is_same(self) -> bool:
-        """Whether nothing as telling as was asked for is another."""
+        """True if no change is as telling as was asked for."""
         return not self.changes
 
     def __repr__(self) -> str:

@@ -32,7 +32,7 @@ class WatchedTime:
 
     @property
     def seconds(self) -> float | None:
-        """How long the windows are together; None without times."""
+        """Total length of the windows (s); None without times."""
         seen = self._last != NO_TIME
         return float((self._last - self._first)[seen].sum()) / 1e9 if seen.any() else None
 

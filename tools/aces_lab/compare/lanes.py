@@ -75,12 +75,12 @@ class LanePart:
 
     @property
     def has_channels(self) -> bool:
-        """Whether there are several channels, which then count by their names."""
+        """True if there are several channels; each then has its own count of frames."""
         return len({one.channel for one in self.arrivals.kept}) > 1
 
     @property
     def span(self) -> tuple[float, float]:
-        """Where the axis begins and ends: seconds from the first frame, or frames (of bytes: bytes)."""
+        """Limits of the axis: seconds from the first frame, or frame numbers (of a byte stream: byte numbers)."""
         if self.clock.origin is not None:
             low, high = self.place(self._first), self.place(self._last)
         else:
@@ -114,7 +114,7 @@ class Lane:
 
     @property
     def label(self) -> str:
-        """What it shows; of a long name the end, which tells more."""
+        """Subject, place and unit; a label that is too long keeps its end, which says more."""
         text = f"{self.change.subject}  {self.change.place or self.change.kind}"
         text += f" ({self.unit})" if self.unit else ""
         return text if len(text) <= LONGEST else "…" + text[1 - LONGEST :]

@@ -78,7 +78,7 @@ class Arrivals:
 
     @property
     def last(self) -> float:
-        """Where the last one is."""
+        """Place of the last arrival on the axis."""
         return max((float(one.points()[0][-1]) for one in self.kept.values()), default=0.0)
 
 

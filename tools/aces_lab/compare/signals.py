@@ -123,7 +123,7 @@ class SignalValues:
 
     @property
     def is_monotone(self) -> bool:
-        """Whether it goes one way only, as a clock or an odometer does."""
+        """True if the value only rises or only falls, as a clock or an odometer does."""
         return self.changes >= 4 and self.rises in (0, self.changes)
 
     def text(self, value: Any) -> str:
@@ -167,7 +167,7 @@ class MessageProfile:
         self._layouts: dict[tuple[str, str], _Layout] = {}
 
     def add(self, table: MessageTable, windows: Array) -> None:
-        """Decoded messages, and the window that each is in; -1 is none."""
+        """Add decoded messages; `windows` has the window of each message, -1 where it is in none."""
         if not (windows >= 0).all():
             rows = np.flatnonzero(windows >= 0)
             table, windows = table.take(rows), windows[rows]

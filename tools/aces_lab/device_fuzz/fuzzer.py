@@ -84,7 +84,7 @@ class DeviceFinding:
 
     @property
     def suffix(self) -> str:
-        """What its capture is: `.log` (candump's) of frames, `.slog` of bytes."""
+        """Suffix of the finding's capture: `.log` (candump) for frames, `.slog` for bytes."""
         return ".log" if self.variant.link == "can" else ".slog"
 
     @property
@@ -401,7 +401,7 @@ class _Least:
             size = max(1, size // 2)
 
     def _at_the_same_time(self) -> None:
-        """What needs an instant: a step is left out and its time is not."""
+        """Drop steps but keep their pauses: some faults need the instant, not the step."""
         for at in range(len(self.steps) - 1, 0, -1):
             if len(self.steps) <= FEW or at >= len(self.steps):
                 continue
@@ -410,7 +410,7 @@ class _Least:
             self.offer([*self.steps[: at - 1], longer, *self.steps[at + 1 :]])
 
     def _quicker(self) -> None:
-        """The usual pause, and all as valid packets are sent."""
+        """Try the usual pause for each step, and each packet as it is sent when it is valid."""
         usual = [self._usual(step) for step in self.steps]
         if usual != self.steps and not self.offer(usual):
             for number, step in enumerate(usual):

@@ -208,7 +208,7 @@ class DeviceTester(BusEndpoint[_Ear]):
     # ------------------------------------------------------------------ what comes
 
     def noted(self, record: Any, instant: int) -> None:
-        """A record of the device."""
+        """Count a record that the device has sent."""
         name = type(record).__name__
         self.counts[name] += 1
         self.last_at[name] = instant

@@ -127,7 +127,7 @@ def judged_alive(tester: DeviceTester, fresh: FreshDevice) -> Problem | None:
 
 
 def _forget(step: SentStep) -> None:
-    """The step is none of the sequence."""
+    """Do nothing: the step does not belong to the sequence."""
 
 
 # ---------------------------------------------------------------------- twins
@@ -189,12 +189,14 @@ class TwinTrial:
 
     @property
     def sent(self) -> list[tuple[int, Any]]:
-        """What was sent so far: instants (ns) and frames or bytes."""
+        """Frames or bytes that the twin has sent, each with its instant (ns)."""
         return self.tap.sent
 
     @property
     def has_another_number(self) -> bool:
-        """Whether it was given other credentials, or switched off: then it is right that it does not answer to these."""
+        """True if the twin was given other credentials or switched off; it is then right not to answer to the
+        old ones.
+        """
         return self.twin.credentials != self._credentials or not self.twin.is_powered
 
     def guarded(self, action: Callable[[], Any]) -> Problem | None:

@@ -346,7 +346,7 @@ class Searching:
     # ------------------------------------------------------------------ what was found
 
     def _print(self, found: DeviceFinding) -> None:
-        """A finding, saved, with the commands that repeat it."""
+        """Save a finding, and print it with the commands that repeat it."""
         self.status_line.clear()
         arguments = self.arguments
         target = Path(arguments.output) if arguments.output and not self.saved else None

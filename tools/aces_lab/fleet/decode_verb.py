@@ -85,7 +85,7 @@ def duration_text(seconds: float) -> str:
 
 
 def say_faults(inputs: list[FleetInput], where: str) -> None:
-    """What is wrong with inputs, the first of them."""
+    """Print the first faults of the inputs to stderr."""
     faults = [fault for one in inputs for fault in one.faults]
     for fault in faults[:SHOWN]:
         say(fault)

@@ -83,7 +83,7 @@ class FleetInput(msgspec.Struct, kw_only=True, omit_defaults=True):
 
     @property
     def is_settled(self) -> bool:
-        """Whether only another content or recipe gives another answer."""
+        """True if only another content or another recipe can change the outcome."""
         return self.state in ("done", "unreadable")
 
     def is_of(self, file: StoredFile, recipe: str) -> bool:

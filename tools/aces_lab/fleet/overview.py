@@ -24,12 +24,12 @@ class FleetStatus:
 
     @property
     def states(self) -> dict[InputState, int]:
-        """How many inputs are in which state."""
+        """Number of inputs by their state."""
         return dict(Counter(one.state for one in self.inputs.values()))
 
     @property
     def total(self) -> dict[Link, Totals]:
-        """Where all frames and bytes went, by link: the sum over the inputs."""
+        """Frames and bytes by their outcome, per link: the sum over the inputs."""
         return joined_totals(self.inputs.values())
 
     @property

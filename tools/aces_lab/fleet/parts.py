@@ -139,7 +139,7 @@ class DayParts:
         return self.parts
 
     def abandon(self) -> None:
-        """What is open goes."""
+        """Abandon every open part."""
         while self._open:
             self._open.popitem()[1][0].abandon()
 

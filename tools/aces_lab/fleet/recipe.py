@@ -163,7 +163,9 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         stop: str | None = None,
         **options: Any,
     ) -> Recipe:
-        """Raises `CallerError` for what cannot be loaded or does not exist, before anything is sent anywhere."""
+        """Make a recipe from protocols and options; raise `CallerError` for unknown names before any work is
+        sent out.
+        """
         given = [FleetProtocol.of(one) if isinstance(one, str) else one for one in protocols]
         if not given:
             raise CallerError("name a protocol: fleet.decode(inputs, 'truck.dbc', …)")

@@ -85,7 +85,7 @@ class FleetRun:
 
     @property
     def total(self) -> dict[Link, Totals]:
-        """Where all frames and bytes went, by link: the sum over the inputs."""
+        """Frames and bytes by their outcome, per link: the sum over the inputs."""
         return joined_totals(self.inputs)
 
     @property
@@ -176,7 +176,7 @@ class _Run:
     # ------------------------------------------------------------------ before
 
     def _recover(self) -> None:
-        """What an earlier run left in the journal."""
+        """Take over the inputs that an earlier run left in the journal."""
         journal = self.dataset.journal()
         whole = {entry.uri: entry for entry in journal.values() if entry.state != "placing"}
         for name, entry in journal.items():
@@ -342,7 +342,7 @@ class _Run:
         self.report_progress(progress)
 
     def _fold(self) -> None:
-        """The journal's entries into the manifest."""
+        """Move the entries of the journal into the manifest."""
         began = time.monotonic()
         if self._folding or any(not one.is_settled for one in self.results):
             self.dataset.write_manifest(self.known)

@@ -238,7 +238,7 @@ class Place:
         return self.ask(path, asked)
 
     def put(self, file: str, path: str) -> None:
-        """A file of this machine, which goes, to its place in the store."""
+        """Move a file of this machine to its place in the store."""
         folder, _, name = path.rpartition("/")
 
         def once() -> None:
@@ -272,7 +272,7 @@ class Place:
             os.replace(beside, path)
 
     def write(self, path: str, data: bytes) -> None:
-        """A small file, whole."""
+        """Write a small file in one operation."""
         folder, _, name = path.rpartition("/")
 
         def once() -> None:
@@ -290,7 +290,7 @@ class Place:
         self.ask(path, once, size=len(data))
 
     def remove(self, path: str) -> None:
-        """A file goes; one that is not there has gone."""
+        """Remove a file; do nothing if it does not exist."""
 
         def once() -> None:
             with suppress(FileNotFoundError):
@@ -350,7 +350,7 @@ class StoreReader:
         return data
 
     def read_at(self, place: int, size: int) -> bytes:
-        """Some bytes from `place` on, beside the reading from front to back; they are not hashed."""
+        """Read up to `size` bytes at `place`, apart from the reading front to back; they do not enter the hash."""
 
         def asked() -> bytes:
             with self._opened(place) as file:

@@ -67,7 +67,7 @@ class FleetPiece(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def says_faults(self) -> bool:
-        """Whether no other worker reads the same."""
+        """True if this piece reports the faults of its file."""
         return self.span is not None or self.number == 0
 
 
@@ -250,7 +250,9 @@ class InputWork:
 
     @contextmanager
     def _folder(self) -> Generator[str]:
-        """A folder for parts before they are placed: on the dataset's disk, or where Dask cleans up behind dead workers."""
+        """Yield a folder for parts before they are placed: on the dataset's disk, or where Dask cleans up
+        after dead workers.
+        """
         where = None
         if self.dataset.place.is_local:
             where = self.dataset.path(FLEET, "work")
@@ -310,7 +312,7 @@ class InputWork:
         return done, made
 
     def _begin(self, began: int | None) -> None:
-        """An attempt begins; `began` is the instant of the recording's first frame, if it is known."""
+        """Begin an attempt; `began` is the instant of the recording's first frame, if it is known."""
         self.began: int | None = began
         self.selection = replace(self._selection, window=self.recipe.window)
         if began is not None and self.selection.window is not None:
@@ -328,7 +330,7 @@ class InputWork:
 
     @property
     def _absolute(self) -> bool | None:
-        """Whether the recording's times count from 1970; None where it is not known yet."""
+        """True if the recording's times count from 1970; None until this is known."""
         return None if self.began is None else self.began >= ABSOLUTE_NS
 
     def _filled(

@@ -191,12 +191,12 @@ class FoxgloveView:
 
     @property
     def address(self) -> str:
-        """Where clients connect: `ws://127.0.0.1:8765`."""
+        """Address that clients connect to: `ws://127.0.0.1:8765`."""
         return f"ws://{f'[{self.host}]' if ':' in self.host else self.host}:{self.port}"
 
     @property
     def is_local(self) -> bool:
-        """Whether this machine's programs alone can look on."""
+        """True if only programs of this machine can connect."""
         return is_loopback(self.host)
 
     @property
@@ -280,7 +280,7 @@ class FoxgloveView:
         return LogLines(self)
 
     def log(self, instant: int, level: Level, name: str, message: str) -> None:
-        """A line for `/log`; `instant` in ns of the clock."""
+        """Put a line into `/log`; `instant` in ns of the clock."""
         self.put(self._log_feed, (instant + self.epoch_ns, _log_line, (level, name, message)))
 
     def event(self, instant: int, kind: str, source: str, detail: str = "", level: Level = "info") -> None:
@@ -562,7 +562,7 @@ class LiveRecords(Datasets):
         self._topics.begin(dataset)
 
     def publish(self, items: Sequence[Any]) -> None:
-        """The messages of records, in their order."""
+        """Publish the messages of records, in their order."""
         rows = np.arange(self._seen, self._seen + len(items)) if self._is_can else None
         self._seen += len(items)
         tables = [table for table in self._columns.tables(items, rows) if len(table)]
@@ -603,7 +603,7 @@ class LiveBus:
         self._records = LiveRecords(view, variants, scanner=self._scanners[0])
 
     def passed(self, packet: Any, instant: int, is_sent: bool) -> None:
-        """A frame or piece of bytes. Never waits."""
+        """Queue a frame or a piece of bytes for the view, without waiting."""
         self._view.put(self, (packet, instant + self._view.epoch_ns, is_sent is self._is_host))
 
     def publish(self, items: Sequence[Any]) -> None:

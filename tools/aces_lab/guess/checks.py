@@ -431,7 +431,7 @@ class _Search:
         return _Found(guess, relation, rank)
 
     def _runs(self, start: int, place: _Place, is_all: bool) -> tuple[tuple[int, int | None], ...]:
-        """The runs of row bytes from the `start`-th byte that is not the check's."""
+        """Return the runs of row bytes that a check covers from the `start`-th byte that is not its own."""
         behind = place.offset + place.size
         if self.from_end:
             return (start, place.offset), *([(behind, None)] if is_all and behind else [])

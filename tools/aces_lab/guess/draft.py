@@ -224,7 +224,7 @@ def _constants(fields: Iterable[FieldGuess]) -> Iterator[str]:
 
 
 def _named_once(fields: Iterable[FieldGuess]) -> list[FieldGuess]:
-    """A second check is a number: a message has one."""
+    """Keep the first check of a message; turn further checks into numbers."""
     found: list[FieldGuess] = []
     has_check = False
     for one in fields:

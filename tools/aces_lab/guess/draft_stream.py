@@ -107,7 +107,7 @@ def _message(one: PacketGuess, framing: FramingGuess, variable: str) -> Iterator
 
 
 def _without_checks(fields: Iterable[FieldGuess]) -> list[FieldGuess]:
-    """A framing's packets have its check: what looks like another one inside is a number."""
+    """Turn checks among the fields into numbers: the framing itself has the packet's check."""
     return [replace(one, kind="number", check=None) if one.kind == "check" else one for one in fields]
 
 

@@ -70,7 +70,7 @@ class FieldGuess:
 
     @property
     def is_aligned(self) -> bool:
-        """Whether it is whole bytes."""
+        """True if the field consists of whole bytes."""
         return not self.start % 8 and not self.length % 8
 
     @property
@@ -256,7 +256,7 @@ def _widened(one: FieldGuess, free: Array, values: Array) -> FieldGuess:
 
 
 def _constants(sample: Rows, free: Array) -> list[FieldGuess]:
-    """Runs of bits that never change: whole bytes together, others byte by byte."""
+    """Return runs of bits that never change: whole bytes together, other bits byte by byte."""
     found: list[FieldGuess] = []
     bit = 0
     while bit < len(free):

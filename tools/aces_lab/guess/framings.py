@@ -88,7 +88,7 @@ class FramingGuess:
 
     @property
     def is_checked(self) -> bool:
-        """Whether its packets have a check."""
+        """True if the framing's packets have a check."""
         return self.check is not None or self.written is not None
 
     @property

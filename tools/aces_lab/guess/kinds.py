@@ -29,7 +29,7 @@ EXPONENTS, SPREAD = (97, 161), 12
 
 
 def plain_fields(sample: Rows, rows: Array | None, prefix: bytes | Array) -> list[FieldGuess]:
-    """Checks, text, counters and floats: what is known by itself, whatever is beside it. Checks are sought in `rows`."""
+    """Find checks, text, counters and floats: fields known without their neighbours. Checks are sought in `rows`."""
     found: list[FieldGuess] = []
     free = np.ones(8 * sample.size, bool)
     for make in (lambda *_: _checks(rows, prefix), _texts, _counters, _floats):

@@ -146,7 +146,7 @@ def _echo(frames: FrameTable, at: Array) -> str | None:
 
 
 def _standard(request: int, reply: int) -> str | None:
-    """Identifiers that are a pair by an open standard."""
+    """Say why an open standard makes two identifiers a pair; return None if none does."""
     if request & REMOTE and request & ~REMOTE == reply:
         return "a remote frame asks for it"
     if not (request | reply) & EXTENDED:

@@ -115,7 +115,7 @@ class StreamTraffic:
         self.kept = 0
 
     def next_recording(self) -> None:
-        """What is added from now on is another recording: no packet goes over from one into the next."""
+        """Begin another recording: no packet continues from the one before."""
         self._recording += 1
 
     def add(self, data: bytes, time: float | None = None, direction: str | None = None) -> None:

@@ -64,7 +64,7 @@ class TimingGuess:
 
     @property
     def is_regular(self) -> bool:
-        """Whether it is sent by the clock."""
+        """True if the message is sent by the clock."""
         return self.jitter_ns <= REGULAR * self.period_ns
 
 

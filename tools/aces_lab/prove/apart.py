@@ -55,7 +55,7 @@ class _Formulas:
         self.seconds = seconds
 
     def of(self, message: Message) -> Accepted | str:
-        """The formulas of a message, or why there are none."""
+        """Return the formulas of a message, or the reason why it has none."""
         if message.name not in self._made:
             try:
                 self._made[message.name] = Accepted(message, self._numbers[message.name], self.seconds)

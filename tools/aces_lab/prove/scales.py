@@ -74,7 +74,7 @@ def scale_claims(message: Message) -> Iterator[tuple[str, Status, str]]:
 
 
 def _places(low: int, high: int) -> list[int]:
-    """Where runs of raw values are tried: evenly, at both ends and around zero."""
+    """Return the starts of the runs of raw values to try: evenly spaced, at both ends and around zero."""
     step = (high - low - 10000) // 500
     return [*range(low, high - 9999, step), high - 9999, max(low, -5000)]
 

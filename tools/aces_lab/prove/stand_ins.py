@@ -319,7 +319,7 @@ class StandIns:
 
 
 def _code(code: types.CodeType) -> tuple[types.CodeType, set[str]]:
-    """A code object with its sets of numbers replaced, inner functions too, and the names that it uses."""
+    """Return a code object with its sets of numbers replaced (in inner functions too), and the names that it uses."""
     names = set(code.co_names)
     consts: list[Any] = []
     for value in code.co_consts:

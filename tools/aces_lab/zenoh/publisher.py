@@ -202,7 +202,7 @@ class Publisher:
 
     @property
     def inlet(self) -> Inlet | None:
-        """Where set-points come in, once it is started; None when none are taken."""
+        """Inlet of set-points, once the publisher has started; None when it accepts none."""
         return self._inlet
 
     def bind(self, states: Mapping[str, Any]) -> None:
@@ -281,7 +281,7 @@ class Publisher:
                 self._inlet.give_up()
 
     def _watch(self, now: int) -> None:
-        """The dead-man of rule 3."""
+        """Check the dead-man of rule 3."""
         assert self._inlet is not None
         taken = self._inlet.taken_at
         if taken is None or self.dead_man_s is None:

@@ -49,7 +49,7 @@ class RemoteClock:
         self._received_at: int | None = None
 
     def received(self, now: int) -> None:
-        """It was `now` there when this was sent."""
+        """Note that a message was received which was sent at `now` of the remote clock."""
         here = self.local.now()
         behind = here - now
         if self._behind is None:
@@ -67,7 +67,7 @@ class RemoteClock:
 
     @property
     def silence_ns(self) -> int:
-        """How long nothing was received; for ever before the first."""
+        """Time (ns) since anything was received; endless before the first message."""
         received = self._received_at
         return 1 << 62 if received is None else self.local.now() - received
 
@@ -106,7 +106,7 @@ class RemoteState(State):
         self._taken: tuple[Any, int] | None = None
 
     def take(self, value: Any, instant: int) -> None:
-        """A sample as it was published; the one that is there already is none."""
+        """Take a sample as it was published; ignore a repetition of the present sample."""
         if (value, instant) == self._taken:
             return
         before, self._taken = self._taken, (value, instant)
@@ -123,7 +123,7 @@ class RemoteState(State):
 
     @property
     def is_stale(self) -> bool:
-        """Whether the newest value is too old, or the connection is lost."""
+        """True if the newest value is too old, or the connection is lost."""
         return self._remote.is_lost or super().is_stale
 
     def __getitem__(self, t: float) -> Any:
@@ -249,7 +249,7 @@ class RemoteStates(Mapping[str, State]):
 
     @property
     def is_lost(self) -> bool:
-        """Whether nothing has come for `lost_s`."""
+        """True if nothing has been received for `lost_s`."""
         return self.clock.silence_ns > self.lost_s * 1e9
 
     def give(self, values: Mapping[str, float]) -> None:

@@ -24,7 +24,7 @@ class Writer(Protocol):
         ...
 
     def items(self, items: Sequence[Any]) -> bytes:
-        """Records and `Unknown`s of the source."""
+        """Return the text of records and `Unknown`s of the source."""
         ...
 
 

@@ -98,7 +98,7 @@ class TokenPrinter(LinePrinter):
         return f"(v := {self.read(leaf)}) is None" if is_optional else ""
 
     def _before_sure(self, number: int, leaf: RecordLeaf, *, is_last: bool) -> None:
-        """A token that others follow, or the last sure one."""
+        """Print a token that is always there: either others follow it, or it is the last such token."""
         body, name, most = self.body, self._tokens[number], self._most[number]
         absent = self._absent(leaf)
         value = "v" if absent else self.read(leaf)
@@ -117,7 +117,7 @@ class TokenPrinter(LinePrinter):
             body.depth -= 1
 
     def _behind(self, number: int, leaf: RecordLeaf) -> None:
-        """A token behind the last sure one: what keeps it in its column is added only where it is there."""
+        """Print a token behind the last sure one: pad to its column only where the token exists."""
         body, name = self.body, self._tokens[number]
         body.line(f"if not ({self._absent(leaf)}):")
         body.depth += 1

@@ -95,7 +95,9 @@ class PlainNumber(NamedTuple):
 
     @property
     def is_inexact(self) -> bool:
-        """Whether the float may be wrong in its last digit: -662 × 0.01 is -6.620000000000001, and -662 / 100 is -6.62."""
+        """True if the float may be wrong in its last digit: -662 × 0.01 is -6.620000000000001, and -662 / 100
+        is -6.62.
+        """
         return self.whole & self.whole - 1 != 0
 
     def mended(self, value: str) -> str:

@@ -165,7 +165,7 @@ class BitImages:
 
     @property
     def unit(self) -> float:
-        """What a second, or a frame, is of `width` and `start`."""
+        """Length of a second, or of a frame, in the unit of `width` and `start`."""
         return 1e9 if self.has_times else 1.0
 
     def add(self, table: FrameTable) -> None:
@@ -215,7 +215,7 @@ class BitImages:
                 image.shift(earlier)
 
     def seconds(self, origin: int | None = None) -> tuple[float, float]:
-        """Where the axis begins and ends, from `origin` (default: the first frame): seconds, or frames."""
+        """Return the limits of the axis from `origin` (default: the first frame): seconds, or frames."""
         zero = self.start if origin is None else origin
         return (self.start - zero) / self.unit, (self.start + self.used * self.width - zero) / self.unit
 
@@ -226,6 +226,6 @@ class BitImages:
         return self.extent(1, place, origin)[1]
 
     def extent(self, count: int, size: int, origin: int | None = None) -> tuple[float, float]:
-        """Where an array of `size` columns of `count` bins begins and ends."""
+        """Return the limits of an array of `size` columns of `count` bins each."""
         begin, _ = self.seconds(origin)
         return begin, begin + size * count * self.width / self.unit

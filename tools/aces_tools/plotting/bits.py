@@ -50,7 +50,7 @@ class BitPicture:
 
     @property
     def x_label(self) -> str:
-        """What the horizontal axis says."""
+        """Label of the horizontal axis."""
         return "time in s" if self.images.has_times else "frame"
 
     def names(self) -> list[str]:

@@ -47,7 +47,7 @@ def load_matplotlib() -> Any:
 
 
 def check_output(path: str) -> None:
-    """Raises `CallerError` unless the file's suffix names a format, and its folder is there."""
+    """Raise `CallerError` unless the file's suffix names a format, and its folder exists."""
     if os.path.splitext(path)[1].lower() not in SUFFIXES:
         raise CallerError(f"-o {path}: the suffix says the format, one of {', '.join(SUFFIXES)}")
     Staging(path, is_folder=False).discard()
@@ -55,7 +55,7 @@ def check_output(path: str) -> None:
 
 
 def check_style(style: str | None) -> None:
-    """Raises `CallerError` for a style that matplotlib does not have."""
+    """Raise `CallerError` for a style that matplotlib does not have."""
     if style is not None:
         load_matplotlib()
         import matplotlib.style as styles
@@ -80,8 +80,9 @@ def save_figure(picture: Picture, path: str) -> None:
 
 
 def write_figure(figure: Any, path: str) -> None:
-    """A matplotlib figure as a file, inside of `styled`. Raises `CallerError` when it cannot be written, and leaves what
-    was there before."""
+    """Write a matplotlib figure to a file, inside of `styled`. Raise `CallerError` on failure, and keep the
+    old file then.
+    """
     kind = os.path.splitext(path)[1].lower()[1:]
     metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind)
     staging = Staging(path, is_folder=False)
@@ -277,7 +278,7 @@ def _line(picture: Picture, panel: PlotPanel, line: PlotLine, ax: Any, number: i
 
 
 def _flags(picture: Picture, panel: PlotPanel, ax: Any) -> None:
-    """A lane a flag, the first on top; filled while it is set."""
+    """Draw each flag in a lane of its own, the first on top, filled while the flag is set."""
     lines = panel.lines
     for number, line in enumerate(lines):
         lane = len(lines) - 1 - number

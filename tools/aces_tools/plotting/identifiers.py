@@ -36,7 +36,7 @@ class IdentifierPattern(NamedTuple):
 
     @property
     def is_wild(self) -> bool:
-        """Whether it may mean several."""
+        """True if the pattern may match several identifiers."""
         return "*" in self.digits or "?" in self.digits
 
 

@@ -83,19 +83,19 @@ class Picture:
 
     @property
     def has_instants(self) -> bool:
-        """Whether the axis shows a time of day."""
+        """True if the axis shows a time of day."""
         return self.is_absolute and self.clock.origin is not None and self.clock.origin >= EPOCH_NS
 
     @property
     def offset(self) -> float:
-        """What is added to places on the axis to have what its ticks show, where those are seconds."""
+        """Seconds to add to a place on the axis to get the number that its tick shows."""
         if self.is_absolute and self.clock.origin is not None and not self.has_instants:
             return self.clock.origin / 1e9
         return 0.0
 
     @property
     def caption(self) -> str:
-        """What the horizontal axis says."""
+        """Label of the horizontal axis."""
         if self.x_label:
             return self.x_label
         if self.clock.origin is None:
@@ -106,7 +106,7 @@ class Picture:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Where the axis begins and ends."""
+        """Limits of the horizontal axis."""
         ends = [(line.x[0], line.x[-1]) for panel in self.panels for line in panel.lines if len(line.x)]
         low, high = min(low for low, _ in ends), max(high for _, high in ends)
         if not high > low:
@@ -217,7 +217,7 @@ class LineNames:
 
 
 def _label(panel: PlotPanel, names: LineNames) -> None:
-    """The title is what all lines share, a label what is left of its line's full name."""
+    """Set the panel's title to what all its lines share, and each line's label to the rest of its name."""
     lines = panel.lines
     first = lines[0].series
     is_one_message = len({line.series.signal.owner for line in lines}) == 1
@@ -256,7 +256,7 @@ def is_enumeration(y: Array, names: Mapping[Any, str]) -> bool:
 
 
 def _categorise(panel: PlotPanel) -> None:
-    """The values that occur become 0, 1, 2, …: far numbers would leave no room for near ones."""
+    """Map the values that occur to 0, 1, 2, …: values far apart would leave no room for those close together."""
     lines = panel.lines
     present = [line.y[~np.isnan(line.y)] for line in lines]
     numbers = np.unique(np.concatenate(present))

@@ -201,7 +201,7 @@ class SignalPattern:
 
     @property
     def is_wild(self) -> bool:
-        """Whether it may mean several signals."""
+        """True if the pattern may match several signals."""
         return any(c in self.name + (self.rest or "") for c in "*?")
 
     def takes(self, signal: PlotSignal) -> bool:

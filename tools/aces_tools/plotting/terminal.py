@@ -384,7 +384,7 @@ def _vertical(bits: Array, column: int, one: float, other: float) -> None:
 
 
 def _segment(bits: Array, start: int, first: float, stop: int, last: float) -> None:
-    """A straight line between two dots, without holes; what lies outside is cut off."""
+    """Draw a straight line without holes between two dots; clip what lies outside."""
     if start == stop:
         _vertical(bits, start, first, last)
         return

@@ -137,7 +137,7 @@ class Session:
 
     @property
     def title(self) -> str:
-        """What it is, in the panel's head."""
+        """Title of the run, for the head of the panel."""
         asked = self.arguments
         if asked.virtual:
             return f"{self.robot.name}, virtual"
@@ -334,7 +334,7 @@ class Session:
 
     @contextmanager
     def _while_shown(self) -> Generator[None]:
-        """What is shown may get nowhere. A reader that has gone ends the run, as Ctrl-C does; a full disk does not."""
+        """Survive a failing output: a closed reader ends the run as Ctrl-C does; a full disk does not."""
         try:
             yield
         except BrokenPipeError:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 def check_screen() -> None:
-    """Raises `CallerError` where no screen can be shown: textual is missing, or there is no terminal."""
+    """Raise `CallerError` if no screen can be shown: textual is missing, or there is no terminal."""
     if importlib.util.find_spec("textual") is None:
         raise CallerError("the live screen needs textual: pip install 'aces-bus[screen]'")
     # Pictures go to stderr: that is where textual draws.
@@ -117,7 +117,7 @@ class ModelFeed:
         self._is_settled = True
 
     def feed(self, items: Sequence[Any]) -> None:
-        """What a gate handed over."""
+        """Feed the model with items from a gate."""
         feed = self._scanner.datagram if self._are_datagrams else self._scanner.feed
         for item in items:
             self.idle(item.host_ns)

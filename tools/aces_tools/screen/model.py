@@ -133,7 +133,7 @@ class RepeatedFrame:
         self.stamp = stamp
 
     def settle(self, now_ns: int) -> int:
-        """The batch is over; gives how many it had of this row."""
+        """End a batch; return how many frames it had of this row."""
         fresh, self.fresh = self.fresh, 0
         first = self.count == fresh
         self._meter.add(self.host_ns, fresh - first)  # the first one opens the first interval
@@ -435,7 +435,7 @@ class Model:
         return found
 
     def _settle(self, touched: Sequence[RepeatedFrame], start_ns: int, now_ns: int) -> None:
-        """The batch is over: rates, bits on the wire, counts."""
+        """End a batch: update rates, bits on the wire and counts."""
         sums: dict[str, list[float]] = {}
         for row in touched:
             fresh = row.settle(now_ns)
@@ -479,12 +479,12 @@ class Model:
 
     @property
     def is_can(self) -> bool:
-        """Whether frames come, and not packets of a stream."""
+        """True if the bus carries frames, not packets of a byte stream."""
         return self.scanner is None or self.scanner.link == "can"
 
     @property
     def folded(self) -> FoldedRows:
-        """What was folded away, of all channels."""
+        """Number of rows and frames that are folded away, over all channels."""
         return FoldedRows(
             sum(one.rows for one in self.others.values()), sum(one.count for one in self.others.values())
         )

@@ -367,7 +367,7 @@ def binary(byte: int, number: int, marks: Sequence[int]) -> list[StyledText]:
 
 
 def _values(row: RepeatedFrame, model: Model, width: int, style: str) -> list[StyledText]:
-    """Decoded fields, as many as there is room for; of what is not decoded, why."""
+    """Return as many decoded fields as there is room for, or the reason why a row is not decoded."""
     spans: list[StyledText] = []
     if row.is_lost or row.record is None:
         reason = getattr(row.record, "reason", "").partition(": ")[2]

@@ -124,7 +124,7 @@ def _device(words: str) -> tuple[Device, str | None] | None:
 
 
 def _actions(words: str) -> Iterable[str]:
-    """What the device of the line can do."""
+    """Yield the actions of the device that the line names."""
     from ..device import VERBS
 
     found = _device(words)

@@ -134,5 +134,5 @@ def data_list(pieces: Sequence[tuple[int, int]]) -> bytes:
 
 
 def data_block(records: bytes) -> bytes:
-    """Records."""
+    """Return a data block of records."""
     return block(b"DT", (), records)

@@ -108,7 +108,7 @@ class _Copy:
         return [start, self.out.tell() - start, fault]
 
     def _records(self, group: Any, size: int) -> None:
-        """The records of a group; of more than are announced, asammdf says nothing."""
+        """Write the records of a group; asammdf does not report more records than are announced."""
         group.read_split_count = max(1, min(_ROWS, _PIECE_BYTES // max(size, 1)))
         for fragment in self.mdf._load_data(group):
             if not fragment.is_record:
@@ -116,7 +116,7 @@ class _Copy:
             self.out.write(memoryview(fragment.data)[: fragment.record_count * size])
 
     def _signal_data(self, group: Any, at: int) -> None:
-        """The bytes of variable length of a channel, block by block."""
+        """Write a channel's bytes of variable length, block by block."""
         for block in group.get_signal_data_blocks(at):
             one = SimpleNamespace(signal_data=[True], get_signal_data_blocks=lambda _, block=block: [block])
             self.out.write(self.mdf._load_signal_data(group=one, index=0))

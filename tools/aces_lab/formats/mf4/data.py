@@ -159,7 +159,9 @@ def values_at(window: Callable[[int, int], bytes], size: int, offsets: Ints) -> 
 
 
 def record_arrays(source: Bytes, size: int, total: int | None, rows: int) -> Iterator[Ints]:
-    """Records as arrays of (n, size) bytes with n ≤ `rows`, at most `total` of them; each is overwritten by the next."""
+    """Yield records as arrays (n, size) of bytes, n ≤ `rows`, at most `total` records; each array overwrites
+    the last.
+    """
     rows = min(rows, source.size // size + 1)
     buffer = bytearray(size * (rows if total is None else min(rows, total)))
     left = total

@@ -261,7 +261,7 @@ class GroupReader:
 
     @property
     def is_variable(self) -> bool:
-        """Whether its data bytes are taken from `store`."""
+        """True if the data bytes of the frames are taken from `store`."""
         return self._layout is not None and self._layout.is_variable
 
     def piece(self, rows: Ints, first: int) -> tuple[KeyedTable | None, list[Fault]]:

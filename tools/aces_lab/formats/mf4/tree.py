@@ -404,7 +404,7 @@ class Blocks:
     # ---- where the records are
 
     def _segments(self, at: int, out: list[Segment], of: bytes = b"DT") -> None:
-        """The data blocks that are there, those of records or those of bytes of variable length."""
+        """Collect the data blocks that exist: of records, or of bytes of variable length."""
         if not at:
             return
         name, _, _ = self._head(at)
