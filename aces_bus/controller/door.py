@@ -411,7 +411,7 @@ class _BusLines:
             if dt > 0.0:
                 self._lead(dt)
         for travel in self.travels:
-            travel.look(now)
+            travel.look()
         if not (self._is_ticked or self._is_woken) and (self.active or self._ask_where()):
             self._is_woken = True
             self.host.clock.call_in(self._period, self._again)

@@ -2,9 +2,11 @@
 
 1. At a bound nothing pushes further out: speeds, torques, currents and duties outward become 0. A speed is lowered on the
    way there, so that the joint stops at the bound; one that must not turn faster is not accelerated any more.
-2. Past a bound by more than `MARGIN`, or for `FAST_NS` faster than `FASTEST` times its speed, the joint trips, named, once.
+2. Past a bound by more than `MARGIN`, or measured for `FAST_NS` faster than `FASTEST` times its speed, the joint trips,
+   once. An old value of its speed is no second one: a bus that is held up makes no joint fast.
 3. A joint that begins outside of its limits may come back; it trips when it gets further out.
-4. A joint with limits is not pushed before it is known where it is. One that nobody commands is not watched: it may be
+4. A joint with limits is not pushed while it is not known where it is: before the first answer, and when the last one is
+   stale. One that nobody commands is not watched: it may be
    pushed by hand, search its home or hang.
 
 Theory of rule 1: what is measured is a poll and a reply old, and a set-point leaves with the next tick. So the speed
@@ -57,8 +59,9 @@ class Travel:
     __slots__ = (
         "_allowed",
         "_epoch",
-        "_fast",
+        "_fast_since",
         "_is_past",
+        "_is_up",
         "_lines",
         "_lower",
         "_margin",
@@ -94,14 +97,15 @@ class Travel:
         #: How far beyond the margin it may be: further than 0 while it comes back; None: not looked at yet.
         self._allowed: float | None = None
         self._is_past = False
-        #: Which way it was too fast (upwards?), since when and when that was looked at last (ns).
-        self._fast = False, 0, -FAST_NS
+        #: When it was first measured to be too fast in the present direction, upwards or not (ns); None: it is not.
+        self._fast_since: int | None = None
+        self._is_up = False
 
     # ------------------------------------------------------------------ what may push it
 
     def allowed(self, signal: Signal, value: float) -> float:
         """Return the part of a speed or push that may leave now."""
-        bounds, here = self.bounds, self._position.last
+        bounds, here = self.bounds, self._position.value
         has_bounds = bounds.lower > -math.inf or bounds.upper < math.inf
         if has_bounds and here is UNKNOWN:
             if value:
@@ -130,11 +134,11 @@ class Travel:
         return min(room / APPROACH_S, math.sqrt(2.0 * self.bounds.acceleration * room))
 
     def _where(self) -> str:
-        velocity = None if self._velocity is None else self._velocity.last
-        speed = (
-            "" if velocity is None or velocity is UNKNOWN else f" and {velocity:.3g} {self._velocity_unit}"
-        )
-        return f"{self._position.last:.4g} {self._position.unit}{speed}"
+        here, velocity = self._position.last, None if self._velocity is None else self._velocity.last
+        place = "an unknown position" if here is UNKNOWN else f"{here:.4g} {self._position.unit}"
+        if velocity is None or velocity is UNKNOWN:
+            return place
+        return f"{place} and {velocity:.3g} {self._velocity_unit}"
 
     @property
     def _velocity_unit(self) -> str:
@@ -147,7 +151,7 @@ class Travel:
 
     # ------------------------------------------------------------------ in each tick
 
-    def look(self, now: int) -> None:
+    def look(self) -> None:
         """Take back what pushes further out; trip what is past its limits."""
         device, here = self.device, self._position.last
         for line in self._pushing:
@@ -159,11 +163,10 @@ class Travel:
                     line.hand_over(allowed)
         velocity: Any = 0.0 if self._velocity is None else self._velocity.last
         most = self.speed * FASTEST
-        is_fast = (
-            velocity is not UNKNOWN
-            and not -most <= velocity <= most
-            and self._is_fast_for_long(velocity, now)
-        )
+        if velocity is UNKNOWN or -most <= velocity <= most:
+            self._fast_since, is_fast = None, False
+        else:
+            is_fast = self._is_fast_for_long(velocity > 0.0)
         is_out = here is not UNKNOWN and not self._lower <= here <= self._upper
         if not (is_fast or is_out):
             self._allowed, self._is_past = 0.0, False
@@ -185,13 +188,12 @@ class Travel:
             self._is_past = True
             self._trip("too fast" if is_fast else "past limit", f"{self.name} {reason}")
 
-    def _is_fast_for_long(self, velocity: float, now: int) -> bool:
-        """Return whether it turns too fast in one direction since `FAST_NS`, looked at without a gap."""
-        is_up, since, last = self._fast
-        if is_up != (velocity > 0.0) or now - last > FAST_NS:
-            since = now
-        self._fast = velocity > 0.0, since, now
-        return now - since >= FAST_NS
+    def _is_fast_for_long(self, is_up: bool) -> bool:
+        """Return whether it was measured to turn too fast in this direction for `FAST_NS`."""
+        instant = 0 if self._velocity is None or self._velocity.instant is None else self._velocity.instant
+        if self._fast_since is None or is_up != self._is_up:
+            self._is_up, self._fast_since = is_up, instant
+        return instant - self._fast_since >= FAST_NS
 
     def _trip(self, kind: Literal["too fast", "past limit"], reason: str) -> None:
         if not any(line.is_supervised for line in self._lines):

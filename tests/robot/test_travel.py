@@ -199,3 +199,36 @@ def test_a_bus_without_ticks_looks_where_a_pushed_joint_is() -> None:
         virtual.rig["J.velocity"].set(2.0)
         assert furthest(virtual, 3.0) < 1.02
         assert virtual.rig.door.tripped == {}
+
+
+def test_a_speed_that_was_measured_once_is_not_too_fast() -> None:
+    """A busy machine had one answer in 0.1 s: the joint was stopped for a speed that it had for a moment only."""
+    virtual = enabled("damiao", 'type = "continuous", max_speed = 2.0')
+    try:
+        virtual.rig["J.torque"].set(0.01)
+        virtual.advance(0.05)
+        motor: Any = virtual.simulation["M"]
+        motor.motor.v = 6.0
+        virtual.advance(0.006)
+        assert virtual.rig["J.velocity"].last > 3.0
+        virtual.twins["M"].fault("silent")
+        virtual.advance(0.5)
+        assert virtual.events.count("too fast") == 0
+    finally:
+        virtual.__exit__(None, None, None)
+
+
+def test_a_speed_ends_when_it_is_no_longer_known_where_its_joint_is() -> None:
+    """Its device answers no more: what it was set to becomes 0, though nobody stops it."""
+    virtual = enabled("odrive", 'command = "speed", lower = -1.0, upper = 1.0, max_speed = 3.0')
+    try:
+        virtual.rig["J.velocity"].set(0.1)
+        virtual.advance(0.1)
+        assert virtual.rig.door.given("J.velocity") == 0.1
+        virtual.twins["M"].fault("silent")
+        virtual.advance(3.0)
+        assert virtual.rig["J"].is_stale
+        assert virtual.rig.door.given("J.velocity") == 0.0
+        assert where(virtual) < 0.5
+    finally:
+        virtual.__exit__(None, None, None)
