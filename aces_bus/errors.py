@@ -11,10 +11,9 @@
     │   ├── TrajectoryError    a file of set-points is wrong: says file:line (aces_bus.controller)
     │   └── RobotError         a robot file is wrong: says file:line of everything that is (aces_bus.device)
     ├── SpecError              a protocol's declaration is wrong: says file:line and both places
-    ├── DeviceError            a device did not do what its protocol promises
-    │   ├── NoReplyError       it did not answer in time
-    │   └── NotStoppedError    it was asked to stop, and may still move: says which, and why
-    └── BugError               aces-bus is wrong: please report it
+    └── DeviceError            a device did not do what its protocol promises
+        ├── NoReplyError       it did not answer in time
+        └── NotStoppedError    it was asked to stop, and may still move: says which, and why
 
 1. A message says who, where and what next.
 2. Bytes from a wire never raise: they are counted (see `aces_bus.protocol.live`).
@@ -23,6 +22,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+
+__all__ = [
+    "AcesError",
+    "CallerError",
+    "CaptureError",
+    "DeviceError",
+    "FieldError",
+    "NoReplyError",
+    "NotStoppedError",
+    "SpecError",
+    "UnknownNameError",
+]
 
 
 class AcesError(Exception):
@@ -92,10 +103,3 @@ class NotStoppedError(DeviceError):
         reasons = "; ".join(f"{name}: {why}" if many else why for name, why in devices.items())
         super().__init__(f"NOT switched off: {', '.join(devices)} ({reasons})")
         self.devices = devices
-
-
-class BugError(AcesError):
-    """A fault of aces-bus itself."""
-
-    def __init__(self, message: str) -> None:
-        super().__init__(f"{message} (this is a bug of aces-bus, please report it)")

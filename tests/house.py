@@ -15,6 +15,10 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from tests.surface import outside, read_pinned
+
 #: Import package → its folder.
 PACKAGES = {
     "aces_bus": "aces_bus",
@@ -159,26 +163,25 @@ class House:
         return sorted(f"{module}.{word}" for word, module in defined.items() if heirs[word] == 1)
 
     def inside_tests(self) -> list[str]:
-        """Return the test files that import a module of `aces_bus` that is neither public nor a seam."""
-        surface = self.root / "tests" / "golden" / "surface.txt"
-        public = {
-            line.strip()
-            for line in surface.read_text(encoding="utf-8").splitlines()
-            if line.startswith("aces_")
-        }
-        found: list[str] = []
-        for path in sorted((self.root / "tests").rglob("test_*.py")):
-            names = re.findall(
-                r"^\s*(?:from|import) (aces_bus[\w.]*)", path.read_text(encoding="utf-8"), re.MULTILINE
-            )
-            if any(name not in public for name in names):
-                found.append(path.relative_to(self.root).as_posix())
-        return found
+        """Return the test files that import something of `aces_bus` that is neither public nor a seam."""
+        pinned = read_pinned(self.root)
+        return [
+            path.relative_to(self.root).as_posix()
+            for path in sorted((self.root / "tests").rglob("test_*.py"))
+            if outside(pinned, path.read_text(encoding="utf-8"), seams=True, root=self.root)
+        ]
 
     def public_names(self) -> int:
         """Return how many names the golden surface lists, members not counted."""
-        text = (self.root / "tests" / "golden" / "surface.txt").read_text(encoding="utf-8")
-        return sum(bool(re.match(r"  [^\s.]", line)) for line in text.splitlines())
+        return sum(len(names) for names in read_pinned(self.root).surface.values())
+
+    def seams(self) -> int:
+        """Return how many names the catalogue, the shell, the lab and plug-ins may import beside the public ones."""
+        return sum(len(names) for names in read_pinned(self.root).seams.values())
+
+    def members(self) -> int:
+        """Return how many members the public names have."""
+        return read_pinned(self.root).members
 
     # ------------------------------------------------------------------ voice
 
@@ -261,7 +264,7 @@ def main() -> None:
     for ring, number in house.statements().items():
         print(f"statements {ring}: {number:,}")
     print(f"our modules of the smallest use, python-can, NumPy: {house.modules_of_smallest_use()}")
-    print(f"public names: {house.public_names()}")
+    print(f"public names: {house.public_names()}, members {house.members():,}, seams: {house.seams()}")
     print(f"knot of imports: {len(house.knot())} files")
     print(f"files that ask nodes for their class: {len(house.node_readers())}")
     print(f"bases with one subclass: {len(house.lone_bases())}")

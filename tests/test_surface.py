@@ -1,8 +1,10 @@
 """The front door: what is public, under which name, and that one name means one thing.
 
-1. The public surface is what packages list in `__all__`; `golden/surface.txt` pins it, with the parameters of callables.
-   `pytest tests/test_surface.py --update-golden` rewrites it: read the difference before committing it.
-2. A name with an underscore in front is the own of its package: of a floor of `aces_bus`, or of an import package beside it.
+1. The public surface is what packages, and `aces_bus.errors`, list in `__all__`; `golden/surface.txt` pins it, with the
+   parameters of callables and a level. `pytest tests/test_surface.py --update-golden` rewrites it: read the difference
+   before committing it.
+2. The seams are what the catalogue, the shell and the lab import beside it, and what `PLUG_INS` adds for strangers.
+3. A name with an underscore in front is the own of its package: of a floor of `aces_bus`, or of an import package beside it.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ from __future__ import annotations
 import ast
 import inspect
 import pkgutil
+import re
 from collections import defaultdict
 from collections.abc import Callable, Container, Iterator
 from enum import Enum
@@ -24,9 +27,35 @@ from msgspec import NODEFAULT
 
 import aces_bus
 from tests.interpreted import looks_at_parameters
+from tests.surface import SEAMS_HEAD, SURFACE_HEAD, Pinned, module_path, outside, read_pinned
 from tests.test_layout import PACKAGES, imports_of, module_name
 
 ROOT = Path(__file__).resolve().parent.parent
+
+#: Seams that only strangers' plug-ins need: module → names, with the contract that they belong to.
+PLUG_INS: dict[str, dict[str, str]] = {}
+
+#: What pages and examples import that is not public yet; this list only becomes shorter.
+SHOWN = {
+    "aces_bus.controller.base.StateLike",
+    "aces_bus.controller.base.known_value",
+    "aces_bus.controller.motion_file.rate_in_name",
+    "aces_bus.frame_table.FrameTable",
+    "aces_bus.frames.Frame",
+    "aces_bus.protocol.columns.scanner.make_column_scanner",
+    "aces_bus.protocol.exchange.export_c.print_c_source",
+    "aces_bus.protocol.exchange.export_dbc.print_dbc",
+    "aces_bus.protocol.exchange.export_markdown.print_markdown",
+    "aces_bus.protocol.exchange.export_source.print_source",
+    "aces_bus.protocol.lint.examples.failure",
+    "aces_bus.protocol.plan.flatten.flatten",
+    "aces_bus.testing.conformance.CHECKS",
+    "aces_bus.testing.conformance.driver_tests",
+    "aces_bus.testing.conformance.run_check",
+    "aces_bus.testing.fuzz.Fuzzer",
+    "aces_bus.testing.laws.",
+    "aces_bus.testing.strategies.",
+}
 
 #: Public names that more than one module defines, with the reason.
 TWICE: dict[str, str] = {
@@ -47,8 +76,8 @@ def sources() -> list[tuple[str, bool, ast.Module]]:
 
 
 def packages() -> list[str]:
-    """The packages whose names users import: those that list any, without the command line's."""
-    found = ["aces_bus"]
+    """Return the modules whose names users import: the packages that list any, and the errors."""
+    found = ["aces_bus", "aces_bus.errors"]
     for one in pkgutil.walk_packages(aces_bus.__path__, "aces_bus."):
         if one.ispkg and "._" not in one.name and getattr(import_module(one.name), "__all__", None):
             found.append(one.name)
@@ -105,16 +134,62 @@ def lines_of(name: str, thing: Any, exported: Container[object]) -> Iterator[str
 
 @looks_at_parameters
 def test_the_public_surface(golden: Callable[[str, str], None]) -> None:
-    """Nothing becomes public, changes its parameters or goes without the golden file saying so."""
-    text: list[str] = []
+    """Nothing becomes public, changes its parameters or goes without the golden file saying so; the same for seams."""
+    levels = read_pinned().surface
+    text = [SURFACE_HEAD]
     modules = [import_module(package) for package in packages()]
     exported = [getattr(module, name) for module in modules for name in module.__all__]
     classes = {one for one in exported if inspect.isclass(one)}
     for module in modules:
         text += ["", module.__name__]
         for name in module.__all__:
-            text += [f"  {line}" for line in lines_of(name, getattr(module, name), classes)]
-    golden("surface.txt", "\n".join(text[1:]) + "\n")
+            level = levels.get(module.__name__, {}).get(name, "provisional")
+            first, *members = lines_of(name, getattr(module, name), classes)
+            text += [f"  {level} {first}", *(f"  {line}" for line in members)]
+    text += ["", SEAMS_HEAD]
+    for place, names in sorted(seams().items()):
+        text += ["", place, *(f"  {name}" for name in sorted(names))]
+    golden("surface.txt", "\n".join(text) + "\n")
+
+
+def seams() -> dict[str, set[str]]:
+    """Return what catalogue, shell and lab import that is not public, and what plug-ins need: module → names."""
+    public = {module: set(import_module(module).__all__) for module in packages()}
+    pinned = Pinned({module: dict.fromkeys(names, "") for module, names in public.items()})
+    found: dict[str, set[str]] = {module: set(names) for module, names in PLUG_INS.items()}
+    for package, (folder, _) in PACKAGES.items():
+        for path in sorted(folder.rglob("*.py")) if package != "aces_bus" else ():
+            for line, module, name in outside(pinned, path.read_text(encoding="utf-8"), seams=False):
+                if module_path(module) is None or name in ("", "*"):
+                    pytest.fail(f"{path}:{line}: import names of {module}, or a module that there is")
+                found.setdefault(module, set()).add(name)
+    return found
+
+
+def pages_and_examples() -> list[Path]:
+    """Return what users read: README, pages, READMEs of the catalogue, and examples."""
+    pages = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
+    pages += [page for folder, _ in PACKAGES.values() for page in folder.rglob("*.md")]
+    return sorted([*pages, *(ROOT / "examples").rglob("*.py")])
+
+
+def test_pages_and_examples_import_only_the_surface() -> None:
+    """What users read imports public names alone, never a seam."""
+    pinned, wrong = read_pinned(), list[str]()
+    for path in pages_and_examples():
+        for line, module, name in outside(pinned, code_of(path), seams=False):
+            if f"{module}.{name}" not in SHOWN:
+                wrong.append(f"{path.relative_to(ROOT).as_posix()}:{line}: {module}.{name}")
+    assert not wrong, "\n".join(wrong)
+
+
+def code_of(path: Path) -> str:
+    """Return a page's import statements, on their lines; an example is code as it is."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix == ".py":
+        return text
+    prompt = re.compile(r"^\s*(?:>>> |\.\.\. )?((?:from aces_bus[\w.]* )?import [^;#(]*)")
+    return "\n".join(found[1] if (found := prompt.match(line)) else "" for line in text.splitlines())
 
 
 def test_a_package_lists_what_it_exports() -> None:
