@@ -101,7 +101,10 @@ class FrameTable:
 
     @classmethod
     def from_frames(cls, frames: Iterable[Any], channels: Channels | None = None) -> FrameTable:
-        """The table of `Frame`s or python-can messages. Give the same `channels` for all tables of a capture.
+        """Return the table of `Frame`s or python-can messages. Give the same `channels` for all tables of a
+        capture.
+
+        Seconds become the nanoseconds that their decimal digits say, without a rounding in between.
 
         Seconds become the nanoseconds that their decimal digits say, without a rounding in between.
         """
@@ -246,7 +249,7 @@ def rows_at(data: Ints, places: Ints) -> Ints:
 
 
 def widened(data: Ints, width: int) -> Ints:
-    """Data rows of at least `width` bytes."""
+    """Return data rows of at least `width` bytes."""
     if data.shape[1] >= width:
         return data
     wide = np.zeros((len(data), width), np.uint8)

@@ -41,7 +41,7 @@ class BusIdentifier(NamedTuple):
 
     @property
     def is_extended(self) -> bool:
-        """Whether it has 29 bits."""
+        """True if the identifier has 29 bits."""
         return bool(self.key & KEY_EXTENDED)
 
     @property

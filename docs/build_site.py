@@ -134,7 +134,7 @@ class Site:
         path.write_text(text, encoding="utf-8")
 
     def take(self) -> None:
-        """The repository's own pages."""
+        """Take the repository's own pages."""
         own = {"README.md": "index", "CONTRIBUTING.md": "contributing", "docs/index.md": "pages"}
         own["docs/reference/README.md"] = "reference/index"
         for path in [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]:
@@ -157,7 +157,7 @@ class Site:
             self.write(place, text)
 
     def linked(self, text: str, path: Path, place: str) -> str:
-        """A page's text, its links made those of the site."""
+        """Return a page's text with links of the site."""
 
         def link(found: re.Match[str]) -> str:
             label, target, anchor = found[1], found[2], found[3] or ""
@@ -191,7 +191,7 @@ class Site:
         return os.path.relpath(to, (self.folder / place).parent).replace(os.sep, "/")
 
     def layouts(self, place: str) -> str:
-        """The messages of a protocol, drawn from its spec."""
+        """Return drawings of the messages of a protocol, from its spec."""
         name = place.rpartition("/")[2]
         if name not in list_protocols():
             return ""
@@ -215,7 +215,7 @@ class Site:
         return f"\n\n## The messages of `{variant.name}`\n\n{proofs}{body}"
 
     def catalogue(self) -> None:
-        """The pages that list protocols and devices."""
+        """Write the pages that list protocols and devices."""
         for kind in ("protocols", "devices"):
             pages = [p for p in self.places.values() if p.startswith(f"catalogue/{kind}/")]
             names = [f"{kind}/{page.rpartition('/')[2]}" for page in pages]
@@ -227,7 +227,7 @@ class Site:
             self.write(f"catalogue/{kind}", f"# {kind.capitalize()}\n\n{what}\n\n{_toctree('', names)}")
 
     def commands(self) -> None:
-        """The help text of each verb."""
+        """Write the help text of each verb."""
         names = list(verbs())
         os.environ["COLUMNS"] = "88"
         for name in names:
@@ -240,7 +240,7 @@ class Site:
         )
 
     def pictures(self) -> None:
-        """What commands draw."""
+        """Write the pictures that commands draw."""
         text = ["# Pictures", ""]
         for name, (title, command) in PICTURES.items():
             path = self.folder / "pictures" / f"{name}.svg"
@@ -290,7 +290,7 @@ def _toctree(caption: str, pages: list[str], is_hidden: bool = False) -> str:
 
 
 def _way(place: str, target: str) -> str:
-    """The relative way from one page to another."""
+    """Return the relative path from one page to another."""
     return PurePosixPath(os.path.relpath(target, PurePosixPath(place).parent).replace(os.sep, "/")).as_posix()
 
 
@@ -329,7 +329,7 @@ def _signature(thing: Any) -> str:
 
 
 def _prose(doc: str | None) -> Iterator[str]:
-    """A docstring in Markdown: its paragraphs as they are, what is indented or typed as code."""
+    """Yield a docstring in Markdown: paragraphs unchanged, indented or typed lines as code."""
     for paragraph in re.split(r"\n\s*\n", inspect.cleandoc(doc or "")):
         lines = paragraph.splitlines()
         if any(line.startswith(("    ", ">>> ")) for line in lines):
@@ -341,7 +341,7 @@ def _prose(doc: str | None) -> Iterator[str]:
 
 
 def _escaped(line: str) -> str:
-    """A line whose signs mean nothing to Markdown, but for `code`, and for the numbers and dashes of lists."""
+    """Return a line with Markdown's signs escaped, but for `code`, and for the numbers and dashes of lists."""
     parts = re.split(r"(`[^`]*`)", line)
     return "".join(
         part if part.startswith("`") else re.sub(r"([*_<>\[\]|#$])", r"\\\1", part) for part in parts

@@ -22,7 +22,7 @@ SIZE, KEYS = (150, 38), ("s", "down", "down", "d")
 
 
 async def picture(frames: list[Frame], protocol: str) -> str:
-    """The screen as SVG after these frames, at their pace."""
+    """Return the screen as SVG after these frames, at their pace."""
     bus = {"interface": "aces", "channel": "can0", "physics": False}
     player, gate = CanGate(bus, name="player"), CanGate(bus, name="can0", listen_only=True)
     app = make_screen(

@@ -37,7 +37,7 @@ class Ankle:
     last: deque[float] = field(default_factory=lambda: deque([0.0] * 5, maxlen=5))
 
     def correction(self, moment: float, gain: float) -> float:
-        """What to add to the trajectory (rad)."""
+        """Return the angle to add to the trajectory (rad)."""
         self.low = 0.6 * self.low + moment
         error = self.sign * 0.4 * self.low
         wanted = gain * (self.p * error + self.d * (error - self.error))
@@ -80,7 +80,7 @@ class AnkleCompliance(Controller):
 
 
 def push(seconds: float) -> float:
-    """The share of its greatest force that somebody pushes with: once a second, for half a second."""
+    """Return the share of the greatest force that somebody pushes with: once a second, for half a second."""
     return max(0.0, sin(tau * (seconds % 1.0 - 0.5))) if seconds > 0 and seconds % 1.0 > 0.5 else 0.0
 
 

@@ -24,7 +24,7 @@ BEND = """
 
 
 def crouching() -> StateMachine:
-    """The table."""
+    """Return the table as a state machine."""
     return StateMachine(
         "crouch",
         rate_hz=15,

@@ -44,7 +44,7 @@ def main(arguments: Sequence[str]) -> None:
     turned: dict[str, list[float]] = {name: [] for name in motion.names}
 
     def look(row: dict[str, float]) -> None:
-        """Where the simulated joints are, each tenth of a second."""
+        """Note the simulated joints, each tenth of a second."""
         for name, seen in turned.items():
             seen.append(run.world.twins[robot.joint(name).device].position(run.clock.now()))
 

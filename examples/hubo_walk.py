@@ -55,7 +55,7 @@ def main(arguments: Sequence[str]) -> dict[str, float]:
     before: dict[str, float] = {}
 
     def compare(row: dict[str, float]) -> None:
-        """Where the joints are, and where the row before wanted them."""
+        """Compare the joints with what the row before wanted."""
         if player.mode == "running":
             for name, wanted in before.items():
                 worst[name] = max(worst[name], abs(run.states[name][0] - wanted))

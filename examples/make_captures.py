@@ -34,7 +34,7 @@ class Line:
         self.bins: Counter[str] = Counter()
 
     def packet(self, message: str, data: bytes) -> None:
-        """A good packet."""
+        """Write a good packet."""
         self.messages[message] += 1
         self.bins["decoded"] += len(data)
         self.data += data
@@ -85,7 +85,7 @@ class Servo:
         return int(register.decode(bytes(self.table[register.address :][: register.size]), raw=True))
 
     def move(self) -> None:
-        """A hundredth of a second of motion, at no more than 12 counts."""
+        """Advance the motion by a hundredth of a second, at no more than 12 counts."""
         way = self.get("goal_position") - self.get("present_position")
         step = max(-12, min(12, way))
         speed, load = abs(step) * 9, abs(way) // 2
@@ -99,7 +99,7 @@ class Servo:
 
 
 def robotis_session() -> Line:
-    """A host and two servos on one line, both recorded: set-up, motion, and what goes wrong."""
+    """Record a host and two servos on one line: set-up, motion, and faults."""
     line = Line("robotis", "both")
     servos = {1: Servo(1, 512), 2: Servo(2, 300)}
 
@@ -166,12 +166,12 @@ def robotis_session() -> Line:
 
 
 def with_check(body: bytes) -> bytes:
-    """A packet that the protocol's own encoder has no message for."""
+    """Return a packet that the protocol's own encoder has no message for."""
     return b"\xff\xff" + body + bytes([~sum(body) & 0xFF])
 
 
 def hex_dump(data: bytes) -> bytes:
-    """The same bytes as the vendor's serial monitor prints them; its character column is Latin-1, in UTF-8."""
+    """Return bytes as the vendor's serial monitor prints them; its character column is Latin-1, in UTF-8."""
     rows: list[str] = []
     for at in range(0, len(data), 16):
         row = data[at : at + 16]
@@ -222,14 +222,14 @@ class Bus:
         self.now += self.STEP
 
     def send(self, channel: str, message: str, **fields: Any) -> None:
-        """A good frame."""
+        """Write a good frame."""
         frame = hubo.encode(message, **fields)
         self.messages[message] += 1
         self.bins["decoded"] += 1
         self.line(channel, f"{frame.arbitration_id:03X}", bytes(frame.data))
 
     def lose(self, kind: str, channel: str, identifier: str, data: str = "") -> None:
-        """A frame that is no message, and the bin it belongs in."""
+        """Write a frame that is not a message, and count it in its bin."""
         self.bins[kind] += 1
         self.line(channel, identifier, bytes.fromhex(data))
 

@@ -47,7 +47,7 @@ def steps(count: int = 4, seconds: float = 0.5) -> Trajectory:
 
 
 def level(pattern: Trajectory) -> float:
-    """How far from level (rad) a sole is in the worst row."""
+    """Return how far from level (rad) a sole is in the worst row."""
     worst = 0.0
     for row in pattern.rows:
         poses = MINIHUBO.forward(dict(zip(pattern.names, row, strict=True)), ["LF", "RF"])
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str]) -> dict[str, float]:
     before: dict[str, float] = {}
 
     def compare(row: dict[str, float]) -> None:
-        """Where the joints are, and where the row before wanted them."""
+        """Compare the joints with what the row before wanted."""
         if player.mode == "running":
             for name, wanted in before.items():
                 worst[name] = max(worst[name], abs(run.states[name][0] - wanted))

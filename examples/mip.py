@@ -42,7 +42,7 @@ packet = mip.framing(
 
 
 def field(data: Any) -> Prefixed:
-    """A length that counts itself, then a descriptor and its data."""
+    """Return a length that counts itself, then a descriptor and its data."""
     return Prefixed(Byte, data, includelength=True)
 
 

@@ -36,7 +36,7 @@ def move_at(t: float) -> tuple[int, int, int]:
 
 @controller(rate_hz=10, writes=WHEELS)
 def drive(t: float) -> Mapping[str, float]:
-    """The move of this instant, as four duties (spaceball.m)."""
+    """Return the move of this instant, as four duties (spaceball.m)."""
     z, x, b = move_at(t)
     return {
         "M1": z / 2 - x / 2 + b / 2,

@@ -38,7 +38,7 @@ def leg_angles(height: float) -> tuple[float, float]:
 
 
 def foot(leg: str, t: float) -> tuple[float, bool]:
-    """How deep below its hip a foot is (m), and whether it swings: diagonal legs together, in turn."""
+    """Return how deep below its hip a foot is (m), and whether it swings: diagonal legs together, in turn."""
     if t < RISE_S:
         share = 0.5 - 0.5 * cos(pi * t / RISE_S)
         return 2 * LINK + (HEIGHT - 2 * LINK) * share, False
@@ -60,7 +60,7 @@ def trot(t: float) -> Mapping[str, float]:
 
 
 def main(seconds: float = 3.0, law: FunctionController = trot) -> dict[str, float]:
-    """How far joints were from what was wanted (rad), and how much faster than life it ran."""
+    """Return how far joints were from their goals (rad), and how much faster than life the run was."""
     worst = 0.0
     with run_virtual(load_robot("quadruped"), [law]) as run:
         run.do("enable")

@@ -28,7 +28,7 @@ PLACES = [(4.0, 0.0), (4.0, 4.0), (0.0, 4.0), (0.0, 0.0)]
 
 
 def turned(angle: float) -> float:
-    """An angle, −π…π."""
+    """Return an angle within −π…π."""
     return (angle + pi) % tau - pi
 
 
@@ -49,7 +49,7 @@ class Tour(Controller):
         )
 
     def _known(self, *names: str) -> list[float] | None:
-        """The values of these states; None where one is unknown."""
+        """Return the values of these states; None where any is unknown."""
         values = [value for name in names if (value := known_value(self.bound[name])) is not None]
         return values if len(values) == len(names) else None
 
@@ -80,7 +80,7 @@ class Tour(Controller):
         return self.drive(SPEED * max(0.0, cos(aside)), max(-TURN, min(TURN, 2.0 * aside)))
 
     def drive(self, speed: float, turn: float) -> dict[str, float]:
-        """The speeds of the wheels (rad/s) for a speed (m/s) and a turn to the right (rad/s)."""
+        """Return the speeds of the wheels (rad/s) for a speed (m/s) and a turn to the right (rad/s)."""
         half = turn * TRACK / 2
         sides = {**dict.fromkeys(LEFT, speed + half), **dict.fromkeys(RIGHT, speed - half)}
         return {f"{wheel}.velocity": value / RADIUS for wheel, value in sides.items()}

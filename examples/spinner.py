@@ -106,7 +106,7 @@ AXES = {"X": (1.0, 0.0), "Y": (0.5, 3.5), "Z": (0.5, 5.5)}
 
 
 def bounds(rate: float, seconds: float) -> tuple[float, float, float]:
-    """How far value, derivative and integral of sin(t) may be from the analytic ones."""
+    """Return how far value, derivative and integral of sin(t) may be from the analytic ones."""
     h, hair = 1 / rate, 1e-9
     return LATENCY + hair, LATENCY + h / 2 + hair, LATENCY * seconds + h * h / 12 * seconds + hair
 

@@ -34,7 +34,9 @@ def follow(states: Mapping[str, State]) -> Mapping[str, float]:
 
 
 def hand(name: str, t: float) -> float:
-    """Where a hand has moved a joint of the leader after `t` seconds (rad): to and fro, each joint at a pace of its own."""
+    """Return the angle to which a hand has moved a joint of the leader after `t` seconds (rad): to and fro,
+    each joint at its own pace.
+    """
     joint = SO101.joint(name)
     assert joint.lower is not None
     assert joint.upper is not None
@@ -58,7 +60,7 @@ class Hand:
         """Nothing is read by way of states."""
 
     def start(self, now: int) -> None:
-        """The first movement is due now."""
+        """Make the first movement due now."""
 
     def step(self, now: int) -> None:
         """One movement, and where the follower is."""
@@ -70,11 +72,11 @@ class Hand:
                 self.worst = max(self.worst, gap)
 
     def stop(self, now: int) -> None:
-        """The hand is taken away."""
+        """Take the hand away."""
 
 
 def main(arguments: Sequence[str]) -> float:
-    """The follower's worst distance from the leader (rad)."""
+    """Return the follower's worst distance from the leader (rad)."""
     seconds = float(arguments[0]) if arguments else 5.0
     pose = {f"leader_{name}": hand(name, 0.0) for name in JOINTS}
     arms = VirtualRobot(SO101, rate_hz=follow.rate_hz, pose=pose)

@@ -31,8 +31,8 @@ BUDGETS: dict[str, tuple[int, str]] = {
     "bases with one subclass": (49, ""),
     "test files that import the inside": (136, ""),
     "times that Any is written": (3_700, "proofs run generated text on values of any kind"),
-    "docstrings that begin with a riddle": (247, ""),
-    "docstrings that do not begin with a verb": (302, ""),
+    "docstrings that begin with a riddle": (0, ""),
+    "docstrings that do not begin with a verb": (0, ""),
 }
 
 

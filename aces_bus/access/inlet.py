@@ -54,7 +54,7 @@ class Soon(Protocol):
     """What of a clock is needed: `Loop` and `VirtualClock` have it."""
 
     def now(self) -> int:
-        """This instant, in ns."""
+        """Return the present instant in ns."""
         ...
 
     def call_soon(self, action: Callable[[], None]) -> None:

@@ -42,7 +42,7 @@ class ControllerLike(Protocol):
 
     @property
     def rate_hz(self) -> float:
-        """How often it wants to be stepped."""
+        """Rate at which the controller wants to be stepped, in Hz."""
         ...
 
     @property
@@ -55,11 +55,11 @@ class ControllerLike(Protocol):
         ...
 
     def start(self, now: int) -> None:
-        """It will be stepped from now on (ns)."""
+        """Prepare to be stepped from `now` (ns) on."""
         ...
 
     def stop(self, now: int) -> None:
-        """It will not be stepped any more."""
+        """End: no step follows until the next `start`."""
         ...
 
     def step(self, now_ns: int) -> Mapping[str, float]:
@@ -130,12 +130,12 @@ class Controller:
         return [name for name in self.states if known_value(self.bound.get(name)) is None]
 
     def start(self, now: int) -> None:
-        """It will be stepped from `now` (ns) on."""
+        """Prepare to be stepped from `now` (ns) on."""
         self.started_ns = now
         self.waiting = ""
 
     def stop(self, now: int) -> None:
-        """It will not be stepped any more."""
+        """End: no step follows until the next `start`."""
         self.started_ns = None
 
     def step(self, now_ns: int) -> Mapping[str, float]:
@@ -144,7 +144,7 @@ class Controller:
 
     @property
     def is_idle(self) -> bool:
-        """Whether it is well and has nothing to give now: otherwise one that gives nothing for long is taken for dead."""
+        """True if a healthy controller gives no set-points now; without this, a long silence counts as its death."""
         return False
 
     def handle(self, event: EventLike) -> None:
@@ -195,7 +195,7 @@ class LawController(Controller):
         self._ready = False
 
     def start(self, now: int) -> None:
-        """A run begins: memory has its first values."""
+        """Begin a run: memory gets its first values."""
         super().start(now)
         self.values.__dict__.update(self._memory)
         self._last, self._ready, self._has_given = None, False, False

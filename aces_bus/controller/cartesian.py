@@ -108,7 +108,7 @@ class CartesianPath(Controller):
         self._began = 0
 
     def start(self, now: int) -> None:
-        """A run begins, from where the joints are."""
+        """Begin a run from the present joint angles."""
         super().start(now)
         self.mode, self.reason, self._given = "waiting", "", NOTHING
         self.started_ns = None
@@ -209,7 +209,9 @@ class CartesianPath(Controller):
         return given
 
     def _plan_approach(self, now: int) -> None:
-        """A way to the first angles of the path, where these are not the present ones; out of reach, `advance` fails."""
+        """Plan a way to the first angles of the path, unless they are the present ones; out of reach,
+        `advance` fails.
+        """
         present = self._q
         found = self.solve(0.0)
         apart = np.abs(found.vector - present)

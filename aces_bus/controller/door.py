@@ -170,7 +170,7 @@ class _Line:
     # ------------------------------------------------------------------ what is wanted
 
     def set(self, value: Any) -> None:
-        """A set-point of a writer without a name: a script. Raises `CallerError` when the signal has an owner."""
+        """Take a set-point from a writer without a name: a script. Raises `CallerError` if the signal has an owner."""
         if self.owner:
             raise CallerError(
                 f"{self.signal.name}: {self.owner} gives its set-points; nothing else can while it does"
@@ -184,7 +184,9 @@ class _Line:
         return self.homed is not None and self.homed.last is False and not self.door.takes_unhomed
 
     def give(self, value: Any) -> None:
-        """A set-point of the owner. Raises `CallerError` for what is no finite number, and after a trip."""
+        """Take a set-point from the owner. Raises `CallerError` for a value that is not a finite number, and
+        after a trip.
+        """
         device = self.device
         try:
             is_within = self.lower <= value <= self.upper
@@ -232,7 +234,7 @@ class _Line:
         return limited
 
     def slow_down(self) -> None:
-        """The limits are others: a speed that has left, or is on its way, is held to them."""
+        """Apply new limits to a speed that has been sent or is on its way."""
         self.take_rate()
         if self.epoch != self.device.epoch:
             return
@@ -261,7 +263,7 @@ class _Line:
         self.door.stop(self.device)
 
     def _give_other(self, value: Any) -> None:
-        """A name or a switch is the driver's affair, for a signal that is no quantity."""
+        """Take a name or a switch for a signal that is not a quantity: the driver checks it."""
         if self.is_led or self.signal.unit or self.signal.upper is not None:
             self._refuse(value)
         self.hand_over(value)
@@ -346,7 +348,7 @@ class _Line:
     # ------------------------------------------------------------------ whether it follows
 
     def look(self, now: int) -> None:
-        """Whether the joint is where it was sent."""
+        """Check that the joint is where it was sent."""
         given, watched = self.given, self.following
         if given is None or watched is None:
             return
@@ -446,7 +448,7 @@ class _BusLines:
         return bool(pushed)
 
     def _again(self) -> None:
-        """A bus without ticks has goals that it is on the way to, or joints that are pushed."""
+        """Wake a bus without ticks while it has goals to approach, or joints that are pushed."""
         self._is_woken = False
         self.host.wake()
 
@@ -548,7 +550,7 @@ class Door:
             line.tripped = ""  # its supervisor's affair
 
     def give_up(self, owner: str) -> None:
-        """What `owner` owned is free again."""
+        """Release all signals that `owner` owns."""
         for line in self._lines.values():
             if line.owner == owner:
                 self.noted("owner", line.device, f"{line.signal.name}: nobody")

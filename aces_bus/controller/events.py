@@ -22,7 +22,7 @@ class EventLike(Protocol):
 
     @property
     def kind(self) -> str:
-        """What happened, in a word or two ("bus-off", "lost", "trip")."""
+        """Kind of the event, in a word or two ("bus-off", "lost", "trip")."""
         ...
 
     @property

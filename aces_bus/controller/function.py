@@ -88,7 +88,7 @@ class FunctionController(LawController):
         self._arguments = [special[one] if one in special else self.bound[one] for one in self._names]
 
     def start(self, now: int) -> None:
-        """A run begins: its memory is empty."""
+        """Begin a run with empty memory."""
         self.memory.__dict__.clear()
         super().start(now)
 

@@ -80,7 +80,7 @@ class SetpointDoor(Protocol):
         ...
 
     def claim(self, name: str, owner: str, *, is_supervised: bool = False) -> None:
-        """The signal is this owner's; raises `CallerError` where it has another."""
+        """Make `owner` the only writer of a signal; raises `CallerError` if it has another owner."""
         ...
 
 
@@ -331,7 +331,7 @@ class Guard:
     # ---- every cycle ------------------------------------------------------------------------------------------------
 
     def apply(self, now: int, setpoints: Mapping[str, float]) -> Mapping[str, float]:
-        """What may go down of these set-points, at the instant `now` (ns)."""
+        """Return those set-points that may be sent at the instant `now` (ns), limited."""
         if not setpoints:
             return self.tick(now)
         if self._pending:
@@ -392,7 +392,7 @@ class Guard:
                 out[line.name] = given
 
     def _refuse(self, line: _Line, now: int) -> None:
-        """What is no finite number does not leave, and stops motion when there is nothing else."""
+        """Drop a set-point that is not a finite number; several in a row stop motion."""
         line.clipped.not_finite += 1
         line.in_a_row += 1
         self._emit(line, now, "not finite")
@@ -433,7 +433,7 @@ class Guard:
         return out
 
     def _anchor(self, line: _Line) -> None:
-        """The first set-point of a state starts from where it is; from then on its signal is this controller's."""
+        """Begin the first set-point of a state at the present value; from then on this controller owns the signal."""
         if self._door is not None:
             self._door.claim(line.name, self.name, is_supervised=True)
         present = known_value(self._states.get(line.name))

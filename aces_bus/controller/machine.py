@@ -194,7 +194,7 @@ class StateMachine(LawController):
 
     @property
     def is_idle(self) -> bool:
-        """Whether it has nothing to send and says so: in a phase without set-points, at its end, or paused."""
+        """True if the machine has nothing to send and says so: in a phase without set-points, at its end, or paused."""
         return self.mode in ("paused", "done") or (self._room is not None and not self._room.gives)
 
     def pause(self) -> None:
@@ -212,7 +212,7 @@ class StateMachine(LawController):
         self._singles += 1
 
     def handle(self, event: EventLike) -> None:
-        """An event: the rows with `on` of its kind are tried at the next step."""
+        """Queue an event: rows with `on` of its kind are tried at the next step."""
         if event.kind in self._kinds:  # so that a flood of others pushes none of these out
             self._events.append(event.kind)
 
@@ -252,7 +252,7 @@ class StateMachine(LawController):
         return printed
 
     def start(self, now: int) -> None:
-        """A run begins in the first phase, with memory's first values; entry equations run at the first step."""
+        """Begin a run in the first phase, with memory's first values; entry equations run at the first step."""
         super().start(now)
         if not self._rooms:
             self.bind({})
@@ -262,7 +262,7 @@ class StateMachine(LawController):
         self.trail.clear()
 
     def stop(self, now: int) -> None:
-        """It stands still; nothing is evaluated any more."""
+        """Stand still: nothing is evaluated any more."""
         self.mode = "stopped"
 
     def step(self, now_ns: int) -> Mapping[str, float]:

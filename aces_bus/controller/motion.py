@@ -186,7 +186,7 @@ class Trajectory:
         return self._with(names=[names.get(one, one) for one in self.names])
 
     def only(self, names: Iterable[str]) -> Trajectory:
-        """Some of its columns, in the order asked for."""
+        """Return the trajectory of some columns, in the order asked for."""
         wanted = self._known(names)
         return self._with(names=wanted, rows=self.rows[:, [self.names.index(one) for one in wanted]])
 

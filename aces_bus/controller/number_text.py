@@ -40,7 +40,7 @@ class NumberText:
         raise_first(self.error, *((is_there, f"{self.where}:{line}: {said}") for is_there, said in faults))
 
     def lines(self, stream: IO[bytes]) -> Iterator[tuple[int, bytes, bool]]:
-        """Number, text without blanks around, and whether it ends with LF, of each line that is not blank."""
+        """Yield number, stripped text, and whether it ends with LF, of each line that is not blank."""
         number = 0
         while line := stream.readline(self.longest + 1):
             number += 1

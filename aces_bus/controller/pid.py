@@ -196,7 +196,7 @@ class PIDController(Controller):
         self._r = self.bound[self.goal] if self.goal else None
 
     def start(self, now: int) -> None:
-        """A run begins: nothing is integrated yet."""
+        """Begin a run with an empty integral."""
         super().start(now)
         self.pid.reset()
         self._last = None

@@ -161,7 +161,7 @@ class Player(Controller):
 
     @property
     def progress(self) -> float:
-        """How much of the motion has been played, 0 … 1."""
+        """Played share of the motion, 0 … 1."""
         duration = self.motion.duration_s
         return min(1.0, self._at_s / duration) if duration > 0 else float(self.mode == "ended")
 
@@ -173,7 +173,7 @@ class Player(Controller):
         self._all = states
 
     def start(self, now: int) -> None:
-        """A run begins, at the motion's beginning; unless `autorun` is off."""
+        """Begin a run at the motion's beginning; play unless `autorun` is off."""
         super().start(now)
         self._rewind()
         self._gap_ns = self._longest_gap()

@@ -87,7 +87,7 @@ class Supervisor:
 
     @property
     def has_events(self) -> bool:
-        """Whether events wait to be looked at."""
+        """True if events wait to be handled."""
         return bool(self._events)
 
     @property
@@ -101,7 +101,7 @@ class Supervisor:
         self.guard.bind(states)
 
     def start(self, now: int) -> None:
-        """A run begins; what stopped or degraded the last one is forgotten."""
+        """Begin a run; forget what stopped or degraded the last one."""
         self._events.clear()
         self._to_do.clear()
         self._alive = None
@@ -112,7 +112,7 @@ class Supervisor:
         self.controller.start(now)
 
     def stop(self, now: int) -> None:
-        """The run is over."""
+        """End the run."""
         self.controller.stop(now)
 
     def release(self) -> None:
@@ -137,7 +137,7 @@ class Supervisor:
             self._events.append(self._raised(event.instant, error, "its handler "))
 
     def step(self, now_ns: int) -> Mapping[str, float]:
-        """What may go down in this cycle."""
+        """Step the controller and return the set-points that may be sent in this cycle."""
         self._react_to_all()
         return self.pass_on(now_ns, self.compute(now_ns))
 
@@ -158,7 +158,7 @@ class Supervisor:
             return NOTHING
 
     def pass_on(self, now_ns: int, setpoints: Mapping[str, float]) -> Mapping[str, float]:
-        """What of them may go down, once all events have been looked at."""
+        """Handle all events, then return those of the set-points that may be sent."""
         self._react_to_all()
         guard = self.guard
         try:
@@ -193,7 +193,7 @@ class Supervisor:
         )
 
     def emit_dead(self, now_ns: int, why: str) -> Mapping[str, float]:
-        """It is taken for dead: the fault "dead-man", reported once until it gives set-points again."""
+        """Report the fault "dead-man", once until the controller gives set-points again."""
         self._alive = None
         event = ControlEvent("dead-man", now_ns, self.name, why)
         self.listeners.emit(event)
@@ -211,7 +211,7 @@ class Supervisor:
         return ControlEvent("raised", now, self.name, f"{who}{raised_text(error)}")
 
     def _fault_of_guard(self, event: ControlEvent) -> None:
-        """It is this controller's, whatever its guard is called."""
+        """React to a fault of the guard as a fault of this controller."""
         self._react(ControlEvent(event.kind, event.instant, self.name, event.detail))
 
     def _react(self, event: EventLike) -> None:

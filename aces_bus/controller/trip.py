@@ -24,7 +24,7 @@ class Clipped(msgspec.Struct):
 
     @property
     def total(self) -> int:
-        """How often anything was limited or refused."""
+        """Number of values that were limited or refused."""
         return self.position + self.rate + self.acceleration + self.not_finite
 
 

@@ -49,7 +49,7 @@ class CarriedPort(UpperPort):
 
     @property
     def under_way(self) -> int:
-        """How many packets with a handshake, or that wait for their turn, are on their way, out and in."""
+        """Number of packets on their way, out and in, with a handshake or waiting for their turn."""
         return sum(map(len, self._out.values())) + len(self._in)
 
     def open(self, received: Callable[[Any, int], Any]) -> None:
@@ -127,7 +127,7 @@ class CarriedPort(UpperPort):
                     outgoing.end("expired", why, "timed out")
 
     def _gone(self, turn: int, outgoing: OutgoingPacket, is_sent: bool) -> None:
-        """A packet is out of the way: the next one begins, if it was under way."""
+        """Take a finished packet out of its queue, and begin the next one if it was being sent."""
         self.failed += not is_sent
         waiting = self._out.get(turn)
         if waiting is None or outgoing not in waiting:
@@ -140,7 +140,7 @@ class CarriedPort(UpperPort):
             self.clock.call_soon(waiting[0].go_on)
 
     def _steer(self, frame: Any) -> None:
-        """What a received frame asks for: to go on with a packet of ours, or an answer for one of its sender's."""
+        """Act on a received control frame: go on with a packet of ours, or answer the sender of one."""
         if not isinstance(frame, Frame) or frame.is_remote_frame or frame.is_error_frame:
             return
         key = _key(frame)
@@ -166,7 +166,7 @@ class CarriedPort(UpperPort):
                 self._let_in(transport, key, data, part.session)
 
     def _let_in(self, transport: Transport, key: int, data: bytes, session: Hashable) -> None:
-        """A packet for us begins."""
+        """Begin to receive a packet."""
 
         def over() -> None:
             self._in.pop((id(transport), session), None)

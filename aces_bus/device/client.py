@@ -111,7 +111,7 @@ class Client:
         )
 
     def listen(self, timeout: float = 1.0) -> Iterator[Record]:
-        """Records as they come, those kept first, until nothing has come for `timeout` s."""
+        """Yield records as they arrive, first the kept ones, until none has arrived for `timeout` s."""
         while True:
             while self._kept:
                 yield self._kept.popleft()

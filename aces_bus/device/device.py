@@ -49,7 +49,7 @@ def _free(action: str) -> str:
 
 
 def _refused(error: DeviceError, job: Job) -> Steps:
-    """Steps of a job that may not begin."""
+    """Yield the step of a job that may not begin: it raises `error`."""
     raise error
     yield
 
@@ -155,7 +155,7 @@ class Device(EndpointMember):
         """Declare what depends on this device's configuration: `add_signal`, `self.polls`."""
 
     def received(self, record: Any, instant: int) -> None:
-        """A record of this device, after its declared signals were updated."""
+        """Take a record of this device, after its declared signals were updated."""
 
     def default_of(self, message: str, path: str) -> Any:
         """Return the value for a set-point that was not given yet; None: wait for it."""
@@ -212,17 +212,19 @@ class Device(EndpointMember):
 
     @property
     def sends_every_s(self) -> float | None:
-        """How often it sends by itself, unasked (s): it is silent after `silent_after` times that; None: only when asked."""
+        """Period (s) at which the device sends unasked: it is silent after `silent_after` periods; None: only
+        when asked.
+        """
         return None
 
     def malformed(self, reason: str, instant: int) -> None:
-        """A frame or packet that is probably this device's was not understood."""
+        """Note a malformed frame or packet that is probably from this device."""
 
     def renumbered(self) -> None:
         """Drop the frames that were encoded for its credentials of before (`Host.renumber`)."""
 
     def no_reply(self, ticket: Ticket) -> None:
-        """A request was not answered."""
+        """Note a request that was not answered."""
 
     def takes(self, signal: Signal) -> bool | None:
         """Return whether a set-point of this signal would leave now; False: it is refused; None: it waits for a
@@ -439,14 +441,14 @@ class Device(EndpointMember):
         self.epoch += 1
 
     def rebooted(self, detail: str) -> None:
-        """The device has lost its state."""
+        """Note that the device has lost its state."""
         self.forget()
         self.emit_event("rebooted", detail)
 
     # ------------------------------------------------------------------ up
 
     def receive(self, record: Any, instant: int) -> None:
-        """A record of this device: answers what was asked, updates signals, is given to `received`."""
+        """Take a record of this device: settle the request that it answers, update signals, call `received`."""
         self.last_received = instant
         name = type(record).__name__
         self.host.answered(self, name, record, instant)
@@ -459,7 +461,7 @@ class Device(EndpointMember):
             self._look_again()
 
     def _look_again(self) -> None:
-        """What is waited for may hold now (`MotorDevice.until`)."""
+        """Check again for what is waited for (`MotorDevice.until`)."""
 
     # ------------------------------------------------------------------ down
 
@@ -486,7 +488,7 @@ class Device(EndpointMember):
 
     @property
     def is_held(self) -> bool:
-        """Whether set-points are held back for a while."""
+        """True if set-points are held back for a while."""
         now = self.clock.now()
         return any(until > now for until in self._held.values())
 

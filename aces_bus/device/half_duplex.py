@@ -60,11 +60,11 @@ class HalfDuplexLine:
         return ticket.device if ticket is not None else None
 
     def begin_tick(self, polls_end: int) -> None:
-        """A tick has begun; its polls are over by `polls_end` (ns)."""
+        """Begin a tick whose polls are over by `polls_end` (ns)."""
         self._polls_end, self._has_polled = polls_end, False
 
     def put(self, ticket: Ticket) -> None:
-        """A packet that is to be sent, behind what waits; `pump` then."""
+        """Queue a packet behind those that wait; call `pump` then."""
         (self._stops if ticket.confirms else self._waiting).append(ticket)
 
     def put_set_points(self) -> None:
@@ -74,7 +74,11 @@ class HalfDuplexLine:
         self.pump()
 
     def overtake(self, ticket: Ticket) -> None:
-        """A stop: before all that is none, and instead of what waits for its device; `pump` then.
+        """Queue a stop before everything that is not a stop, and in place of packets that wait for its
+        device; call `pump` then.
+
+        A stop that waits already is not queued again: a device whose stop is repeated would hold up the stops
+        of others.
 
         One that waits already is not sent twice: a device whose stop is repeated would hold up the stops of others.
         """
@@ -104,12 +108,15 @@ class HalfDuplexLine:
                 yield from (self.host.rule_of(out.message, left[0].device) or per_device)(left)
 
     def missed(self, ticket: Ticket) -> None:
-        """It was not answered in time."""
+        """Note that a request was not answered in time."""
         last, self._missed_last = self._missed_last, ticket.device
         self._is_behind_a_miss = last is not None and last is not ticket.device
 
     def again(self, ticket: Ticket) -> None:
-        """It was not answered in time, and is asked once more, behind stops and before all else that waits.
+        """Ask again after a miss, behind stops and before all other requests.
+
+        A stop is repeated at once if the request before it was not answered either: that answer may have come
+        late, in place of the stop's.
 
         A stop's is at once, where the one before was not answered either: its answer may have come late, into this one's.
         """
@@ -125,7 +132,7 @@ class HalfDuplexLine:
         self.free(ticket)
 
     def pump(self) -> None:
-        """Where the line is free, let the next one speak."""
+        """Send the next packet if the line is free."""
         host = self.host
         while self._speaking is None and host.is_open:
             if self._stops:
@@ -163,7 +170,7 @@ class HalfDuplexLine:
         return False
 
     def poll(self, slot: PollSlot, ticket: Ticket, now: int) -> None:
-        """It is a poll's turn, alone or with others that ask for the same."""
+        """Send a poll whose turn it is, alone or with others that ask for the same."""
         self._has_polled = True
         if self._gathering is not None:
             self._gathering.append(ticket)
@@ -240,7 +247,7 @@ def _fail_overtaken(ticket: Ticket) -> None:
 
 
 def ask_less(slots: Collection[PollSlot], ticket: Ticket, now: int) -> None:
-    """The time-outs of a silent device hold up all others: it is asked less often until it answers."""
+    """Poll a silent device less often until it answers: its time-outs hold up all others."""
     due = now + (SILENT_SHARE - 1) * ticket.timeout_ns
     for slot in slots:
         if slot.device is ticket.device:

@@ -114,7 +114,7 @@ class Host(BusEndpoint[Device]):
             feed, note = self._feed, self.note
 
             def received_by_others(frames: Any) -> list[Any]:
-                """Where others ask, an answer may need what they asked to be understood."""
+                """Scan frames of other hosts too: an answer may need its request to be understood."""
                 note(frames[0])
                 return feed(frames)
 
@@ -178,7 +178,7 @@ class Host(BusEndpoint[Device]):
         retries: int = 1,
         **fields: Any,
     ) -> Steps:
-        """Steps that ask whether anybody with these credentials is there: the record that answered, or None."""
+        """Yield steps that ask whether a device has these credentials; return the record that answered, or None."""
         probe = self.probe(protocol, **credentials)
         try:
             return (yield probe.ask(message, reply=reply, timeout_s=timeout_s, retries=retries, **fields))
@@ -194,7 +194,7 @@ class Host(BusEndpoint[Device]):
         self.polling.remove(device)
 
     def renumber(self, member: Device, **credentials: int) -> None:
-        """A device has other credentials from now on: its polls ask for them."""
+        """Give a device other credentials, and its polls too."""
         super().renumber(member, **credentials)
         self.polling.renew(member)
         member.renumbered()
@@ -211,7 +211,7 @@ class Host(BusEndpoint[Device]):
 
     @property
     def asks_one_by_one(self) -> bool:
-        """Whether it asks for one thing at a time: on half-duplex lines, and of devices that take one request."""
+        """True if requests are sent one at a time: on half-duplex lines, and to devices that take one request."""
         return self.line is not None
 
     # ------------------------------------------------------------------ opening and ticking
@@ -255,7 +255,7 @@ class Host(BusEndpoint[Device]):
             self._next_tick = self.clock.call_at(self.clock.now(), self._begin_ticks)
 
     def _begin_ticks(self) -> None:
-        """The first tick: however late it is, while other buses are opened, none is left out."""
+        """Run the first tick. Opening other buses may delay it; no tick before it is counted as missed."""
         self._tick_at = self.clock.now()
         if self._loop is not None:
             self._loop.gather(self.period_ns // GATHERED_SHARE)
@@ -295,7 +295,7 @@ class Host(BusEndpoint[Device]):
         self._send_set_points(self.clock.now())
 
     def _note_frames(self, packet: Any) -> None:
-        """A packet of ours that may be several frames."""
+        """Note a packet of ours, which may be several frames, as sent."""
         for frame in packet if isinstance(packet, tuple) else (packet,):
             self.scanner.sent(frame)
 
@@ -452,17 +452,17 @@ class Host(BusEndpoint[Device]):
         return True
 
     def _ended(self, device: Device, message: str, fate: str, why: str) -> None:
-        """What became of a packet of several frames."""
+        """Report a packet of several frames that was not sent."""
         if fate != "sent":
             self.emit("not sent", device.name, f"{message}: {why}")
 
     def not_taken(self, device: Device, message: str) -> None:
-        """The bus does not take a device's packet."""
+        """Count and report a packet of a device that the bus does not take."""
         self.counts.not_sent += 1
         self.emit("not sent", device.name, f"{message}: the bus does not take it")
 
     def prolong(self, device: Device, duration_s: float) -> None:
-        """A device asks for patience: what was asked of it may be answered for so long from now."""
+        """Extend the deadlines of a device's requests to `duration_s` from now, as it has asked for."""
         self.unanswered.prolong(device, self.clock.now() + round(duration_s * 1e9))
 
     # ------------------------------------------------------------------ what is wrong

@@ -26,7 +26,7 @@ class HostLoss:
 
     @property
     def lacks_watchdog(self) -> bool:
-        """Whether it can move, and nothing in it watches over the host."""
+        """True if the device can move and has no watchdog for the host."""
         return self.after_s is None and self.does != "nothing moves"
 
     def __str__(self) -> str:

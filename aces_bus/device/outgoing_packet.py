@@ -62,7 +62,7 @@ class OutgoingPacket:
 
     @property
     def has_begun(self) -> bool:
-        """Whether a frame of it was handed over."""
+        """True if a frame of the packet was handed over."""
         return self._count > 0
 
     def go_on(self) -> bool:
@@ -87,7 +87,7 @@ class OutgoingPacket:
         return self.fate in ("", "sent")
 
     def _left(self, number: int, fate: str, why: str) -> None:
-        """What became of a frame."""
+        """Act on the fate of a frame."""
         if number != self._in_flight:
             return
         self._in_flight = 0
@@ -161,7 +161,7 @@ class OutgoingPacket:
             self.go_on()
 
     def end(self, fate: str, why: str, given_up: GivenUp | None = None) -> None:
-        """It is over; say what became of it, and to its receiver that it was `given_up`."""
+        """End the packet: report its fate, and tell the receiver if it was `given_up`."""
         if self.fate:
             return
         self._stop_timer()

@@ -91,7 +91,7 @@ class Polling:
         self.stand_ins = {key: one for key, one in self.stand_ins.items() if one[0].device is not device}
 
     def renew(self, device: Device) -> None:
-        """A device has other credentials: its polls ask for them."""
+        """Build a device's polls anew after its credentials have changed."""
         for slot in self.slots:
             if slot.device is device:
                 packet = self.host.packet(device, slot.poll.message, slot.poll.fields)
@@ -172,7 +172,7 @@ class Polling:
         host.unanswered.wait_for_polls(slots, now)
 
     def _carry(self, now: int) -> None:
-        """What is due and not asked yet has to wait for the next tick."""
+        """Count the due polls that have to wait for the next tick."""
         host = self.host
         due = [s.due <= now if s.waiting is None else self._is_overdue(s, s.waiting, now) for s in self.slots]
         host.counts.polls_carried += sum(due)
@@ -188,7 +188,7 @@ class Polling:
         return now - ticket.sent_at > period * (3 if is_quiet else 6) // 4 * ticket.tries
 
     def _ask_again(self, ticket: Ticket, now: int) -> None:
-        """A poll was not answered within its tick: it is sent once more, and one answer of both may come late."""
+        """Repeat a poll that was not answered within its tick; one of both answers may come late."""
         slot: PollSlot | None = ticket.poll
         self._again(ticket, now, ticket.reply if slot is None else slot.replies)
         self.host.transmit(ticket.packet, ticket.device, ticket.message, ticket.timeout_ns)
@@ -237,7 +237,7 @@ class Polling:
         return slot.wire_ns
 
     def take(self, slot: PollSlot, now: int, reply: frozenset[str] | None = None) -> None:
-        """It is a poll's turn; with `reply` something was sent that is answered so, and stands for it."""
+        """Send a poll whose turn it is; with `reply` another packet, answered by that message, stands for it."""
         host, line = self.host, self.host.line
         if line is not None and not host.period_ns:
             slot.due = NEVER_NS

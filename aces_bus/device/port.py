@@ -18,7 +18,7 @@ class Port(Protocol):
 
     @property
     def link(self) -> Literal["can", "serial", "datagram"]:
-        """Whether it carries frames or bytes."""
+        """Kind of traffic: frames, bytes or datagrams."""
         ...
 
     @property
@@ -33,7 +33,7 @@ class Port(Protocol):
 
     @property
     def half_duplex(self) -> bool:
-        """Whether all share one wire, and a request is sent only when the one before was answered or timed out."""
+        """True if all share one wire, and a request waits until the one before was answered or timed out."""
         ...
 
     def open(self, received: Callable[[Any, int], Any]) -> None:

@@ -287,7 +287,9 @@ class RegisterDevice(Device):
         return self.job(f"write {name}", lambda job: self._seen_written(codec, number, ticket, is_sure))
 
     def _seen_written(self, codec: RegisterCodec, number: int, ticket: Ticket, is_sure: bool) -> Steps:
-        """Steps that see that what was sent has arrived: by its acknowledgement, where that is sure, else by reading it."""
+        """Yield steps that see a write arrive: by its acknowledgement where that is sure, else by reading the
+        register.
+        """
         doing = f"writing {codec.name} = {codec.value(number)!r}"
         record = yield ticket
         if self.acknowledges:
@@ -330,7 +332,7 @@ class RegisterDevice(Device):
             )
 
     def written(self, name: str, number: int) -> None:
-        """A register has been written, and the device said so."""
+        """Note that a register has been written and acknowledged."""
         self.known[name] = (number, self.clock.now())
         self._sent.pop(name, None)
         if name in self.goals:
@@ -351,14 +353,14 @@ class RegisterDevice(Device):
         return ""
 
     def changed(self, which: Mapping[str, tuple[int, int]]) -> None:
-        """Registers are not what was written: name → raw number written and found. They were lost by a reboot."""
+        """Report registers that were lost by a reboot: name → raw number written and found."""
         text = ", ".join(f"{name} is {found}, was set to {was}" for name, (was, found) in which.items())
         self.rebooted(text)
 
     # ------------------------------------------------------------------ up
 
     def receive(self, record: Any, instant: int) -> None:
-        """A record of this device: the registers that were asked for become signals."""
+        """Take a record of this device: requested registers become signals."""
         if type(record).__name__ != self.reply:
             super().receive(record, instant)
             return
@@ -395,7 +397,7 @@ class RegisterDevice(Device):
             self.changed(lost)
 
     def _arrived(self, name: str, number: int) -> None:
-        """What was sent to many, unacknowledged, has been read back."""
+        """Compare a register with what an unacknowledged write to many devices has set."""
         wanted, tries = self._sent.pop(name)
         if number == wanted:
             if name in self.remembers:
@@ -478,7 +480,7 @@ class RegisterDevice(Device):
         )
 
     def _unanswered(self, message: str, **fields: Any) -> Steps:
-        """Steps that send what is not answered, and let it arrive."""
+        """Yield steps that send a message without an answer, and wait until it has left."""
         ticket = self.send(message, **fields)
         yield ticket
         yield self.host.port.wire_ns(ticket.packet)

@@ -98,12 +98,12 @@ class Signal:
 
     @property
     def age_ns(self) -> int | None:
-        """How long ago it was measured; None when it never was."""
+        """Age of the value in ns; None if it was never received."""
         return None if self.instant is None else self.clock.now() - self.instant
 
     @property
     def is_stale(self) -> bool:
-        """Whether it is too old, or was never received."""
+        """True if the value is too old, or was never received."""
         if self.instant is None:
             return True
         return self.stale_after_ns is not None and self.clock.now() - self.instant > self.stale_after_ns
@@ -114,7 +114,7 @@ class Signal:
 
     @property
     def is_writable(self) -> bool:
-        """Whether it can be set."""
+        """True if the signal can be set."""
         return self.setter is not None
 
     def set(self, value: Any) -> None:

@@ -170,7 +170,7 @@ class SingleMotor(MotorDevice[SingleAxis]):
 
     @abstractmethod
     def bring_up(self, job: Job) -> Steps:
-        """Steps that lead from off to where it can be switched on: mode, limits, the set-point where it is."""
+        """Yield the steps before the motor can be switched on: mode, limits, a set-point at the present place."""
 
     @abstractmethod
     def stay(self) -> None:
@@ -185,7 +185,7 @@ class SingleMotor(MotorDevice[SingleAxis]):
         """Have it say anew whether it is on."""
 
     def shows(self, is_on: bool, faults: Collection[str] = ()) -> None:
-        """It has said whether it is on, and what is wrong."""
+        """Note whether the motor reports itself on, and its faults."""
         was_on, self.is_on = self.is_on, is_on
         before, self.faults = self.faults, frozenset(faults)
         self.emit_alarms(self.faults, before, f"{self.owner}: ")

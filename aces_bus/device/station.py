@@ -54,7 +54,7 @@ class EndpointMember:
 
     @property
     def is_listening(self) -> bool:
-        """Whether it takes what is sent to it: a transport's packets are let in then."""
+        """True if the member takes what is sent to it; a transport's packets are let in then."""
         return True
 
     def receive(self, record: Any, instant: int) -> None:
@@ -159,7 +159,7 @@ class BusEndpoint(Generic[M]):
         self._writers = {key: write for key, write in self._writers.items() if key[0] != name}
 
     def renumber(self, member: M, **credentials: int) -> None:
-        """A member has other credentials from now on."""
+        """Give a member other credentials."""
         member.credentials = {**member.credentials, **credentials}
         self._writers = {key: write for key, write in self._writers.items() if key[0] != member.name}
         self._routes.clear()
@@ -219,7 +219,7 @@ class BusEndpoint(Generic[M]):
 
     @property
     def is_open(self) -> bool:
-        """Whether it receives, and may send."""
+        """True if the bus is open: it receives, and may send."""
         return self._is_open
 
     def open(self) -> None:
@@ -279,7 +279,7 @@ class BusEndpoint(Generic[M]):
         return received
 
     def _received(self, data: bytes, instant: int) -> None:
-        """Some bytes of the port."""
+        """Scan bytes from the port and deliver their records."""
         self.bytes_at = instant
         for record in self._feed(data):
             self.deliver(record, instant)
@@ -287,7 +287,7 @@ class BusEndpoint(Generic[M]):
             self._await_silence()
 
     def _await_silence(self) -> None:
-        """What is incomplete ends when nothing comes for as long as the protocol says."""
+        """Restart the timer that ends an incomplete packet after the protocol's time of silence."""
         if self._silence is not None:
             self._silence.cancel()
             self._silence = None
@@ -295,7 +295,7 @@ class BusEndpoint(Generic[M]):
             self._silence = self.clock.call_in(self._silence_ns, self.fell_silent)
 
     def fell_silent(self) -> None:
-        """A stream is silent: what is incomplete never will be."""
+        """Give up an incomplete packet: the stream is silent."""
         now = self.clock.now()
         for record in self.scanner.idle():
             self.deliver(record, now)
@@ -316,10 +316,10 @@ class BusEndpoint(Generic[M]):
             member.receive(record, instant)
 
     def _not_understood(self, unknown: UnknownRecord, instant: int) -> None:
-        """A frame or packet that is no known message."""
+        """Take a frame or packet that is not a known message."""
 
     def _unaddressed(self, record: Any, instant: int) -> None:
-        """A record of a device that is not here."""
+        """Take a record of a device that is not on this side."""
 
     def packet(self, member: M, message: str, fields: Mapping[str, Any]) -> Any:
         """Return the frame or packet of a member's message: its credentials are added.

@@ -31,7 +31,7 @@ class Awaited:
 
     @property
     def is_over(self) -> bool:
-        """Whether it is done or has failed."""
+        """True if the work is done or has failed."""
         return self.state != "waiting"
 
     def then(self, follower: Callable[[Any], None]) -> None:
@@ -44,14 +44,14 @@ class Awaited:
             self._followers.append(follower)
 
     def finish(self, result: Any = None) -> None:
-        """It is done. What is over stays as it is."""
+        """End with a result. Does nothing if it has ended."""
         if self.state == "waiting":
             self.state, self.result = "done", result
             if self._followers is not None:
                 self._notify()
 
     def fail(self, error: AcesError) -> None:
-        """It has failed with this error. What is over stays as it is."""
+        """End with an error. Does nothing if it has ended."""
         if self.state == "waiting":
             self.state, self.error = "failed", error
             self._notify()

@@ -147,7 +147,7 @@ class Twin(EndpointMember):
         """Make the state of a device that was just powered."""
 
     def received(self, record: Any, instant: int) -> None:
-        """A request that no method is for."""
+        """Take a request that has no handler."""
 
     def not_understood(self, data: bytes, reason: str) -> None:
         """Bytes on a stream that are no request, from where they begin; only kinds that override this are given them."""
@@ -156,11 +156,11 @@ class Twin(EndpointMember):
 
     @property
     def is_listening(self) -> bool:
-        """Whether it is powered."""
+        """True if the twin is powered."""
         return self.is_powered
 
     def receive(self, record: Any, instant: int) -> None:
-        """A request to this device."""
+        """Take a request to this device."""
         if not self.is_powered:
             return
         self.requests += 1
@@ -313,7 +313,7 @@ class Twins(BusEndpoint[Twin]):
             self.not_sent += 1
 
     def _ended(self, fate: str, why: str) -> None:
-        """What became of a packet of several frames."""
+        """Count a packet of several frames that was not sent."""
         self.not_sent += fate != "sent"
 
     def close(self) -> None:

@@ -48,7 +48,7 @@ class Unanswered:
     # ------------------------------------------------------------------ waiting
 
     def wait_for(self, ticket: Ticket, now: int, more_ns: int = 0) -> None:
-        """A ticket's packet is on its way: wait for the answer until its time is up, and for those before it."""
+        """Wait for the answer to a packet that is on its way, until its deadline."""
         ticket.sent_at = now
         slot: PollSlot | None = ticket.poll
         wire_ns = self.host.port.wire_ns(ticket.packet) if slot is None else slot.wire_ns
@@ -57,7 +57,7 @@ class Unanswered:
         self._watch(ticket, now + ticket.timeout_ns + wire_ns + more_ns)
 
     def wait_for_polls(self, slots: Iterable[PollSlot], now: int) -> None:
-        """The same for polls of one tick."""
+        """Wait for the answers to the polls of one tick."""
         known = self._waiting
         for slot in slots:
             ticket = slot.ticket
@@ -70,7 +70,7 @@ class Unanswered:
                 self._watch(ticket, deadline)
 
     def prolong(self, device: Device, until: int) -> None:
-        """What was asked of a device may be answered until this instant (ns)."""
+        """Extend the deadlines of a device's requests to this instant (ns)."""
         for ticket in device.awaiting:
             if ticket.deadline < until:
                 self._watch(ticket, until)
@@ -169,7 +169,7 @@ class Unanswered:
             line.free(ticket)
 
     def _count_miss(self, device: Device, ticket: Ticket, now: int) -> None:
-        """A device that misses requests again and again is silent."""
+        """Count a miss; a device that misses requests again and again is silent."""
         if device.misses == 0 or (
             device.last_received is not None and device.last_received >= device.missing_since
         ):
@@ -189,7 +189,7 @@ class Unanswered:
     # ------------------------------------------------------------------ answers
 
     def answered(self, device: Device, name: str, record: Any, instant: int) -> None:
-        """A record of a device: the oldest request that it answers is done. Called by `Device.receive`."""
+        """Settle the oldest request that a record answers. Called by `Device.receive`."""
         host = self.host
         counts = host.counts
         counts.received += 1
@@ -234,7 +234,7 @@ class Unanswered:
             ticket.finish(record)
 
     def _unasked(self, device: Device, name: str, instant: int) -> None:
-        """A record that no request waits for: of a device that speaks by itself, late, or of a second one."""
+        """Classify a record that no request waits for: sent unasked, a late answer, or from a second device."""
         before = device.answered.get(name)
         late = device.timed_out.get(name, 0)
         expected = device.second_answers.get(name, 0)

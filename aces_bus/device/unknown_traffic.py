@@ -43,7 +43,7 @@ class UnknownTraffic:
         self.handlers: list[Callable[[UnknownRecord, int], None]] = []
 
     def not_understood(self, unknown: UnknownRecord, instant: int, line: HalfDuplexLine | None) -> None:
-        """A packet that is no message of the bus's protocols, a malformed one, or, on a line, an answer that is late."""
+        """Count a packet that is unknown, malformed or, on a half-duplex line, a late answer."""
         self.reasons[unknown.reason] += 1
         for handler in self.handlers:
             handler(unknown, instant)
@@ -63,7 +63,9 @@ class UnknownTraffic:
             device.malformed(unknown.reason, instant)
 
     def _answered_twice(self, device: Device | None, unknown: UnknownRecord, instant: int) -> None:
-        """An unrequested answer on a half-duplex line: it is late, or two devices answer to what `device` was asked last."""
+        """Report an unrequested answer on a half-duplex line: it is late, or a second device answers to
+        `device`'s number.
+        """
         detail = f"{unknown.meta.raw.hex(' ')}: was not requested"
         if device is None:
             self.host.emit("duplicate reply", "", detail)
@@ -71,7 +73,7 @@ class UnknownTraffic:
             self.duplicate(device, detail, instant)
 
     def duplicate(self, device: Device, detail: str, instant: int) -> None:
-        """A second answer to one request: once it is a fault of the bus, again and again a second device."""
+        """Count a second answer to one request: once it is a fault of the bus, again and again a second device."""
         self.host.emit("duplicate reply", device.name, detail)
         if instant - self.host.opened_at < OPENING_NS:
             return
@@ -102,7 +104,7 @@ class UnknownTraffic:
         return None
 
     def unaddressed(self, record: Any) -> None:
-        """A record of a device that is not in the robot's file."""
+        """Count a record of a device that is not in the robot's file."""
         kind = type(record)
         names = {name for device in self.host.members.values() for name in device.credentials}
         who = ", ".join(

@@ -138,7 +138,7 @@ class Datasets:
 
     @property
     def notes(self) -> list[str]:
-        """What could not be written as it is, one sentence each."""
+        """Values that could not be written unchanged, one sentence each."""
         return [
             f"{dataset.name}: {number} values of {name} need more than 64 bits and are left empty"
             for dataset in self._all()
@@ -183,7 +183,7 @@ class Datasets:
         return made
 
     def _begin(self, dataset: Dataset) -> None:
-        """A message has occurred for the first time; there may be nothing to do."""
+        """Begin the dataset of a message that occurs for the first time; by default do nothing."""
 
 
 class Export(Datasets, ABC):
@@ -221,7 +221,7 @@ class Export(Datasets, ABC):
 
     @property
     def place(self) -> str:
-        """Where to write: it takes the export's name by `close`."""
+        """Path to write to; `close` gives it the export's name."""
         return self._staging.temporary
 
     def write(

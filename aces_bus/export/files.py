@@ -105,7 +105,7 @@ class Staging:
                     )
 
     def commit(self) -> None:
-        """What was written takes its place."""
+        """Move the written files to their place."""
         if self._is_done:
             return
         with telling(self.path):
@@ -123,7 +123,7 @@ class Staging:
         self._is_done = True
 
     def discard(self) -> None:
-        """What was written goes."""
+        """Remove the written files."""
         if not self._is_done:
             self._is_done = True
             _remove(self.temporary)
@@ -150,7 +150,7 @@ class InPlace:
                 raise CallerError(f"{path}: there is such a file already; choose another name") from None
 
     def commit(self) -> None:
-        """It has its place."""
+        """End: the files are at their place already."""
         self._is_done = True
 
     def discard(self) -> None:
@@ -249,7 +249,7 @@ class ExportFile(io.RawIOBase):
         self._pool, self._path, self._place = pool, path, 0
 
     def writable(self) -> bool:
-        """Always."""
+        """Return True."""
         return True
 
     def write(self, data: object) -> int:

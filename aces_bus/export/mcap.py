@@ -42,7 +42,7 @@ class McapExport(Export):
 
     @property
     def notes(self) -> list[str]:
-        """What could not be written as it is."""
+        """Values that could not be written unchanged."""
         untimed = self._topics.untimed
         if not untimed:
             return []

@@ -165,7 +165,7 @@ def parquet_of_journal(journal: str, path: str) -> int:
 
 
 def _grouped(batches: Iterator[Any]) -> Iterator[list[Any]]:
-    """Lists of batches with at least `GROUP_ROWS` rows together, but for the last."""
+    """Yield lists of batches with at least `GROUP_ROWS` rows together; the last list may have fewer."""
     kept: list[Any] = []
     waiting = 0
     for batch in batches:

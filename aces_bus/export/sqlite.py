@@ -173,7 +173,7 @@ class JournaledDatabase:
 
     @contextmanager
     def transaction(self) -> Generator[sqlite3.Connection]:
-        """What is done within is in the file as a whole or not at all."""
+        """Yield the database; commit everything that is done within, or nothing."""
         self._database.execute("BEGIN IMMEDIATE")
         try:
             yield self._database

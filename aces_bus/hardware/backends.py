@@ -132,7 +132,7 @@ class ServedReader:
 
     @property
     def state(self) -> str:
-        """What the server reported last."""
+        """State of the controller that the server reported last."""
         state = str(self._bus.known_state)
         return "error-active" if state == "recovered" else state
 
@@ -249,7 +249,7 @@ class SocketcanReader:
         return len(frames)
 
     def push(self) -> bool:
-        """A frame is taken whole."""
+        """Return True: a frame is taken whole."""
         return True
 
     def __call__(self, timeout: float) -> Frame | None:
@@ -308,7 +308,7 @@ class SocketcanReader:
         return frame
 
     def _look(self, frame: Frame) -> None:
-        """What an error frame says of the controller."""
+        """Take the state of the controller from an error frame."""
         self.changes += 1
         kinds = frame.arbitration_id
         problem = frame.data[1] if kinds & _CONTROLLER and len(frame.data) > 1 else 0

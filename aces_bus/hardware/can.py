@@ -129,7 +129,7 @@ class CanGate(Gate[Frame]):
     # ------------------------------------------------------------------ receiving
 
     def _receive(self) -> None:
-        """The receive thread."""
+        """Receive frames: the body of the receive thread."""
         hollow = strange = 0
         while not self._stopping.is_set():
             began = self.clock.now()
@@ -455,7 +455,7 @@ def _opener(options: dict[str, Any], *, listen_only: bool) -> Open:
 
 
 def _frame_of(message: Any) -> Frame:
-    """A python-can message as a frame. Raises `CallerError` or `ValueError` for one that cannot exist."""
+    """Return a python-can message as a frame. Raises `CallerError` or `ValueError` for a frame that cannot exist."""
     data = bytes(message.data)
     if len(data) < message.dlc and not message.is_remote_frame and (message.is_fd or len(data) < 8):
         raise ValueError(f"{len(data)} data bytes of {message.dlc} arrived")  # slcan: a line cut short

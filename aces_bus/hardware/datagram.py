@@ -70,7 +70,7 @@ class DatagramGate(Gate[bytes]):
 
     @property
     def address(self) -> Address:
-        """Where it receives; raises `CallerError` while it is not open."""
+        """Address that the gate receives at; raises `CallerError` while the gate is closed."""
         bus = self._bus
         if bus is None:
             raise CallerError(f"{self.name}: this gate is not open")

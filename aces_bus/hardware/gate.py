@@ -137,7 +137,7 @@ class Gate(SendingGate[Item]):
                 pass
 
     def _lose(self, error: BaseException | None) -> bool:
-        """The bus is gone: report it, and open it again, on the receive thread; False when the gate is to end."""
+        """Report a lost bus and open it again, on the receive thread; return False when the gate is to end."""
         self._gone(error)
         bus = self._found_again()
         if bus is None:
@@ -146,7 +146,7 @@ class Gate(SendingGate[Item]):
         return True
 
     def _gone(self, error: BaseException | None) -> None:
-        """The bus is gone: report it, and drop what waited for it."""
+        """Report a lost bus, and drop the packets that waited for it."""
         self.state = "lost"
         why = "it does not answer any more" if error is None else f"{type(error).__name__}: {error}"
         self._emit("lost", why)
@@ -171,7 +171,7 @@ class Gate(SendingGate[Item]):
         return None
 
     def _back(self, bus: Any) -> None:
-        """The bus is there again."""
+        """Report that the bus is open again."""
         self._bus = bus
         self.state = "open"
         self.counters.reopened += 1
@@ -202,7 +202,7 @@ class Gate(SendingGate[Item]):
             self._transmitter = self._thread(self._transmit, "send")
 
     def _detach(self) -> None:
-        """The loop is to serve it no more, before its file's number becomes another's."""
+        """Stop watching the file in the loop, before its number can belong to another file."""
         if self._file is None or self._loop is None:
             return
         loop, number, self._file = self._loop, self._file, None
@@ -228,7 +228,7 @@ class Gate(SendingGate[Item]):
             self._received(found)
 
     def _lose_here(self, error: BaseException | None) -> None:
-        """The bus is gone: a thread opens it again, which may take its time."""
+        """Report a lost bus, and open it again on a thread, which may take its time."""
         self._detach()
         self._gone(error)
 

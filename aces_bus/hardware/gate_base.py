@@ -104,7 +104,7 @@ class GateBase(ABC, Generic[Item]):
 
     @abstractmethod
     def _receive(self) -> None:
-        """The receive thread: until `_stopping`, or until `_lose` says so."""
+        """Receive until `_stopping` is set or `_lose` returns False: the body of the receive thread."""
 
     @abstractmethod
     def _put_out(self, packet: Any, /) -> None:
@@ -127,7 +127,7 @@ class GateBase(ABC, Generic[Item]):
         return None
 
     def _watched(self, bus: Any) -> None:
-        """A loop waits for its file from now on: it must never block."""
+        """Prepare a bus whose file a loop watches: it must never block."""
 
     def _read_now(self) -> list[Received[Item]]:
         """Return what its file has, without waiting; raises what says that the bus is gone."""

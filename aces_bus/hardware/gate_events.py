@@ -111,10 +111,10 @@ class GateCounters:
 
     @property
     def not_sent(self) -> int:
-        """What was given and will never leave."""
+        """Number of items that were given and will never be sent."""
         return self.send_failed + self.send_expired + self.send_dropped + self.unsent
 
     @property
     def pending(self) -> int:
-        """What was given and is in no bin yet."""
+        """Number of items that were given and have no fate yet."""
         return self.given - self.sent - self.not_sent

@@ -46,7 +46,7 @@ class SendingGate(GateBase[Item]):
 
     @property
     def waiting(self) -> int:
-        """How much waits to be sent, in `unit`."""
+        """Number of items that wait to be sent, in `unit`."""
         return self._outbox.size + len(self._given)
 
     def _queue(
@@ -93,7 +93,7 @@ class SendingGate(GateBase[Item]):
         return is_taken
 
     def _transmit(self) -> None:
-        """The transmit thread."""
+        """Send packets: the body of the transmit thread."""
         while True:
             with self._guard:
                 while not self._stopping.is_set() and (not self._outbox or self.state != "open"):
@@ -200,7 +200,7 @@ class SendingGate(GateBase[Item]):
         self._settle_old(old)
 
     def _gather(self) -> None:
-        """What was given joins what waits."""
+        """Move given packets into the outbox."""
         now = self.clock.now()
         given = self._given
         with self._guard:
@@ -232,7 +232,7 @@ class SendingGate(GateBase[Item]):
     # ------------------------------------------------------------------ what became of it
 
     def _expire(self, first: OutboxItem[Any]) -> None:
-        """This one is too old, and others may be."""
+        """Drop a packet that is too old, and all others that are."""
         now = self.clock.now()
         with self._guard:
             others = self._outbox.take_old(now)
@@ -254,7 +254,7 @@ class SendingGate(GateBase[Item]):
         return True
 
     def _settle_sent(self, items: list[OutboxItem[Any]]) -> None:
-        """The same for packets that left together."""
+        """Settle packets that were sent together."""
         reports: list[Report] = []
         with self._guard:
             for item in items:
@@ -275,18 +275,18 @@ class SendingGate(GateBase[Item]):
         why: str,
         kind: Literal["not sent", "stalled"] = "not sent",
     ) -> None:
-        """The same became of several, which is one event."""
+        """Settle several packets with one fate, and report it as one event."""
         count = sum(item.size for item in items if self._settle(item, fate, why))
         if count:
             self._emit(kind, f"{count} {self.unit}: {why}", count)
 
     def _settle_old(self, old: list[OutboxItem[Any]]) -> None:
-        """These have waited too long: questions, whose age is said, are asked again; what else there is is lost."""
+        """Settle packets that waited too long: questions with a stated age will be asked again; others are lost."""
         self._settle_all([item for item in old if item.is_timed], "expired", STALLED, "stalled")
         self._settle_all([item for item in old if not item.is_timed], "expired", TOO_OLD)
 
     def _emit_refused(self) -> None:
-        """What was given while the bus was lost."""
+        """Report the packets that were given while the bus was lost."""
         with self._guard:
             count, self._refused = self._refused, 0
         if count:

@@ -133,7 +133,7 @@ class VirtualBus(BusABC):
         return self.recv(timeout), True
 
     def _apply_filters(self, filters: Any) -> None:
-        """Filters are applied on reading."""
+        """Do nothing: filters are applied on reading."""
 
     def _node_state(self) -> str:
         raise NotImplementedError

@@ -74,7 +74,7 @@ class Inbox(Generic[Item]):
 
     @property
     def is_closed(self) -> bool:
-        """Whether nothing more will come."""
+        """True if nothing more will be put in."""
         return self._is_closed
 
     def __len__(self) -> int:
@@ -123,7 +123,7 @@ class Listener(Generic[Item]):
 
     @property
     def dropped(self) -> int:
-        """How much came too fast for the function."""
+        """Number of items that came too fast for the function."""
         return self.inbox.dropped
 
     def stop(self, timeout: float = 5.0) -> None:

@@ -41,7 +41,7 @@ class Pace:
         return self.due_at(to_ns(frame.timestamp))
 
     def due_at(self, stamp: int) -> int:
-        """The same for whatever has this time stamp (ns of the capture, or `NO_TIME`)."""
+        """Return when an item with this time stamp (ns of the capture, or `NO_TIME`) is due."""
         if stamp == NO_TIME or self.speed is None:
             return self._due
         if self._last is not None:
@@ -182,7 +182,7 @@ class ReplayBus(BusABC):
         raise CanOperationError(f"{self.channel_info}: nothing can be sent into a recording")
 
     def _apply_filters(self, filters: Any) -> None:
-        """Filters are applied on reading."""
+        """Do nothing: filters are applied on reading."""
 
     def shutdown(self) -> None:
         """Close the capture."""

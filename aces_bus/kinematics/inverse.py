@@ -249,7 +249,7 @@ def _nudged(body: Body, q: Floats, part: float, moving: Mask) -> Floats:
 def _descend(
     task: _Task, here: _Look, free: Mask, tolerances: tuple[float, float], most: int
 ) -> tuple[_Look, int]:
-    """Steps until every goal is met or nothing helps: where it got, and the number of steps."""
+    """Step until every goal is met or no step helps; return the last look and the number of steps."""
     body, damping = task.body, 1e-4
     for step in range(most):
         if here.is_within(*tolerances):

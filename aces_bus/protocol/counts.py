@@ -58,7 +58,7 @@ class ScanCounts:
 
     @property
     def balance(self) -> int:
-        """What is missing from the bins: always 0."""
+        """Difference between the total and the sum of the bins: always 0."""
         return self.total - sum(int(getattr(self, name)) for name in BINS)
 
     def lose(self, size: int, reason: str) -> None:

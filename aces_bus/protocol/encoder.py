@@ -45,8 +45,11 @@ class Encoder:
         self._unsaid = {name: found for name in self._quick if (found := unsaid(variant[name].payload))}
 
     def encode(self, message: str, /, **fields: Any) -> Any:
-        """A python-can message (CAN), a list of them where a transport carries the message, or the packet's bytes, from
+        """Return a python-can message (CAN), a list of them (with a transport), or a packet's bytes, from
         values in the sheet's units.
+
+        Raises `UnknownNameError` for a message or field that does not exist, `FieldError` for a value that
+        does not fit or is missing.
 
         Raises `UnknownNameError` for a message or field that does not exist, `FieldError` for a value that does not fit
         or is missing.
@@ -72,8 +75,9 @@ class Encoder:
     def build(
         self, message: Message, fields: dict[str, Any], *, raw: bool = False, number: int | None = 0
     ) -> Any:
-        """The frame (a python-can message) or packet of `message`; a list of frames where a transport carries it, whose
-        sequence number is `number` (None: the next one)."""
+        """Return the frame (a python-can message) or packet of `message`; a list of frames where a transport
+        carries it, with the sequence number `number` (None: the next one).
+        """
         built = self._built(message, fields, raw=raw)
         if isinstance(built, bytes):
             return built
@@ -178,7 +182,7 @@ class Encoder:
 
 
 def _short(text: str) -> str:
-    """`(building) -> speed: …` as `speed: …`."""
+    """Shorten `(building) -> speed: …` to `speed: …`."""
     return text.replace("(building) -> ", "").replace("(building): ", "")
 
 
@@ -232,7 +236,7 @@ USUAL_FAILURES = (
 def quick_encoders(
     variant: Variant,
 ) -> tuple[dict[str, Callable[[dict[str, Any]], Any]], str, dict[str, str]]:
-    """The printed encoders of a variant, their source, and why the other messages go through construct."""
+    """Return the printed encoders of a variant, their source, and why the other messages are built by construct."""
     lines = [f'"""Encoders of {comment_line(variant.label)}: generated from its spec."""', ""]
     names = NameScope(CALLED)
     functions: dict[str, str] = {}
@@ -256,7 +260,7 @@ def _frame(parts: CanParts) -> Frame:
 
 
 def new_can(identifier: int, data: bytes, extended: bool, remote: bool, fd: bool) -> Any:
-    """A python-can message."""
+    """Return a python-can message."""
     import can
 
     return can.Message(
@@ -270,6 +274,6 @@ def new_can(identifier: int, data: bytes, extended: bool, remote: bool, fd: bool
 
 
 def can_parts(image: bytes) -> CanParts:
-    """Identifier, data, whether the identifier has 29 bits, whether remote, whether CAN FD, of a frame's image."""
+    """Return identifier, data, whether extended, remote, CAN FD, of a frame's image."""
     word = int.from_bytes(image[:4], "big")
     return word & 0x1FFF_FFFF, image[5:], bool(word & EXTENDED), bool(word & REMOTE), bool(image[4] & FD_FLAG)

@@ -44,7 +44,7 @@ class FittingProtocol:
 
     @property
     def options(self) -> str:
-        """What `aces decode` must be given."""
+        """Options with which `aces decode` reads the recording."""
         return f"-p {self.name}" + (f" --direction {self.direction}" if self.direction else "")
 
 

@@ -87,7 +87,7 @@ class RequestRule:
             ]
 
     def note(self, past: PastRequest) -> None:
-        """A request was received or sent."""
+        """Note a request that was received or sent."""
         self.passed.append(past)
         self.open.append(past)
 

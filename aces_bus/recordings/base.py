@@ -72,7 +72,7 @@ class Recording(ABC):
 
     @property
     def live(self) -> bool:
-        """Whether this is a pipe or a device, and not a file."""
+        """True if this is a pipe or a device, and not a file."""
         return self._source.live
 
     @property
@@ -145,7 +145,9 @@ class CanRecording(Recording):
             yield from frames
 
     def batches(self, n: int = 1024) -> Iterator[list[Frame]]:
-        """Lists of at most `n` frames: full ones from a file, from a live source what is there without waiting."""
+        """Yield lists of at most `n` frames: full lists from a file; from a live source the frames that are
+        there without waiting.
+        """
         kept: list[Frame] = []
         try:
             for frames in self._pieces():

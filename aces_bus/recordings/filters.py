@@ -107,8 +107,9 @@ class CanFilter(msgspec.Struct, frozen=True):
 
 
 def parse_filter(*texts: str) -> CanFilter:
-    """Filters as candump takes them, one text an interface; a frame passes when one of the texts lets it. What is in
-    front of others without a mask is an interface, also where it is a number (`0,060:7F0`), as formats with numbers have it.
+    """Parse filters as candump takes them, one text an interface; a frame passes if any of the texts lets it
+    pass. A first part without a mask in front of others is an interface, also where it is a number
+    (`0,060:7F0`), as formats with numbers have it.
 
     Raises `CallerError`, with what can be written, on anything else.
 

@@ -60,12 +60,12 @@ class FastMember:
 
     @property
     def eof(self) -> bool:
-        """Whether the member has come to its end."""
+        """True if the member has come to its end."""
         return bool(self._unpacker.eof)
 
     @property
     def unused_data(self) -> bytes:
-        """What is behind its end."""
+        """Bytes behind the end of the member."""
         return bytes(self._unpacker.unused_data)
 
     def decompress(self, piece: bytes) -> bytes | None:

@@ -154,7 +154,7 @@ class SerialWays:
 
     @property
     def counts(self) -> list[ScanCounts]:
-        """Where the bytes of each direction went."""
+        """Counts of each direction's bytes by their outcome."""
         return [scanner.counts for scanner in self._used.values()]
 
 

@@ -36,12 +36,12 @@ class RecordingSelection:
 
     @property
     def shows_losses(self) -> bool:
-        """Whether what is not decoded is wanted."""
+        """True if traffic that is not decoded is wanted."""
         return self.unknown != "hide"
 
     @property
     def include_unknown(self) -> bool:
-        """Whether scanners have to give what is not decoded: filters by frame and by time refuse that, too."""
+        """True if scanners have to give what is not decoded: filters by frame and by time need it, too."""
         return self.shows_losses or self.filter is not None or self.window is not None
 
     def kept(self, frames: FrameTable) -> Rows | None:
@@ -141,7 +141,7 @@ class AdoptedPieces:
 
     @property
     def counts(self) -> ScanCounts:
-        """Where all frames went."""
+        """Number of frames by their outcome."""
         counts: ScanCounts = self._scanner.counts
         return counts
 

@@ -183,7 +183,7 @@ class ByteSource:
         return data
 
     def _look(self) -> None:
-        """Whether the source is packed, by its first bytes."""
+        """Find out by the first bytes whether the source is packed."""
         self._looked = True
         head = self._stored(BLOCK)
         while may_be_packed(head) and (more := self._stored(MAGIC)):

@@ -79,7 +79,7 @@ class Totals(msgspec.Struct):
 
     @property
     def faults(self) -> list[str]:
-        """What --strict does not allow."""
+        """Faults that --strict does not allow."""
         found = [f"{self[n]} {n}" for n in ("unknown", "malformed", "skipped", "pending") if self[n]]
         if self.lines_unreadable:
             found.append(f"{self.lines_unreadable} unreadable line{'s' if self.lines_unreadable > 1 else ''}")

@@ -175,7 +175,7 @@ class Unpacker:
 
 
 def up_to_damage(unpacker: Any, packed: bytes | memoryview) -> tuple[bytes, int, str]:
-    """What bytes that are known to be damaged give before the very byte: the output, its place, what zlib says."""
+    """Unpack damaged bytes up to the first damaged byte: return the output, its place, and zlib's words."""
     parts: list[bytes] = []
     for place in range(len(packed)):
         try:

@@ -322,7 +322,7 @@ def values_of(value: Any, path: Sequence[str | int]) -> Iterator[Any]:
 
 
 def comparison(condition: WhereCondition, numbers: Mapping[str, float]) -> Test:
-    """Compares one value (`!=` as `=`); `numbers` are the raw numbers of an enumeration's names."""
+    """Return a test of one value (`!=` as `=`); `numbers` are the raw numbers of an enumeration's names."""
     wanted, number, data, upper = condition.value, condition.number, condition.data, condition.upper
     near = _is_same_time if condition.is_meta and condition.path[1] == "time" else _is_near
     if upper is not None and number is not None:

@@ -84,7 +84,7 @@ class TimeWindow(msgspec.Struct):
         return kept
 
     def see(self, time: int) -> None:
-        """The first instant of a file may have come."""
+        """Note an instant, which may be the first of its file."""
         if self._first is None and time != NO_TIME:
             self._first = time
 

@@ -224,7 +224,7 @@ class VirtualRobot:
 
     @property
     def events(self) -> EventLog:
-        """What happened to devices."""
+        """Events of the devices."""
         return self.rig.events
 
     def advance(self, seconds: float) -> None:

@@ -366,7 +366,7 @@ def addresses(protocol: Protocol) -> dict[str, AddressRange]:
 
 
 def _check_tables(robot: Robot, protocol: Protocol, complain: Complain) -> None:
-    """A configuration table has one entry a number, whatever the bus; and only entries that the messages know."""
+    """Check that a configuration table has one entry a number on all buses, and only entries that messages know."""
     entries: dict[tuple[str, int], tuple[DeviceConfig, int | str]] = {}
     known: dict[str, set[int | str]] = {}
     for tables in protocol.configurations.values():
@@ -469,7 +469,7 @@ def _check_sensors(robot: Robot, written: Mapping[str, set[str]], complain: Comp
 
 
 def _check_states(robot: Robot, complain: Complain) -> None:
-    """A state is of a joint, sensor or device, declared once, and each thing of it in one way."""
+    """Check that a state belongs to a joint, sensor or device, and that each of its quantities is declared once."""
     parts: dict[str, Joint | Sensor] = {**robot.sensors, **robot.joints}
     owners = {alias: name for name, part in parts.items() for alias in part.aliases}
     owners |= {name: name for name in (*robot.devices, *parts)}
@@ -489,7 +489,7 @@ def _check_states(robot: Robot, complain: Complain) -> None:
 def _check_input(
     path: tuple[str, ...], one: Input, robot: Robot, protocols: _Spoken, complain: Complain
 ) -> None:
-    """An input is one of three kinds, of something that is there and in use, and says which value is clear."""
+    """Check that an input is of one of three kinds, exists, is in use, and says which value is clear."""
     kinds = [name for name in ("signal", "message", "key") if getattr(one, name) is not None]
     if len(kinds) != 1:
         complain(path, f"expected one of signal, message and key, not {' and '.join(kinds) or 'none'}")
@@ -543,7 +543,9 @@ def _check_key(path: tuple[str, ...], one: Input, complain: Complain) -> None:
 def _check_input_message(
     path: tuple[str, ...], one: Input, robot: Robot, protocols: _Spoken, complain: Complain
 ) -> None:
-    """The message and its field are the protocol's, and credentials say who sends it, where several could."""
+    """Check that message and field are the protocol's, and that credentials name the sender where several
+    could send.
+    """
     if one.bus is None:
         complain((*path, "bus"), "is missing: expected the name of the bus that the message is on")
         return
@@ -574,7 +576,7 @@ def _check_input_message(
 
 
 def _check_park(robot: Robot, complain: Complain) -> None:
-    """A pose is of joints that are commanded by position, within their limits."""
+    """Check that a pose is of joints commanded by position, within their limits."""
     for name, angle in () if robot.park is None else robot.park.pose.items():
         path, joint = ("park", "pose", name), robot.joints.get(name)
         if joint is None:
@@ -590,7 +592,7 @@ def _check_park(robot: Robot, complain: Complain) -> None:
 
 
 def _check_reduced(robot: Robot, complain: Complain) -> None:
-    """A joint without a limit of speed has none that could be reduced."""
+    """Check that each joint of a reduced mode has a limit of speed to reduce."""
     if robot.reduced is None:
         return
     free = [
@@ -606,7 +608,7 @@ def _check_reduced(robot: Robot, complain: Complain) -> None:
 
 
 def _check_rates(robot: Robot, complain: Complain) -> None:
-    """A device is asked in a tick of its bus: no more often."""
+    """Check that no device is to be polled more often than its bus has ticks."""
     for name, device in robot.devices.items():
         bus = robot.buses.get(device.bus)
         tick = (bus.rate_hz if bus is not None else None) or robot.rate_hz
@@ -618,7 +620,7 @@ def _check_rates(robot: Robot, complain: Complain) -> None:
 
 
 def _check_names(robot: Robot, complain: Complain) -> None:
-    """The robot's name can be printed; a name or alias means one joint or one sensor."""
+    """Check that the robot's name can be printed, and that each name or alias means one joint or one sensor."""
     if not robot.name.isprintable():
         complain(("name",), "a name has no control characters")
     entries: tuple[tuple[str, Mapping[str, tuple[str, ...]]], ...] = (

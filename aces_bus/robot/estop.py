@@ -80,7 +80,7 @@ class _SignalInput:
 
     @property
     def is_unread(self) -> bool:
-        """Whether nothing was ever received of it, which it may be for its stated time after the opening."""
+        """True if the signal was never received, as is allowed for its stated time after the opening."""
         return self.signal.instant is None and not self.device.is_silent
 
     def why(self, now: int) -> str:
@@ -209,7 +209,7 @@ class EnableChain:
     # ------------------------------------------------------------------ looking
 
     def _opened(self) -> None:
-        """A bus is open: from now on inputs are looked at, until none is."""
+        """Begin to watch the inputs, when the first bus is open."""
         if not self._is_looking:
             self._is_looking = True
             self._opened_at = self.clock.now()

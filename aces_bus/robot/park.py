@@ -24,7 +24,7 @@ class Parking:
     """One way to the pose. Made before the run, so that what it cannot do is known then."""
 
     def __init__(self, rig: Rig) -> None:
-        """Raises `CallerError` where the robot's file names no pose."""
+        """Raise `CallerError` if the robot's file names no pose."""
         if rig.robot.park is None:
             raise CallerError(
                 f"{rig.robot.name}: its file names no pose to park in: park = {{ pose = {{ JOINT = 0.0 }}, speed = 0.2 }}"

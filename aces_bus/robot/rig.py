@@ -228,7 +228,7 @@ class Rig:
 
 
 def _refused(action: str, missing: Iterable[str], job: Job) -> Steps:
-    """Steps of a job that the enable chain does not allow."""
+    """Yield the step of a job that the enable chain does not allow: it raises `DeviceError`."""
     raise DeviceError(f"{action} is refused: {'; '.join(missing)}")
     yield
 

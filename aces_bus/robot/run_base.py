@@ -25,12 +25,12 @@ class RunLogger(Protocol):
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Name of the logger."""
         ...
 
     @property
     def rate_hz(self) -> float:
-        """How often it samples."""
+        """Rate of its samples, in Hz."""
         ...
 
     @property

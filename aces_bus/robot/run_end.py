@@ -127,7 +127,7 @@ class RunEnd(RunFaults):
 
     @property
     def seconds(self) -> float:
-        """How long it has been running."""
+        """Duration of the run so far, in seconds."""
         return (self.clock.now() - self._began) / 1e9 if self._phase == "running" else 0.0
 
     # ------------------------------------------------------------------ its parts

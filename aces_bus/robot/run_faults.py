@@ -35,7 +35,7 @@ class RunFaults(RunBase):
     # ------------------------------------------------------------------ events
 
     def _happened(self, event: DeviceEvent) -> None:
-        """The shortcut: what happened below reaches every supervisor at once, and is acted upon next."""
+        """Pass an event of a device or bus to every supervisor at once, before anything else happens."""
         self._note(event)
         if self._phase == "running":
             self._handle(event)
@@ -43,7 +43,7 @@ class RunFaults(RunBase):
                 self.clock.call_soon(lambda: self._repay(event.source))
 
     def _estopped(self, reason: str) -> None:
-        """An e-stop input or another program has stopped the devices: no controller goes on, whatever is declared."""
+        """Stop all controllers, whatever they declare: an e-stop input or another program has stopped the devices."""
         if self._phase == "running" and self.drives:
             now = self.clock.now()
             for supervisor in self.supervisors:
@@ -74,7 +74,7 @@ class RunFaults(RunBase):
             self._give(given)
 
     def _failed(self, task: Task, error: BaseException) -> None:
-        """A component raised: a logger, as controllers have supervisors for that."""
+        """Handle a logger that raised; controllers have supervisors for that."""
         is_log = any(logger.name == task.name for logger in self.loggers)
         self._raised(task.name, OF_LOGS[0] if is_log else "raised", error)
 
@@ -113,7 +113,7 @@ class RunFaults(RunBase):
     # ------------------------------------------------------------------ stops and holds
 
     def _obey(self, supervisor: Supervisor) -> None:
-        """A guard has stopped motion: what its controller drives is held or switched off, as declared."""
+        """Hold or switch off what a controller drives, as declared, after its guard has stopped motion."""
         trip = supervisor.guard.tripped
         if trip is None or not trip.latched or self._obeyed.get(supervisor.name) is trip:
             return
@@ -141,7 +141,7 @@ class RunFaults(RunBase):
         self.clock.call_in(period, again)
 
     def _let_go(self, supervisor: Supervisor, trip: Trip) -> None:
-        """It has been held for as long as was said."""
+        """Let go after the stated time of holding."""
         if self._phase == "running" and supervisor.guard.tripped is trip:
             supervisor.guard.trip(f"{trip.reason}; held for {self.hold_s:g} s", "disable")
             supervisor.guard.tick(self.clock.now())
@@ -190,7 +190,7 @@ class RunFaults(RunBase):
         stop_devices(self.clock, name, devices).then(over)
 
     def _repay(self, source: str) -> None:
-        """The bus or device `source` is back: who owes a stop there is stopped again."""
+        """Stop devices again that still owe a stop, when the bus or device `source` is back."""
         owed = [device for device in self._owed.values() if source in (device.name, device.host.name)]
         if owed and self._phase == "running":
             self._stop(source, owed)

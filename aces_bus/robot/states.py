@@ -106,7 +106,7 @@ class States(Mapping[str, State]):
 
     @property
     def door(self) -> Door:
-        """Where set-points leave."""
+        """Door through which set-points leave."""
         return self.rig.door
 
     def writer(self, name: str, owner: str) -> Callable[[float], None]:

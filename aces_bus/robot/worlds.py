@@ -234,7 +234,9 @@ class Replay:
 
     @property
     def unmatched(self) -> str:
-        """What of the recording was on no bus of the robot, with the channels of both; empty where all was."""
+        """Frames of the recording that belong to no bus of the robot, with the channels of both; empty if
+        there are none.
+        """
         if not self.others:
             return ""
         seen = ", ".join(

@@ -24,7 +24,7 @@ class Clock(Protocol):
     name: str
 
     def now(self) -> int:
-        """This instant, in ns."""
+        """Return the present instant in ns."""
         ...
 
     def sleep_until(self, instant: int) -> None:
@@ -46,7 +46,7 @@ class RealClock:
         self.epoch_ns = time.time_ns() - time.monotonic_ns()
 
     def now(self) -> int:
-        """This instant, in ns."""
+        """Return the present instant in ns."""
         return time.monotonic_ns()
 
     def sleep_until(self, instant: int) -> None:
@@ -66,7 +66,7 @@ class Timer:
         self.action: Callable[[], object] | None = action
 
     def cancel(self) -> None:
-        """It will not happen; after it has, this does nothing."""
+        """Cancel the action; do nothing if it has happened."""
         self.action = None
 
 

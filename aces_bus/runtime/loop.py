@@ -158,7 +158,7 @@ class Loop(RealClock):
 
     @property
     def is_own_thread(self) -> bool:
-        """Whether the caller runs on it."""
+        """True if the caller runs on the loop's thread."""
         return self.own_thread == threading.get_ident()
 
     # ------------------------------------------------------------------ files
@@ -307,7 +307,7 @@ class Loop(RealClock):
         self.waited_since = 0
 
     def _turn(self, now: int) -> None:
-        """What was handed over, what is due, and the ends."""
+        """Run what was handed over, what is due, and what has ended."""
         monotonic_ns = self._monotonic_ns
         soon, events, do = self._soon, self._events, self._do
         until = now + TURN_NS

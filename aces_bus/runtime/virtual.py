@@ -47,7 +47,7 @@ class VirtualClock:
         self._horizon = _NO_ADVANCE
 
     def now(self) -> int:
-        """This instant, in ns."""
+        """Return the present instant in ns."""
         return self._now
 
     def call_at(self, instant: int, action: Callable[[], object]) -> Timer:
@@ -143,7 +143,7 @@ class VirtualClock:
         self._now = max(self._now, instant)
 
     def advance(self, duration: int) -> None:
-        """The same for a duration in ns."""
+        """Advance by a duration in ns."""
         self.advance_to(self._now + duration)
 
     def sleep_until(self, instant: int) -> None:

@@ -84,7 +84,7 @@ class SignalSource(Protocol):
 
     @property
     def is_writable(self) -> bool:
-        """Whether it takes set-points."""
+        """True if the signal takes set-points."""
         ...
 
     def set(self, value: Any) -> None:

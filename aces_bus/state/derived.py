@@ -76,7 +76,7 @@ class Derived(TimeSeries):
 
     @property
     def span(self) -> tuple[int, int] | None:
-        """Where all inputs have values of their own; None where there is no such time."""
+        """Time in which all inputs have values of their own; None if there is none."""
         start, end = _NEVER, 1 << 63
         for one in self._sources:
             span = one.span
@@ -107,7 +107,7 @@ class Derived(TimeSeries):
 
     @property
     def is_stale(self) -> bool:
-        """Whether an input is."""
+        """True if an input is stale."""
         return any(one.is_stale for one in self._sources)
 
     @property

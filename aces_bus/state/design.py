@@ -87,7 +87,7 @@ def iir(
 
 
 def notch(frequency_hz: float, rate_hz: float, *, quality: float = 30.0, initial: Initial = "steady") -> Sos:
-    """Takes out one frequency; the notch is `frequency_hz` / `quality` wide at -3 dB."""
+    """Design a filter that takes out one frequency; the notch is `frequency_hz` / `quality` wide at -3 dB."""
     _checked(frequency_hz, rate_hz)
     if not 0 < quality < math.inf:
         raise StateError(f"a notch of quality {quality!r}: > 0")

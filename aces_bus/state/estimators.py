@@ -74,15 +74,15 @@ class Extrapolation:
 
 
 def Hold() -> Extrapolation:
-    """The last known value goes on."""
+    """Return an estimator that repeats the last known value."""
     return Extrapolation(0)
 
 
 def ConstantVelocity() -> Extrapolation:
-    """The line through two samples goes on; loud with noise: `Kalman` is for that."""
+    """Return an estimator that continues the line through two samples; it amplifies noise: see `Kalman`."""
     return Extrapolation(1)
 
 
 def ConstantAcceleration() -> Extrapolation:
-    """The parabola through three samples goes on."""
+    """Return an estimator that continues the parabola through three samples."""
     return Extrapolation(2)

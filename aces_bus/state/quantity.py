@@ -71,7 +71,7 @@ class TimeSeries(ABC):
     @property
     @abstractmethod
     def is_stale(self) -> bool:
-        """Whether the newest value is too old, or there is none."""
+        """True if the newest value is too old, or there is none."""
 
     @abstractmethod
     def at(self, instant: int) -> Any:
@@ -121,7 +121,7 @@ class TimeSeries(ABC):
 
     @property
     def age_ns(self) -> int | None:
-        """How old the newest value is; None when there is none."""
+        """Age of the newest value; None when there is none."""
         instant = self.instant
         return None if instant is None else max(0, self.clock.now() - instant)
 
@@ -133,7 +133,7 @@ class TimeSeries(ABC):
 
     @property
     def is_known(self) -> bool:
-        """Whether `q[0]` is a number."""
+        """True if `q[0]` is a number."""
         return self.value is not UNKNOWN
 
     def read(self) -> Reading:
@@ -239,7 +239,11 @@ class TimeSeries(ABC):
     def window(
         self, t0: float | None = None, t1: float = 0.0, *, rate_hz: float | None = None
     ) -> SampleWindow:
-        """Samples from `t0` to `t1` (seconds from the origin; None: all that are kept) as arrays, NaN where unknown.
+        """Return samples from `t0` to `t1` (seconds from the origin; None: all that are kept) as arrays, NaN
+        where unknown.
+
+        `rate_hz` interpolates onto an even grid that ends at `t1`. Raises `StateError` when samples of that
+        time were dropped.
 
         `rate_hz` interpolates onto an even grid that ends at `t1`. Raises `StateError` when samples of that time
         were dropped.

@@ -212,7 +212,7 @@ class Filtered(Running):
             self.push(result, instant)
 
     def _refused(self, value: float, instant: int) -> None:
-        """Steps only where samples are even."""
+        """Step the filter while samples are even; restart it at an uneven one."""
         before, self._before = self._before[1], (value, instant)
         if before != _NEVER and abs(instant - before - self._period) > EVEN * self._period:
             self._uneven += 1
@@ -222,7 +222,7 @@ class Filtered(Running):
         self._accepted(value, instant)
 
     def _resampled(self, value: float, instant: int) -> None:
-        """Steps on the even grid that begins with the first sample; between two samples on the line through them."""
+        """Step on the even grid that begins with the first sample; interpolate linearly between two samples."""
         old, before = self._before
         self._before = value, instant
         at, snap = self._grid_next, self._snap
@@ -248,6 +248,6 @@ class Filtered(Running):
                 self._accepted(old + slope * (at - before), at)
 
     def _grid_on(self) -> None:
-        """The next instant of the grid, counted from its beginning, so that rounding does not add up."""
+        """Move to the next instant of the grid, counted from its beginning, so that rounding does not add up."""
         self._grid_place += 1
         self._grid_next = self._grid_from + round(self._grid_place * self._period)

@@ -164,7 +164,7 @@ class State(TimeSeries):
     # ---- samples come in ------------------------------------------------------------------------------------------
 
     def push(self, value: Any, instant: int) -> None:
-        """A sample, measured at `instant` (ns of `clock`)."""
+        """Add a sample, measured at `instant` (ns of `clock`)."""
         if instant <= self._newest_at:
             self._push_again(value, instant)
             return
@@ -204,7 +204,7 @@ class State(TimeSeries):
             listener(UNKNOWN, instant)
 
     def _push_again(self, value: Any, instant: int) -> None:
-        """A sample that is not newer than the newest."""
+        """Handle a sample that is not newer than the newest."""
         if instant < self._newest_at or self._count == self._begin:
             self._late += 1
             return
@@ -238,7 +238,7 @@ class State(TimeSeries):
 
     @property
     def counts(self) -> SampleCounts:
-        """What became of the samples so far."""
+        """Numbers of samples so far by their outcome."""
         return SampleCounts(
             self._count, self._repeated, self._late, self._unknown, self._uneven, self._restarts, self._failed
         )
@@ -267,7 +267,7 @@ class State(TimeSeries):
         self._was_given(value, self._now())
 
     def _was_given(self, value: float, instant: int) -> None:
-        """A set-point has left."""
+        """Note a set-point that was sent."""
         if self._target is not None:
             self._target.push(value, instant)
         if not self.is_sampled:
@@ -436,14 +436,14 @@ class State(TimeSeries):
 
     @property
     def is_stale(self) -> bool:
-        """Whether the newest sample is older than `stale_after_s`, or there is none."""
+        """True if the newest sample is older than `stale_after_s`, or there is none."""
         if self._newest_at == _NEVER:
             return True
         return self._stale_after is not None and self._now() - self._newest_at > self._stale_after
 
     @property
     def epoch(self) -> int:
-        """How often it was cleared."""
+        """Number of times that the state was cleared."""
         return self._epoch
 
     @property

@@ -93,7 +93,7 @@ class Bench:
 
     @cached_property
     def share(self) -> float:
-        """How long the usual packet of this wire is beside one of `USUAL` bytes; 1 at most."""
+        """Length of the usual packet of this wire in units of `USUAL` bytes; 1 at most."""
         if self.is_can:
             return 1.0
         dice = Dice(0)
@@ -106,7 +106,7 @@ class Bench:
 
     @cached_property
     def has_transports(self) -> bool:
-        """Whether some messages are carried in several frames."""
+        """True if some messages are carried in several frames."""
         return any(m.transport is not None for _, m in cast(self.wire, self.direction).messages)
 
     @cached_property

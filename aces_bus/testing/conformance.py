@@ -93,7 +93,7 @@ def finish(started: Any, seconds: float = 120.0) -> None:
 
 
 def check_declared(stand: TestBench) -> None:
-    """The driver says what it is and where its facts come from; its signals and actions have names and docs."""
+    """Check that the driver says its kind and its sources; that its signals and actions have names and docs."""
     driver = stand.driver
     assert driver.doc, f"{driver.name} has no doc"
     assert driver.source, f"{driver.name} has no source"
@@ -232,7 +232,7 @@ def _near(one: Signal, start: float) -> float:
 
 
 def check_limits(stand: TestBench) -> None:
-    """A set-point beyond a limit is limited, reported by name, and never exceeded."""
+    """Check that a set-point beyond a limit is limited, reported by name, and never exceeded."""
     with stand.made() as robot:
         units = {signal.unit for device, _ in stand.mine(robot) for signal in _limited(stand, device)}
     for unit in sorted(
@@ -274,7 +274,7 @@ def _go_beyond(robot: VirtualRobot, device: Device, signals: Sequence[Signal]) -
 
 
 def check_silence(stand: TestBench) -> None:
-    """A device that says nothing is reported by name, its values go stale, the others stay fresh; it comes back."""
+    """Check that a silent device is reported by name and goes stale, that others stay fresh, and that it comes back."""
     with stand.made() as robot:
         _settle(robot, stand)
         for device, twin in stand.mine(robot):
@@ -339,7 +339,7 @@ def check_misbehaviour(stand: TestBench) -> None:
 
 
 def _reported(robot: VirtualRobot, kinds: Sequence[str]) -> set[str]:
-    """What is reported until it is one of these kinds, at most for `SETTLE_S`."""
+    """Return the kinds of events until one of `kinds` has occurred, at most for `SETTLE_S`."""
     before = dict(robot.events.counts)
     _until(robot, lambda: not _kinds_since(robot, before).isdisjoint(kinds))
     return _kinds_since(robot, before)
@@ -380,7 +380,7 @@ def _recover(robot: VirtualRobot, device: Device) -> None:
 
 
 def check_two_of_one(stand: TestBench) -> None:
-    """A second device with the same number is noticed, and survived."""
+    """Check that a second device with the same number is noticed, and survived."""
     with stand.made() as robot:
         _settle(robot, stand)
         if not any(device.polls for device, _ in stand.mine(robot)):
@@ -407,7 +407,7 @@ def check_two_of_one(stand: TestBench) -> None:
 
 
 def check_reboot(stand: TestBench) -> None:
-    """A device that was off and on again answers again, and does not move by itself."""
+    """Check that a device that was off and on answers again, and does not move by itself."""
     with stand.made() as robot:
         robot.advance(1.0)
         enable(robot)
@@ -447,7 +447,7 @@ def check_actions(stand: TestBench) -> None:
 
 
 def check_actions_of_the_absent(stand: TestBench) -> None:
-    """An action of a device that is not there fails with a `DeviceError`, and does not hang."""
+    """Check that an action of an absent device fails with a `DeviceError`, and does not hang."""
     with stand.made() as robot:
         for twin in robot.twins.values():
             twin.power(False)
@@ -492,7 +492,7 @@ def check_noise(stand: TestBench) -> None:
 
 
 def check_same_again(stand: TestBench) -> None:
-    """The same seed gives the same packets at the same instants."""
+    """Check that the same seed gives the same packets at the same instants."""
     assert _trace(stand) == _trace(stand)
 
 
@@ -521,7 +521,7 @@ def _trace(stand: TestBench) -> str:
 
 
 def check_scan(stand: TestBench) -> None:
-    """Scanning the bus finds the devices that are there, by their numbers, and nothing else."""
+    """Check that scanning the bus finds the devices that are there, by their numbers, and no others."""
     scan = stand.driver.scan
     if scan is None:
         return

@@ -124,7 +124,7 @@ def _image(message: Message, sent: Sequence[Any]) -> bytes:
 
 
 def _misnamed(error: AcesError, message: Message, refusal: str, change: Change | None) -> str:
-    """What a refusal does not say, and should."""
+    """Return what a refusal should say and does not."""
     text = str(error)
     if isinstance(error, UnknownNameError) != (refusal == NO_FIELD):
         return f"refused as {type(error).__name__}: {text}"

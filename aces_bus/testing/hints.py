@@ -55,7 +55,7 @@ def hints(message: Message) -> Hints:
 
 
 def parts_of(con: Any) -> Iterator[tuple[str, Any]]:
-    """The constructs directly inside one, of whatever kind it is, and the name of each; "" where it has none."""
+    """Yield the constructs directly inside a construct, each with its name; "" for a construct without a name."""
     if isinstance(con, BitLayout):
         yield from ((slot.name, slot.field) for slot in con.slots)
         return

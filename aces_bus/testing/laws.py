@@ -297,7 +297,11 @@ def _no_frame_overlooked(trial: Trial) -> None:
 
 
 def _no_packet_overlooked(trial: Trial) -> None:
-    """Where all frames of a packet follow one another, with none of another packet of its session between, it is found.
+    """Check that a packet is found if its frames follow one another without a frame of another packet of its
+    session.
+
+    The frames are those that its transport makes of the drawn packet. A packet that is also a message which
+    overrides its own is found as that one.
 
     Looked for by the frames that its transport makes of what was drawn. Where it is also a message that overrides its own,
     it is found as that one.
@@ -479,7 +483,7 @@ def calm(trial: Trial) -> None:
 
 
 def _provoke(scanner: Any, scene: Scene) -> None:
-    """What a caller may also do: send nonsense, fall silent twice, go on after the end."""
+    """Do what a caller may also do: feed nonsense, fall silent twice, go on after the end."""
     traffic = scene.traffic
     if isinstance(scanner, CanScanner):
         for frame in traffic:

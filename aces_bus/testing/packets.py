@@ -41,7 +41,7 @@ class DrawnPacket:
 
     @property
     def as_sent(self) -> list[Any]:
-        """What a scanner is fed: frames (CAN; several where a transport carries it), or the packet's bytes."""
+        """Packet as a scanner is fed: frames (CAN; several where a transport carries it), or bytes."""
         return [self.image] if self.message.framing is not None else self.carried()
 
     def carried(self, sequence: int = 0, **more: Any) -> list[Frame]:

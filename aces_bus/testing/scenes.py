@@ -415,7 +415,7 @@ def _foreign(source: ChoiceSource, about: dict[str, Any]) -> Frame:
 
 
 def draw_scene(wire: Wire, direction: Way, source: ChoiceSource, *, size: int = 400) -> Scene:
-    """A scene of whatever link the wire is; `size` in bytes, or in frames of 16 bytes."""
+    """Draw a scene for the link of the wire; `size` in bytes, or in frames of 16 bytes."""
     if wire_variants(wire)[0].link == "can":
         return draw_frames(wire, direction, source, size=max(1, size // 16))
     # Long chunks take another path through the scanner: some scenes must be longer than that.

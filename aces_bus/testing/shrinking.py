@@ -86,7 +86,7 @@ class _Best:
 
 
 def _weight(scene: Scene, cuts: Cuts) -> tuple[int, ...]:
-    """What is smaller is better: frames or bytes, events, cuts, then values."""
+    """Return the weight of a scene; smaller is better: frames or bytes, events, cuts, then values."""
     events = len(scene.idle_at) + sum(1 + len(packet_bytes(packet)) for _, packet in scene.sent_at)
     packets = sum(1 + len(p.image) for p in scene.packets)
     if isinstance(scene.traffic, bytes):
@@ -189,14 +189,14 @@ def _of_bytes(bench: Bench, best: _Best) -> None:
 
 
 def _lowered(data: bytes, at: int) -> list[bytes]:
-    """Data with a smaller byte at a place."""
+    """Return data with a smaller byte at a place."""
     return [
         data[:at] + bytes([value]) + data[at + 1 :] for value in (0, 1, data[at] >> 1) if value < data[at]
     ]
 
 
 def _zeroed(best: _Best) -> None:
-    """Runs of zeros, ever shorter ones: what must be long may still say little."""
+    """Replace runs of bytes by zeros, ever shorter runs: data that must be long may still say little."""
     size = len(best.scene) // 2
     while size > 1 and best.calls.are_left:
         for start in range(0, len(best.scene), size):
@@ -227,7 +227,7 @@ def _replaced(best: _Best, start: int, size: int, smaller: bytes) -> bool:
 
 
 def _events_repacked(bench: Bench, best: _Best) -> None:
-    """What we sent, with less in it."""
+    """Replace packets that we sent by smaller ones."""
     for index in range(len(best.scene.sent_at)):
         while any(
             best.offer(_with_sent(best.scene, index, smaller))

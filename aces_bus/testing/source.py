@@ -34,7 +34,7 @@ class ChoiceSource(Protocol):
 
     @property
     def is_dry(self) -> bool:
-        """Whether only the simplest choices are left."""
+        """True if only the simplest choices are left."""
         ...
 
     def branch(self) -> ChoiceSource:

@@ -130,7 +130,7 @@ def items_by(reference: Reference, scene: Scene) -> list[ScannedItem]:
 
 
 def join_losses(items: Iterable[ScannedItem]) -> list[ScannedItem]:
-    """Runs of lost bytes with one reason, as one each: where a run is cut means nothing."""
+    """Join runs of lost bytes that have one reason: where a run is cut means nothing."""
     out: list[ScannedItem] = []
     for item in items:
         last = out[-1] if out else None
@@ -169,7 +169,7 @@ def comparable(value: Any) -> Any:
 
 
 def plain_counts(counts: ScanCounts) -> dict[str, Any]:
-    """Counts as plain values."""
+    """Return counts as plain values."""
     bins = (
         "total",
         "decoded",
@@ -262,7 +262,7 @@ class Trial:
 
     @property
     def given(self) -> list[Any]:
-        """What a scanner gives of the whole scene: raw records and all losses."""
+        """Items that a scanner gives for the whole scene: raw records and all losses."""
         return self._whole[0]
 
     @property
@@ -277,19 +277,19 @@ class Trial:
 
     @cached_property
     def cut_up(self) -> tuple[list[Any], dict[str, Any], int]:
-        """What the scanner gives of the scene in pieces, its counts, and by how much they do not balance."""
+        """Items that the scanner gives for the scene in pieces, its counts, and their imbalance."""
         scanner = self.bench.scanner()
         given = play(scanner, self.scene, self.cuts)
         return given, plain_counts(scanner.counts), scanner.counts.balance
 
     @cached_property
     def physical(self) -> list[ScannedItem]:
-        """What a scanner for physical values gives of the whole scene."""
+        """Items that a scanner for physical values gives for the whole scene."""
         return as_items(play(self.bench.scanner(raw=False), self.scene), self.bench.is_can)
 
     @cached_property
     def expected(self) -> list[ScannedItem]:
-        """What the reference says of it."""
+        """Items that the reference gives for the whole scene."""
         return items_by(self.bench.reference(), self.scene)
 
     def accepted(self) -> Iterator[tuple[Message, bytes, dict[str, Any]]]:

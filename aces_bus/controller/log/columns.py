@@ -76,7 +76,7 @@ def parse_column(text: str) -> LogColumn:
 
 
 def check_log_columns(where: str, names: Iterable[str]) -> None:
-    """Raises `CallerError` for none, too many, or two of one name."""
+    """Raise `CallerError` for no columns, too many, or two of one name."""
     listed = list(names)
     if not listed:
         raise CallerError(f"{where}: a log needs at least one state")

@@ -230,7 +230,7 @@ class Logger:
     # ------------------------------------------------------------------ writing
 
     def _write_on(self) -> None:
-        """The writer's thread."""
+        """Write samples until stopped: the body of the writer's thread."""
         while not self._stopping.wait(KEPT_S):
             self._write()
             clock, sink = self._clock, self._sink

@@ -87,7 +87,7 @@ class BusClient:
 
     @property
     def is_off(self) -> bool:
-        """Whether its errors have taken it off the bus."""
+        """True if errors have taken the client off the bus."""
         return self.node is not None and self.node.state == "bus-off"
 
     def status(self) -> dict[str, Any]:
@@ -288,12 +288,12 @@ class ServerLink:
 
     @property
     def name(self) -> str:
-        """What it is called in lists."""
+        """Name of the link in lists."""
         return f"{self.kind} {self.peer}".strip()
 
     @property
     def wants_input(self) -> bool:
-        """Whether to read from it now."""
+        """True if the link is to be read now."""
         return True
 
     def readable(self) -> None:
@@ -448,7 +448,7 @@ class PacketLink(ServerLink):
             pass
 
     def happened(self, event: SimulatedBusEvent) -> None:
-        """What became of its frames, and its node's state."""
+        """Tell the client the fate of its frames, and the state of its node."""
         if event.kind == "sent":
             self._taken += 1
             if self._taken - self._reported_taken >= _REPORT_EVERY:

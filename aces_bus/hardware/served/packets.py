@@ -188,7 +188,7 @@ def record_to_frame(
 
 
 def packed(many: Iterable[bytes]) -> Iterator[bytes]:
-    """Records as packets; records of one size that follow each other share one, as far as they fit."""
+    """Yield records as packets; consecutive records of one size share a packet, as far as they fit."""
     run: list[bytes] = []
     size = total = 0
     for one in many:

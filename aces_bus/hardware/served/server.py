@@ -263,7 +263,7 @@ class BusServer:
         link.stream.close()
 
     def blocked(self, link: ServerLink) -> None:
-        """A link's socket is full, or not any more."""
+        """Note that a link's socket is full, or not any more."""
         if link.is_blocked:
             self._blocked[link.fd] = link
         else:

@@ -191,7 +191,7 @@ def _stamp(time_ns: int) -> str:
 
 
 def _identifier(word: str) -> tuple[int, bool]:
-    """(identifier, whether it is extended): by the number of digits."""
+    """Return (identifier, whether it is extended): by the number of digits."""
     number = int(word, 16)
     is_extended = len(word) == 8
     if not 0 <= number <= (0x1FFF_FFFF if is_extended else 0x7FF):

@@ -150,7 +150,7 @@ class BusNode:
 
     @property
     def listen_only(self) -> bool:
-        """Whether it never sends, not even an acknowledgement."""
+        """True if the node never sends, not even an acknowledgement."""
         return self._listen_only
 
     @listen_only.setter
@@ -160,7 +160,7 @@ class BusNode:
 
     @property
     def pending(self) -> int:
-        """How many frames are not sent yet, the one on the wire included."""
+        """Number of frames that are not sent yet, with the one on the wire."""
         return len(self.waiting) + (self.sending is not None)
 
     def send(self, frame: Frame, report: Callable[[str, str], object] | None = None, age_ns: int = 0) -> bool:
@@ -189,7 +189,7 @@ class BusNode:
         return True
 
     def _expire(self, number: int) -> None:
-        """A frame is too old: it leaves its mailbox, unless it is on the wire."""
+        """Drop a frame that is too old from its mailbox, unless it is on the wire."""
         if number in self.reports:
             left = [entry for entry in self.waiting if entry[1] != number]
             if len(left) < len(self.waiting):
@@ -199,7 +199,7 @@ class BusNode:
 
     @property
     def is_connected(self) -> bool:
-        """Whether its plug is in; without it nothing arrives and nothing leaves: what waits goes on waiting."""
+        """True if the node is plugged in; otherwise nothing arrives or leaves, and waiting frames go on waiting."""
         return self._is_connected
 
     @is_connected.setter
@@ -210,7 +210,7 @@ class BusNode:
             self.wire.wake()
 
     def report_sent(self) -> None:
-        """The frame on the wire has left."""
+        """Report the frame on the wire as sent."""
         if self.sending is not None:
             report = self.reports.pop(self.sending[1], None)
             if report is not None:
@@ -352,7 +352,7 @@ class SimulatedBus:
         self.changed()
 
     def changed(self) -> None:
-        """A node came, went, was plugged in or out, or is bus-off or no more."""
+        """Look at all nodes anew: one came, went, was plugged in or out, or changed its bus-off state."""
         self._present = None
 
     def _look(self) -> tuple[BusNode, ...]:
@@ -365,7 +365,7 @@ class SimulatedBus:
     # ------------------------------------------------------------------ the bus
 
     def wake(self) -> None:
-        """A node has something to send."""
+        """Wake the bus: a node has a frame to send."""
         if not self._is_busy and not self._is_woken:
             self._is_woken = True
             self.clock.post(self._idle_from, self._woke)  # or now, if that has passed
@@ -376,7 +376,7 @@ class SimulatedBus:
             self._carry()
 
     def _carry(self) -> None:
-        """The frame on the wire ends, or the bus is idle: go from frame to frame, as far as nothing else comes between."""
+        """End the frame on the wire and begin the next, from frame to frame until another event is due."""
         clock = self.clock
         now = clock.now()
         while True:
@@ -399,7 +399,8 @@ class SimulatedBus:
                 return
 
     def _arbitrate(self, now: int) -> bool:
-        """The lowest arbitration field goes first, on the wire from now on.
+        """Begin to send the frame with the lowest arbitration field; return False if there is none, or it
+        ends in an error frame.
 
         False: nobody sends, or it ends in an error frame.
         """
@@ -465,7 +466,7 @@ class SimulatedBus:
         return bits.duration_ns(self.bitrate, self.data_bitrate)
 
     def _deliver(self, now: int) -> None:
-        """The last bit of a good frame."""
+        """Deliver a good frame at its last bit."""
         senders, frame, load = self._senders, self._frame, self.load
         assert frame is not None
         self._frame = None
@@ -512,7 +513,7 @@ class SimulatedBus:
             self.clock.call_in(delay, lambda: received(frame, self.clock.now()))
 
     def _destroy(self, senders: list[BusNode], frame: Frame, kind: str, place: int) -> None:
-        """A frame that ends in an error frame behind its bit `place` (negative: counted from its end)."""
+        """End a frame in an error frame behind its bit `place` (negative: counted from its end)."""
         bits = frame_bits(frame)
         place = min(place, bits.total - 1) if place >= 0 else bits.total + place
         part = FrameBits(min(place, bits.nominal), max(0, min(place - bits.nominal, bits.data)))

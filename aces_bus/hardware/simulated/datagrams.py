@@ -46,7 +46,7 @@ class SimulatedDatagrams:
         return node
 
     def carry(self, sender: DatagramNode, data: bytes) -> None:
-        """A datagram goes out to all but its sender."""
+        """Carry a datagram to all nodes but its sender."""
         self.sent += 1
         if self.drop and self._random.random() < self.drop:
             self.lost += 1

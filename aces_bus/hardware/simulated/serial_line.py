@@ -68,7 +68,7 @@ class SerialNode:
 
     @property
     def is_connected(self) -> bool:
-        """Whether it is plugged in: what it sends meanwhile is lost, and it hears nothing."""
+        """True if the node is plugged in; otherwise bytes that it sends are lost, and it receives none."""
         return self._is_connected
 
     @is_connected.setter
@@ -94,7 +94,7 @@ class SerialNode:
 
     @property
     def pending(self) -> int:
-        """How many bytes have not left yet."""
+        """Number of bytes that have not left yet."""
         left = self.free_at - self.wire.clock.now()
         return 0 if left <= 0 else -(-left // self.wire.byte_ns)
 
@@ -184,7 +184,7 @@ class SimulatedSerialLine:
 
     @property
     def noise(self) -> Noise | None:
-        """What hits bytes from now on; one that is given draws anew from its seed."""
+        """Noise on bytes from now on; setting it draws anew from its seed."""
         return self._noise
 
     @noise.setter

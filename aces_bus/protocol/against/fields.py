@@ -105,7 +105,7 @@ class FieldWatch:
     def take(
         self, column: Column, table: MessageTable, devices: Array, locate: Locate, shared: _Followed
     ) -> None:
-        """The values of a piece of the recording; `shared` is for columns that are there in every row."""
+        """Take a field's values of a piece of the recording; `shared` is for columns that every row has."""
         values, rows = column.values, None
         if column.absent is not None:
             rows = np.flatnonzero(~column.absent)
@@ -166,7 +166,7 @@ class FieldWatch:
 
     @property
     def never_changes(self) -> bool:
-        """Whether there were enough messages, and all had the same value."""
+        """True if there were enough messages, and all had one value."""
         return self.total >= ENOUGH and not self._changes
 
     @property
@@ -218,7 +218,7 @@ class FieldWatch:
 
     @property
     def counts_up(self) -> bool:
-        """Whether it is a counter that the spec does not name."""
+        """True if the field is a counter that the spec does not name."""
         node = self.leaf.node
         return (
             isinstance(self.steps, IntegerSteps)
@@ -302,7 +302,7 @@ class MessageWatch:
         self._devices: dict[tuple[Any, ...], int] = {}
 
     def take(self, table: MessageTable, locate: Locate) -> None:
-        """The messages of a piece of the recording."""
+        """Take the messages of a piece of the recording."""
         if self.first is None:
             self.first = locate(table, 0)
         self.total += len(table)

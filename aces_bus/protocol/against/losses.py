@@ -197,7 +197,7 @@ def _differences(group: LostGroup, messages: Iterable[Message]) -> Iterator[str]
 def _of_undeclared(
     groups: list[LostGroup], never: Sequence[Message], place: SourceLine
 ) -> Iterator[Observation]:
-    """Identifiers that no message has: the most frequent ones, then how many more."""
+    """Yield identifiers that no message has: the most frequent ones, then the number of others."""
     groups.sort(key=lambda group: (-group.count, group.key))
     for group in groups[:LISTED]:
         near = _near(never, group)

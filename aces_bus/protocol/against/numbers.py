@@ -213,7 +213,7 @@ class IntegerSteps:
 
     @property
     def counts_up(self) -> bool:
-        """Whether almost every message has the next number, and there were enough of them to be no chance."""
+        """True if almost every message has the next number, and enough messages were seen to rule out chance."""
         return self._steps >= STEPS and self._rises >= 0.95 * self._steps
 
     def suspicion(self) -> Suspicion | None:

@@ -111,7 +111,7 @@ class RecordingCheck:
             self._skipped += counts.skipped + counts.pending
 
     def _begin(self, instants: Sequence[int]) -> None:
-        """The first instant of a recording is what others are counted from."""
+        """Set the start of the recording, from which instants are counted."""
         if self._start is None and instants:
             self._start = instants[0]
 

@@ -113,7 +113,7 @@ class CanColumns:
 
     @property
     def counts(self) -> ScanCounts:
-        """Where every frame went so far."""
+        """Number of frames so far by their outcome."""
         live = self._scanner.counts
         own = self._counts
         both = sum_counts((own, live))
@@ -395,7 +395,7 @@ class CanColumns:
     # ------------------------------------------------------------------ rolling counters
 
     def _count_missed(self, candidate: MessageCandidate, table: MessageTable, rows: PacketRows) -> None:
-        """What the rolling counters of a message say was missed, by channel and key."""
+        """Count the messages that rolling counters show as missed, by channel and key."""
         message = candidate.message
         raw = candidate.decoder if self.raw else RowDecoder(candidate.decoder.plan, raw=True, message=message)
         kinds = {kind.name: kind for kind in raw.kinds}
@@ -410,7 +410,7 @@ class CanColumns:
                 self._go_on(place, int(mine[0]), int(mine[-1]), modulo)
 
     def _go_on(self, place: _Who, first: int, last: int, modulo: int) -> None:
-        """A counter goes on from what was last seen of it."""
+        """Continue a counter from its last known value."""
         known = self._counters.get(place)
         if known is not None:
             self._counts.missed += (first - known[1] - 1) % modulo

@@ -319,11 +319,11 @@ class _Rows:
 
     @cached_property
     def is_even(self) -> bool:
-        """Whether all frames have one length."""
+        """True if all frames have one length."""
         return self.shortest == (int(self.length.max()) if len(self.length) else 0)
 
     def at(self, places: Array) -> _Rows:
-        """Some of all rows."""
+        """Return some of the rows."""
         some = _Rows(self._data, self.length.take(places), self._address, places)
         some._cells = {byte: cell.take(places) for byte, cell in self._cells.items()}
         return some

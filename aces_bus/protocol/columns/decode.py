@@ -156,7 +156,7 @@ def feed(scanner: ColumnScanner, traffic: Any, time: float | None) -> list[Messa
 
 
 def capture_pieces(capture: Any, variant: Variant) -> Iterator[tuple[Any, Way | None, float | None]]:
-    """(what to feed, its direction, its time) of anything that may be decoded; raises `CallerError` for what may not."""
+    """Yield (data to feed, direction, time) of a capture; raises `CallerError` for a capture of another link."""
     is_can = variant.link == "can"
     link = getattr(capture, "link", None)
     if isinstance(link, str) and (link == "can") is not is_can:

@@ -38,7 +38,7 @@ class GroupedFrames:
 
     @cached_property
     def length(self) -> Array:
-        """How many bytes each has, uint8 (n,)."""
+        """Length of each frame in bytes, uint8 (n,)."""
         length = self.table.length
         if (length == length[0]).all():
             return np.full(len(self), length[0], length.dtype)
@@ -59,7 +59,7 @@ class GroupedFrames:
         return bare_keys(self.table).take(self.order.take(which))
 
     def take(self, which: Array) -> GroupedFrames:
-        """Some of them, in rising order."""
+        """Return some of the frames, in rising order."""
         return GroupedFrames(self.table, self.order[which], self.session[which])
 
 

@@ -37,7 +37,7 @@ class KeyNumbers:
 
     @property
     def room(self) -> int:
-        """What all `places` are below."""
+        """Bound of `places`: all are below."""
         return len(self._there) if self._is_scattered else len(self.known)
 
     def by_place(self, values: Array) -> Array:

@@ -55,7 +55,7 @@ class Batch:
         return len(self.starts)
 
     def packets(self, which: Array) -> Iterator[tuple[int, bytes, int, float | None]]:
-        """(number, bytes, offset in the stream, seconds) of each of these packets."""
+        """Yield (number, bytes, offset in the stream, seconds) of each of these packets."""
         buffer, first = self.buffer, self.times[0]
         starts, sizes = self.starts[which].tolist(), self.sizes[which].tolist()
         whens = self.when[which].tolist() if self.when is not None else None
@@ -72,7 +72,7 @@ class Batch:
         return found
 
     def rows(self, which: Array, least: int) -> list[tuple[Array, PacketRows]]:
-        """These packets as rows of at least `least` bytes: (numbers of the packets, rows) of each width."""
+        """Return these packets as rows of at least `least` bytes: (numbers of the packets, rows) of each width."""
         if not len(which):
             return []
         sizes = self.sizes[which] if len(which) < len(self) else self.sizes

@@ -319,7 +319,7 @@ class _Piece:
         return np.sort(np.concatenate([under_way, self._faulty(runs, parts.tied)]))
 
     def _faulty(self, runs: Runs, tied: Sequence[Array]) -> Array:
-        """Runs that are no whole packet: frames are lost, or under way where the session has nothing behind them."""
+        """Collect runs that are not a whole packet: frames are lost, or under way at the end of their session."""
         bad = np.flatnonzero(~(runs.good | runs.under_way))
         listed: list[tuple[Sequence[int], int | None]] = [(places.tolist(), None) for places in tied]
         headless: list[Array] = []
@@ -340,7 +340,7 @@ class _Piece:
         return self._by_rule(listed, np.unique(np.concatenate(needed)))
 
     def _gather(self, parts: FrameParts, packets: AlikePackets) -> None:
-        """The bytes of packets that are alike."""
+        """Gather the bytes of packets that are alike."""
         starts, count, size, keys = packets.starts, packets.count, packets.size, packets.keys
         frames = parts.frames
         width = frames.data.shape[1]

@@ -82,7 +82,7 @@ class PacketRows:
         return PacketRows(wide, self.lengths, self.keys)
 
     def take(self, which: Any) -> PacketRows:
-        """Some of the rows."""
+        """Return some of the rows."""
         return PacketRows(self.data[which], self.lengths[which], self.keys[which])
 
 

@@ -42,7 +42,7 @@ class AlikePackets:
     places: Array | None = None
 
     def take(self, which: Array, head: int) -> AlikePackets:
-        """Some of them, which are of one kind."""
+        """Return some of the packets, which are of one kind."""
         starts, keys, size, first, last = (
             column[which] for column in (self.starts, self.keys, self.size, self.first, self.last)
         )
@@ -94,12 +94,12 @@ class Runs:
 
     @cached_property
     def is_last(self) -> Array:
-        """Whether nothing of a run's session follows it."""
+        """True for each run that is the last of its session."""
         found: Array = self._is_new[self.starts + self.sizes]
         return found
 
     def frames_of(self, which: Array) -> Array:
-        """The places of all frames of some runs, one run behind the other."""
+        """Return the places of all frames of some runs, one run behind the other."""
         sizes = self.sizes[which]
         found: Array = self.order[_ranges(self.starts[which], sizes)]
         return found
@@ -219,7 +219,7 @@ class Runs:
         return found
 
     def _put_together(self, runs: Array, size: Array, is_due: Array) -> None:
-        """Runs that are whole and alike as packets; where frames are not in their places, these are looked for."""
+        """Note whole runs of one shape as packets; look for the places of frames that are out of order."""
         count, places = int(self.sizes[runs[0]]), None
         last = self.order.take(self.starts.take(runs) + (count - 1))
         if (last[1:] < last[:-1]).any():
@@ -272,7 +272,7 @@ class Runs:
 
     @cached_property
     def _is_in_time_order(self) -> bool:
-        """Whether all frames have an instant, none an earlier one than the frame before it."""
+        """True if all frames have an instant, and none is earlier than the frame before."""
         time = self.time
         return bool((time[1:] >= time[:-1]).all()) and int(time[0]) != NO_TIME
 

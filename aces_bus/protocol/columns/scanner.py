@@ -38,12 +38,12 @@ class ColumnScanner(Protocol):
         ...
 
     def close(self) -> list[MessageTable]:
-        """The capture has ended."""
+        """End the capture; return the last tables."""
         ...
 
     @property
     def counts(self) -> ScanCounts:
-        """Where every byte or frame went so far."""
+        """Number of bytes or frames so far by their outcome."""
         ...
 
 
@@ -99,7 +99,7 @@ class RecordColumns:
 
     @property
     def counts(self) -> ScanCounts:
-        """Where every byte or frame went so far."""
+        """Number of bytes or frames so far by their outcome."""
         return self.scanner.counts
 
     def feed(self, traffic: Any, /) -> list[MessageTable]:
@@ -111,7 +111,7 @@ class RecordColumns:
         return self.tables(self.scanner.feed(traffic), None)
 
     def close(self) -> list[MessageTable]:
-        """The capture has ended."""
+        """End the capture; return the last tables."""
         scanner: Any = self.scanner
         if getattr(scanner, "has_transports", False):
             items, origins = scanner.close_numbered()
@@ -130,7 +130,7 @@ class RecordColumns:
         return [_timed(one, table, rows) for one in self.tables(items, np.array(origins, np.int64))]
 
     def tables(self, items: Sequence[Any], rows: Array | None) -> list[MessageTable]:
-        """Records and `Unknown`s as tables; `rows` are their numbers, None for a stream's (their offsets)."""
+        """Return records and `Unknown`s as tables; `rows` are their numbers, None for a stream's (their offsets)."""
         by_kind: dict[Any, list[int]] = {}
         for index, item in enumerate(items):
             by_kind.setdefault(type(item), []).append(index)

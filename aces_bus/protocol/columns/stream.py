@@ -71,7 +71,7 @@ class StreamColumns:
 
     @property
     def counts(self) -> ScanCounts:
-        """Where every byte went so far; what is gathered is pending."""
+        """Number of bytes so far by their outcome; gathered bytes are pending."""
         return self.scanner.counts
 
     # ------------------------------------------------------------------ feeding
@@ -124,12 +124,12 @@ class StreamColumns:
         return _merged(tables)
 
     def idle(self, time: float | None = None) -> list[MessageTable]:
-        """The line is silent: what is incomplete never will be. See `StreamScanner.idle`."""
+        """Give up an incomplete packet: the line is silent. See `StreamScanner.idle`."""
         tables = self.flush()
         return _merged([*tables, *self._records.tables(self.scanner.idle(time), None)])
 
     def close(self) -> list[MessageTable]:
-        """The stream has ended."""
+        """End the stream; return the last tables."""
         tables = self.flush()
         return _merged([*tables, *self._records.tables(self.scanner.close(), None)])
 

@@ -41,7 +41,7 @@ class Decided:
 
     @property
     def ends(self) -> Array:
-        """Where the packets end."""
+        """Ends of the packets."""
         return self.starts + self.sizes
 
 
@@ -186,7 +186,7 @@ class LossRuns:
     def table(
         self, some: slice, base: int, buffer: bytes, time: float | None, channels: Channels
     ) -> MessageTable:
-        """Some of the runs as the table that `lost_table` makes."""
+        """Return some of the runs as the table that `lost_table` makes."""
         starts, sizes, numbers = self.starts[some], self.sizes[some], self.numbers[some]
 
         def raw() -> Array:
@@ -222,7 +222,7 @@ def totals_of(decided: Decided, unknown: Array, why: Sequence[str]) -> dict[str,
 
 
 def losses_of(decided: Decided, unknown: Array, why: Sequence[str]) -> LossRuns:
-    """The runs between the packets, and the packets `unknown` that are no message, with the reason of each."""
+    """Return the runs between the packets, and the packets `unknown` without a message, each with its reason."""
     ends = decided.ends
     gaps, behind = np.append(0, ends), np.append(decided.starts, decided.stop)
     some = np.flatnonzero(gaps < behind)

@@ -96,7 +96,7 @@ class Column:
 
 
 def object_array(values: Sequence[Any]) -> Array:
-    """An array of Python objects, whatever these are."""
+    """Return an array of Python objects of any type."""
     array = np.empty(len(values), object)
     array[:] = values
     return array
@@ -317,7 +317,7 @@ def packet_rows(buffer: bytes, starts: Array, sizes: Array, width: int) -> Array
 
 
 def take_rows(rows: Array, which: Array) -> Array:
-    """Some of the rows, copied as wholes."""
+    """Return some of the rows, copied as wholes."""
     width = rows.shape[1]
     found: Array = rows.view(f"V{width}").ravel()[which].view(np.uint8).reshape(-1, width)
     return found

@@ -39,7 +39,7 @@ def whole_bits(offset: int, size: int, order: str) -> tuple[int, ...]:
 
 
 def runs_of(positions: Sequence[int]) -> list[tuple[int, int, int]]:
-    """Runs of bits that go upward: (number of the lowest bit, its place in `positions`, width)."""
+    """Return runs of bits that go upward: (number of the lowest bit, its place in `positions`, width)."""
     runs: list[tuple[int, int, int]] = []
     for to, at in enumerate(positions):
         if runs and runs[-1][0] + runs[-1][2] == at:
@@ -90,7 +90,7 @@ class Bits(Construct):
 
     @property
     def is_split(self) -> bool:
-        """Whether it is in several places."""
+        """True if the bits are in several places."""
         return self.pieces is not None and len(self.pieces) > 1
 
     @property
@@ -308,7 +308,9 @@ class BitLayout(Construct):
     def _conditions(
         self, slot: LayoutSlot, muxes: Mapping[str, Multiplexed | None]
     ) -> dict[str, frozenset[int]]:
-        """What the selectors must have for a field to be there: its own, that one's own, and so on."""
+        """Return the selector values under which a field is present: of its own selector, of that one's own,
+        and so on.
+        """
         found: dict[str, frozenset[int]] = {}
         mux = slot.mux
         while mux is not None and mux.selector not in found:

@@ -163,7 +163,7 @@ class Check:
 
     @property
     def describe(self) -> str:
-        """What kind of check it is, for tables and pictures."""
+        """Kind of check, in words for tables and pictures."""
         raise NotImplementedError
 
 
@@ -400,7 +400,7 @@ class Sums:
         self._second: Any = []
 
     def fail(self, fresh: bytes, start: int) -> None:
-        """A direct check over the bytes `fresh`, which begin at `start`, has failed."""
+        """Note that a direct check over the bytes `fresh`, which begin at `start`, has failed."""
         self.work += len(fresh)
         self._start, self.end = start, start + len(fresh)
         self._first, self._second = [0], [0]

@@ -45,7 +45,7 @@ class ExampleFrame(msgspec.Struct, frozen=True):
 
     @property
     def image(self) -> bytes:
-        """What `message.struct` parses."""
+        """Bytes that `message.struct` parses."""
         from .packet import can_image
 
         if self.identifier is None:

@@ -285,7 +285,7 @@ class Quantity(Field):
 
 
 def exact_ratio(number: float, scale: float) -> float:
-    """number ÷ scale: an integer where both are and it goes without rest, so that 64 bits survive, else a float."""
+    """Return number ÷ scale: an integer where both are and divide evenly, so that 64 bits survive, else a float."""
     if isinstance(number, int) and isinstance(scale, int) and not number % scale:
         return number // scale
     return number / scale

@@ -145,7 +145,7 @@ class Affine(msgspec.Struct, frozen=True):
 
     @property
     def reach(self) -> int:
-        """How many bytes of a packet say its size, at most."""
+        """Number of bytes of a packet that say its size, at most."""
         return max(one.offset + one.size for one in (self.length, self.wide, self.flags) if one is not None)
 
     @property
@@ -502,7 +502,9 @@ class Framing:
 
     @property
     def is_enclosed(self) -> bool:
-        """Whether packets are stuffed as a whole and closed by the one byte that stuffing keeps out of them (SLIP, COBS)."""
+        """True if packets are stuffed as a whole and closed by the byte that stuffing keeps out of them
+        (SLIP, COBS).
+        """
         kind = type(self.stuffing)
         mark = b"\xc0" if kind is Slip else b"\0" if kind is Cobs else None
         return not self.sync and self.end == mark
@@ -538,7 +540,7 @@ class Framing:
 
     @property
     def describe(self) -> list[str]:
-        """Where its packets begin and end, in words for people."""
+        """Beginning and end of packets, in words for people."""
         parts = [f"begin with {self.sync.hex(' ').upper()}"] if self.sync else []
         parts += [f"{head.name} {describe_values(numbers)}" for head, numbers in self.match]
         if self.fixed_size is not None:

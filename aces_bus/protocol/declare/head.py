@@ -31,12 +31,12 @@ class Head(msgspec.Struct, frozen=True):
 
     @property
     def is_constant(self) -> bool:
-        """Whether the template fixes its value, so that records need not carry it."""
+        """True if the template fixes the value, so that records need not carry it."""
         return self.pattern is not None and not self.pattern.captures
 
     @property
     def is_own(self) -> bool:
-        """Whether the record shows the field under its own name (not only captures inside it)."""
+        """True if the record shows the field under its own name (not only captures inside it)."""
         return self.name is not None and (
             self.pattern is None or [c.name for c in self.pattern.captures] == [self.name]
         )
@@ -50,7 +50,7 @@ class Head(msgspec.Struct, frozen=True):
 
     @property
     def wanted(self) -> str:
-        """What the template wants of it, as the sheet would write it: `0x20 + channel`, `'GGA'`."""
+        """Required value, as a data sheet would write it: `0x20 + channel`, `'GGA'`."""
         assert self.pattern is not None
         if self.is_text and self.is_constant:
             data = self.bytes(self.pattern.constant)

@@ -95,7 +95,7 @@ class Items(c.Construct):
 
     @property
     def subcons(self) -> list[c.Construct]:
-        """What is inside: the constructs of the data."""
+        """Constructs of the data."""
         return list(self.data.values())
 
     def changed(self, change: Callable[[str, c.Construct], c.Construct]) -> Items:

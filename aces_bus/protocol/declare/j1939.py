@@ -147,7 +147,9 @@ class J1939Transport(Transport):
         return PAUSE_S
 
     def in_turn(self, key: int) -> int:
-        """A sender's data frames do not say which of its packets to the same address they are of, whatever the priority."""
+        """Return the key without priority: a sender's data frames do not say which packet to an address they
+        belong to.
+        """
         return key & ~(7 << 26)
 
     @property
@@ -170,7 +172,7 @@ class J1939Transport(Transport):
         return _back(key), bytes([END]) + data[1:4] + b"\xff" + data[5:8]
 
     def abort(self, key: int, data: bytes, why: GivenUp, *, by_sender: bool) -> tuple[int, bytes] | None:
-        """Connection abort, with the reason as a number."""
+        """Return a connection abort, with the reason as a number."""
         if not self._is_request(key, data):
             return None
         to = _back(_back(key)) if by_sender else _back(key)

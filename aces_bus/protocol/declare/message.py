@@ -424,7 +424,9 @@ class Message:
         return (self.fd, not self.fd) if self.any_format else (self.fd,)
 
     def where(self, **values: Any) -> Request:
-        """This message with these field values, for `reply_to` and `after`: numbers, sets of numbers or names."""
+        """Return a request for `reply_to` and `after`: this message with field values (numbers, sets of
+        numbers or names).
+        """
         found = []
         for name, value in values.items():
             if name not in self.fields and not any(h.name == name for h in self.heads_written):
@@ -454,7 +456,7 @@ class Message:
         return found
 
     def narrowed(self, allowed: Mapping[str, Collection[int]]) -> Message | None:
-        """This message with captures limited to `allowed`; None when nothing is left."""
+        """Return this message with captures limited to `allowed`; None when no value is left."""
         made = copy.copy(self)
         made.__dict__.pop("struct", None)
         for name, values in allowed.items():

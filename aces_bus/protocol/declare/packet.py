@@ -77,7 +77,7 @@ def key_image(key: int, data: bytes) -> bytes:
 
 
 def frame_image(frame: Any) -> bytes:
-    """The image of a frame, ours or python-can's."""
+    """Return the image of a frame, ours or python-can's."""
     return can_image(
         frame.arbitration_id,
         bytes(frame.data),

@@ -117,7 +117,7 @@ class Protocol:
 
     @property
     def has_fd(self) -> bool:
-        """Whether it has CAN FD frames: its bus is then opened for them."""
+        """True if the protocol has CAN FD frames: its bus is then opened for them."""
         return any(message.fd for message in self.messages.values())
 
     def message(
@@ -409,7 +409,9 @@ class Protocol:
         configuration: str | Configuration | None = None,
         **fields: Any,
     ) -> Any:
-        """A frame (a python-can message) or a packet (bytes) from field values in the sheet's units.
+        """Return a frame (a python-can message) or a packet (bytes) from field values in the sheet's units.
+
+        Raises `UnknownNameError` for names that do not exist and `FieldError` for values that do not fit.
 
         Raises `UnknownNameError` for names that do not exist and `FieldError` for values that do not fit.
         """

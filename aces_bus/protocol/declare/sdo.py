@@ -126,7 +126,7 @@ class SdoTransfer(Transport):
         return (key, key - way + other)
 
     def within(self, so_far: Sequence[FramePart], key: int, data: bytes) -> FramePart | None:
-        """What a frame is while a block transfer is under way, whose session is the key of the frames with the data."""
+        """Classify a frame during a block transfer, whose session is the key of the frames with the data."""
         session, command = so_far[0].session, data[0] >> 5 if data else 0
         if len(data) != _FRAME:
             return None
@@ -191,7 +191,7 @@ _NO_FIRST, _OVER = "malformed: no first frame", "control: block transfer over"
 
 
 def _taking(session: int, way: int, data: bytes) -> FramePart:
-    """What who takes a block transfer says of that session, where nothing of it is known."""
+    """Classify a frame of the receiver of a block transfer of which no earlier frame is known."""
     says = data[0] & 3
     if says == _END:
         return FramePart("control", reason=_OVER)

@@ -17,7 +17,7 @@ class Stuffing:
 
     @property
     def describe(self) -> str:
-        """What is done to packets, in words for people."""
+        """Kind of stuffing, in words for people."""
         return f"stuffed ({type(self).__name__})"
 
     def stuff(self, data: bytes) -> bytes:

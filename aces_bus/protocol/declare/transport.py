@@ -51,12 +51,12 @@ class FrameNumber(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def shift(self) -> int:
-        """How far the bits are above bit 0."""
+        """Position of the number's lowest bit."""
         return (self.mask & -self.mask).bit_length() - 1
 
     @property
     def width(self) -> int:
-        """How many bits the number has."""
+        """Width of the number in bits."""
         return (self.mask >> self.shift).bit_length()
 
     def of(self, data: bytes) -> int | None:
@@ -205,12 +205,12 @@ class Transport:
 
     @property
     def frame_size(self) -> int:
-        """How many bytes a full frame has."""
+        """Size of a full frame in bytes."""
         return 64 if self.fd else 8
 
     @property
     def longest(self) -> int:
-        """How many bytes a packet has at most, its address among them."""
+        """Largest size of a packet in bytes, with its address."""
         return self.max_size + self.address
 
     def gap_s(self, first: FramePart) -> float:
@@ -219,18 +219,18 @@ class Transport:
 
     @property
     def min_size(self) -> int:
-        """How many bytes a packet has at least, its address among them."""
+        """Smallest size of a packet in bytes, with its address."""
         least = [kind.least for kind in self.kinds if kind.role in ("single", "first")]
         return self.address + min(least, default=0)
 
     @property
     def overhead(self) -> int:
-        """How many bytes it adds to a packet of several frames (a check)."""
+        """Number of bytes that the transport adds to a packet of several frames (a check)."""
         return 0
 
     @property
     def added_check(self) -> AddedCheck | None:
-        """What `unwrapped` takes away, where it is a CRC and nothing else."""
+        """CRC that `unwrapped` removes; None where it removes anything else or nothing."""
         return None
 
     def carries(self, size: int) -> bool:
@@ -262,7 +262,11 @@ class Transport:
         return ()
 
     def within(self, so_far: Sequence[FramePart], key: int, data: bytes) -> FramePart | None:
-        """What a frame is while an acknowledged packet is open, whose frames are the parts `so_far`; None: what `part` says.
+        """Classify a frame while an acknowledged packet with the parts `so_far` is open; None leaves it to
+        `part`.
+
+        Of blocks before the last one parts may be left out. Of a lost session `so_far` is one part that is
+        *ready*.
 
         Of blocks before the last one parts may be left out. Of a lost session `so_far` is one part that is *ready*.
         """
@@ -270,12 +274,12 @@ class Transport:
 
     @cached_property
     def most_frames(self) -> int:
-        """How many frames an acknowledged packet has at most, acknowledgements and those that come again among them."""
+        """Largest number of frames of an acknowledged packet, with acknowledgements and repeated frames."""
         return 4 * (2 + -(-self.longest // max(1, self.room(self.frame_size))))
 
     @cached_property
     def has_conversations(self) -> bool:
-        """Whether it has acknowledged packets."""
+        """True if the transport has acknowledged packets."""
         return type(self).within is not Transport.within
 
     @cached_property
@@ -359,12 +363,12 @@ class Transport:
 
     @property
     def answer_times(self) -> AnswerTimes:
-        """How long both ends of a packet with a handshake wait for each other."""
+        """Times that both ends of a packet with a handshake wait for each other."""
         return AnswerTimes(*[self.timeout_s] * 4)
 
     @cached_property
     def has_handshake(self) -> bool:
-        """Whether it has packets whose senders wait for a go-ahead."""
+        """True if the transport has packets whose senders wait for a go-ahead."""
         return type(self).go_ahead is not Transport.go_ahead
 
     def pause_s(self, key: int) -> float:
@@ -374,7 +378,7 @@ class Transport:
         return 0.0
 
     def in_turn(self, key: int) -> int:
-        """What packets that must not be under way at once have in common, of the keys of their first frames."""
+        """Return the shared key of packets that must not be under way at once, from the key of a first frame."""
         return key
 
     def go_ahead(self, key: int, data: bytes, start: int = 1, frames: int = 0) -> tuple[int, bytes] | None:

@@ -53,7 +53,7 @@ class Canvas:
         weight: float = 1.0,
         round: float = 0,
     ) -> None:
-        """A rectangle; `line` "none" for one without a border."""
+        """Draw a rectangle; `line` "none" leaves the border out."""
         corner = f' rx="{round:g}"' if round else ""
         self._parts.append(
             f'<rect x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}"{corner}'
@@ -64,7 +64,7 @@ class Canvas:
     def line(
         self, x: float, y: float, to_x: float, to_y: float, colour: str = LINE, *, weight: float = 1.0
     ) -> None:
-        """A straight line."""
+        """Draw a straight line."""
         self._parts.append(
             f'<path d="M{x:g} {y:g}L{to_x:g} {to_y:g}" stroke="{colour}" stroke-width="{weight:g}" fill="none"/>'
         )
@@ -82,7 +82,7 @@ class Canvas:
         is_bold: bool = False,
         tip: str = "",
     ) -> None:
-        """A text whose base line begins, has its middle or ends (`anchor` "start", "middle", "end") at (x, y)."""
+        """Write a text whose base line begins, has its middle or ends (`anchor` "start", "middle", "end") at (x, y)."""
         bold = ' font-weight="bold"' if is_bold else ""
         title = f"<title>{_clean(tip)}</title>" if tip else ""
         self._parts.append(

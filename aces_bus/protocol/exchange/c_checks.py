@@ -38,7 +38,7 @@ class CheckPrinter:
         return [f"    {line}" for line in [*self._computed("length"), *cells]]
 
     def _computed(self, size: str) -> list[str]:
-        """Declares `check`, the number over what it covers."""
+        """Print the declaration of `check`, the number over the covered bytes."""
         check = self.check
         if check.text is not None or check.bytes > 4:
             raise NotInC(f"a check ({check.describe}) that is text, or wider than 32 bits")

@@ -132,7 +132,7 @@ def put_in(one: CField) -> list[str]:
 
 
 def _too_large(one: CField, value: str) -> list[str]:
-    """Tests that find what the member can hold and the bits cannot."""
+    """Return tests for values that fit the member and do not fit the bits."""
     low, high = one.leaf.node.raw_range or (0, 0)
     width = int(one.type.removeprefix("u").removeprefix("int").removesuffix("_t"))
     if one.type.startswith("u"):

@@ -72,7 +72,7 @@ def refuse_if(test: str, depth: int = 1) -> list[str]:
 
 
 def outside(name: str, limits: tuple[float, float]) -> list[str]:
-    """Tests that refuse what is not within, NaN too."""
+    """Return tests for values outside the limits, and for NaN."""
     low, high = limits
     parts = [f"{name} >= {c_float(low)}"] if math.isfinite(low) else []
     parts += [f"{name} <= {c_float(high)}"] if math.isfinite(high) else []

@@ -362,7 +362,7 @@ class _Group:
             self._lose(name, counter, "a rolling counter: a number like any other")
 
     def _leaf(self, leaf: p.NodePath, names: Sequence[str], when: tuple[str, tuple[int, ...]] | None) -> None:
-        """The signals of a leaf, which the messages `names` have alike."""
+        """Add the signals of a leaf that the messages `names` share."""
         name, node = names[0], leaf.node
         if leaf.whens:
             path, condition = leaf.conditions[-1]
@@ -470,7 +470,7 @@ class _Group:
             self._lose(name, leaf.path, f"sent numbers are rounded ({scale.rounding}): not said")
 
     def _flags(self, own: str, node: p.Scalar, flags: dict[int, str], base: DbcSignal) -> None:
-        """A signal of one bit for each flag, and one for each run of bits without a name."""
+        """Add a signal of one bit for each flag, and one for each run of bits without a name."""
         bits = node.place
         for bit, flag in flags.items():
             self._place(f"{own}_{flag}", bits[bit : bit + 1], replace(base))

@@ -352,7 +352,7 @@ class _MessagePrinter:
         return [*body, "    return 0;", "}"]
 
     def _one_of(self) -> list[str]:
-        """Tests of numbers that must be among some values."""
+        """Return tests of numbers that must be among some values."""
         numbers = [(one.number.place, one.values) for one in self.plan.one_of]
         tests = [is_among(f"({terms_of(bits)})", values, (1 << len(bits)) - 1) for bits, values in numbers]
         return [f"!({test})" for test in tests if test]

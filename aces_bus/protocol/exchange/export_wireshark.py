@@ -156,7 +156,7 @@ class _Printer:
         return {"pieces": bit_pieces(bits), "last": max(bits) // 8, "values": value_set(one.values)}
 
     def _requests(self, message: Message, table: dict[str, Any]) -> None:
-        """What a message answers, and what answers it."""
+        """Write the requests that a message answers, and the messages that answer it."""
         table["bound"] = {
             mode: message.name in contextual
             for mode, (messages, contextual, *_) in self.modes.items()

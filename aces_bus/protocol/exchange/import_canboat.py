@@ -123,7 +123,7 @@ class _Field:
 
     @property
     def is_signed(self) -> bool:
-        """Whether it is in two's complement: what has an offset is not."""
+        """True if the field is in two's complement: a field with an offset is not."""
         return bool(self.given.get("Signed")) and not self.given.get("Offset")
 
     @property
@@ -138,7 +138,7 @@ class _Field:
 
     @property
     def is_aligned(self) -> bool:
-        """Whether it is whole bytes."""
+        """True if the field consists of whole bytes."""
         return not self.size % 8 and not (_whole(self.given.get("BitStart")) or 0)
 
 
@@ -154,7 +154,7 @@ class _Form:
 
     @cached_property
     def fixed(self) -> int:
-        """How many fields have one value."""
+        """Number of fields with a fixed value."""
         return sum(field.match is not None for field in self.fields)
 
     @property
@@ -230,7 +230,7 @@ class _Builder:
         )
 
     def _declare_all(self, forms: Sequence[_Form]) -> None:
-        """The forms of one PGN: of two that a packet may be, the one with more fixed values goes first."""
+        """Declare the forms of a PGN, the one with more fixed values first where a packet may be either."""
         declared: list[tuple[int, str]] = []
         for form in sorted(forms, key=lambda form: form.fixed):
             name, known = unused(form.id, self.taken), len(self.problems)
@@ -468,7 +468,7 @@ def _is_open_end(field: _Field) -> bool:
 
 
 def _cells(fields: Sequence[_Field]) -> Iterator[list[_Field]]:
-    """The fields in runs of whole bytes, as short as may be."""
+    """Yield the fields in runs of whole bytes, as short as possible."""
     cell: list[_Field] = []
     width = 0
     for field in fields:

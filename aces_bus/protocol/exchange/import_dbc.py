@@ -49,8 +49,9 @@ def load_dbc(path: str, kind: str) -> ImportedProtocol:
 
 @contextmanager
 def _no_collector() -> Generator[None, None, None]:
-    """A database is hundreds of thousands of objects that stay: to look through them for cycles takes longer than to make
-    them."""
+    """Disable the garbage collector: a database is hundreds of thousands of lasting objects, and looking
+    through them for cycles takes longer than making them.
+    """
     was_on = gc.isenabled()
     gc.disable()
     try:

@@ -64,7 +64,7 @@ class ImportedProtocol(msgspec.Struct, frozen=True):
 
     @property
     def losses(self) -> list[ImportProblem]:
-        """What was left out."""
+        """Problems that left something out of the protocol."""
         return [one for one in self.problems if not one.is_note]
 
     @property

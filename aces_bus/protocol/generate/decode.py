@@ -88,7 +88,7 @@ class Decoder(FunctionSetup):
         return self.setup, out.printed
 
     def _returned(self) -> None:
-        """The record, made of its fields."""
+        """Print the return of the record."""
         plan, out = self.plan, self.body
         made = self._type(plan.name)
         arguments = [self._value(field) for field in plan.fields]
@@ -153,7 +153,7 @@ class Decoder(FunctionSetup):
         return self._type_names[name]
 
     def _select(self, selector: p.Selector) -> None:
-        """A selector's raw number under a local name; None while it is not there itself."""
+        """Print a selector's raw number under a local name; None while the selector itself is absent."""
         scalar, when = selector.number, selector.when
         number = self.fetch.named.get(scalar) if when is None else None
         if number is None:
@@ -331,7 +331,7 @@ class Decoder(FunctionSetup):
     # -------------------------------------------------- lists of items
 
     def _repeats(self) -> None:
-        """The tests of lists of groups: as many bytes as groups need."""
+        """Print the tests that a list of groups has as many bytes as its groups need."""
         for _, node in self.plan.lists:
             if not isinstance(node, p.Repeated):
                 continue

@@ -200,7 +200,7 @@ class _Encoder(FunctionSetup):
         return self._packed(cells, words, constants, start, size) + (f" + {tail}" if tail else "")
 
     def _tail_fits(self, value: str, offset: int) -> None:
-        """A frame has room for so many bytes; of a stream's packet the framing knows."""
+        """Print the test that the tail fits the frame; a stream's packet is tested by its framing."""
         lengths = self.message.lengths
         if lengths is None:
             return

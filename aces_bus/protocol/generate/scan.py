@@ -22,7 +22,7 @@ ARGUMENTS = "data, key, time, channel, raw, rx"
 
 
 def print_choice(out: SourceText, name: str, choice: Choice) -> None:
-    """A function `name(data, key, time, channel, raw, rx)` that tries the messages of `choice`."""
+    """Print a function `name(data, key, time, channel, raw, rx)` that tries the messages of `choice`."""
     if choice.offset is None:
         out.lines(
             f"def {name}({ARGUMENTS}):",
@@ -383,7 +383,7 @@ def size_expr(framing: Framing, start: int) -> str:
 
 
 def _accept(out: SourceText, framing: Framing, decode: str, *, alone: bool, cut: bool = False) -> None:
-    """Decodes the packet, which is `cut` out already or not."""
+    """Print the decoding of a packet, which is `cut` out already or not."""
     if not cut:
         out.line("packet = buffer[i:j]")
     data = "packet"

@@ -147,5 +147,5 @@ class FunctionSetup:
 
 
 def compact(text: str) -> str:
-    """A `struct` format with counts: `<hhh` as `<3h`."""
+    """Return a `struct` format with counts: `<hhh` as `<3h`."""
     return re.sub(r"(?<!\d)([a-zA-Z])\1+", lambda run: f"{len(run[0])}{run[1]}", text)

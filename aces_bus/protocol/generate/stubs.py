@@ -250,7 +250,7 @@ def _literal(names: Iterable[str]) -> str:
 
 
 def _union(kinds: Sequence[str]) -> str:
-    """`a | b`, each once."""
+    """Return `a | b`, each type once."""
     if "Any" in kinds:
         return "Any"
     found: dict[str, None] = {}

@@ -119,7 +119,7 @@ def _shown(image: bytes, like: ExampleFrame) -> str:
 
 
 def _request_of(message: Message, packet: ExampleFrame) -> Mapping[str, Any] | str:
-    """The raw fields of the request in an example, or why it is none."""
+    """Return the raw fields of the request in an example, or the reason why it is not a request."""
     wanted = [*message.reply_to, *message.after]
     if not wanted:
         return f"it has a request, and {message.name} answers none (reply_to=, after=)"
@@ -134,7 +134,7 @@ def _request_of(message: Message, packet: ExampleFrame) -> Mapping[str, Any] | s
 
 
 def _unrecognised(message: Message, example: Example) -> str | None:
-    """What scanners make of an example that they do not take for this message; None when one does."""
+    """Return how scanners read an example that they do not take for this message; None if any of them does."""
     others: dict[str, str] = {}
     for variant in message.protocol.variants():
         here = variant.messages.get(message.name)

@@ -363,7 +363,7 @@ class Written:
 
     @property
     def is_never_negative(self) -> bool:
-        """Whether it is a number whose stated range of raw values begins at 0 or above."""
+        """True if the field is a number whose stated range of raw values begins at 0 or above."""
         found = (adapter for adapter in self.adapters if isinstance(adapter, Quantity))
         quantity: Quantity | None = next(found, None)
         if quantity is None or self.limits is None:

@@ -38,7 +38,7 @@ class Finding:
 
     @property
     def is_allowed(self) -> bool:
-        """Whether a comment in the spec says that this is meant."""
+        """True if a comment in the spec says that this is meant."""
         if self.level == "error":
             return False
         lines: list[str] = []

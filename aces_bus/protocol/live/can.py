@@ -116,7 +116,7 @@ class CanScanner:
 
     @property
     def counts(self) -> ScanCounts:
-        """Where every frame went so far."""
+        """Number of frames so far by their outcome."""
         counts = self._counts
         counts.records = self._given[0] - self._given[1]
         counts.decoded = counts.records + self._beside
@@ -126,7 +126,7 @@ class CanScanner:
         return counts
 
     def feed(self, frames: Iterable[Any], /) -> list[Record]:
-        """Records of `frames`, in order; see the class."""
+        """Return the records of `frames`, in order; see the class."""
         return self._make_feed()(frames)
 
     def take(self, frame: Any, /) -> Any:
@@ -226,7 +226,7 @@ class CanScanner:
 
     @property
     def has_transports(self) -> bool:
-        """Whether some messages are carried in several frames: then not every frame gives something by itself."""
+        """True if some messages are carried in several frames: then a single frame may give no record."""
         return bool(self._carriers)
 
     def transport_of(self, key: int) -> Transport | None:
@@ -255,7 +255,7 @@ class CanScanner:
         return out, origins
 
     def _unusual(self, frame: Any, out: list[Any]) -> None:
-        """A frame that is not a plain data frame of a known identifier, or was refused: its record or its loss."""
+        """Handle a frame that is unusual, of an unknown identifier or refused: append its record or its loss."""
         identifier = frame.arbitration_id
         if frame.is_error_frame:
             return self._lost(frame, "error frame", out)
@@ -291,7 +291,7 @@ class CanScanner:
             self._packet(carrier, packet, out)
 
     def _packet(self, carrier: _Carrier, packet: Packet, out: list[Any]) -> None:
-        """A packet's record, or the loss of its frames."""
+        """Append a packet's record, or the loss of its frames."""
         frames, reason = packet.frames, packet.reason
         if not reason:
             record, reason = self._decoded(carrier, packet)
@@ -411,7 +411,7 @@ class CanScanner:
                 self._note(self._request_of(packet.key, data, carrier.transport), frame)
 
     def noting(self, frame: Any) -> Callable[[], None] | None:
-        """What is called whenever this frame was sent, instead of `sent`; None: no reply hangs on it."""
+        """Return a function to call whenever this frame was sent, instead of `sent`; None if no reply depends on it."""
         key = self._key_of(frame)
         if self._carrier_at(key) is not None:
             return partial(self.sent, frame)

@@ -107,7 +107,7 @@ class CanDecider(Decider):
 
     @property
     def transports(self) -> list[Transport]:
-        """What carries its messages that are longer than a frame."""
+        """Transports of the messages that are longer than a frame."""
         return [transport for transport in self._spaces if transport is not None]
 
     def carried_by(self, key: int) -> Transport | None:

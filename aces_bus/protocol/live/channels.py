@@ -54,7 +54,7 @@ class ChannelScanners(Generic[Kind]):
 
     @property
     def counts(self) -> ScanCounts:
-        """Where every frame went so far, all channels together."""
+        """Number of frames so far by their outcome, all channels together."""
         return sum_counts(scanner.counts for scanner in self._scanners.values())
 
     @property
@@ -83,7 +83,7 @@ class ChannelScanner(ChannelScanners[CanScanner]):
         )
 
     def feed(self, frames: Iterable[Any], /) -> list[Record]:
-        """Records of `frames`, in order."""
+        """Return the records of `frames`, in order."""
         out: list[Any] = []
         for channel, some in groupby(frames, key=lambda frame: frame.channel):
             out += self.of(channel).feed(list(some))
@@ -91,7 +91,7 @@ class ChannelScanner(ChannelScanners[CanScanner]):
 
     @property
     def has_transports(self) -> bool:
-        """Whether some messages are carried in several frames."""
+        """True if some messages are carried in several frames."""
         return any(m.transport is not None for variant in self.variants for m in variant.messages.values())
 
     def reset(self) -> None:

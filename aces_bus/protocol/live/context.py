@@ -98,13 +98,13 @@ class Context:
         self._count = 0
 
     def note(self, name: str, channel: Any, time: float | None, values: Mapping[str, Any]) -> None:
-        """A request has passed."""
+        """Note that a request has passed."""
         self.noting(name, channel, time, values)()
 
     def noting(
         self, name: str, channel: Any, time: float | None, values: Mapping[str, Any]
     ) -> Callable[[], None]:
-        """What is called whenever this request has passed: for one that is sent again and again."""
+        """Return a function to call whenever this request has passed: for a request that is repeated."""
         keys = [(name, channel, shared, who(values)) for shared, who in self._kinds[name].items()]
 
         def note() -> None:

@@ -93,7 +93,7 @@ class Decider:
         return self._need[1] if self._need[0] == key else ""
 
     def forget_need(self) -> None:
-        """The packet that needed a request was decoded by another protocol."""
+        """Forget the packet that needed a request: another protocol has decoded it."""
         self._need = (-1, "")
 
     def decide(self, messages: Sequence[Message], *, alone: bool = False) -> Decode:
@@ -169,7 +169,7 @@ class Decider:
     def request_values(
         self, message: Message, data: bytes, key: int, packet: bytes
     ) -> Mapping[str, Any] | None:
-        """What a packet that may be the request `message` has in its fields; None when it is another."""
+        """Return the fields of a packet as the request `message`; None if it is another message."""
         seen = self.raw_decoders[message.name](data, key, None, None, packet, None)
         return None if seen is None else _values(seen)
 
@@ -178,7 +178,7 @@ class Decider:
         return {name: getattr(record, name, None) for name in self.context.shared[message.name]}
 
     def _with_context(self, bound: Sequence[Message], otherwise: Decode | None) -> Decode:
-        """Replies that only their request tells apart; after them the messages that need none."""
+        """Return a decoder that tries replies which only their request tells apart, then messages without a request."""
         context, raw, decoders = self.context, self.raw_decoders, self.decoders
         asked = {message: context.requests_of(message.name) for message in bound}
 

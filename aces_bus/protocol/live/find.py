@@ -81,7 +81,7 @@ class PacketFinder(PacketHeaders):
         self.summed = 0
 
     def find(self, buffer: bytes) -> tuple[list[int], list[int], int]:
-        """(starts, ends, stop): whole packets that start before `stop`, where something is incomplete."""
+        """Return (starts, ends, stop): whole packets that start before `stop`, where an incomplete one begins."""
         framing = self.framing
         self.summed = 0
         data = np.frombuffer(buffer, dtype=np.uint8)

@@ -321,7 +321,7 @@ class Reassembler:
 
     @property
     def is_idle(self) -> bool:
-        """Whether no packet is under way, and no session lost."""
+        """True if no packet is under way, and no session is lost."""
         return not self._open
 
     def missing(self, channel: Any, session: Hashable) -> list[int]:

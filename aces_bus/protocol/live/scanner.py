@@ -36,16 +36,16 @@ class Scanner(typing.Protocol):
 
     @property
     def variants(self) -> tuple[Variant, ...]:
-        """What it looks for, in order of precedence."""
+        """Variants to look for, in order of precedence."""
         ...
 
     def feed(self, traffic: Any, /) -> list[Record]:
-        """Records of frames (CAN) or of bytes (streams), in order."""
+        """Return the records of frames (CAN) or of bytes (streams), in order."""
         ...
 
     @property
     def counts(self) -> ScanCounts:
-        """Where every byte or frame went so far."""
+        """Number of bytes or frames so far by their outcome."""
         ...
 
     def idle(self, time: float | None = None) -> list[Record]:
@@ -53,7 +53,7 @@ class Scanner(typing.Protocol):
         ...
 
     def close(self) -> list[Record]:
-        """The capture has ended."""
+        """End the capture; return the last records."""
         ...
 
     def reset(self) -> None:

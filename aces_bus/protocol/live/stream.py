@@ -126,7 +126,7 @@ class StreamScanner:
     def _bind(
         self, number: int, framing: Framing, decider: Decider, decode: str, names: dict[str, Any]
     ) -> None:
-        """The helpers that the printed text calls by name."""
+        """Set the helpers that the printed text calls by name."""
         check = framing.check
         extras = framing.extras_of(decider.messages)
         if check is not None and check.kind != "crc":
@@ -151,14 +151,17 @@ class StreamScanner:
 
     @property
     def counts(self) -> ScanCounts:
-        """Where every byte went so far."""
+        """Number of bytes so far by their outcome."""
         self._counts.missed = sum(decider.missed for decider in self.deciders)
         return self._counts
 
     # ------------------------------------------------------------------ feeding
 
     def feed(self, data: bytes, time: float | None = None) -> list[Record]:
-        """Records that `data` completes, in order; with `include_unknown`, `Unknown` for what was lost.
+        """Return the records that `data` completes, in order; with `include_unknown`, `Unknown` for lost
+        bytes.
+
+        `time` (seconds) becomes the time of the records. Raises nothing, for any bytes.
 
         `time` (seconds) becomes the time of the records. Raises nothing, whatever the bytes.
         """
@@ -166,7 +169,10 @@ class StreamScanner:
         return self.advance(bytes(data), time if time is not None else self.time, silent=False)
 
     def idle(self, time: float | None = None) -> list[Record]:
-        """The line is silent: what is incomplete never will be.
+        """Give up an incomplete packet, because the line is silent; return the records found in its bytes.
+
+        With the `time` of now (seconds) nothing happens before the longest declared `gap` has passed since
+        the last bytes that came with a time.
 
         With the `time` of now (seconds) nothing happens before the longest declared `gap` has passed since the last bytes
         that came with a time.
@@ -176,11 +182,11 @@ class StreamScanner:
         return self.advance(b"", time if time is not None else self.time, silent=True)
 
     def datagram(self, data: bytes, time: float | None = None) -> list[Record]:
-        """Records of one datagram: what it leaves incomplete, the next one does not continue."""
+        """Return the records of one datagram: a packet that it leaves incomplete does not continue in the next one."""
         return [*self.feed(data, time), *self.advance(b"", self.time, silent=True)]
 
     def close(self) -> list[Record]:
-        """The stream has ended. A packet cut off by the end stays pending; what follows a false one is found."""
+        """End the stream. A packet cut off by the end stays pending; packets behind a false one are found."""
         return self.advance(b"", self.time, silent=True, closing=True)
 
     def advance(self, data: bytes, time: float | None, *, silent: bool, closing: bool = False) -> list[Any]:
@@ -318,7 +324,7 @@ class StreamScanner:
                 return
 
     def _settle(self, found: list[Any], silent: bool) -> list[Any]:
-        """Records and losses in the order of the stream; a run of equal losses is one."""
+        """Return records and losses in the order of the stream; join runs of equal losses."""
         out: list[Any] = []
         losses = self._losses
         at = 0
@@ -390,13 +396,13 @@ class StreamScanner:
 
     @property
     def check_work(self) -> int:
-        """How many bytes checks have read so far."""
+        """Number of bytes that checks have read so far."""
         apart = sum(s.work for s in self._sums) + sum(s.checked for s in self._segments)
         return self._counts.decoded + self._counts.unknown + self._state.work + apart
 
     @property
     def unstuff_work(self) -> int:
-        """How many bytes were unstuffed so far to find packets: those of packets, and of what was none."""
+        """Number of bytes that were unstuffed so far to find packets, both real and false ones."""
         if not self._segments:
             return 0
         return self._counts.decoded + self._counts.unknown + sum(one.work for one in self._segments)

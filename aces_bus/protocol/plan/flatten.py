@@ -202,8 +202,9 @@ def _asked(path: str) -> Any:
 
 
 def fixed_leaves(message: Message) -> tuple[Sequence[p.NodePath], int]:
-    """The leaves of a message; of a payload that does not flatten also the numbers that stand before what has no fixed
-    place, and where that begins."""
+    """Return the leaves of a message and where unfixed fields begin; of a payload that does not flatten, the
+    numbers that stand before any field without a fixed place.
+    """
     plan = message.plan
     found, offset = plan.leaves, message.payload_start
     if not plan.opaque or not isinstance(message.payload, c.Struct):
@@ -408,7 +409,7 @@ class _Builder:
     def _repeated(
         self, con: c.Array | c.GreedyRange, fields: Sequence[p.PlanField], path: str
     ) -> tuple[p.Repeated, str]:
-        """Groups of one size up to the end, or as many as a field among `fields` says; and the name of that field."""
+        """Return groups of one size up to the end, or as many as a field among `fields` says; and that field's name."""
         count = getattr(con, "count", None)
         name = ""
         number: p.Scalar | None = None

@@ -52,12 +52,12 @@ class Node:
 
     @property
     def is_leaf(self) -> bool:
-        """Whether it is a single value."""
+        """True if the node is a single value."""
         return True
 
     @property
     def is_quiet(self) -> bool:
-        """Whether zero or nothing need not be shown: bits without a field, bytes up to the end of the packet."""
+        """True if zero or nothing need not be shown: bits without a field, bytes up to the end of the packet."""
         return False
 
     @property
@@ -72,7 +72,7 @@ class Node:
 
     @property
     def scale(self) -> Scale | None:
-        """What makes the raw number a quantity."""
+        """Step that turns the raw number into a quantity."""
         return next((step for step in self.steps if isinstance(step, Scale)), None)
 
     @property
@@ -118,7 +118,7 @@ class Node:
 
     @property
     def is_magnitude(self) -> bool:
-        """Whether it is a number of sign and magnitude."""
+        """True if the number has sign and magnitude."""
         return any(isinstance(step, Magnitude) for step in self.steps)
 
 
@@ -142,7 +142,7 @@ class Scalar(Node, msgspec.Struct, frozen=True):
 
     @property
     def is_whole(self) -> bool:
-        """Whether an integer is whole bytes in one byte order."""
+        """True if an integer is whole bytes in one byte order."""
         assert self.size is not None
         return self.bits == whole_bits(self.offset, self.size, self.order)
 
@@ -159,7 +159,7 @@ class Scalar(Node, msgspec.Struct, frozen=True):
 
     @property
     def is_bytes(self) -> bool:
-        """Whether the value is no number: bytes or a text."""
+        """True if the value is bytes or a text, not a number."""
         return self.kind in ("bytes", "text")
 
     @property
@@ -542,7 +542,7 @@ class MessagePlan(msgspec.Struct, frozen=True, dict=True, weakref=True):
 
     @cached_property
     def columns(self) -> tuple[NodePath, ...]:
-        """What tables have columns for: the single values, and behind each list of items what is inside it."""
+        """Columns of tables: the single values, and behind each list of items its inner values."""
         found: list[NodePath] = []
         for leaf in self.leaves:
             found.append(leaf)

@@ -35,7 +35,7 @@ class Scale(msgspec.Struct, frozen=True):
 
     @property
     def limits(self) -> tuple[float, float] | None:
-        """What may be sent, in the unit; None where nothing is stated."""
+        """Limits of values that may be sent, in the unit; None if there are none."""
         if self.bounds is not None or self.raw_bounds is None:
             return self.bounds
         low, high = sorted(raw * self.scale + self.offset for raw in self.raw_bounds)

@@ -157,7 +157,7 @@ class _Objects:
         return self.header(self.payload + offset, kind)
 
     def rows(self, offset: int, width: int, lengths: Ints) -> Ints:
-        """Data bytes, with zeros behind the length and behind the end of the object."""
+        """Return data bytes, with zeros behind the length and behind the end of the object."""
         room = self.sizes - offset
         if int(room.min()) < width:
             lengths = np.minimum(lengths, np.maximum(room, 0))
@@ -369,7 +369,7 @@ def _fd_error_64(objects: _Objects) -> _Frames:
 
 
 def _without_further(objects: _Objects, offset: Ints) -> None:
-    """Data end where further data begin, when there are any; the offset counts from the start of the object."""
+    """Cut data where further data begin, if there are any; the offset counts from the start of the object."""
     end = offset.astype(np.int64) - objects.payload
     objects.sizes = np.where(offset != 0, np.minimum(objects.sizes, end), objects.sizes)
 

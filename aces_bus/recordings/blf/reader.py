@@ -126,7 +126,7 @@ class BlfCapture(CanRecording):
             file.drop(size)
 
     def _header(self, file: _File) -> int:
-        """Passes over the header; gives the start of the measurement in ns, 0 where it has none."""
+        """Skip the header; return the start of the measurement in ns, 0 if the header has none."""
         size = int.from_bytes(file.data[4:8], "little")
         start = _system_time(file.data[40:56])
         self._objects, self._stated = 0, int.from_bytes(file.data[32:36], "little")

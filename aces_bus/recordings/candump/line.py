@@ -152,7 +152,7 @@ def _screen_frame(found: re.Match[bytes], names: ChannelNames) -> Frame:
 
 
 def _identifier(digits: bytes) -> tuple[int, bool, bool]:
-    """Number, whether of 29 bits, whether of an error frame."""
+    """Return number, whether extended, whether of an error frame."""
     text = digits.decode()
     try:
         number = int(text, 16)

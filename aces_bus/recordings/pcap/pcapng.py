@@ -175,7 +175,7 @@ class PcapngCapture(PacketCapture):
         return tables, position, needed
 
     def _describe(self, kind: int, body: bytes) -> None:
-        """A block that is no packet."""
+        """Handle a block that does not hold a packet."""
         self.lines += 1
         if kind == SECTION:
             self._dropped_before += self._dropped()

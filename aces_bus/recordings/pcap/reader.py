@@ -82,7 +82,7 @@ class PacketCapture(CanRecording):
 
     @abstractmethod
     def _end(self, rest: int) -> None:
-        """The file has ended, `rest` bytes into an object."""
+        """Handle the end of the file, `rest` bytes into an object."""
 
     def _tables(self) -> Iterator[FrameTable]:
         parts: list[bytes] = []
@@ -111,7 +111,7 @@ class PacketCapture(CanRecording):
             self._check_end(self._before)
 
     def _check_end(self, size: int) -> None:
-        """The file has ended behind a whole object, after so many bytes."""
+        """Check the end of the file behind a whole object, at `size` bytes."""
 
     def _give_up(self, offset: int, reason: str, excerpt: bytes) -> None:
         """Count the rest of the file as one unreadable object."""

@@ -148,7 +148,9 @@ class LineCapture(CanRecording):
     def _mixed(
         self, block: bytes, usual: npt.NDArray[np.bool_], table: FrameTable, tables: list[FrameTable]
     ) -> bytes:
-        """Reads the block up to a turn and those next to it, and gives back what follows."""
+        """Read the block up to the first change between usual and unusual lines, and the line next to it;
+        return the rest.
+        """
         if usual.all():
             self.lines += len(usual)
             tables.append(table)
@@ -261,7 +263,7 @@ def decimal_ns(text: bytes, unit: int = 1_000_000_000) -> int:
 
 
 def round_half_even(number: int, scale: int) -> int:
-    """`number / scale` as the nearest integer."""
+    """Return `number / scale` as the nearest integer."""
     found, rest = divmod(number, scale)
     twice = 2 * rest
     return found + (twice > scale or (twice == scale and found & 1))
@@ -319,7 +321,7 @@ def is_received(text: bytes) -> bool:
 
 
 def check_remote(is_remote: bool, is_error: bool, size: int) -> None:
-    """Raises `UnreadableRow` for a remote frame that cannot be."""
+    """Raise `UnreadableRow` for a remote frame that cannot exist."""
     if is_remote and is_error:
         raise UnreadableRow(REMOTE_AND_ERROR)
     if is_remote and size > 8:

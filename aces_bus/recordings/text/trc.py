@@ -123,7 +123,7 @@ class TrcCapture(LineCapture):
         self._choose()
 
     def _choose(self) -> None:
-        """The columns of usual lines, by version and header; none when they are unusual themselves."""
+        """Choose the columns of usual lines by version and header; none if they cannot be read as columns."""
         if self._version < "2":
             self._usual = _OLD_COLUMNS.get(self._version, _OLD_COLUMNS["1.3"])
             return

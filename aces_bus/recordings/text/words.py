@@ -110,7 +110,9 @@ class Words:
     def number(
         self, word: Word, base: int, least: int, most: int, *, behind: int | npt.NDArray[Any] = 0
     ) -> tuple[Ints, npt.NDArray[np.intp], Mask]:
-        """Number, number of digits, and whether these are `least` to `most` of the base; the last `behind` are left out."""
+        """Return number, number of digits, and whether it has `least` to `most` digits of the base; the last
+        `behind` are left out.
+        """
         digits = self.size(word) - behind
         good: Mask = (digits >= least) & (digits <= most)
         width = int(digits[good].max()) if good.any() else 1

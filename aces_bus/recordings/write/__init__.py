@@ -175,12 +175,12 @@ class OpenWriter:
 
     @property
     def lossy(self) -> dict[str, int]:
-        """What the format could not hold so far, in words."""
+        """Losses of the format so far: what was lost → how often."""
         return cast("dict[str, int]", self._writer.lossy)
 
     @property
     def notes(self) -> list[str]:
-        """What is written in another form, and is no loss, in sentences."""
+        """Sentences on content that is written in another form without a loss."""
         renamed: dict[str, str] = self._writer.renamed
         found = [f"channel {name} is named {new}" for name, new in sorted(renamed.items())]
         if self._wide_errors:

@@ -55,7 +55,7 @@ class RecordingWriter:
 
     @property
     def lossy(self) -> dict[str, int]:
-        """What the format could not hold so far, in words that fit behind a number."""
+        """Losses of the format so far, in words that fit behind a number."""
         names = 0 if self._channels is None else self._channels.lost
         return {**self._lost, "channel names": names} if names else dict(self._lost)
 
@@ -106,7 +106,7 @@ class FrameWriter(RecordingWriter, ABC):
         return np.where(over, 8, table.length).astype(np.uint8)
 
     def _epoch_times(self, table: FrameTable) -> Ints:
-        """Times from 1970 on, ≥ 0 in ns; those that are not are counted."""
+        """Return times since 1970, ≥ 0, in ns; count the times that are not."""
         time = table.time
         if len(time) and int(time.min()) < 0:
             unknown = time == NO_TIME
@@ -196,7 +196,7 @@ def rows_by_kind(table: FrameTable) -> tuple[Ints, Ints, Ints]:
 
 
 def records_in_order(n: int, parts: Sequence[tuple[Ints, npt.NDArray[Any]]]) -> bytes:
-    """Records of several sizes in one order: each part has its rows' numbers, which are all of 0…n-1 together."""
+    """Join records of several sizes in one order: each part has its rows' numbers, which are all of 0…n-1 together."""
     parts = [part for part in parts if len(part[0])]
     if len(parts) == 1:
         return parts[0][1].tobytes()

@@ -43,7 +43,9 @@ def join_columns(columns: Sequence[Column | bytes], n: int) -> bytes:
 
 
 def choices(texts: Sequence[bytes], *, width: int = 0, right: bool = False, fill: bytes = b"\0") -> Column:
-    """A table of texts to take rows from: shape (number of texts, longest). Filled up to `width`, at the end or in front."""
+    """Return a table of texts to take rows from: shape (number of texts, longest), filled to `width` at the
+    end or in front.
+    """
     width = max(width, *map(len, texts)) if texts else width
     rows = [text.rjust(width, fill) if right else text.ljust(width, fill) for text in texts]
     return np.frombuffer(b"".join(rows), np.uint8).reshape(len(texts), width)
