@@ -23,9 +23,14 @@ import select
 import socket
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeGuard
 
 from ..frames import Frame
+
+if TYPE_CHECKING:
+    import can
+
+    from .served.remote import ServedBus
 
 #: Backend → the keywords that make it listen without acknowledging. SocketCAN is set by `ip link set … listen-only on`.
 QUIET: Mapping[str, Mapping[str, Any]] = {
@@ -58,7 +63,7 @@ def quiet_options(interface: str) -> Mapping[str, Any]:
     return QUIET.get(interface, {})
 
 
-def silence(bus: Any) -> None:
+def silence(bus: can.BusABC) -> None:
     """Make an open bus passive where that is how its backend does it."""
     if type(bus).__module__.split(".")[2:3] and type(bus).__module__.split(".")[2] in BY_STATE:
         from can import BusState
@@ -78,7 +83,7 @@ def check_server(options: Mapping[str, Any]) -> None:
                 raise OSError(f"no socketcand server answers on {address[0]}:{address[1]}")
 
 
-def forget_line(bus: Any) -> None:
+def forget_line(bus: can.BusABC) -> None:
     """Make a text backend drop the line that it cannot read: it would come upon it for ever.
 
     Its own `flush` also throws away the good lines that wait behind.
@@ -91,10 +96,10 @@ def forget_line(bus: Any) -> None:
         flush()
 
 
-Read = Callable[[float], Any]
+Read = Callable[[float], "can.Message | Frame | None"]
 
 
-def reader_of(bus: Any) -> Read:
+def reader_of(bus: can.BusABC) -> Read:
     """Return a function that gives the next message, or frame, within some seconds; or None.
 
     It may have `take_dropped` (how many frames the system dropped since the last call), `state` (the controller's) and
@@ -106,16 +111,19 @@ def reader_of(bus: Any) -> Read:
     sock = getattr(bus, "_SocketCanDaemonBus__socket", None)
     if isinstance(sock, socket.socket):
         return SocketcandReader(bus, sock)
-    if hasattr(bus, "known_state"):
+    if _is_served(bus):
         return ServedReader(bus)
-    read: Read = bus.recv
-    return read
+    return bus.recv
+
+
+def _is_served(bus: can.BusABC) -> TypeGuard[ServedBus]:
+    return hasattr(bus, "known_state")
 
 
 class ServedReader:
     """A served bus, which says by itself what state its node is in, and how many frames were lost."""
 
-    def __init__(self, bus: Any) -> None:
+    def __init__(self, bus: ServedBus) -> None:
         self._bus = bus
         self.frames: Callable[[int], list[Frame]] = bus.frames
         self.offer: Callable[[Sequence[Frame]], int] = bus.offer
@@ -127,16 +135,15 @@ class ServedReader:
     @property
     def changes(self) -> int:
         """Grows whenever frames were lost, or its state may be another."""
-        changes: int = self._bus.changes
-        return changes
+        return self._bus.changes
 
     @property
     def state(self) -> str:
         """State of the controller that the server reported last."""
-        state = str(self._bus.known_state)
+        state = self._bus.known_state
         return "error-active" if state == "recovered" else state
 
-    def __call__(self, timeout: float) -> Any:
+    def __call__(self, timeout: float) -> can.Message | None:
         """Return the next message within some seconds."""
         return self._bus.recv(timeout)
 
@@ -147,14 +154,14 @@ class SocketcandReader:
     Its own then returns nothing, without a pause, for ever.
     """
 
-    def __init__(self, bus: Any, sock: socket.socket) -> None:
+    def __init__(self, bus: can.BusABC, sock: socket.socket) -> None:
         self._recv, self._socket = bus.recv, sock
 
     def fileno(self) -> int:
         """Return the socket's file."""
         return self._socket.fileno()
 
-    def __call__(self, timeout: float) -> Any:
+    def __call__(self, timeout: float) -> can.Message | None:
         """Return the next message within some seconds. Raises `EOFError` when the server has hung up."""
         message = self._recv(0)
         if message is not None or not timeout:
@@ -193,11 +200,13 @@ class SocketcanReader:
     `state` is the controller's, as its error frames report it. Raises `OSError` where the interface is down.
     """
 
-    def __init__(self, bus: Any, sock: socket.socket) -> None:
+    def __init__(self, bus: can.BusABC, sock: socket.socket) -> None:
         self._socket = sock
-        self._channel: str | None = str(bus.channel) or None
+        self._channel: str | None = str(getattr(bus, "channel", "")) or None
         # The kernel filters; where that cannot be set, python-can does.
-        self._wanted = None if getattr(bus, "_is_filtered", False) else bus._matches_filters
+        self._wanted: Callable[[Frame], bool] | None = None
+        if not getattr(bus, "_is_filtered", False):
+            self._wanted = bus._matches_filters  # type: ignore[assignment]  # it reads what frames have, too
         self._seen = self._dropped = 0
         self.state: State = "error-active"
         #: Grows whenever frames were lost, or its state may be another.

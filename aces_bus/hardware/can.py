@@ -13,7 +13,7 @@ import errno
 import os
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import CallerError
 from ..frames import Frame, message_to_frame
@@ -34,6 +34,9 @@ from .gate import POLL_S, ContentFilter, Gate, Received
 from .queues import Report
 from .simulated.bus import arbitration
 
+if TYPE_CHECKING:
+    import can
+
 #: Frames that are handed over at once, so that a busy bus costs its readers few wake-ups; and that a loop reads in one turn.
 BATCH, TURN_BATCH = 256, 64
 #: This many times nothing, each at once and not after `POLL_S`, is how some backends say that they are dead.
@@ -49,10 +52,10 @@ LINGER_NS = 50_000_000
 FULL_S, FULL_TIMES = 0.001, 1000
 
 
-Open = Callable[[], Any]
+Open = Callable[[], "can.BusABC"]
 
 
-class CanGate(Gate[Frame]):
+class CanGate(Gate[Frame, Frame, "can.BusABC"]):
     """One CAN bus and its only owner.
 
     with CanGate({"interface": "socketcan", "channel": "can0"}) as gate:
@@ -101,7 +104,7 @@ class CanGate(Gate[Frame]):
 
     # ------------------------------------------------------------------ the bus
 
-    def _opened(self) -> Any:
+    def _opened(self) -> can.BusABC:
         bus = self._open()
         try:
             if self.listen_only:
@@ -123,7 +126,7 @@ class CanGate(Gate[Frame]):
         self._hollow = self._strange = 0
         return bus
 
-    def _shut(self, bus: Any) -> None:
+    def _shut(self, bus: can.BusABC) -> None:
         bus.shutdown()
 
     # ------------------------------------------------------------------ receiving
@@ -159,7 +162,7 @@ class CanGate(Gate[Frame]):
                         return
                 self._look_at_state()
 
-    def _hand_over(self, message: Any) -> Exception | None:
+    def _hand_over(self, message: can.Message | Frame) -> Exception | None:
         """Return a frame and all that wait behind it; what reading them raised."""
         batch: list[Received[Frame]] = []
         failed: Exception | None = None
@@ -171,17 +174,18 @@ class CanGate(Gate[Frame]):
             if not left:
                 break  # what is not read now is read next
             try:
-                message = self._read(0)
+                following = self._read(0)
             except Exception as error:
                 failed = error
                 break
-            if message is None:
+            if following is None:
                 break
+            message = following
         self._put(batch)
         self._account(batch)
         return failed
 
-    def _file_of(self, bus: Any) -> int | None:
+    def _file_of(self, bus: can.BusABC) -> int | None:
         if not self._has_file or os.name != "posix":
             return None
         try:
@@ -189,29 +193,31 @@ class CanGate(Gate[Frame]):
         except Exception:  # whatever a backend without one raises
             return None
 
-    def _watched(self, bus: Any) -> None:
+    def _watched(self, bus: can.BusABC) -> None:
         if isinstance(self._quick, ServedReader):
             self._quick.hold_little()
 
     def _read_now(self) -> list[Received[Frame]]:
         batch: list[Received[Frame]] = []
-        found: list[Any] = []
+        found: list[Frame] = []
+        messages: list[can.Message | Frame] = []
         error: Exception | None = None
         quick = self._quick
         try:
             if quick is not None:
                 found = quick.frames(TURN_BATCH)
             else:
-                while len(found) < TURN_BATCH and (message := self._read(0)) is not None:
-                    found.append(message)
+                while len(messages) < TURN_BATCH and (message := self._read(0)) is not None:
+                    messages.append(message)
         except Exception as raised:  # CanError, OSError, and whatever a backend lets through
             error = raised
         now = self.clock.now()
+        count = len(found) + len(messages)
         if quick is None:
-            for message in found:
-                frame = self._frame(message)
-                if frame is not None:
-                    batch.append(Received(frame, now))
+            for message in messages:
+                made = self._frame(message)
+                if made is not None:
+                    batch.append(Received(made, now))
         else:
             # What has waited came when its stamps say, reckoned from when the first of it was there.
             since = self._loop.waited_since if self._loop is not None else 0
@@ -226,15 +232,15 @@ class CanGate(Gate[Frame]):
                         came = min(max(since + round((stamp - first) * 1e9), since), now)
                 batch.append(Received(frame, came))
             # Nearly always: there was something, and nothing else has happened.
-            if error is None and 0 < len(found) < TURN_BATCH and quick.changes == self._changes:
+            if error is None and 0 < count < TURN_BATCH and quick.changes == self._changes:
                 self.counters.received += len(batch)
                 self._strange = self._hollow = 0
                 return batch
         self._account(batch)
-        self._strange = 0 if found or error is None else self._strange + 1
+        self._strange = 0 if count or error is None else self._strange + 1
         # What says that it has something, and gives nothing, again and again, is dead.
-        self._hollow = 0 if found or error is not None else self._hollow + 1
-        if len(found) >= TURN_BATCH and self._loop is not None:
+        self._hollow = 0 if count or error is not None else self._hollow + 1
+        if count >= TURN_BATCH and self._loop is not None:
             self._loop.call_soon(self._readable)  # a backend's own buffer wakes nobody
         if error is not None:
             if self._is_end(error) or self._strange >= STRANGE:
@@ -268,7 +274,7 @@ class CanGate(Gate[Frame]):
                 self.counters.kernel_dropped += count
                 self._emit("dropped", f"{count} frames were dropped before they could be read", count)
 
-    def _frame(self, message: Any) -> Frame | None:
+    def _frame(self, message: can.Message | Frame) -> Frame | None:
         if isinstance(message, Frame):
             frame = message
         else:
@@ -340,7 +346,7 @@ class CanGate(Gate[Frame]):
 
     def send(
         self,
-        frame: Frame | Any,
+        frame: Frame | can.Message,
         *,
         priority: int | None = None,
         age_s: float | None = None,
@@ -426,7 +432,7 @@ class CanGate(Gate[Frame]):
                 self._is_echo(frame)  # it will not come back
             raise
 
-    def _give(self, message: Any) -> None:
+    def _give(self, message: can.Message) -> None:
         """Send a message. A full queue of the system, which SocketCAN reports as a failure at once, is waited for."""
         for left in reversed(range(FULL_TIMES)):
             try:
@@ -444,7 +450,7 @@ def not_allowed(frame: Frame) -> str:
 
 
 def _opener(options: dict[str, Any], *, listen_only: bool) -> Open:
-    def open_bus() -> Any:
+    def open_bus() -> can.BusABC:
         import can
 
         check_server(options)
@@ -454,7 +460,7 @@ def _opener(options: dict[str, Any], *, listen_only: bool) -> Open:
     return open_bus
 
 
-def _frame_of(message: Any) -> Frame:
+def _frame_of(message: can.Message) -> Frame:
     """Return a python-can message as a frame. Raises `CallerError` or `ValueError` for a frame that cannot exist."""
     data = bytes(message.data)
     if len(data) < message.dlc and not message.is_remote_frame and (message.is_fd or len(data) < 8):

@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import socket
-from typing import Any
 
 from ..errors import CallerError
 from ..runtime import Clock
@@ -23,7 +22,7 @@ OUTBOX = 4096
 BATCH = 64
 
 
-class DatagramGate(Gate[bytes]):
+class DatagramGate(Gate[bytes, tuple[bytes, Address], socket.socket]):
     """One UDP socket and its only owner.
 
     `bind` is (address, port) to receive at; port 0 takes a free one, which `address` then tells. `peer` is where `send`
@@ -51,7 +50,7 @@ class DatagramGate(Gate[bytes]):
         if only_peer and peer is None:
             raise CallerError(f"{self.name}: only_peer needs a peer")
 
-    def _opened(self) -> Any:
+    def _opened(self) -> socket.socket:
         made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             made.bind(self.bind)
@@ -61,26 +60,25 @@ class DatagramGate(Gate[bytes]):
             raise
         return made
 
-    def _shut(self, bus: Any) -> None:
+    def _shut(self, bus: socket.socket) -> None:
         bus.close()
 
     @staticmethod
-    def _describe(bus: Any) -> str:
+    def _describe(bus: socket.socket) -> str:
         return "{}:{}".format(*bus.getsockname())
 
     @property
     def address(self) -> Address:
         """Address that the gate receives at; raises `CallerError` while the gate is closed."""
-        bus = self._bus
-        if bus is None:
+        if self.state in ("new", "closed"):
             raise CallerError(f"{self.name}: this gate is not open")
-        host, port = bus.getsockname()
+        host, port = self._bus.getsockname()
         return str(host), int(port)
 
-    def _file_of(self, bus: Any) -> int | None:
-        return int(bus.fileno())
+    def _file_of(self, bus: socket.socket) -> int | None:
+        return bus.fileno()
 
-    def _watched(self, bus: Any) -> None:
+    def _watched(self, bus: socket.socket) -> None:
         bus.setblocking(False)
 
     def _read_now(self) -> list[Received[bytes]]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from threading import get_ident
-from typing import Any, Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar, overload
 
 from msgspec.structs import replace
 
@@ -31,11 +31,14 @@ from .simulated.frame_time import INTERMISSION, longest_bits
 from .simulated.serial_line import BITS, SimulatedSerialLine
 
 Packet = TypeVar("Packet")
-Handler = Callable[[Any, int], Any]
+Sent = TypeVar("Sent")
+Bus = TypeVar("Bus")
+Wire = SimulatedBus | SimulatedSerialLine | SimulatedDatagrams
+AnyGate = CanGate | SerialGate | DatagramGate
 #: Called with what became of a packet ("sent", "failed", "expired", "dropped", "unsent"), and why.
-SendReport = Callable[[str, str], Any]
+SendReport = Callable[[str, str], object]
 #: Called with what happens to a bus: kind ("bus-off", "lost", "reopened" …) and details.
-BusHandler = Callable[[str, str], Any]
+BusHandler = Callable[[str, str], object]
 #: What is reported of a simulated node; the others ("bit error", "no acknowledge") come by thousands, and are counted.
 STATES = ("error-active", "error-passive", "bus-off", "recovered")
 #: How long after bus-off a simulated station comes back (ns): SocketCAN's usual restart-ms, and what boards do.
@@ -47,13 +50,13 @@ MAILBOX_AGE_NS = round(AGE_S * 1e9)
 class BasePort(Generic[Packet]):
     """What ports of all kinds have in common. `_send` is set when a port is opened; a gate's packets go to its `Loop`."""
 
-    def __init__(self, bus: Any, loop: Loop | None, name: str) -> None:
-        self._gate: Gate[Packet] | None = bus if isinstance(bus, Gate) else None
+    def __init__(self, bus: Wire | AnyGate, loop: Loop | None, name: str) -> None:
+        self._gate = bus if isinstance(bus, Gate) else None
         self.clock: EventClock = _loop_of(loop) if isinstance(bus, Gate) else bus.clock
         self.name = name
         self._send: Callable[..., bool]
 
-    def _listen(self, gate: Gate[Packet], handle: Handler) -> None:
+    def _listen(self, gate: Gate[Packet, Sent, Bus], handle: Callable[[Packet, int], None]) -> None:
         """Open a gate, and have `handle` called on the clock's thread with what it receives."""
         clock = self.clock
         assert isinstance(clock, Loop)
@@ -74,7 +77,7 @@ class BasePort(Generic[Packet]):
 
         gate.start_on(clock, take)
 
-    def _hand_over(self, items: Iterator[Received[Packet]], handle: Handler) -> None:
+    def _hand_over(self, items: Iterator[Received[Packet]], handle: Callable[[Packet, int], None]) -> None:
         for item in items:
             handle(item.content, item.host_ns)
 
@@ -147,7 +150,7 @@ class CanPort(BasePort[Frame]):
         if isinstance(bus, SimulatedBus):
             self.bitrate, self.data_bitrate = bus.bitrate, bus.data_bitrate
 
-    def open(self, received: Handler) -> None:
+    def open(self, received: Callable[[Frame, int], None]) -> None:
         """Begin to receive."""
         if not isinstance(self._bus, SimulatedBus):
             self._listen(self._bus, received)
@@ -178,7 +181,7 @@ class CanPort(BasePort[Frame]):
         # As of a gate's port: one call less a frame.
         self.__dict__["send"] = give if self.data_bitrate is None else _switching(give)
 
-    def _hand_over(self, items: Iterator[Received[Frame]], handle: Handler) -> None:
+    def _hand_over(self, items: Iterator[Received[Frame]], handle: Callable[[Frame, int], None]) -> None:
         # Without its channel's name: what is sent has none, and answers belong to requests of the same channel.
         for item in items:
             frame = item.content
@@ -253,7 +256,7 @@ class SerialPort(BasePort[bytes]):
         if isinstance(line, SimulatedSerialLine):
             self.baud, self.half_duplex = line.baud, line.half_duplex
 
-    def open(self, received: Handler) -> None:
+    def open(self, received: Callable[[bytes, int], None]) -> None:
         """Begin to receive."""
         if not isinstance(self._line, SimulatedSerialLine):
             self._listen(self._line, received)
@@ -295,7 +298,7 @@ class DatagramPort(BasePort[bytes]):
         self._network = network
         self._last_source: tuple[str, int] | None = None
 
-    def open(self, received: Handler) -> None:
+    def open(self, received: Callable[[bytes, int], None]) -> None:
         """Begin to receive."""
         network = self._network
         if isinstance(network, SimulatedDatagrams):
@@ -320,7 +323,7 @@ class DatagramPort(BasePort[bytes]):
 
         self.__dict__["send"] = answer
 
-    def _hand_over(self, items: Iterator[Received[bytes]], handle: Handler) -> None:
+    def _hand_over(self, items: Iterator[Received[bytes]], handle: Callable[[bytes, int], None]) -> None:
         for item in items:
             self._last_source = item.source
             handle(item.content, item.host_ns)
@@ -387,7 +390,21 @@ def _sender(gate: Any, clock: Loop) -> Callable[..., bool]:
     return give_quick
 
 
-def port_of(bus: Any, loop: Loop | None = None, **options: Any) -> Any:
+@overload
+def port_of(bus: SimulatedBus | CanGate, loop: Loop | None = None, **options: Any) -> CanPort: ...
+@overload
+def port_of(
+    bus: SimulatedSerialLine | SerialGate, loop: Loop | None = None, **options: Any
+) -> SerialPort: ...
+@overload
+def port_of(
+    bus: SimulatedDatagrams | DatagramGate, loop: Loop | None = None, **options: Any
+) -> DatagramPort: ...
+@overload
+def port_of(
+    bus: Wire | AnyGate, loop: Loop | None = None, **options: Any
+) -> CanPort | SerialPort | DatagramPort: ...
+def port_of(bus: object, loop: Loop | None = None, **options: Any) -> CanPort | SerialPort | DatagramPort:
     """Return the port of a wire or gate of any kind; options are those of the port. Raises `CallerError` for anything
     else.
     """

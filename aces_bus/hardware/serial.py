@@ -8,12 +8,15 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..errors import CallerError
 from ..runtime import Clock
 from .gate import POLL_S, Gate, Received
 from .queues import Report
+
+if TYPE_CHECKING:
+    import serial
 
 #: Bytes that wait to be sent, at most.
 OUTBOX = 1 << 20
@@ -25,7 +28,7 @@ ENOUGH = 2
 ECHO_S = 0.5
 
 
-class SerialGate(Gate[bytes]):
+class SerialGate(Gate[bytes, bytes, "serial.Serial"]):
     """One serial line and its only owner.
 
     with SerialGate("/dev/ttyUSB0", baud=57_600, half_duplex=True) as gate:
@@ -77,10 +80,10 @@ class SerialGate(Gate[bytes]):
         self._rest = b""
         self._received_at = 0
 
-    def _opened(self) -> Any:
+    def _opened(self) -> serial.Serial:
         import serial
 
-        port = serial.serial_for_url(
+        port: serial.Serial = serial.serial_for_url(
             self.url, baudrate=self.baud, timeout=POLL_S, write_timeout=5.0, **self._options
         )
         self._echo_due.clear()
@@ -88,11 +91,11 @@ class SerialGate(Gate[bytes]):
         self._rest = b""
         return port
 
-    def _shut(self, bus: Any) -> None:
+    def _shut(self, bus: serial.Serial) -> None:
         bus.close()
 
     @staticmethod
-    def _describe(bus: Any) -> str:
+    def _describe(bus: serial.Serial) -> str:
         return f"{bus.name} at {bus.baudrate} baud" if getattr(bus, "name", None) else ""
 
     # ------------------------------------------------------------------ receiving
@@ -112,15 +115,18 @@ class SerialGate(Gate[bytes]):
             if data:
                 self._hear(data)
 
-    def _file_of(self, bus: Any) -> int | None:
+    def _file_of(self, bus: serial.Serial) -> int | None:
         number = getattr(
             bus, "fd", None
         )  # a port of this system: others (`rfc2217://`) have no file, or do not say all
-        return number if isinstance(number, int) else None
+        if not isinstance(number, int):
+            return None
+        self._number = number
+        return number
 
     def _read_now(self) -> list[Received[bytes]]:
         try:
-            data = os.read(self._bus.fd, BLOCK)
+            data = os.read(self._number, BLOCK)
         except BlockingIOError:
             return []
         if not data:
@@ -241,7 +247,7 @@ class SerialGate(Gate[bytes]):
             try:
                 if not self._push():
                     return number, None
-                self._rest = packet[os.write(self._bus.fd, packet) :]
+                self._rest = packet[os.write(self._number, packet) :]
                 self._expect_echo(packet)
             except BlockingIOError:
                 return number, None
@@ -254,7 +260,7 @@ class SerialGate(Gate[bytes]):
     def _push(self) -> bool:
         if self._rest:
             try:
-                self._rest = self._rest[os.write(self._bus.fd, self._rest) :]
+                self._rest = self._rest[os.write(self._number, self._rest) :]
             except BlockingIOError:
                 pass
             except OSError:  # it is gone, as reading says
@@ -264,6 +270,7 @@ class SerialGate(Gate[bytes]):
     def _still_held(self) -> int:
         try:
             self._push()
-            return len(self._rest) + int(self._bus.out_waiting)
+            waiting: int = self._bus.out_waiting
+            return len(self._rest) + waiting
         except Exception:  # `socket://` has no such number, and a port that is gone has none either
             return 0

@@ -393,7 +393,10 @@ def test_a_backend_that_uses_one_message_for_all() -> None:
 
         def shutdown(self) -> None: ...
 
-    with CanGate(OneMessage) as gate:
+    def open_one() -> Any:
+        return OneMessage()
+
+    with CanGate(open_one) as gate:
         inbox = gate.subscribe()
         told.set()
         got = take(inbox, most)
@@ -429,7 +432,7 @@ class FullQueue:
 
 def test_socketcan_transmit_queue_that_is_full() -> None:
     """It is waited for; python-can alone raises for every frame behind the tenth."""
-    bus = FullQueue()
+    bus: Any = FullQueue()
     with CanGate(lambda: bus) as gate:
         for number in range(5):
             gate.send(Frame(number))

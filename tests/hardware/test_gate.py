@@ -88,7 +88,7 @@ class Bench:
         self.gate = CanGate(self._open, name="bench", **more)
         self.gate.on_event(self.seen)
 
-    def _open(self) -> Adapter:
+    def _open(self) -> Any:
         if self.refuse is not None:
             raise self.refuse
         self.adapters.append(Adapter())
@@ -139,7 +139,7 @@ def test_every_subscriber_gets_every_frame(bench: Bench) -> None:
 
 def test_more_frames_than_a_batch_holds_lose_none() -> None:
     """What waits in the adapter is handed over in batches, and no frame falls between two of them."""
-    adapter = Adapter()
+    adapter: Any = Adapter()
     for number in range(1000):
         adapter.incoming.put(message(number))
     gate = CanGate(lambda: adapter, name="full")
@@ -376,7 +376,8 @@ def test_a_backend_by_its_keywords(listen_only: bool) -> None:
                     got = third.recv(5)
                 assert got is not None
             else:
-                assert gate._bus.node.listen_only
+                opened: Any = gate._bus
+                assert opened.node.listen_only
 
 
 def test_stopping_twice_and_starting_again(bench: Bench) -> None:

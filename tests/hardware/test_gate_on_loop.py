@@ -42,12 +42,12 @@ def loop() -> Iterator[Loop]:
 class Ported:
     """A gate's port, open, with what it received and what happened to its bus."""
 
-    def __init__(self, gate: Gate[Any], loop: Loop) -> None:
+    def __init__(self, gate: Gate[Any, Any, Any], loop: Loop) -> None:
         self.gate, self.loop = gate, loop
         self.received: list[Any] = []
         self.events: list[BusEvent] = []
         gate.on_event(self.events.append)
-        self.port = port_of(gate, loop)
+        self.port: Any = port_of(gate, loop)  # type: ignore[call-overload]
         self.port.open(lambda packet, instant: self.received.append(packet))
 
     def has(self, count: int) -> bool:
@@ -335,9 +335,10 @@ def test_frames_for_the_system_are_what_it_would_give_back() -> None:
         channel = "can0"
         _is_filtered = True
 
+    bus: Any = Bus()
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     with near, far:
-        sender, reader = SocketcanReader(Bus(), near), SocketcanReader(Bus(), far)
+        sender, reader = SocketcanReader(bus, near), SocketcanReader(bus, far)
         frames = [
             Frame(0x123, b"\x01\x02"),
             Frame(0x1ABCDEF0, bytes(8), is_extended_id=True),

@@ -55,7 +55,11 @@ def test_datagrams_answer_whoever_spoke() -> None:
     with Loop() as loop:
         server = DatagramGate(("127.0.0.1", 0))
         answering = port_of(server, loop)
-        answering.open(lambda packet, now: answering.send(packet[::-1]))
+
+        def answer(packet: bytes, now: int) -> None:
+            answering.send(packet[::-1])
+
+        answering.open(answer)
         assert not answering.send(b"to nobody")
         heard: list[bytes] = []
         asking = port_of(DatagramGate(peer=server.address), loop)
@@ -78,4 +82,4 @@ def test_what_is_no_bus_is_refused() -> None:
     with pytest.raises(CallerError, match="needs a Loop"):
         port_of(CanGate({"interface": "aces", "channel": "x"}))
     with pytest.raises(CallerError, match="neither a wire nor a gate"):
-        port_of("can0")
+        port_of("can0")  # type: ignore[call-overload]

@@ -358,7 +358,7 @@ def test_a_screen_is_made_for_a_gate(kind: str) -> None:
 
     gate: Any
     if kind == "can":
-        gate, made_scanner = CanGate(lambda: None, name="bus", listen_only=True), scanner()
+        gate, made_scanner = CanGate({}, name="bus", listen_only=True), scanner()
     else:
         gate, made_scanner = SerialGate("loop://", baud=57_600, listen_only=True), scanner(wire)
     app = make_screen(gate, made_scanner, title="arm", show=["Encoder"])

@@ -413,7 +413,7 @@ def test_what_comes_too_fast_is_counted(
 
 def test_a_flood_of_events_is_counted_and_not_printed(capsys: pytest.CaptureFixture[str]) -> None:
     """Of a thousand events of one kind three are printed, and then one line."""
-    gate = CanGate(dict, name="can0", listen_only=True)
+    gate = CanGate({}, name="can0", listen_only=True)
     told = BusEventLines(gate)
     for _ in range(1000):
         gate.events.emit(BusEvent("bad input", 0, "can0", "oops"))
@@ -427,7 +427,7 @@ def test_a_flood_of_events_is_counted_and_not_printed(capsys: pytest.CaptureFixt
 def test_who_sends_is_told_what_to_look_at(capsys: pytest.CaptureFixture[str]) -> None:
     """An error-passive sender is alone or at another bit rate; who only listens is told the bare fact."""
     for listen_only in (True, False):
-        gate = CanGate(dict, name="can0", listen_only=listen_only)
+        gate = CanGate({}, name="can0", listen_only=listen_only)
         told = BusEventLines(gate)
         gate.events.emit(BusEvent("error-passive", 0, "can0"))
         told.report(last=True)
