@@ -61,6 +61,8 @@ class PastRequest:
     values: Mapping[str, Any]
     #: Of a request to everyone: the devices that have answered it.
     answered: set[tuple[Any, ...]] = field(default_factory=set)
+    #: Whether a reply has used it up: it goes on as a mode.
+    is_answered: bool = False
 
 
 class RequestRule:
@@ -73,9 +75,8 @@ class RequestRule:
     ) -> None:
         self.broadcast = broadcast
         self.requests, self.answers = request_names(messages, contextual)
-        #: All requests in order, and those that are not used up.
+        #: All requests in order.
         self.passed: list[PastRequest] = []
-        self.open: list[PastRequest] = []
         #: By message, what it may hang on: the request, whether it is a mode, and the fields that both have.
         self.links: dict[str, list[tuple[Request, bool, list[str]]]] = {}
         for message in messages:
@@ -89,13 +90,12 @@ class RequestRule:
     def note(self, past: PastRequest) -> None:
         """Note a request that was received or sent."""
         self.passed.append(past)
-        self.open.append(past)
 
     def of(
         self, fitting: Sequence[tuple[Message, Mapping[str, Any]]], channel: Any, time: float | None
     ) -> tuple[Message, PastRequest] | None:
         """Return which of some messages, given with their raw fields, is an answer, and to what; the request is used up."""
-        for past in reversed(self.open):
+        for past in reversed(self.passed):
             links = [
                 (message, values, *link)
                 for message, values in fitting
@@ -108,7 +108,7 @@ class RequestRule:
                     if not is_mode and own != _those(shared, past.values):
                         past.answered.add(own)
                     elif not is_mode:
-                        self.open.remove(past)
+                        past.is_answered = True
                     return message, past
             if links:
                 return None
@@ -118,7 +118,7 @@ class RequestRule:
         self, message: Message, values: Mapping[str, Any], channel: Any, time: float | None
     ) -> PastRequest | None:
         """Return the request that a reply with these outer fields would answer."""
-        for past in reversed(self.open):
+        for past in reversed(self.passed):
             for link in self.links[message.name]:
                 if self.agrees(past, message, link, values, channel, time) and link[0].accepts(past.values):
                     return past
@@ -134,11 +134,13 @@ class RequestRule:
         time: float | None,
     ) -> bool:
         """Return whether a message with these fields may be an answer to a request."""
-        request, _, shared = link
+        request, is_mode, shared = link
         if past.name != request.message.name or past.channel != channel:
             return False
+        if past.is_answered and not is_mode:
+            return False
         own, everyone = _those(shared, values), _those(shared, {**values, **self.broadcast})
-        if _those(shared, past.values) not in (own, everyone) or own in past.answered:
+        if _those(shared, past.values) not in (own, everyone) or (own in past.answered and not is_mode):
             return False
         if not self.is_remembered(past, shared):
             return False
@@ -147,10 +149,10 @@ class RequestRule:
         asked = _those(shared, past.values)
         return all(
             one.time is None or time - one.time <= message.within
-            for one in self.open[self.open.index(past) :]
+            for one in self.passed[self.passed.index(past) :]
             if (one.name, one.channel) == (past.name, past.channel)
             and _those(shared, one.values) == asked
-            and own not in one.answered
+            and (is_mode or not (one.is_answered or own in one.answered))
         )
 
     def is_remembered(self, past: PastRequest, shared: Sequence[str]) -> bool:
@@ -189,7 +191,7 @@ class Reference:
         self._request: PastRequest | None = None
         self.sides = []
         for variant in variants:
-            messages = ordered(variant.messages_for(direction))
+            messages = ordered(variant.readable(direction))
             contextual = needing_context(messages)
             context = RequestRule(messages, contextual, variant.protocol.broadcast)
             self.sides.append((variant, messages, contextual, context))

@@ -251,15 +251,53 @@ def test_reset_forgets_everything() -> None:
     assert (record.meta.offset, stream.counts.total, stream.buffered) == (0, 6, 0)
 
 
-def test_frames_that_only_their_direction_tells_apart_need_one() -> None:
-    """Streams were refused without a direction, CAN frames were given to whichever message was declared first."""
+def test_frames_that_only_their_direction_tells_apart_cost_themselves() -> None:
+    """Without a direction two CAN messages that only it tells apart are unknown, and the others are read."""
     made = Protocol("opposite", link="can")
     made.message("Set", id=1, direction="to device", payload=Struct("x" / Byte))
     made.message("Is", id=1, direction="from device", payload=Struct("y" / Byte))
-    with pytest.raises(CallerError, match="bytes alone do not tell Is from Set"):
-        made.scanner()
+    made.message("Other", id=2, direction="from device", payload=Struct("z" / Byte))
+    found = made.scanner(include_unknown=True).feed([Frame(1, b"\x07"), Frame(2, b"\x08")])
+    assert [type(record).__name__ for record in found] == ["Unknown", "Other"]
+    assert [(a.name, b.name) for a, b in made.variant().direction_conflicts] == [("Is", "Set")]
     (record,) = made.scanner(direction="from device").feed([Frame(1, b"\x07")])
     assert record.y == 7
+
+
+def test_a_framing_s_numbers_are_its_messages() -> None:
+    """A message of a framing that reads some functions alone encodes no other, and cannot be matched with another."""
+    made = Protocol("meter", link="serial")
+    framing = made.framing(
+        header=Struct("unit" / Byte, "function" / Byte), match={"function": (5, 6)}, size=4
+    )
+    framing("Any", payload=Struct("x" / Int16ul))
+    assert made.encode("Any", unit=1, function=6, x=2) == b"\x01\x06\x02\x00"
+    with pytest.raises(FieldError, match="function: 7 does not go with Any"):
+        made.encode("Any", unit=1, function=7, x=2)
+    with pytest.raises(SpecError, match="Bad has function 7, but its framing reads 5, 6 alone"):
+        framing("Bad", match={"function": 7}, payload=Struct("y" / Int16ul))
+
+
+def test_a_mode_outlives_the_reply_to_its_request() -> None:
+    """A request that a reply has consumed is still the mode of what follows: a lidar's nodes behind its descriptor."""
+    lidar = Protocol("lidar", link="serial")
+    scan = lidar.framing(name="command", sync=b"\xa5", size=2)(
+        "Scan", direction="to device", payload=Struct(Const(0x20, Byte))
+    )
+    lidar.framing(name="node", size=3)(
+        "Node", direction="from device", after=scan, payload=Struct("x" / Bytes(3))
+    )
+    lidar.framing(name="descriptor", sync=b"\xa5\x5a", size=3)(
+        "Descriptor", direction="from device", reply_to=scan, overrides="Node", payload=Struct("kind" / Byte)
+    )
+    stream = lidar.encode("Descriptor", kind=1) + b"abcdef"
+    paired = lidar.scanner(direction="both", include_unknown=True)
+    paired.feed(lidar.encode("Scan"))
+    received = lidar.scanner(direction="from device", include_unknown=True)
+    received.sent(lidar.encode("Scan"))
+    for scanner in (paired, received):
+        kinds = [type(record).__name__ for record in scanner.feed(stream)]
+        assert kinds[-3:] == ["Descriptor", "Node", "Node"]
 
 
 _PAIR = Struct("x" / Byte, "y" / Byte)

@@ -269,6 +269,13 @@ class Decoding(ABC):
             say(f"{option}: no frame came from {name!r} (there are: {there})")
         if self.window is not None and self.window.untimed:
             say(f"--from and --to need times: {self.window.untimed} items have none, and are filtered")
+        is_unclear = self.direction is None and "can" in totals and totals["can"]["unknown"]
+        for variant in self.variants["can"] if is_unclear else ():
+            for message, other in variant.direction_conflicts:
+                say(
+                    f"{variant.name}: {message.name} and {other.name} differ by direction alone, and are unknown:"
+                    " give --direction to|from|both"
+                )
         for total in totals.values():
             if total.dropped:
                 say(f"the recorder says that it lost {counted(total.dropped, 'frame')}")

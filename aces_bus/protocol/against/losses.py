@@ -294,9 +294,8 @@ class Opcodes:
             if framing is None:
                 continue
             places = self._places.setdefault(framing, {})
-            length = framing.affine.length.name if framing.affine is not None else None
             for head in message.heads_written:
-                if head.name is not None and head.name != length:
+                if head.name is not None and head.name not in framing.derived:
                     places[head.offset, head.size] = head.name
         for message in self.messages:
             places = self._places[message.framing] if message.framing is not None else {}
@@ -465,7 +464,7 @@ _REMEDIES = {
 def _fitting_check(framing: Framing, samples: Sequence[bytes]) -> str:
     """Return where a check of the declared kind would hold on most samples: another first byte, or another size."""
     check = framing.check
-    if check is None or framing.stuffing is not None or check.text is not None:
+    if check is None or framing.stuffing is not None or check.text is not None or framing.check_head:
         return ""
     best, words = 2, ""
     for more in (0, 1, -1, 2, -2):

@@ -53,9 +53,10 @@ class CheckColumns:
         assert framing.check is not None
         self.check: Check = framing.check
         self.sync = len(framing.sync)
+        self._framing = framing
         self._head: Head | None = None
         self._parts: list[slice | bytes | None] = []
-        for part in (slice(self.sync, -self.check.size),) if self.check.over is None else self.check.over:
+        for part in framing.check_over:
             assert isinstance(part, (slice, bytes, Extra))
             self._parts.append(None if isinstance(part, Extra) else part)
         if extras is not None:
@@ -74,7 +75,7 @@ class CheckColumns:
         check = framing.check
         if check is None:
             return ""
-        if check.text is not None or check.field is not None or check.bytes > 8:
+        if check.text is not None or check.bytes > 8:
             return "the check is not a number of at most 8 bytes"
         if any(not isinstance(part, (slice, bytes, Extra)) for part in check.over or ()):
             return "the check covers what is not in the packet"
@@ -107,7 +108,7 @@ class CheckColumns:
         for index in long.tolist() if long is not None else ():
             start, end = int(starts[index]), int(starts[index] + sizes[index])
             packet = buffer[start:end]
-            covered = self.check.covered(packet, self.sync, len(packet) - 1)
+            covered = self._framing.check_covers(packet)
             good[index] = self.check.compute(covered) == packet[-1]
             if good[index]:
                 rows = None
@@ -146,7 +147,8 @@ class CheckColumns:
             wanted = self._crcs(data, starts, ends, extras)
         else:
             wanted = self._sums(data, starts, ends, extras)
-        stored = number_at(data, ends - self.check.size, self.check.bytes, self.check.order)
+        place = self._framing.check_at
+        stored = number_at(data, (starts if place >= 0 else ends) + place, self.check.bytes, self.check.order)
         bad = wanted != stored.astype(wanted.dtype)
         codes[bad if known is None else known[bad]] = CHECKSUM
         return codes
@@ -216,7 +218,7 @@ class CheckColumns:
         for index in alone.tolist():
             packet = data[starts[index] : ends[index]].tobytes()
             extra = extras[index].tobytes() if extras is not None else b""
-            covered = self.check.covered(packet, self.sync, len(packet) - self.check.size, extra=extra)
+            covered = self._framing.check_covers(packet, extra)
             out[index] = self.check.compute(covered)
         if len(alone) == len(starts):
             return out
@@ -421,18 +423,15 @@ def check_holds(message: Message, data: Array, lengths: Array, keys: Array) -> A
         some = np.flatnonzero(lengths == length)
         rows = data[some, :length]
         stored = number_at(rows.ravel(), length * np.arange(len(rows)) + start, size, order)
-        good[some] = stored == check_numbers(check, _covered(message, rows, keys[some], start, size))
+        good[some] = stored == check_numbers(check, _covered(message, rows, keys[some]))
     return good
 
 
-def _covered(message: Message, rows: Array, keys: Array, start: int, size: int) -> Array:
+def _covered(message: Message, rows: Array, keys: Array) -> Array:
     """Return what the check covers, uint8 (n, k), as `Message.covered` gives it."""
-    check = message.check
-    assert check is not None
-    if check.over is None:
-        return np.concatenate([rows[:, :start], rows[:, start + size :]], axis=1)
+    rows = rows[:, : rows.shape[1] - message.behind]
     parts: list[Array] = []
-    for part in check.over:
+    for part in message.check_over:
         if isinstance(part, slice):
             parts.append(rows[:, part])
         elif isinstance(part, IdBytes):

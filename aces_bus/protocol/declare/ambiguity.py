@@ -198,14 +198,13 @@ def conflict(one: Message, other: Message) -> Conflict | None:
     return _stream_conflict(one, other)
 
 
-def opposite_conflict(messages: Iterable[Message]) -> tuple[Message, Message] | None:
-    """Two messages of opposite direction that bytes alone cannot tell apart."""
+def opposite_conflicts(messages: Iterable[Message]) -> Iterator[tuple[Message, Message]]:
+    """Yield the pairs of messages of opposite direction that bytes alone cannot tell apart."""
     listed = [message for message in messages if message.direction is not None]
-    for index, one in enumerate(listed):
+    for index, message in enumerate(listed):
         for other in listed[:index]:
-            if one.direction != other.direction and conflict(one, other) is not None:
-                return one, other
-    return None
+            if message.direction != other.direction and conflict(message, other) is not None:
+                yield message, other
 
 
 def needing_context(messages: Sequence[Message]) -> frozenset[str]:

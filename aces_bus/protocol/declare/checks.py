@@ -146,10 +146,17 @@ class Check:
         self, packet: bytes, start: int, end: int, *, identifier: int = 0, extra: bytes = b""
     ) -> bytes:
         """Return the covered bytes of `packet`, whose sync ends at `start` and whose check starts at `end`."""
-        if self.over is None:
-            return packet[start:end]
+        return (
+            packet[start:end]
+            if self.over is None
+            else self.joined(packet, self.over, identifier=identifier, extra=extra)
+        )
+
+    @staticmethod
+    def joined(packet: bytes, over: Sequence[Covered], *, identifier: int = 0, extra: bytes = b"") -> bytes:
+        """Return what `over` takes of a packet, in order."""
         parts: list[bytes] = []
-        for part in self.over:
+        for part in over:
             match part:
                 case slice():
                     parts.append(packet[part])

@@ -24,7 +24,7 @@ from construct import Construct, Container, Struct
 from msgspec.structs import replace
 
 from ...errors import SpecError
-from .checks import Check
+from .checks import Check, Covered
 from .head import Head, heads_of
 from .pattern import describe_values
 from .place import SourceLine, caller
@@ -234,7 +234,10 @@ class Framing:
         self.head_end = len(sync) + sum(h.size for h in self.heads)
         #: Where nothing marks a packet's beginning: the header bytes, by their offset, that its packets have.
         self.match = self._matched(match or {})
-        self.check_size = check.size if check is not None else 0
+        #: The header field that has the check; None: it is behind the payload.
+        self.check_head = self._check_head()
+        #: Bytes of the check behind the payload.
+        self.check_size = check.size if check is not None and self.check_head is None else 0
         self.is_silent = end == "silence"
         if isinstance(end, str) and not self.is_silent:
             raise SpecError(f"{self.place}: end is bytes or 'silence', not {end!r}")
@@ -276,6 +279,63 @@ class Framing:
             raise SpecError(f"{self.place}: a packet that ends by silence needs gap=seconds")
         if self.affine is None and self.fixed_size is None and isinstance(stuffing, Insert):
             raise SpecError(f"{self.place}: inserted bytes need a size; delimited framings take Slip or Cobs")
+
+    def _check_head(self) -> Head | None:
+        """Return the header field that the check names."""
+        check = self.check
+        if check is None or check.field is None:
+            return None
+        found = next((head for head in self.heads if head.name == check.field), None)
+        if found is None or found.size != check.size or found.is_text or check.text is not None:
+            names = ", ".join(head.name for head in self.heads if head.name) or "none"
+            raise SpecError(
+                f"{self.place}: field={check.field!r} of a framing's check is a header field of {check.size} bytes"
+                f" (there are: {names})"
+            )
+        if check.size > 1 and found.order != check.order:
+            raise SpecError(
+                f"{self.place}: the check is order={check.order!r}, its field {check.field!r} {found.order!r}"
+            )
+        if self.stuffing is not None:
+            raise SpecError(f"{self.place}: a check in the header does not go with stuffing")
+        return found
+
+    @property
+    def derived(self) -> frozenset[str | None]:
+        """The header fields that are computed, and that records do not have: the packet's length, its check."""
+        heads = (self.affine.length if self.affine is not None else None, self.check_head)
+        return frozenset(head.name for head in heads if head is not None)
+
+    @property
+    def check_at(self) -> int:
+        """Where the check begins in a packet: from its first byte, or negative, from its end."""
+        assert self.check is not None
+        return -self.check.size - len(self.end) if self.check_head is None else self.check_head.offset
+
+    @property
+    def check_over(self) -> tuple[Covered, ...]:
+        """What the check covers, of a whole packet; by default all behind the sync bytes but check and end."""
+        assert self.check is not None
+        if self.check.over is not None:
+            return self.check.over
+        sync, at = len(self.sync), self.check_at
+        if at < 0:
+            return (slice(sync, at),)
+        behind = slice(at + self.check.size, -len(self.end) or None)
+        return (slice(sync, at), behind) if at > sync else (behind,)
+
+    def check_covers(self, packet: bytes, extra: bytes = b"") -> bytes:
+        """Return the bytes that the check of a packet (up to its trailer, without stuffing around it) covers."""
+        assert self.check is not None
+        if len(self.check_over) == 1 and self.check.over is None:
+            return packet[self.check_over[0]]  # type: ignore[index]
+        return self.check.joined(packet, self.check_over, extra=extra)
+
+    def check_in(self, packet: bytes) -> bytes:
+        """Return the check's bytes in such a packet."""
+        assert self.check is not None
+        at = self.check_at if self.check_at >= 0 else len(packet) + self.check_at
+        return packet[at : at + self.check.size]
 
     def _affine(self, size: Callable[[Any], Any]) -> Affine:
         """Read off which header field the size depends on, and how: by asking the expression."""
@@ -466,15 +526,14 @@ class Framing:
         if len(covered) < self.min_size:
             return BAD("length")
         if self.check is not None:
-            end = len(covered) - len(self.end) - self.check_size
             extra = b""
             if extras is not None:
                 key = self.extra_number(packet)
                 if key not in extras:
                     return BAD(f"no message {key} to check by")
                 extra = extras[key]
-            want = self.check.encode(self.check.covered(covered, len(self.sync), end, extra=extra))
-            stored = covered[end : end + self.check_size]
+            want = self.check.encode(self.check_covers(covered, extra))
+            stored = self.check_in(covered)
             if stored != want and not self.check.same(stored, want):
                 return BAD("checksum")
         return Judgement(Verdict.WHOLE, len(packet), "", covered)
@@ -513,7 +572,11 @@ class Framing:
     def extra_head(self) -> Head | None:
         """The header field that picks a message's `check_extra`: the last one."""
         named = [
-            h for h in self.heads if h.name and (self.affine is None or h.name != self.affine.length.name)
+            h
+            for h in self.heads
+            if h.name
+            and (self.affine is None or h.name != self.affine.length.name)
+            and h is not self.check_head
         ]
         return named[-1] if named else None
 
@@ -530,9 +593,7 @@ class Framing:
         assert self.check is not None
         inserted = self.stuffing is not None and self.stuffing.is_inside
         whole = self.parted(packet)[0] if inserted else self.logical(packet)
-        end = len(whole) - len(self.end) - self.check_size
-        covered = self.check.covered(whole, len(self.sync), end, extra=extra)
-        return self.check.encode(covered), whole[end : end + self.check_size]
+        return self.check.encode(self.check_covers(whole, extra)), self.check_in(whole)
 
     def extra_number(self, packet: bytes) -> int:
         head = self.extra_head

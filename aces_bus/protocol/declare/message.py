@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from ...errors import CallerError, SpecError, UnknownNameError
 from .bits import BitLayout, whole_bits
-from .checks import Check, Extra
+from .checks import Check, Covered, Extra
 from .delimited import Delimited
 from .examples import Example
 from .fields import Counter, Enumeration
@@ -161,7 +161,12 @@ class Message:
         self.heads_written = self._matched([*heads, *own], dict(match))
         self.payload_start = start + sum(h.size for h in own)
         derived = framing.affine.length.name if framing is not None and framing.affine is not None else None
-        self.heads = tuple(h for h in self.heads_written if h.name is None or h.name != derived)
+        computed = framing.derived if framing is not None else frozenset[str | None]()
+        if framing is not None and framing.check_head is not None and framing.check_head.name in match:
+            raise SpecError(
+                f"{place}: {framing.check_head.name} of {name} is the packet's check; it is not matched"
+            )
+        self.heads = tuple(h for h in self.heads_written if h.name is None or h.name not in computed)
         length_head = next((h for h in self.heads_written if derived is not None and h.name == derived), None)
         #: What `match` says of the framing's length field, which records do not have.
         self.length_pattern = length_head.pattern if length_head is not None else None
@@ -193,9 +198,15 @@ class Message:
 
     def _matched(self, heads: list[Head], match: dict[str, Any]) -> tuple[Head, ...]:
         found = []
+        framed = {} if self.framing is None else {head.name: numbers for head, numbers in self.framing.match}
         for head in heads:
+            numbers = framed.get(head.name)
             if head.name is not None and head.name in match:
                 head = head.matched(match.pop(head.name), self.place)
+                if numbers is not None:
+                    self._check_framed(head, numbers)
+            elif numbers is not None:  # what its framing reads is all that it can be
+                head = head.matched(next(iter(numbers)) if len(numbers) == 1 else numbers, self.place)
             found.append(head)
         if match:
             names = ", ".join(h.name for h in heads if h.name) or "none"
@@ -203,6 +214,16 @@ class Message:
                 f"{self.place}: match names {next(iter(match))!r}, which is not a head field (there are: {names})"
             )
         return tuple(found)
+
+    def _check_framed(self, head: Head, numbers: Collection[int]) -> None:
+        """Raise `SpecError` where a one-byte head field is matched with numbers that its framing does not read."""
+        assert head.pattern is not None
+        outside = [n for n in range(256) if n not in numbers and head.pattern.match(n) is not None]
+        if outside:
+            raise SpecError(
+                f"{self.place}: {self.name} has {head.name} {describe_values(outside)}, but its framing reads"
+                f" {describe_values(numbers)} alone"
+            )
 
     def _enumerations(self) -> dict[tuple[str, ...], Enumeration]:
         """Return the enumerations outside the payload that it may choose by, as `this._.name`."""
@@ -393,13 +414,32 @@ class Message:
             offset += least
         raise SpecError(f"{self.place}: check field {name!r} is not in the payload itself")
 
-    def covered(self, data: bytes, identifier: int) -> bytes:
-        """Return the bytes that this message's own check covers."""
+    @cached_property
+    def check_over(self) -> tuple[Covered, ...]:
+        """What this message's own check covers, of a frame's data or of a packet (without stuffing) up to its framing's
+        check and end; by default all behind the sync bytes but checks.
+        """
         assert self.check is not None
+        if self.check.over is not None:
+            return self.check.over
         start, size, _ = self.check_span
-        if self.check.over is None:
-            return data[:start] + data[start + size :]
-        return self.check.covered(data, 0, len(data), identifier=identifier, extra=self.check_extra)
+        first, head = (len(self.framing.sync), self.framing.check_head) if self.framing else (0, None)
+        gaps = [*([(head.offset, head.size)] if head is not None else []), (start, size)]
+        found: list[Covered] = []
+        for at, width in gaps:
+            found += [slice(first, at)] if at > first else []
+            first = at + width
+        return (*found, slice(first, None))
+
+    @property
+    def behind(self) -> int:
+        """Bytes of a packet behind the payload: its framing's check and end."""
+        return self.framing.check_size + len(self.framing.end) if self.framing is not None else 0
+
+    def covered(self, data: bytes, identifier: int) -> bytes:
+        """Return the bytes that this message's own check covers, in order."""
+        data = data[: len(data) - self.behind]
+        return Check.joined(data, self.check_over, identifier=identifier, extra=self.check_extra)
 
     def outer(self, data: bytes, identifier: int) -> dict[str, int] | None:
         """Return the raw captures and head fields of a packet, its payload unread; None when they are not this message's."""

@@ -219,7 +219,10 @@ class PacketStruct(Construct):
         body = io.BytesIO()
         message.payload._build(Container(values), body, inner, path)
         if message.framing is not None:
-            stream.write(self.framed(message.framing, head, body.getvalue()))
+            packet = self.framed(message.framing, head, body.getvalue())
+            if check is not None:
+                packet = self._checked(check, message.framing, packet, head, body.getvalue())
+            stream.write(packet)
             return obj
         data = head + body.getvalue()
         captures = _captured(message.identifier, obj, raw, path)
@@ -239,7 +242,7 @@ class PacketStruct(Construct):
 
     def _head_bytes(self, head: Head, obj: Any, context: Any, raw: bool, path: str) -> bytes:
         framing = self.message.framing
-        if framing is not None and framing.affine is not None and head.name == framing.affine.length.name:
+        if framing is not None and head.name in framing.derived:
             return bytes(head.size)
         if head.pattern is not None and not head.is_own:
             return head.bytes(head.pattern.number(_captured(head.pattern, obj, raw, path)))
@@ -298,10 +301,9 @@ class PacketStruct(Construct):
         if framing.check is not None:
             # Slices of the check count from the whole packet's end, so its room must be there.
             whole = packet + bytes(framing.check_size) + framing.end
-            covered = framing.check.covered(
-                whole, len(framing.sync), len(packet), extra=self.message.check_extra
-            )
-            packet += framing.check.encode(covered)
+            written = framing.check.encode(framing.check_covers(whole, self.message.check_extra))
+            at = framing.check_at if framing.check_head is not None else len(packet)
+            packet = packet[:at] + written + packet[at + len(written) :]
         if framing.end:
             if len(packet) == len(framing.sync):
                 raise FieldError(
@@ -328,6 +330,19 @@ class PacketStruct(Construct):
                 f"{self.message.name}: a packet of {len(packet)} bytes is longer than {framing.max_size}"
             )
         return packet
+
+    def _checked(self, check: Check, framing: Framing, packet: bytes, head: bytes, body: bytes) -> bytes:
+        """Return a packet with the message's own check, which covers what else is in `packet`."""
+        start, size, _ = self.message.check_span
+        whole = self._with_check(check, framing.logical(packet), 0)
+        at = start - self.message.payload_start
+        body = body[:at] + whole[start : start + size] + body[at + size :]
+        found = self.framed(framing, head, body)
+        if self._with_check(check, plain := framing.logical(found), 0) != plain:
+            raise FieldError(
+                f"{self.message.name}: its check covers what the check itself changes: say in over= what it covers"
+            )
+        return found
 
     def _with_check(self, check: Check, data: bytes, identifier: int) -> bytes:
         message = self.message

@@ -472,6 +472,16 @@ class Variant:
             return list(self.messages.values())
         return [m for m in self.messages.values() if m.direction in (None, way)]
 
+    def readable(self, direction: GivenWay | None) -> list[Message]:
+        """Return the messages that scanners read in `direction`. Without one, frames (CAN) that two messages of opposite
+        direction claim are left unread: a pair of messages costs only itself.
+        """
+        messages = self.messages_for(direction)
+        if direction is not None or self.link != "can":
+            return messages
+        unclear = {message.name for pair in self.direction_conflicts for message in pair}
+        return [message for message in messages if message.name not in unclear]
+
     def __getitem__(self, name: str) -> Message:
         try:
             return self.messages[name]
@@ -486,11 +496,16 @@ class Variant:
         return Encoder(self)
 
     @cached_property
-    def direction_conflict(self) -> tuple[Message, Message] | None:
-        """Two messages of opposite direction that bytes alone cannot tell apart, or None."""
-        from .ambiguity import opposite_conflict
+    def direction_conflicts(self) -> list[tuple[Message, Message]]:
+        """Pairs of messages of opposite direction that bytes alone cannot tell apart."""
+        from .ambiguity import opposite_conflicts
 
-        return opposite_conflict(list(self.messages.values()))
+        return list(opposite_conflicts(list(self.messages.values())))
+
+    @property
+    def direction_conflict(self) -> tuple[Message, Message] | None:
+        """The first of `direction_conflicts`, or None."""
+        return next(iter(self.direction_conflicts), None)
 
     def __repr__(self) -> str:
         return f"<{self.label}: {len(self.messages)} messages>"

@@ -162,9 +162,10 @@ def marks_of(message: Message) -> list[Mark]:
     if framing is not None:
         end = len(framing.end)
         if framing.check is not None:
-            marks.append(
-                Mark(-end - framing.check.size, framing.check.size, f"check: {framing.check.describe}")
-            )
+            marks = [
+                mark for mark in marks if mark.offset != framing.check_at
+            ]  # the header field that has it
+            marks.append(Mark(framing.check_at, framing.check.size, f"check: {framing.check.describe}"))
         marks += [Mark(i - end, 1, f"end {byte:#04x}") for i, byte in enumerate(framing.end)]
     return marks
 

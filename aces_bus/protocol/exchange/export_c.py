@@ -165,6 +165,7 @@ def _refusal(message: Message) -> str:
         "its length depends on its values": plan.lengths_by is not None,
         "its fields share bits": getattr(message.payload, "overlapping", False),
         "its packets are stuffed": framing is not None and framing.stuffing is not None,
+        "a check in its header": framing is not None and framing.check_head is not None,
         "its packets have a trailer": framing is not None and framing.trailer is not None,
         "an escaped length": affine is not None and (affine.escape is not None or affine.flags is not None),
     }

@@ -192,6 +192,9 @@ class _Printer:
 
     def _own_check(self, message: Message) -> dict[str, Any] | None:
         assert message.check is not None
+        if message.framing is not None:
+            self._lose(message.name, "", f"its own check ({message.check.describe}) is not verified")
+            return None
         offset, size, order = message.check_span
         check = self._check(message.check, message.name, message.check_extra)
         if "kind" not in check:
@@ -262,7 +265,9 @@ class _Printer:
         table["stop"] = list(framing.end)
         table["is_silent"] = framing.is_silent
         table |= {"min_size": framing.min_size, "max_size": framing.max_size, "head_end": framing.head_end}
-        if framing.check is not None:
+        if framing.check is not None and framing.check_head is not None:
+            self._lose("", "", f"the check in the header ({framing.check.describe}) is not verified")
+        elif framing.check is not None:
             table["check"] = self._check(framing.check, "")
         extra = framing.extra_head
         if extra is not None:

@@ -64,7 +64,7 @@ class Template:
                 and end <= len(data)
                 and head.pattern.match(head.number(data)) is None
             ):
-                if self._is_length(head.name):
+                if self._is_computed(head.name):
                     continue
                 number = head.number(data)
                 if head.is_text and head.is_constant:
@@ -104,9 +104,8 @@ class Template:
             return "content", error_text(error)
         return None
 
-    def _is_length(self, name: str | None) -> bool:
-        framing = self.framing
-        return framing is not None and framing.affine is not None and name == framing.affine.length.name
+    def _is_computed(self, name: str | None) -> bool:
+        return self.framing is not None and name in self.framing.derived
 
     def _dead(self, data: bytes) -> tuple[str, str]:
         assert self.framing is not None

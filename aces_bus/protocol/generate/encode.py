@@ -130,16 +130,12 @@ class _Encoder(FunctionSetup):
         return " + ".join(parts)
 
     def _head(self) -> str:
-        """Return the header and prefix; the length is written by the framing."""
+        """Return the header and prefix; length and check are written by the framing."""
         message = self.message
-        derived = (
-            message.framing.affine.length.name
-            if message.framing is not None and message.framing.affine
-            else None
-        )
+        derived = message.framing.derived if message.framing is not None else frozenset[str | None]()
         parts = []
         for head in message.heads_written:
-            if derived is not None and head.name == derived:
+            if head.name in derived:
                 parts.append(literal(bytes(head.size)))
             elif head.pattern is not None and not head.pattern.captures:
                 parts.append(literal(head.bytes(head.pattern.constant)))

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from ..declare.checks import Check, Extra, Fletcher, Sum, Xor
+from ..declare.checks import Check, Covered, Extra, Fletcher, Sum, Xor
 from ..declare.framing import Framing
 from ..declare.head import Head
 from ..plan.choose import Choice
@@ -235,8 +235,7 @@ def _asks(framing: Framing) -> bool:
         return False
     if framing.end:
         return framing.stuffing is None
-    plain = plain_cover(check, len(framing.sync), framing.check_size)
-    return _has_sized_start(framing) and (check.kind == "crc" or plain is None)
+    return _has_sized_start(framing) and (check.kind == "crc" or plain_cover(framing) is None)
 
 
 def _asks_sums(framing: Framing) -> bool:
@@ -322,7 +321,7 @@ def _checked(out: SourceText, number: int, framing: Framing, decode: str, *, alo
     failed = "bad = bad or 'malformed: checksum'"
     if check is not None:
         start = f"i + {len(framing.sync)}"
-        plain = plain_cover(check, len(framing.sync), framing.check_size)
+        plain = plain_cover(framing)
         if plain is not None and check.kind != "crc":
             start = f"i + {plain}" if plain else "i"
             stored = _stored(check, "j")
@@ -444,10 +443,13 @@ def _has_extra(check: Check) -> bool:
     return any(isinstance(part, Extra) for part in check.over or ())
 
 
-def plain_cover(check: Check, sync: int, size: int) -> int | None:
+def plain_cover(framing: Framing) -> int | None:
     """Return where the covered bytes start, when they are one run up to the check."""
+    check, size = framing.check, framing.check_size
+    if check is None or framing.check_head is not None:
+        return None
     if check.over is None:
-        return sync if check.text is None else None
+        return len(framing.sync) if check.text is None else None
     if len(check.over) != 1 or check.text is not None or not isinstance(check.over[0], slice):
         return None
     part = check.over[0]
@@ -487,7 +489,6 @@ def print_check(out: SourceText, number: int, framing: Framing) -> None:
     """`check_N(packet)`; packets that are stuffed as a whole cannot be checked so."""
     check = framing.check
     assert check is not None
-    back = check.size + len(framing.end)
     text = check.text
     if text is not None and check.bytes == 1:
         out.lines(
@@ -512,8 +513,8 @@ def print_check(out: SourceText, number: int, framing: Framing) -> None:
             "if extra is None:",
             "    return f'malformed: no message {message} to check by'",
         )
-    found = computed(check, number, _covered(check, len(framing.sync), back))
-    wanted, stored = _wanted(check, number, found), _stored_behind(check, back)
+    found = computed(check, number, _covered(framing.check_over))
+    wanted, stored = _wanted(check, number, found), _stored_in(framing, check)
     if check.digits is not None:
         out.lines(
             f"wanted = {wanted}",
@@ -540,11 +541,9 @@ def computed(check: Check, number: int, run: str) -> str:
     return f"crc_{number}({run})"
 
 
-def _covered(check: Check, sync: int, back: int) -> str:
-    if check.over is None:
-        return f"packet[{sync}:-{back}]"
+def _covered(over: Sequence[Covered]) -> str:
     parts = []
-    for part in check.over:
+    for part in over:
         if isinstance(part, slice):
             parts.append(
                 f"packet[{'' if part.start is None else part.start}:{'' if part.stop is None else part.stop}]"
@@ -564,8 +563,11 @@ def _wanted(check: Check, number: int, found: str) -> str:
     )
 
 
-def _stored_behind(check: Check, back: int) -> str:
-    """Return the number `back` bytes before the packet's end, as an expression."""
+def _stored_in(framing: Framing, check: Check) -> str:
+    """Return the check that a packet has, as an expression."""
+    if framing.check_head is not None:
+        return _number_in(framing.check_head)
+    back = -framing.check_at
     end = f"-{back - check.size}" if back > check.size else ""
     if check.text is not None:
         return f"packet[-{back}:{end}]"

@@ -5,9 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
-from ..declare.checks import Check
+from ..declare.checks import Check, Covered
 from ..declare.framing import Framing
 from ..declare.message import Message
 from ..declare.protocol import Protocol
@@ -145,12 +145,10 @@ def _gap(framing: Framing) -> Iterator[Finding]:
 # ---------------------------------------------------------------------- checks
 
 
-def _covered(check: Check, size: int, start: int, end: int) -> list[int]:
+def _covered(over: Iterable[Covered], size: int) -> list[int]:
     """Return the positions that a check covers in a packet of `size` bytes."""
-    if check.over is None:
-        return list(range(start, end))
     places = list(range(size))
-    return [place for part in check.over if isinstance(part, slice) for place in places[part]]
+    return [place for part in over if isinstance(part, slice) for place in places[part]]
 
 
 def _elsewhere(check: Check) -> bool:
@@ -164,16 +162,18 @@ def _framing_check(framing: Framing, check: Check, messages: list[Message]) -> I
     def finding(level: Level, rule: str, text: str) -> Finding:
         return Finding(level, rule, place, f"check of {framing.name}: {text}")
 
-    start, tail = len(framing.sync), check.size + len(framing.end)
+    start, tail = len(framing.sync), framing.check_size + len(framing.end)
     sizes = _likely_sizes(framing, messages)
-    spans = {size: _covered(check, size, start, size - tail) for size in sizes}
+    spans = {size: _covered(framing.check_over, size) for size in sizes}
     if not any(spans.values()) and not _elsewhere(check):
         yield finding(
             "error", "check-range", "covers nothing, so it is always the same number and cannot fail"
         )
         return
+    own: set[int] = set()
     for size, span in spans.items():
-        own = set(range(size - tail, size - len(framing.end)))
+        at = framing.check_at if framing.check_at >= 0 else size + framing.check_at
+        own = set(range(at, at + check.size))
         if own & set(span):
             yield finding(
                 "error",
@@ -184,8 +184,8 @@ def _framing_check(framing: Framing, check: Check, messages: list[Message]) -> I
         if len(set(span)) < len(span):
             yield finding("warning", "check-range", f"covers some bytes twice, of {size}")
             return
-    longest = max(sizes)
-    left = set(range(start, longest - tail)) - set(spans[longest])
+    longest = max(sizes)  # also the last whose own bytes were looked at
+    left = set(range(start, longest - tail)) - set(spans[longest]) - own
     if left and check.over is not None:
         leading = left == set(range(start, max(left) + 1))
         yield finding(
@@ -221,11 +221,7 @@ def _message_check(message: Message, check: Check) -> Iterator[Finding]:
     own = set(range(start, start + size))
     lengths = sorted(message.lengths or message.plan.lengths or (message.plan.least,))
     longest = lengths[-1]
-    covered = (
-        [place for place in range(longest) if place not in own]
-        if check.over is None
-        else _covered(check, longest, 0, longest)
-    )
+    covered = _covered(message.check_over, longest - message.behind)
     if not covered and not _elsewhere(check):
         yield _on(message, "error", "check-range", "its check covers nothing, so it cannot fail")
     elif own & set(covered):

@@ -281,18 +281,29 @@ def _number(bits: tuple[int, ...], fixed: Mapping[int, int]) -> int | None:
 
 
 def _directions(variants: list[Variant]) -> Iterator[Finding]:
+    known: set[tuple[str, str]] = set()
     for variant in variants:
-        clash = variant.direction_conflict
-        if clash is not None and variant.link != "can":
-            one, other = clash
-            yield _finding(
-                "note",
-                "direction",
-                one,
-                f"bytes alone do not tell it from {other.name}: a raw capture needs --direction to|from|both",
-                other,
-            )
-            return
+        if variant.link != "can":
+            if (clash := variant.direction_conflict) is not None:
+                yield _finding(
+                    "note",
+                    "direction",
+                    clash[0],
+                    f"bytes alone do not tell it from {clash[1].name}: a raw capture needs --direction to|from|both",
+                    clash[1],
+                )
+                return
+            continue
+        for message, other in variant.direction_conflicts:
+            if (message.name, other.name) not in known:
+                known.add((message.name, other.name))
+                yield _finding(
+                    "warning",
+                    "direction",
+                    message,
+                    f"frames alone do not tell it from {other.name}: both are unknown without --direction to|from|both",
+                    other,
+                )
 
 
 #: Where so many messages say which way they go, one (or so few of all: a family) that does not was forgotten.

@@ -198,8 +198,8 @@ class Overlaps:
         assert framing.check is not None
         self.sums, self._check = sums, framing.check
         self._extras, self._key = extras or {}, framing.extra_number
-        self._back = self._check.size + len(framing.end)
-        self._over: tuple[Covered, ...] = self._check.over or (slice(len(framing.sync), -self._back),)
+        self._at = framing.check_at
+        self._over: tuple[Covered, ...] = framing.check_over
         self._has_extra = any(isinstance(part, Extra) for part in self._over)
 
     def __call__(self, buffer: bytes, base: int, start: int, end: int) -> str | None:
@@ -209,7 +209,8 @@ class Overlaps:
             extra = self._extras.get(key)
             if extra is None:
                 return f"malformed: no message {key} to check by"
-        check, sums, at = self._check, self.sums, end - self._back
+        check, sums = self._check, self.sums
+        at = (start if self._at >= 0 else end) + self._at
         found = sums.compute_runs(buffer, base, base + start, base + end, self._over, extra)
         if not check.same(buffer[at : at + check.size], check.write(found)):
             return "malformed: checksum"

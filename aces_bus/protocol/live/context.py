@@ -1,7 +1,7 @@
 """Requests that are waiting for their reply, and modes that stick: what bytes alone do not say.
 
 1. The context of a reply is the latest request that fits it: same channel, equal shared captures, not consumed, not
-   older than `within`. A mode (`after`) is the latest request of its kind, and is never consumed.
+   older than `within`. A mode (`after`) is the latest request of its kind, whether or not a reply has consumed it.
 2. Memory is bounded: the last `REQUESTS` requests of a kind and device, and the `DEVICES` devices asked last.
 """
 
@@ -149,10 +149,12 @@ class Context:
                         latest = entry
         for entry, link, to_all, message, values in found:
             if entry is latest and link.request.accepts(entry.values):
-                if to_all and not link.is_sticky:
+                if link.is_sticky:
+                    pass  # a mode stays
+                elif to_all:
                     entry.answered.add(link.who(values))
                 else:
-                    entry.consumed = not link.is_sticky
+                    entry.consumed = True
                 return message, entry.values
         return None
 
@@ -220,7 +222,7 @@ class Context:
     ) -> Entry | None:
         entries = self._seen.get((link.request.message.name, channel, link.shared, wanted), ())
         for entry in reversed(entries):
-            if entry.consumed or (entry.answered and who in entry.answered):
+            if not link.is_sticky and (entry.consumed or (entry.answered and who in entry.answered)):
                 continue
             if None not in (within, time, entry.time) and time - entry.time > within:  # type: ignore[operator]
                 return None

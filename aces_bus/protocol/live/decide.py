@@ -63,7 +63,7 @@ class Decider:
 
     def __init__(self, variant: Variant, direction: GivenWay | None, *, raw: bool) -> None:
         self.variant = variant
-        self.messages = ordered(variant.messages_for(direction))
+        self.messages = ordered(variant.readable(direction))
         self.decoders = decoders_of(variant, raw)
         self._quick = decoders_of(variant, raw, False)
         self.raw_decoders = decoders_of(variant, True)

@@ -76,8 +76,8 @@ def make_scanner(
     """One scanner for all protocols of a wire: each byte and frame has one owner, the first in the order given.
 
     `direction` limits it to messages "to device" or "from device" (in short "to", "from"); "both" pairs requests and
-    replies. With `include_unknown`, what is not decoded comes as `Unknown` among the records. `raw` leaves out units, scales
-    and names.
+    replies. Without a direction, CAN frames that only it would tell apart are unknown. With `include_unknown`, what is
+    not decoded comes as `Unknown` among the records. `raw` leaves out units, scales and names.
 
     A variant bound to a channel (`variant.on("can0")`) decides about that channel's frames only.
 
@@ -85,7 +85,7 @@ def make_scanner(
     the cost of a lock a call; without it such calls give wrong records and counts.
 
     Raises `CallerError` when the protocols are not of one kind of link, for a word that is no direction, or when a protocol
-    needs a direction and none is given.
+    on a stream needs a direction and none is given.
     """
     if not variants:
         raise CallerError("a scanner needs at least one protocol")
@@ -96,7 +96,7 @@ def make_scanner(
     if direction is None:
         for variant in variants:
             clash = variant.direction_conflict
-            if clash is not None:
+            if clash is not None and variant.link != "can":
                 raise CallerError(
                     f"{variant.name}: bytes alone do not tell {clash[0].name} from {clash[1].name};"
                     " say the direction: 'to device', 'from device' or 'both'"

@@ -90,11 +90,7 @@ class StreamScanner:
         self._overlap: Overlaps | None = None
         if len(framings) == 1 and has_size(self.framings[0]) and self.framings[0].stuffing is None:
             framing = self.framings[0]
-            cover = (
-                plain_cover(framing.check, len(framing.sync), framing.check_size)
-                if framing.check is not None
-                else None
-            )
+            cover = plain_cover(framing)
             from .find import PacketFinder  # NumPy is loaded only where a stream is read
 
             self._finder = PacketFinder(framing, cover)

@@ -505,7 +505,8 @@ def holds(message: Message, data: Any, key: Any) -> bool:
     if type(data) is bytes:
         return bool(stored == check.compute(message.covered(data, key & 0x1FFF_FFFF)))
     cells: list[Any] = []
-    for part in check.over if check.over is not None else (slice(0, start), slice(start + size, None)):
+    data = data[: len(data) - message.behind]
+    for part in message.check_over:
         match part:
             case slice():
                 cells += list(data[part])
