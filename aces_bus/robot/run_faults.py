@@ -17,7 +17,7 @@ from ..controller.trip import HOLDING, Trip
 from ..device import Device, DeviceEvent, Job, stop_devices
 from ..errors import CallerError, NotStoppedError, UnknownNameError
 from ..runtime import Task
-from .run_base import RunBase
+from .run import Run
 
 #: Events after which a stop that was not confirmed is sent again.
 BACK = frozenset({"reopened", "recovered", "error-active", "answers", "rebooted"})
@@ -29,90 +29,111 @@ OF_LOGS = ("log-failed", "log-dropped")
 REPEAT_NS = 1_000_000_000
 
 
-class RunFaults(RunBase):
-    """From events to stops."""
+class RunFaults:
+    """The way from events to stops.
+
+    `logs`: names of loggers, whose failures have a kind of their own. `hold_s`: seconds after which what a trip holds is
+    switched off; None: it is held until it is released.
+    """
+
+    def __init__(self, run: Run, logs: Collection[str], hold_s: float | None) -> None:
+        self.run, self.logs, self.hold_s = run, logs, hold_s
+        #: Controller → why what it drives was switched off.
+        self.stopped: dict[str, str] = {}
+        #: Controller → its trip that asks for the way to the pose.
+        self.to_park: dict[str, Trip] = {}
+        #: Controller → the instant (ns) at which it began a step that is not over yet.
+        self.inside: dict[str, int] = {}
+        #: Controller → the begin of the step that it was last taken for dead in.
+        self._dead_since: dict[str, int] = {}
+        #: Controller → the trip that was last acted upon.
+        self._obeyed: dict[str, Trip] = {}
+        #: Source → the instant (ns) at which a failure of it was last reported.
+        self._reported: dict[str, int] = {}
+        #: Devices whose stop was not confirmed, by name.
+        self._owed: dict[str, Device] = {}
+        self._is_attending = False
 
     # ------------------------------------------------------------------ events
 
-    def _happened(self, event: DeviceEvent) -> None:
+    def happened(self, event: DeviceEvent) -> None:
         """Pass an event of a device or bus to every supervisor at once, before anything else happens."""
-        self._note(event)
-        if self._phase == "running":
+        self.run.note(event)
+        if self.run.phase == "running":
             self._handle(event)
             if self._owed and event.kind in BACK:
-                self.clock.call_soon(lambda: self._repay(event.source))
+                self.run.clock.call_soon(lambda: self._repay(event.source))
 
-    def _estopped(self, reason: str) -> None:
+    def estopped(self, reason: str) -> None:
         """Stop all controllers, whatever they declare: an e-stop input or another program has stopped the devices."""
-        if self._phase == "running" and self.drives:
-            now = self.clock.now()
-            for supervisor in self.supervisors:
+        if self.run.phase == "running" and self.run.drives:
+            now = self.run.clock.now()
+            for supervisor in self.run.supervisors:
                 supervisor.guard.trip(reason, "disable")
                 supervisor.guard.tick(now)
                 trip = supervisor.guard.tripped
                 assert trip is not None
                 self._obeyed[supervisor.name] = trip
-                self._stopped[supervisor.name] = trip.reason
+                self.stopped[supervisor.name] = trip.reason
 
     def _handle(self, event: EventLike) -> None:
-        for supervisor in self.supervisors:
+        for supervisor in self.run.supervisors:
             supervisor.handle(event)
         if not self._is_attending:
             self._is_attending = True
-            self.clock.call_soon(self._attend_all)
+            self.run.clock.call_soon(self._attend_all)
 
     def _attend_all(self) -> None:
         self._is_attending = False
-        now = self.clock.now()
-        for supervisor in self.supervisors:
-            self._attend(supervisor, now)
+        now = self.run.clock.now()
+        for supervisor in self.run.supervisors:
+            self.attend(supervisor, now)
 
-    def _attend(self, supervisor: Supervisor, now: int) -> None:
-        if self._phase == "running" and supervisor.has_events:
+    def attend(self, supervisor: Supervisor, now: int) -> None:
+        if self.run.phase == "running" and supervisor.has_events:
             given = supervisor.attend(now)
-            self._obey(supervisor)
-            self._give(given)
+            self.obey(supervisor)
+            self.run.give(given)
 
-    def _failed(self, task: Task, error: BaseException) -> None:
+    def task_failed(self, task: Task, error: BaseException) -> None:
         """Handle a logger that raised; controllers have supervisors for that."""
-        is_log = any(logger.name == task.name for logger in self.loggers)
-        self._raised(task.name, OF_LOGS[0] if is_log else "raised", error)
+        self._raised(task.name, OF_LOGS[0] if task.name in self.logs else "raised", error)
 
     def bus_failed(self, error: BaseException) -> None:
         """Something raised on the buses' thread."""
         self._raised("buses", "bug", error)
 
     def _raised(self, source: str, kind: str, error: BaseException) -> None:
-        now = self.clock.now()
+        now = self.run.clock.now()
         if now - self._reported.get(source, -REPEAT_NS) >= REPEAT_NS:
             self._reported[source] = now
-            self._emit_all(ControlEvent(kind, now, source, raised_text(error)))
+            self.emit_all(ControlEvent(kind, now, source, raised_text(error)))
 
-    def _emit_all(self, event: ControlEvent) -> None:
+    def emit_all(self, event: ControlEvent) -> None:
         """Report to every supervisor, too, what a component reports."""
-        self._note(event)
+        self.run.note(event)
         self._handle(event)
 
-    def _watch(self) -> None:
+    def watch(self) -> None:
         """Look, on the buses' thread, for a controller that does not come back from a step: it cannot say so itself."""
-        if self._phase != "running":
+        if self.run.phase != "running":
             return
-        self.clock.call_in(WATCH_NS, self._watch)
-        now = self.clock.now()
-        for supervisor in self.supervisors:
+        self.run.clock.call_in(WATCH_NS, self.watch)
+        now = self.run.clock.now()
+        for supervisor in self.run.supervisors:
             name = supervisor.name
-            began = self._inside.get(name, now)
+            began = self.inside.get(name, now)
             if supervisor.is_overdue(now, began) and self._dead_since.get(name) != began:
                 self._dead_since[name] = began
                 given = supervisor.emit_dead(
                     now, f"its step has not come back for {(now - began) / 1e9:.3f} s"
                 )
-                self._obey(supervisor)
-                self._give(given)
+                self.obey(supervisor)
+                self.run.give(given)
 
     # ------------------------------------------------------------------ stops and holds
 
-    def _obey(self, supervisor: Supervisor) -> None:
+    def obey(self, supervisor: Supervisor) -> None:
         """Hold or switch off what a controller drives, as declared, after its guard has stopped motion."""
         trip = supervisor.guard.tripped
         if trip is None or not trip.latched or self._obeyed.get(supervisor.name) is trip:
@@ -120,39 +141,39 @@ class RunFaults(RunBase):
         self._obeyed[supervisor.name] = trip
         if trip.action in HOLDING:
             if trip.action == "park":
-                self._to_park[supervisor.name] = trip
+                self.to_park[supervisor.name] = trip
             if self.hold_s is not None:
-                self.clock.call_in(round(self.hold_s * 1e9), lambda: self._let_go(supervisor, trip))
+                self.run.clock.call_in(round(self.hold_s * 1e9), lambda: self._let_go(supervisor, trip))
             self._hold(supervisor, trip)
             return
-        self._stopped[supervisor.name] = trip.reason
-        if self.drives:
-            self._stop(supervisor.name, self.driven(supervisor))
+        self.stopped[supervisor.name] = trip.reason
+        if self.run.drives:
+            self._stop(supervisor.name, self.run.driven(supervisor))
 
     def _hold(self, supervisor: Supervisor, trip: Trip) -> None:
         """Set-points that stay where they are, at the controller's rate, whether it still runs or not."""
 
         def again() -> None:
-            if self._phase == "running" and supervisor.guard.tripped is trip:
-                self._give(supervisor.guard.tick(self.clock.now()))
-                self.clock.call_in(period, again)
+            if self.run.phase == "running" and supervisor.guard.tripped is trip:
+                self.run.give(supervisor.guard.tick(self.run.clock.now()))
+                self.run.clock.call_in(period, again)
 
         period = round(1e9 / supervisor.rate_hz)
-        self.clock.call_in(period, again)
+        self.run.clock.call_in(period, again)
 
     def _let_go(self, supervisor: Supervisor, trip: Trip) -> None:
         """Let go after the stated time of holding."""
-        if self._phase == "running" and supervisor.guard.tripped is trip:
+        if self.run.phase == "running" and supervisor.guard.tripped is trip:
             supervisor.guard.trip(f"{trip.reason}; held for {self.hold_s:g} s", "disable")
-            supervisor.guard.tick(self.clock.now())
-            self._obey(supervisor)
+            supervisor.guard.tick(self.run.clock.now())
+            self.obey(supervisor)
 
     @property
     def held(self) -> dict[str, str]:
         """Controllers whose joints are held where they are, with why."""
         return {
             s.name: s.guard.tripped.reason
-            for s in self.supervisors
+            for s in self.run.supervisors
             if s.guard.tripped is not None and s.guard.tripped.action in HOLDING
         }
 
@@ -161,20 +182,20 @@ class RunFaults(RunBase):
 
         Raises `UnknownNameError`, and `CallerError` while an e-stop input is pressed.
         """
-        if self.rig.door.barred:
-            raise CallerError(f"{controller} cannot be released: {self.rig.door.barred}")
-        found = {supervisor.name: supervisor for supervisor in self.supervisors}
+        if self.run.rig.door.barred:
+            raise CallerError(f"{controller} cannot be released: {self.run.rig.door.barred}")
+        found = {supervisor.name: supervisor for supervisor in self.run.supervisors}
         if controller not in found:
             raise UnknownNameError("controller", controller, found)
 
         def let_through() -> None:
-            if self.rig.stopped_by:
-                self.rig.release()
-            self._stopped.pop(controller, None)
-            self._to_park.pop(controller, None)
+            if self.run.rig.stopped_by:
+                self.run.rig.release()
+            self.stopped.pop(controller, None)
+            self.to_park.pop(controller, None)
             found[controller].release()
 
-        self.clock.call(let_through)
+        self.run.clock.call(let_through)
 
     def _stop(self, name: str, devices: Collection[Device]) -> None:
         def over(stopping: Job) -> None:
@@ -185,12 +206,12 @@ class RunFaults(RunBase):
                 else:
                     self._owed.pop(device.name, None)
             if stopping.error is not None:
-                self._note(ControlEvent("failed", self.clock.now(), name, str(stopping.error)))
+                self.run.note(ControlEvent("failed", self.run.clock.now(), name, str(stopping.error)))
 
-        stop_devices(self.clock, name, devices).then(over)
+        stop_devices(self.run.clock, name, devices).then(over)
 
     def _repay(self, source: str) -> None:
         """Stop devices again that still owe a stop, when the bus or device `source` is back."""
         owed = [device for device in self._owed.values() if source in (device.name, device.host.name)]
-        if owed and self._phase == "running":
+        if owed and self.run.phase == "running":
             self._stop(source, owed)

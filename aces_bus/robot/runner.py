@@ -29,14 +29,14 @@ from ..controller.guard import Bounds
 from ..controller.trip import Action
 from ..device import Device
 from ..errors import AcesError, CallerError, DeviceError, NotStoppedError, UnknownNameError
-from ..runtime import Task, Tasks, ThreadTasks, VirtualClock
+from ..runtime import Loop, Task, Tasks, ThreadTasks, VirtualClock, VirtualTasks
 from .checks import KINDS_OF_FAULTS
 from .exits import stop_at_exit
 from .park import Parking
 from .rig import Rig
-from .run_base import RunLogger
+from .run import Run, RunLogger
 from .run_end import Ended, RunEnd
-from .run_faults import OF_LOGS
+from .run_faults import OF_LOGS, RunFaults
 
 #: Priorities of components by default: buses above control above logging.
 CONTROL, LOGGING = 40, 5
@@ -48,7 +48,7 @@ RECEIVE_S = 5.0
 STEP_NS = 1_000_000
 
 
-class Runner(RunEnd):
+class Runner:
     """Runs controllers and loggers on a rig. Made by `run_virtual`, `run_real`, `run_replay`, or by hand.
 
     `tasks`: threads or events. `reactions` add to the robot file's, and these to the supervisor's; those that name functions
@@ -78,11 +78,27 @@ class Runner(RunEnd):
         states: Mapping[str, Mapping[str, Any]] | None = None,
         unhomed: bool = False,
     ) -> None:
-        super().__init__(
-            rig, loggers, tasks, hold_s=hold_s, at_end=at_end, drives=drives, history=history, states=states
+        self._run = run = Run(rig, drives=drives, history=history, states=states)
+        self.rig, self.clock, self.drives, self.states = rig, rig.clock, drives, run.states
+        self.supervisors, self.events, self.handlers, self.given = (
+            run.supervisors,
+            run.events,
+            run.handlers,
+            run.given,
         )
+        self.loggers = list(loggers)
+        if tasks is None:
+            tasks = ThreadTasks(self.clock) if isinstance(self.clock, Loop) else VirtualTasks(self.clock)
+        self.tasks = tasks
+        #: What is done before the buses are opened and after they are closed: loops, twins.
+        self.before: list[Callable[[], Any]] = []
+        self.after: list[Callable[[], Any]] = []
+        #: The virtual robot or replay behind it; None on real buses.
+        self.world: Any = None
+        self._is_bound = False
+        self._faults = RunFaults(run, [logger.name for logger in loggers], hold_s)
         rig.door.takes_unhomed = unhomed
-        self.tasks.failed = self._failed
+        self.tasks.failed = self._faults.task_failed
         names = [*(one.name for one in controllers), *(one.name for one in loggers)]
         double = {name for name in names if names.count(name) > 1}
         if double:
@@ -100,21 +116,75 @@ class Runner(RunEnd):
             supervisor = self._supervised(controller, {**declared, **(reactions or {})}, guard, on_trip)
             self.supervisors.append(supervisor)
             self._add_task(controller, self._stepper(supervisor), CONTROL)
-        if self._parking is None and any(map(_may_park, self.supervisors)):
-            self._parking = Parking(rig)
+        parks = at_end == "park" or any(map(_may_park, self.supervisors))
+        self._end = RunEnd(
+            run,
+            self._faults,
+            tasks,
+            at_end=at_end,
+            parking=Parking(rig) if parks else None,
+            after=self.after,
+        )
         for logger in self.loggers:
             listeners = getattr(logger, "listeners", None)
             if isinstance(listeners, Listeners):
-                listeners.add(self._emit_all)
+                listeners.add(self._faults.emit_all)
             self._add_task(logger, logger.step, LOGGING)
-        rig.on_event(self._happened)
-        rig.chain.tripped.append(self._estopped)
+        rig.on_event(self._faults.happened)
+        rig.chain.tripped.append(self._faults.estopped)
 
     @property
     def unparkable(self) -> dict[str, str]:
         """The joints that this run drives and its end cannot park, with why; none where it is not to park."""
         devices = {d.name: d for s in self.supervisors for d in self.driven(s)}
-        return {} if self._parking is None else self._parking.unable(devices.values())
+        parking = self._end.parking
+        return {} if parking is None else parking.unable(devices.values())
+
+    # ------------------------------------------------------------------ what is known of it
+
+    @property
+    def set_points(self) -> int:
+        """Number of set-points that were handed down."""
+        return self._run.set_points
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the run so far, in seconds."""
+        return self._run.seconds
+
+    @property
+    def stopped(self) -> dict[str, str]:
+        """Controllers that were stopped, with why; those that are `held` are not among them."""
+        return dict(self._faults.stopped)
+
+    @property
+    def held(self) -> dict[str, str]:
+        """Controllers whose joints are held where they are, with why."""
+        return self._faults.held
+
+    @property
+    def letting_go(self) -> dict[str, str]:
+        """The driven devices that an end with "hold" stops all the same, as they would not stay: name → why."""
+        return self._end.letting_go
+
+    def driven(self, supervisor: Supervisor) -> list[Device]:
+        """Return the devices that a controller gives set-points to; all of them where it does not say."""
+        return self._run.driven(supervisor)
+
+    def ended(self) -> Ended:
+        """Return how the run ended, as far as it has."""
+        return self._end.ended()
+
+    def bus_failed(self, error: BaseException) -> None:
+        """Report to every supervisor what was raised on the buses' thread."""
+        self._faults.bus_failed(error)
+
+    def release(self, controller: str) -> None:
+        """Let a controller's set-points through again after a trip; what was switched off has to be enabled before.
+
+        Raises `UnknownNameError`, and `CallerError` while an e-stop input is pressed.
+        """
+        self._faults.release(controller)
 
     # ------------------------------------------------------------------ making
 
@@ -183,13 +253,13 @@ class Runner(RunEnd):
             supervisor.listeners,
         ):
             if isinstance(listeners, Listeners):
-                listeners.add(self._note)
+                listeners.add(self._run.note)
 
     def _task_of(self, name: str) -> Task:
         return next(task for task in self.tasks.tasks if task.name == name)
 
     def _stepper(self, supervisor: Supervisor) -> Callable[[int], None]:
-        compute, name, inside = supervisor.compute, supervisor.name, self._inside
+        compute, name, inside = supervisor.compute, supervisor.name, self._faults.inside
         is_direct = not isinstance(self.tasks, ThreadTasks)
         task: Task | None = None
 
@@ -199,7 +269,7 @@ class Runner(RunEnd):
                 task = self._task_of(name)
             due = now - task.lateness_ns
             if is_direct:
-                self._attend(supervisor, now)
+                self._faults.attend(supervisor, now)
                 self._pass_on(supervisor, due, compute(due))
                 return
             inside[name] = now
@@ -211,10 +281,10 @@ class Runner(RunEnd):
 
     def _pass_on(self, supervisor: Supervisor, now: int, wanted: Mapping[str, float]) -> None:
         """Pass on what a controller wants through its guard, on the buses' thread; what comes after the end goes nowhere."""
-        if self._phase == "running":
+        if self._run.phase == "running":
             given = supervisor.pass_on(now, wanted)
-            self._obey(supervisor)
-            self._give(given)
+            self._faults.obey(supervisor)
+            self._run.give(given)
 
     # ------------------------------------------------------------------ running
 
@@ -223,7 +293,7 @@ class Runner(RunEnd):
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        was_over = self._phase == "over" and not self._to_end
+        was_over = self._run.phase == "over" and not self._end.left
         ended = self.stop("the program left it")
         if ended.not_stopped and kind is None and not was_over:  # else `run` or `stop` has returned it
             raise NotStoppedError(ended.not_stopped)
@@ -254,7 +324,7 @@ class Runner(RunEnd):
         chain = self.rig.chain
         if self.drives and chain.waits_for:
             self.clock.wait(lambda: not chain.waits_for, round(RECEIVE_S * 1e9))
-        self._phase = "ready"
+        self._run.phase = "ready"
 
     def _end_at_exit(self) -> None:
         """Stop; raises `NotStoppedError`, as there is nobody who reads how it ended."""
@@ -315,22 +385,22 @@ class Runner(RunEnd):
         if self.rig.stopped_by:
             raise DeviceError(f"{self.rig.robot.name} was stopped by {self.rig.stopped_by}: release it first")
         for logger in self.loggers:  # files take their time
-            self._logging.append(logger)
+            self._end.logs.append(logger)
             logger.start(self.clock.now())
-        self._began = now = self.clock.now()
+        self._run.began = now = self.clock.now()
         for supervisor in self.supervisors:
             supervisor.start(now)
-        self._phase = "running"
+        self._run.phase = "running"
         if self.drives and self.rig.door.barred:
-            self.clock.call(lambda: self._estopped(self.rig.door.barred))
+            self.clock.call(lambda: self._faults.estopped(self.rig.door.barred))
         self.tasks.start()
         if isinstance(self.tasks, ThreadTasks):
-            self.clock.call_soon(self._watch)
+            self.clock.call_soon(self._faults.watch)
 
     def bind(self) -> None:
         """Give controllers and loggers their states; may be done before the buses are opened. Raises as `start`."""
         if not self._is_bound:
-            if self._phase == "new":
+            if self._run.phase == "new":
                 self._bind()
             else:
                 self.clock.call(self._bind)
@@ -357,21 +427,23 @@ class Runner(RunEnd):
 
         `until` is asked every millisecond. What it raises comes out, with motion stopped and all closed.
         """
+        reason = ""
         try:
-            if self._phase == "new":
+            if self._run.phase == "new":
                 self.open()
             self.start()
-            end = None if seconds is None else self._began + round(seconds * 1e9)
+            end = None if seconds is None else self._run.began + round(seconds * 1e9)
 
             def is_over() -> bool:
+                nonlocal reason
                 if self.rig.stopped_by:
-                    self._reason = f"stopped by {self.rig.stopped_by}"
+                    reason = f"stopped by {self.rig.stopped_by}"
                     return True
-                if self._to_park:
-                    self._reason = f"to be parked: {', '.join(self._to_park)}"
+                if self._faults.to_park:
+                    reason = f"to be parked: {', '.join(self._faults.to_park)}"
                     return True
-                if self._stopped and len(self._stopped) == len(self.supervisors):
-                    self._reason = "every controller was stopped"
+                if self._faults.stopped and len(self._faults.stopped) == len(self.supervisors):
+                    reason = "every controller was stopped"
                     return True
                 return until is not None and until()
 
@@ -379,7 +451,14 @@ class Runner(RunEnd):
         except BaseException as error:
             self.stop(f"{type(error).__name__}: {error}".rstrip(": "))
             raise
-        return self.stop(self._reason)
+        return self.stop(reason)
+
+    def stop(self, reason: str = "") -> Ended:
+        """Stop motion, controllers, buses, logs; in this order, whatever fails on the way.
+
+        Called again after it was interrupted, it goes on where it was.
+        """
+        return self._end.stop(reason)
 
     def _let_pass(self, is_over: Callable[[], bool], end: int) -> None:
         clock = self.clock

@@ -45,7 +45,7 @@ AREAS: dict[str, tuple[str, ...]] = {
         "aces_bus/controller/guard.py",
         "aces_bus/controller/supervisor.py",
         "aces_bus/device/stopping.py",
-        "aces_bus/robot/run_base.py",
+        "aces_bus/robot/run.py",
         "aces_bus/robot/run_end.py",
         "aces_bus/robot/run_faults.py",
         "aces_bus/robot/runner.py",

@@ -17,7 +17,7 @@ from aces_bus.device import Job, Steps
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError
 from aces_bus.hardware import CanGate, port_of
 from aces_bus.robot import Runner, run_real, run_virtual, simulate
-from aces_bus.robot.run_end import RunEnd
+from aces_bus.robot.run_end import in_time
 from aces_bus.runtime import Loop, VirtualClock
 from tests.device.fan import ROBOT, drivers, robot_of
 from tests.interpreted import replaces_methods
@@ -300,15 +300,15 @@ def test_a_step_that_does_not_come_back_is_found_without_it() -> None:
         run.start()
         run.clock.wait(lambda: False, 100_000_000)
         run.tasks.stop()
-        run._inside["drive"] = run.clock.now()
-        run._watch()
+        run._faults.inside["drive"] = run.clock.now()
+        run._faults.watch()
         assert run.stopped == {}
         run.clock.wait(lambda: False, 300_000_000)
         assert "its step has not come back for 0.1" in run.stopped["drive"]
         assert run.supervisors[0].counts["dead-man"] == 1
         assert run.world.twins["A"].left == 0
     planned = run.world.clock.next_event
-    run._watch()
+    run._faults.watch()
     assert run.world.clock.next_event == planned
 
 
@@ -320,7 +320,7 @@ def test_a_controller_is_dead_after_five_periods_and_a_tenth_of_a_second(
 
     class Quiet(Drive):
         def step(self, now_ns: int) -> Mapping[str, float]:
-            if now_ns - run._began > 1_000_000_000:
+            if now_ns - run._run.began > 1_000_000_000:
                 return {}
             given.append(now_ns)
             return super().step(now_ns)
@@ -332,13 +332,6 @@ def test_a_controller_is_dead_after_five_periods_and_a_tenth_of_a_second(
     run.run(5.0)
     trip = next(event for event in run.events if event.kind == "trip")
     assert (trip.instant - given[-1]) / 1e9 == pytest.approx(seconds, abs=1.1 / rate_hz)
-
-
-class Stuck:
-    """A run whose buses' thread is inside something."""
-
-    def __init__(self, loop: Loop) -> None:
-        self.clock = loop
 
 
 @pytest.mark.parametrize("begun", [False, True])
@@ -360,10 +353,10 @@ def test_an_end_does_not_wait_for_a_thread_that_hangs(monkeypatch: pytest.Monkey
         try:
             if begun:
                 with pytest.raises(TimeoutError, match=r"not over after 0\.02 s"):
-                    RunEnd._in_time(Stuck(loop), action)  # type: ignore[arg-type]
+                    in_time(loop, action)
                 assert did == ["aces loop"]
             else:
-                assert RunEnd._in_time(Stuck(loop), action) == 7  # type: ignore[arg-type]
+                assert in_time(loop, action) == 7
                 assert did == [threading.current_thread().name]
         finally:
             let_go.set()
@@ -379,8 +372,8 @@ def test_what_is_raised_on_the_buses_thread_is_raised_where_it_was_asked_for(err
 
     with Loop() as loop:
         with pytest.raises(type(error)):
-            RunEnd._in_time(Stuck(loop), action)  # type: ignore[arg-type]
-        assert RunEnd._in_time(Stuck(loop), lambda: 5) == 5  # type: ignore[arg-type]
+            in_time(loop, action)
+        assert in_time(loop, lambda: 5) == 5
 
 
 def test_a_run_without_an_end_and_without_events_says_so() -> None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from aces_bus.device.station import BusEndpoint
     from aces_bus.kinematics import Body
     from aces_bus.protocol import Variant
-    from aces_bus.robot.run_base import RunLogger
+    from aces_bus.robot.runner import RunLogger
 
     Link = Literal["can", "serial", "datagram"]
 
