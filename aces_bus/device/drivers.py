@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint
 
 from ..errors import CallerError, SpecError
-from ..plugins import Plugins
+from ..plugins import InstalledPoint, Plugins
 from ..protocol.declare.protocol import Protocol
 from ..protocol.files import load_file
 from ..protocol.live.scanner import PROTOCOLS
@@ -54,8 +53,8 @@ class Driver:
 DRIVERS = Plugins("aces_bus.devices", "driver", Driver)
 
 
-def list_drivers() -> dict[str, EntryPoint]:
-    """Return the installed drivers, by name, without importing them. Raises `SpecError` when two packages claim a name."""
+def list_drivers() -> dict[str, InstalledPoint]:
+    """Return the installed drivers, by name, without importing them."""
     return DRIVERS.points()
 
 

@@ -1,4 +1,4 @@
-"""Decoded tables on disk: Parquet, Arrow, CSV, NumPy, SQLite, MCAP; and as pandas and polars have them.
+"""Decoded tables on disk: Parquet, Arrow, CSV, SQLite, and formats by entry point; and as pandas and polars have them.
 
 1. Memory stays bounded whatever the capture's size: tables go in piece by piece, and out as they fill up.
 2. Under an export's name there is the whole of it, or what was there before.
@@ -28,7 +28,15 @@ if TYPE_CHECKING:
     from .open import open_export as open_export
     from .parquet_parts import recover_parts as recover_parts
 
-__all__ = ["Export", "export_format", "open_export", "recover_parts", "to_arrow", "to_pandas", "to_polars"]
+__all__ = [
+    "Export",
+    "export_format",
+    "open_export",
+    "recover_parts",
+    "to_arrow",
+    "to_pandas",
+    "to_polars",
+]
 
 __getattr__, __dir__ = lazy_names(
     __name__,

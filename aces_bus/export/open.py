@@ -1,6 +1,7 @@
-"""Which export a path asks for, by its suffix.
+"""Which format of tables a path asks for, by its suffix.
 
-1. A format's libraries are imported when it is used; a missing one is named with the extra that has it.
+1. A format is a `TableFormat`: the core's are in `FORMATS`, others are entry points of the group `aces_bus.exporters`.
+2. A format's module and libraries are imported when it is written; a missing library is named with the extra that has it.
 """
 
 from __future__ import annotations
@@ -8,43 +9,60 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..errors import CallerError, UnknownNameError
+from ..plugins import installed_items
 from ..protocol.declare.protocol import Variant
 
 if TYPE_CHECKING:
-    from .base import Export
+    from .base import Export, Options
 
-#: Format → its module here and its class.
-FORMATS: Mapping[str, tuple[str, str]] = {
-    "parquet": ("parquet", "ParquetExport"),
-    "arrow": ("folder", "ArrowExport"),
-    "feather": ("folder", "FeatherExport"),
-    "csv": ("csv", "CsvExport"),
-    "npz": ("npz", "NpzExport"),
-    "sqlite": ("sqlite", "SqliteExport"),
-    "mcap": ("mcap", "McapExport"),
-}
-#: Those that can be written while they grow, and survive a kill.
-GROWING: Mapping[str, tuple[str, str]] = {
-    "parquet": ("parquet_parts", "ParquetParts"),
-    "sqlite": FORMATS["sqlite"],
-    "mcap": FORMATS["mcap"],
-}
-#: Suffix → format; CSV only where the path ends in a slash: `walk.csv/`.
-SUFFIXES: Mapping[str, str] = {
-    ".parquet": "parquet",
-    ".pq": "parquet",
-    ".arrow": "arrow",
-    ".ipc": "arrow",
-    ".feather": "feather",
-    ".npz": "npz",
-    ".sqlite": "sqlite",
-    ".sqlite3": "sqlite",
-    ".db": "sqlite",
-    ".mcap": "mcap",
-}
+
+class TableFormat(NamedTuple):
+    """A format of decoded tables; an entry point of the group `aces_bus.exporters` is one, or a tuple of them.
+
+    `suffixes` choose it. `place` is the module and the class that writes (`their_package.module:TheirExport`), an `Export`
+    made of a path, `Options` and variants. `growing` is that of the class which writes while the export grows, and whose
+    rows survive a kill once they are committed; "" where there is none.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    place: str
+    growing: str = ""
+
+    def open(self, path: str, options: Options, variants: Sequence[Variant]) -> Export:
+        """Open an export of this format."""
+        module, _, name = (self.growing if options.live else self.place).partition(":")
+        kind: type[Export] = getattr(import_module(module, __package__), name)
+        return kind(path, options, variants)
+
+
+#: The core's formats; CSV is a folder, and only where the path ends in a slash: `walk.csv/`.
+FORMATS: tuple[TableFormat, ...] = (
+    TableFormat("parquet", (".parquet", ".pq"), ".parquet:ParquetExport", ".parquet_parts:ParquetParts"),
+    TableFormat("arrow", (".arrow", ".ipc"), ".folder:ArrowExport"),
+    TableFormat("feather", (".feather",), ".folder:FeatherExport"),
+    TableFormat("csv", (), ".csv:CsvExport"),
+    TableFormat("sqlite", (".sqlite", ".sqlite3", ".db"), ".sqlite:SqliteExport", ".sqlite:SqliteExport"),
+)
+
+
+def table_formats() -> Mapping[str, TableFormat]:
+    """Return all formats by name, those of installed packages behind the core's, whose names they cannot take."""
+    installed = installed_items("aces_bus.exporters", TableFormat)
+    core = {form.name: form for form in FORMATS}
+    return core | {form.name: form for form in installed if form.name not in core}
+
+
+def table_suffixes(*, growing: bool = False) -> Mapping[str, str]:
+    """Return the suffixes with the names of their formats: all, or those of formats that grow. The core's stay its own."""
+    found: dict[str, str] = {}
+    for form in table_formats().values():
+        for suffix in form.suffixes if form.growing or not growing else ():
+            found.setdefault(suffix, form.name)
+    return found
 
 
 def export_format(path: str | os.PathLike[str]) -> str | None:
@@ -60,7 +78,7 @@ def export_format(path: str | os.PathLike[str]) -> str | None:
         return "parquet"
     if suffix == ".csv" and stem != text:
         return "csv"
-    return SUFFIXES.get(suffix)
+    return table_suffixes().get(suffix)
 
 
 def _is_plain_folder(text: str) -> bool:
@@ -82,7 +100,8 @@ def open_export(
 ) -> Export:
     """Open an export into a file or folder, which is at `path` when it is closed.
 
-    `format` is one of "parquet", "arrow", "feather", "csv", "npz", "sqlite", "mcap"; by default the suffix says it.
+    `format` is a name of `table_formats()`: "parquet", "arrow", "feather", "csv", "sqlite", and "npz" and "mcap" of the lab;
+    by default the suffix says it.
     `variants` are the protocols that tables come from: they say what is in columns of Python objects (without them such
     values are JSON texts), and which names need the protocol in front. `only` is a single message: Parquet, Arrow and
     CSV then write a file instead of a folder, unless the path is one (`walk/`). `names` writes enumerations as names,
@@ -99,21 +118,21 @@ def open_export(
     chosen = format or export_format(text)
     if chosen is None:
         raise CallerError(
-            f"{text}: its suffix says no format; use one of {', '.join(SUFFIXES)}, or .csv/ for a folder"
+            f"{text}: its suffix says no format; use one of {', '.join(table_suffixes())}, or .csv/ for a folder"
         )
-    if chosen not in FORMATS:
-        raise UnknownNameError("format", chosen, FORMATS)
+    known = table_formats()
+    if chosen not in known:
+        raise UnknownNameError("format", chosen, known)
     if text == "-":
         raise CallerError(f"{chosen} goes to a file or folder and not to standard output; name one")
-    if live and chosen not in GROWING:
+    if live and not known[chosen].growing:
+        grow = ", ".join(form.name for form in known.values() if form.growing)
         raise CallerError(
-            f"{text}: {chosen} needs its end, and cannot be written while it grows; there are {', '.join(GROWING)}"
+            f"{text}: {chosen} needs its end, and cannot be written while it grows; there are {grow}"
         )
     from .base import Options
 
-    module, name = GROWING[chosen] if live else FORMATS[chosen]
-    kind: type[Export] = getattr(import_module(f".{module}", __package__), name)
     if _is_plain_folder(text):
         only = None  # a folder, also of one message
     options = Options(names=names, float32=float32, only=only, sources=sources, live=live)
-    return kind(text.rstrip("/" + os.sep) or text, options, variants)
+    return known[chosen].open(text.rstrip("/" + os.sep) or text, options, variants)

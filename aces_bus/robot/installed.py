@@ -13,23 +13,30 @@ from pathlib import Path
 from typing import Final
 
 from ..device.config import Robot
-from ..errors import SpecError, UnknownNameError
-from ..plugins import entry_points_of
+from ..errors import UnknownNameError
+from ..plugins import installed_points, warn
 from .file import RobotError, RobotFileProblem, check_robot_file, parse_robot
 
 GROUP: Final = "aces_bus.robots"
 
 
 def list_robots() -> dict[str, Traversable]:
-    """Return the installed robots, in order of names: name → its file. Raises `SpecError` when two packages bring a name."""
+    """Return the installed robots, in order of names: name → its file.
+
+    Of two packages that bring one name, ours has it, or else the first by name; a `PluginWarning` names the other, and one
+    whose folder cannot be found.
+    """
     found: dict[str, Traversable] = {}
-    for package in sorted({point.value for point in entry_points_of(GROUP)}):
-        for file in files(package).iterdir():
-            name, suffix = os.path.splitext(file.name)
-            if suffix == ".toml":
-                if name in found:
-                    raise SpecError(f"two packages bring a robot {name!r}; {package} is the second")
-                found[name] = file
+    for point in installed_points(GROUP):
+        try:
+            brought = [file for file in files(point.value).iterdir() if file.name.endswith(".toml")]
+        except Exception as error:  # whatever another package's import may raise
+            warn(f"{point.distribution}: its robots are left out: {error}")
+            continue
+        for file in brought:
+            name = os.path.splitext(file.name)[0]
+            if found.setdefault(name, file) is not file:
+                warn(f"{point.distribution}: its robot {name!r} is left out: another package has that name")
     return dict(sorted(found.items()))
 
 

@@ -12,6 +12,7 @@ import pytest
 from aces_bus.device import Driver, list_drivers, load_driver
 from aces_bus.device.drivers import DRIVERS
 from aces_bus.errors import SpecError, UnknownNameError
+from aces_bus.plugins import PluginWarning
 from aces_bus.protocol import list_protocols
 from aces_bus.robot import parse_robot
 
@@ -43,11 +44,16 @@ def installed(folder: Path, **points: str) -> str:
 
 
 def test_two_claims_on_a_name_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two packages with one name raise, with both places; so does an entry that is no driver or has another name."""
+    """A name that two packages claim is refused with both places, and ours stay ours; so is an entry that is no driver."""
     with monkeypatch.context() as patch:
         patch.syspath_prepend(installed(tmp_path / "clash", blower="one:driver", blower_="two:driver"))
         with pytest.raises(SpecError, match="one:driver and two:driver"):
-            list_drivers()
+            load_driver("blower")
+        assert load_driver("hubo_motor").name == "hubo_motor"
+    with monkeypatch.context() as patch:
+        patch.syspath_prepend(installed(tmp_path / "taken", hubo_motor="one:driver"))
+        with pytest.warns(PluginWarning, match="^brings0-hubo-motor: .* aces-bus keeps it"):
+            assert list_drivers()["hubo_motor"].distribution == "aces-bus"
     monkeypatch.syspath_prepend(installed(tmp_path / "wrong", blower="math:pi"))
     with pytest.raises(SpecError, match="not a Driver but float"):
         load_driver("blower")

@@ -147,7 +147,7 @@ def read_npz(path: Path) -> dict[str, Columns]:
     """An `.npz`, without pickles."""
     import numpy as np
 
-    from aces_bus.export.npz import unpack
+    from aces_lab.tables.npz import unpack
 
     found: dict[str, Columns] = {}
     with np.load(path, allow_pickle=False) as arrays:

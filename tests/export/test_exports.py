@@ -24,7 +24,7 @@ from aces_bus.export import files as export_files
 from aces_bus.export.base import Naming
 from aces_bus.export.behind import UNDER_WAY, Behind
 from aces_bus.export.files import ExportFile, FilePool
-from aces_bus.export.open import FORMATS
+from aces_bus.export.open import table_formats
 from aces_bus.export.sqlite import SqliteExport
 from aces_bus.frame_table import Channels, FrameTable
 from aces_bus.frames import Frame
@@ -60,7 +60,7 @@ PLACES = {
     "sqlite": "out.sqlite",
     "mcap": "out.mcap",
 }
-each_format = pytest.mark.parametrize("form", FORMATS)
+each_format = pytest.mark.parametrize("form", table_formats())
 
 
 def state(mode: int, angle: int, time: float | None = 1.5e9, channel: str | None = "can0") -> Frame:

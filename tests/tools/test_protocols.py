@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import pytest
@@ -122,7 +121,7 @@ def test_a_protocol_that_cannot_be_imported_does_not_hide_the_others(
     """It is one line on stderr, the rest is listed, status 2."""
     points = {
         **list_protocols(),
-        "broken": EntryPoint("broken", "no_such_module_here:x", "aces_bus.protocols"),
+        "broken": list_protocols()["robotis"]._replace(name="broken", value="no_such_module_here:x"),
     }
     monkeypatch.setattr(verb, "list_protocols", lambda: points)
     monkeypatch.setattr("aces_bus.protocol.live.scanner.PROTOCOLS.points", lambda: points)

@@ -24,7 +24,7 @@ from itertools import repeat
 from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError
-from aces_bus.export.open import FORMATS
+from aces_bus.export.open import table_formats
 from aces_bus.frame_table import to_ns
 from aces_bus.frames import Frame
 from aces_bus.protocol import Scanner, Unknown, make_scanner
@@ -143,7 +143,7 @@ ARGUMENTS: Arguments = (
     DIRECTION,
     argument(
         "--format",
-        choices=[*LIVE, *(name for name in FORMATS if name not in LIVE)],
+        choices=[*LIVE, *(name for name in table_formats() if name not in LIVE)],
         metavar="FORMAT",
         help="text, jsonl, csv, or one of the tables below (default: by the suffix of --output, else text)",
     ),

@@ -13,13 +13,16 @@ import argparse
 import errno
 import gc
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from io import TextIOWrapper
 from typing import Any, NoReturn
 
 from aces_bus import __version__
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.plain_text import LOOKALIKES
+from aces_bus.plugins import PluginWarning
 
 from .console import abandon_stdout, say, show_notes
 from .verbs import actions_of, options_of, summary_of, top_verbs, verbs, wanted_options
@@ -83,6 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         for stream in (sys.stdout, sys.stderr):
             if isinstance(stream, TextIOWrapper):  # where there is no Unicode, something like it is written
                 stream.reconfigure(errors=LOOKALIKES)
+        warnings.showwarning = partial(_show_warning, warnings.showwarning)
         gc.disable()  # what is imported stays; `_run` switches it on again
     try:
         status = _run(list(sys.argv[1:] if argv is None else argv))
@@ -113,6 +117,14 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         say(text)
         return 2
+
+
+def _show_warning(usual: Callable[..., None], message: Warning | str, *rest: Any, **more: Any) -> None:
+    """Say what is wrong with a plug-in in one line; show another warning as Python does."""
+    if isinstance(message, PluginWarning):
+        say(str(message))
+    else:
+        usual(message, *rest, **more)
 
 
 def _raised_by_user(error: Exception) -> str | None:

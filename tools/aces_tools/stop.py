@@ -24,7 +24,7 @@ from contextlib import ExitStack
 from typing import Any
 
 from aces_bus.device import Bus, Device, DeviceConfig, Driver, Robot, list_drivers, load_driver
-from aces_bus.errors import CallerError, NotStoppedError, UnknownNameError
+from aces_bus.errors import AcesError, CallerError, NotStoppedError, UnknownNameError
 from aces_bus.protocol import load_protocol
 
 from .console import say
@@ -160,7 +160,12 @@ def _drivers_of(name: str) -> list[Driver]:
     installed = list_drivers()
     if name in installed:
         return [load_driver(name)]
-    drivers = [load_driver(one) for one in installed]
+    drivers: list[Driver] = []
+    for one in installed:
+        try:
+            drivers.append(load_driver(one))
+        except AcesError as error:  # a broken driver stops nothing, and keeps no other from it
+            say(str(error))
     found = [
         one for one in drivers if one.protocol == name and one.device.stop_motion is not Device.stop_motion
     ]

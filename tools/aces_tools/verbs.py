@@ -20,7 +20,7 @@ from textwrap import shorten
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from aces_bus.errors import AcesError, CallerError
-from aces_bus.plugins import installed_points
+from aces_bus.plugins import installed_points, slow_named
 
 from .console import say
 
@@ -158,11 +158,15 @@ def options_of(verb: str) -> tuple[OptionsModule, ...]:
         if point.name.rpartition(".")[0].replace(".", " ") != verb:
             continue
         try:
-            found.append(
-                _imported(
-                    point.value, f"the options {point.name!r}", point.distribution, ("ARGUMENTS", "is_wanted")
+            with slow_named(point, OPTIONS_GROUP):
+                found.append(
+                    _imported(
+                        point.value,
+                        f"the options {point.name!r}",
+                        point.distribution,
+                        ("ARGUMENTS", "is_wanted"),
+                    )
                 )
-            )
         except CallerError as error:
             say(str(error))
     return tuple(found)

@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from .base import About, Log, LogError, LogSink, Row
 from .columns import ATTRIBUTES, LogColumn, parse_column
-from .formats import FORMATS, log_format, read_log, recover
+from .formats import log_format, read_log, recover
 from .logger import Logger
 
 __all__ = [
     "ATTRIBUTES",
-    "FORMATS",
     "About",
     "Log",
     "LogColumn",

@@ -12,7 +12,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -69,8 +69,6 @@ class LogSink(ABC):
     A subclass sets `_file`, which has `sync` and `close`. All raise `OSError` or `sqlite3.Error` for what cannot be written.
     """
 
-    format: ClassVar[str]
-    suffixes: ClassVar[tuple[str, ...]] = ()
     _file: Any
 
     def __init__(self, path: str, about: About) -> None:

@@ -2,35 +2,69 @@
 
 1. What is no log is a `LogError`, never a traceback of a library; a log that was not closed is read as far as it goes.
 2. What `read_log` reads of an unclosed log is what the recovered one has.
+3. A format is a `LogFormat`: the core's are in `FORMATS`, others are entry points of the group `aces_bus.logs`. Its
+   modules are imported when a log of it is written or read.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any, NamedTuple
 
 from ...errors import CallerError, UnknownNameError
-from ...export.mcap_file import MAGIC as MCAP
 from ...export.parquet import close_journal, journal_of
+from ...plugins import installed_items
 from .base import MOST_NUMBERS, About, Log, LogError, LogSink
-from .mcap import McapSink, read_mcap_log, recover_mcap
-from .parquet import ParquetSink, read_journal, read_parquet_log
-from .sqlite import SqliteSink, read_sqlite_log
-from .text import CsvSink, TextSink, read_text_log
+from .text import TextSink
 
-#: Format → what writes it.
-FORMATS: Mapping[str, type[LogSink]] = {
-    kind.format: kind for kind in (TextSink, CsvSink, SqliteSink, ParquetSink, McapSink)
-}
-SUFFIXES = {suffix: name for name, kind in FORMATS.items() for suffix in kind.suffixes}
-#: How a file begins → what reads it; the third is an encapsulated message of Arrow. Anything else may be text.
-READERS: Mapping[bytes, Callable[[str, int], Log]] = {
-    b"SQLite format 3\x00": read_sqlite_log,
-    b"PAR1": read_parquet_log,
-    b"\xff\xff\xff\xff": read_journal,
-    MCAP: read_mcap_log,
-    b"": read_text_log,
-}
+
+class LogFormat(NamedTuple):
+    """A format of logs; an entry point of the group `aces_bus.logs` is one, or a tuple of them.
+
+    `suffixes` choose it, and `magic` is how its files begin. `sink` is the place of a `LogSink` made of a path and an
+    `About` (`their_package.module:TheirSink`), `reader` that of a function which makes a `Log` of a path and the most
+    numbers it may have. `recovery` is that of a function which closes a log whose writer was killed, and returns how
+    many rows it has; "" for a format that needs none.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    magic: bytes
+    sink: str
+    reader: str
+    recovery: str = ""
+
+
+#: The core's formats.
+FORMATS: tuple[LogFormat, ...] = (
+    LogFormat("text", (".txt",), b"", ".text:TextSink", ".text:read_text_log"),
+    LogFormat("csv", (".csv",), b"", ".text:CsvSink", ".text:read_text_log"),
+    LogFormat(
+        "sqlite",
+        (".db", ".sqlite", ".sqlite3"),
+        b"SQLite format 3\x00",
+        ".sqlite:SqliteSink",
+        ".sqlite:read_sqlite_log",
+    ),
+    LogFormat("parquet", (".parquet", ".pq"), b"PAR1", ".parquet:ParquetSink", ".parquet:read_parquet_log"),
+)
+#: How a journal of Parquet begins: an encapsulated message of Arrow.
+JOURNAL = b"\xff\xff\xff\xff"
+
+
+def log_formats() -> Mapping[str, LogFormat]:
+    """Return all formats of logs by name, those of installed packages behind the core's, whose names they cannot take."""
+    core = {form.name: form for form in FORMATS}
+    return core | {
+        form.name: form for form in installed_items("aces_bus.logs", LogFormat) if form.name not in core
+    }
+
+
+def _placed(place: str) -> Any:
+    module, _, name = place.partition(":")
+    return getattr(import_module(module, __package__), name)
 
 
 def log_format(path: str | os.PathLike[str], format: str | None = None) -> str:
@@ -40,20 +74,25 @@ def log_format(path: str | os.PathLike[str], format: str | None = None) -> str:
     ('sqlite', 'text')
     """
     if format is not None:
-        if format not in FORMATS:
-            raise UnknownNameError("format of logs", format, FORMATS)
+        if format not in log_formats():
+            raise UnknownNameError("format of logs", format, log_formats())
         return format
     suffix = os.path.splitext(os.fspath(path))[1].lower()
-    if suffix not in SUFFIXES:
-        raise CallerError(
-            f"{os.fspath(path)}: its suffix says no format of logs; use one of {', '.join(SUFFIXES)}, or say format="
-        )
-    return SUFFIXES[suffix]
+    for form in log_formats().values():
+        if suffix in form.suffixes:
+            return form.name
+    known = ", ".join(suffix for form in log_formats().values() for suffix in form.suffixes)
+    raise CallerError(
+        f"{os.fspath(path)}: its suffix says no format of logs; use one of {known}, or say format="
+    )
 
 
 def open_sink(path: str, format: str, about: About, digits: int | None = None) -> LogSink:
     """Open a log of that format. Raises `OSError`, `sqlite3.Error`, and `CallerError` when a library is missing."""
-    return FORMATS[format](path, about) if digits is None else TextSink(path, about, digits)
+    if digits is not None:
+        return TextSink(path, about, digits)
+    sink: LogSink = _placed(log_formats()[format].sink)(path, about)
+    return sink
 
 
 def read_log(path: str | os.PathLike[str], *, most_numbers: int = MOST_NUMBERS) -> Log:
@@ -70,9 +109,18 @@ def read_log(path: str | os.PathLike[str], *, most_numbers: int = MOST_NUMBERS) 
             raise LogError(f"{where}: " + ("not a file" if os.path.exists(where) else "no such file"))
         with open(where, "rb") as stream:
             head = stream.read(16)
-        return next(read for magic, read in READERS.items() if head.startswith(magic))(where, most_numbers)
+        log: Log = _placed(_reader_of(head))(where, most_numbers)
+        return log
     except OSError as error:
         raise LogError(f"{where}: {error.strerror or error}") from None
+
+
+def _reader_of(head: bytes) -> str:
+    """Return the place of what reads a log that begins so: anything that no format knows may be text."""
+    if head.startswith(JOURNAL):
+        return ".parquet:read_journal"
+    known = (form.reader for form in log_formats().values() if form.magic and head.startswith(form.magic))
+    return next(known, ".text:read_text_log")
 
 
 def recover(path: str | os.PathLike[str]) -> int:
@@ -84,11 +132,14 @@ def recover(path: str | os.PathLike[str]) -> int:
     where = os.fspath(path).removesuffix(".journal")
     if os.path.isfile(where):
         with open(where, "rb") as stream:
-            if stream.read(len(MCAP)) == MCAP:
-                return recover_mcap(where)
+            head = stream.read(16)
+        for form in log_formats().values():
+            if form.recovery and form.magic and head.startswith(form.magic):
+                rows: int = _placed(form.recovery)(where)
+                return rows
     if not os.path.exists(journal_of(where)):
         raise CallerError(
-            f"{where}: is no unclosed MCAP, and there is no {os.path.basename(journal_of(where))} beside it;"
+            f"{where}: is no log that needs closing, and there is no {os.path.basename(journal_of(where))} beside it;"
             " text, CSV and SQLite need no recovery"
         )
     return close_journal(where)

@@ -28,9 +28,6 @@ KEY = b"aces_log"
 class ParquetSink(LogSink):
     """`walk.parquet`."""
 
-    format = "parquet"
-    suffixes = (".parquet", ".pq")
-
     def __init__(self, path: str, about: About) -> None:
         super().__init__(path, about)
         pa = load_parquet()

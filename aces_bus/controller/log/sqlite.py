@@ -33,9 +33,6 @@ _VALUE_BYTES = 1 << 22
 class SqliteSink(LogSink):
     """`walk.db`."""
 
-    format = "sqlite"
-    suffixes = (".db", ".sqlite", ".sqlite3")
-
     def __init__(self, path: str, about: About) -> None:
         super().__init__(path, about)
         self._file: JournaledDatabase = JournaledDatabase(path)

@@ -55,9 +55,6 @@ def shortest_row(values: Iterable[float], mark: str) -> str:
 class TextSink(LogSink):
     """`walk.txt`, as the original writes it."""
 
-    format = "text"
-    suffixes = (".txt",)
-
     def __init__(self, path: str, about: About, digits: int | None = None) -> None:
         super().__init__(path, about)
         self._number: Callable[[float], str] = shortest if digits is None else f"%.{digits}g".__mod__
@@ -78,9 +75,6 @@ class TextSink(LogSink):
 
 class CsvSink(TextSink):
     """`walk.csv`: a line of names (`time` in seconds, then the columns), a line each row."""
-
-    format = "csv"
-    suffixes = (".csv",)
 
     def _head(self) -> str:
         head = io.StringIO()

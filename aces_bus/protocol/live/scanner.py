@@ -7,19 +7,16 @@ import typing
 import warnings
 from collections.abc import Callable, Sequence
 from threading import Lock, current_thread
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...errors import CallerError, UnknownNameError
-from ...plugins import Plugins
+from ...plugins import InstalledPoint, Plugins
 from ..counts import ScanCounts
 from ..declare.message import GivenWay
 from ..declare.protocol import Protocol, Variant
 from ..record import Record
 from .can import CanScanner
 from .stream import StreamScanner
-
-if TYPE_CHECKING:
-    from importlib.metadata import EntryPoint
 
 
 class Scanner(typing.Protocol):
@@ -148,8 +145,8 @@ def _guard(scanner: Any) -> None:
 PROTOCOLS = Plugins("aces_bus.protocols", "protocol", Protocol)
 
 
-def list_protocols() -> dict[str, EntryPoint]:
-    """Return the installed protocols, by name, without importing them. Raises `SpecError` when two packages claim a name."""
+def list_protocols() -> dict[str, InstalledPoint]:
+    """Return the installed protocols, by name, without importing them."""
     return PROTOCOLS.points()
 
 

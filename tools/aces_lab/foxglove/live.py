@@ -4,7 +4,7 @@
    address says otherwise, and pages of other origins are refused (`origins`).
 2. It holds nothing up: what is shown is put into a bounded queue, and a thread encodes and sends it. What does not fit is
    dropped, the oldest first, counted (`dropped`) and reported. Where nobody looks on, nothing is queued.
-3. Topics, schemas and objects are those of an MCAP of the same data (`aces_bus.export.topics`).
+3. Topics, schemas and objects are those of an MCAP of the same data (`aces_lab.tables.topics`).
 
 Topics: `/states`, `/events`, `/log` and `/tf` (robots with a body), `/PROTOCOL/MESSAGE`, and `/_lost` for what was not
 decoded. `/log` and `/tf` have Foxglove's own schemas (https://docs.foxglove.dev/docs/sdk/schemas: Log, FrameTransforms).
@@ -29,13 +29,13 @@ import numpy as np
 from aces_bus.device import UNKNOWN
 from aces_bus.errors import CallerError
 from aces_bus.export.base import Dataset, Datasets, Options
-from aces_bus.export.topics import STATES_TOPIC, TableTopics, states_schema
 from aces_bus.kinematics import Body, Links
 from aces_bus.loopback import is_loopback
 from aces_bus.protocol import CanScanner, Variant, make_scanner
 from aces_bus.protocol.columns.scanner import RecordColumns
 from aces_bus.protocol.declare.message import GivenWay
 from aces_bus.runtime import Clock, RealClock
+from aces_lab.tables.topics import STATES_TOPIC, TableTopics, states_schema
 
 from .origins import OriginGate, hidden_host
 

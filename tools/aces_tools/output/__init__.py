@@ -11,8 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Literal, Protocol
 
 from aces_bus.errors import CallerError
-from aces_bus.export.open import GROWING, export_format
-from aces_bus.export.open import SUFFIXES as TABLES
+from aces_bus.export.open import export_format, table_formats, table_suffixes
 from aces_bus.recordings.base import Link
 
 
@@ -80,7 +79,7 @@ def table_format(path: str | None, chosen: str | None) -> str | None:
     of_path = export_format(path) if path is not None else None
     said = _said(path)
     if said is None and chosen is None:
-        known = " ".join(suffix for suffix in (*SUFFIXES, *TABLES) if suffix)
+        known = " ".join(suffix for suffix in (*SUFFIXES, *table_suffixes()) if suffix)
         raise CallerError(
             f"-o {path}: no format has the suffix {_suffix(path)!r}; there are {known} .csv/; or say --format text"
         )
@@ -125,19 +124,20 @@ def live_kind(path: str | None, chosen: Format | None, link: Link, *, is_decoded
     if not suffix:  # a folder: the slash is a part of what it says
         suffix, table = f"{_suffix(path.rstrip('/'))}/", None if table == "csv" else table
     if is_decoded:
-        if table in GROWING:
+        if _grows(table):
             return "tables"
         if table is None and suffix in SUFFIXES:
             return "lines"
-        tables = [one for one, form in TABLES.items() if form in GROWING]
         said = "frames as they came, and no messages; leave -p out, or record them beside (--record)"
         why = said if _is_recording(path, link) else "no format that is written while a bus is listened to"
-        raise CallerError(f"-o {path}: {suffix} is {why}; with -p there are {' '.join((*_LINES, *tables))}")
+        raise CallerError(
+            f"-o {path}: {suffix} is {why}; with -p there are {' '.join((*_LINES, *table_suffixes(growing=True)))}"
+        )
     if suffix in SUFFIXES and not (_is_recording(path, link) and suffix in (".log", ".csv")):
         return "lines"
     if _is_recording(path, link):
         return "frames"
-    if table in GROWING:
+    if _grows(table):
         raise CallerError(f"-o {path}: {suffix} is for decoded messages; name what is spoken: -p NAME")
     from aces_bus.recordings.write import writer_formats
 
@@ -146,8 +146,13 @@ def live_kind(path: str | None, chosen: Format | None, link: Link, *, is_decoded
     )
     raise CallerError(
         f"-o {path}: no format has the suffix {suffix!r}; there are {' '.join((*frames, *_LINES))}, and with -p"
-        f" {' '.join(one for one, form in TABLES.items() if form in GROWING)}"
+        f" {' '.join(table_suffixes(growing=True))}"
     )
+
+
+def _grows(format: str | None) -> bool:
+    """Return whether this is a format of tables that can be written while it grows."""
+    return format is not None and bool(table_formats()[format].growing)
 
 
 def _is_recording(path: str, link: Link) -> bool:

@@ -24,11 +24,11 @@ from typing import Any
 
 import numpy as np
 
-from ..protocol.columns.arrow import field_metadata, json_text, schema_metadata
-from ..protocol.columns.layout import Block, DatasetColumn
-from ..protocol.declare.protocol import Variant
-from .base import Buffered, Dataset, Options
-from .files import FilePool
+from aces_bus.export.base import Buffered, Dataset, Options
+from aces_bus.export.files import FilePool
+from aces_bus.protocol.columns.arrow import field_metadata, json_text, schema_metadata
+from aces_bus.protocol.columns.layout import Block, DatasetColumn
+from aces_bus.protocol.declare.protocol import Variant
 
 COPY = 1 << 20
 

@@ -17,11 +17,11 @@ from typing import Any, Protocol
 import msgspec
 import numpy as np
 
-from ..frame_table import NO_TIME
-from ..protocol.columns.arrow import json_text, schema_metadata
-from ..protocol.columns.layout import DatasetColumn, DatasetLayout, plain_json
-from ..protocol.columns.table import Column, MessageTable
-from .base import LOST, Dataset, Datasets
+from aces_bus.export.base import LOST, Dataset, Datasets
+from aces_bus.frame_table import NO_TIME
+from aces_bus.protocol.columns.arrow import json_text, schema_metadata
+from aces_bus.protocol.columns.layout import DatasetColumn, DatasetLayout, plain_json
+from aces_bus.protocol.columns.table import Column, MessageTable
 
 Tree = dict[str, Any]
 #: States, a row an object.

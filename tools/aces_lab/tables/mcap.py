@@ -12,11 +12,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ..errors import CallerError
-from ..protocol.columns.table import MessageTable
-from ..protocol.declare.protocol import Variant
-from .base import Dataset, Export, Options
-from .files import telling
+from aces_bus.errors import CallerError
+from aces_bus.export.base import Dataset, Export, Options
+from aces_bus.export.files import telling
+from aces_bus.protocol.columns.table import MessageTable
+from aces_bus.protocol.declare.protocol import Variant
+
 from .mcap_file import McapWriter
 from .topics import TableTopics
 

@@ -16,10 +16,12 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from ...errors import CallerError
-from ...export.mcap_file import CHANNEL, MESSAGE, Fields, McapFault, McapReader, McapWriter
-from ...export.topics import STATES_TOPIC, states_schema
-from .base import MOST_NUMBERS, NOT_CLOSED, About, Log, LogError, LogSink, Row, about_of, made_log
+from aces_bus.controller.log import About, Log, LogError, LogSink, Row
+from aces_bus.controller.log.base import MOST_NUMBERS, NOT_CLOSED, about_of, made_log
+from aces_bus.errors import CallerError
+
+from .mcap_file import CHANNEL, MESSAGE, Fields, McapFault, McapReader, McapWriter
+from .topics import STATES_TOPIC, states_schema
 
 #: Where the log's `About` is among a channel's metadata.
 KEY = "aces_log"
@@ -29,9 +31,6 @@ CHUNK_ROWS = 1024
 
 class McapSink(LogSink):
     """`walk.mcap`."""
-
-    format = "mcap"
-    suffixes = (".mcap",)
 
     def __init__(self, path: str, about: About) -> None:
         super().__init__(path, about)

@@ -17,10 +17,11 @@ import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import IO
 
-from ..errors import CallerError
-from .files import AppendFile
+from aces_bus.errors import CallerError
+from aces_bus.export.files import AppendFile
 
-MAGIC = b"\x89MCAP0\r\n"
+from . import MAGIC
+
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 1, 2, 3, 4, 5, 6
 MESSAGE_INDEX, CHUNK_INDEX, STATISTICS, SUMMARY_OFFSET, DATA_END = 7, 8, 11, 14, 15
 #: Bytes of a record that is read, and of a chunk unpacked.
