@@ -12,7 +12,7 @@ from .._lazy import np
 from . import Variant
 from .columns.table import Array, Column, MessageTable
 from .declare.message import Message
-from .plan.nodes import FromIdentifier, NodePath, Scalar, ValueNames
+from .plan.nodes import NodePath
 
 #: Exponents of float32 that measured quantities have, and the least and greatest size that they stand for.
 EXPONENTS = (97, 161)
@@ -31,7 +31,7 @@ def plausible(table: MessageTable, variant: Variant) -> Array:
     if is_opaque(message):
         return ~rows
     for leaf in message.plan.columns:
-        if leaf.path in table and not isinstance(leaf.node, FromIdentifier):
+        if leaf.path in table and not leaf.node.is_captured:
             rows &= _can_be(leaf, table[leaf.path])
     return rows
 
@@ -42,8 +42,8 @@ def is_opaque(message: Message) -> bool:
     if message.transport is not None or plan.constants or plan.one_of or plan.is_checked:
         return False
     nodes = [leaf.node for leaf in plan.columns]
-    content = [node for node in nodes if not isinstance(node, FromIdentifier) or node.number is not None]
-    return bool(content) and all(isinstance(node, Scalar) and node.kind == "bytes" for node in content)
+    content = [node for node in nodes if not node.is_captured or node.number_place]
+    return bool(content) and all(node.holds == "bytes" for node in content)
 
 
 def _can_be(leaf: NodePath, column: Column) -> Array:
@@ -53,13 +53,13 @@ def _can_be(leaf: NodePath, column: Column) -> Array:
     if values.dtype.kind not in "iuf":
         return good
     scale, ends = node.scale, node.raw_range
-    if isinstance(node, Scalar) and node.kind == "float":
+    if node.is_float and node.is_number:
         size = np.abs(values)
         good = (size == 0) | (size >= SMALLEST) & (size < LARGEST)
     elif scale is not None and scale.limits is not None:
         low, high = scale.limits
         slack = abs(scale.scale) * 1e-6 + 1e-9 * max(abs(low), abs(high))
         good = ~((values < low - slack) | (values > high + slack))
-    elif ends is not None and ends[1] <= MOST_NAMED and any(isinstance(s, ValueNames) for s in node.steps):
+    elif ends is not None and ends[1] <= MOST_NAMED and node.enumerated:
         good = np.isin(values, list(node.value_names))
     return good if column.absent is None else good | column.absent

@@ -224,7 +224,7 @@ def _check(condition: WhereCondition, plans: Mapping[type[Record], p.MessagePlan
         raise UnknownNameError("field", name, known_paths)
     if condition.sign in _ORDER or condition.value in ("", "none"):
         return
-    if condition.data is None and all(isinstance(node, p.Scalar) and node.kind == "bytes" for node in found):
+    if condition.data is None and all(node.holds == "bytes" for node in found):
         raise CallerError(f"--where {condition.text!r}: bytes are written as hexadecimal digits, two a byte")
     if condition.number is not None:
         return
@@ -243,11 +243,7 @@ def _check(condition: WhereCondition, plans: Mapping[type[Record], p.MessagePlan
 def _meant(path: Sequence[str | int], plan: p.MessagePlan) -> list[p.NodePath]:
     """Return the values that a path may mean: those of a kind of items, or all others."""
     found = [leaf for leaf in plan.columns if _is_meant(path, leaf)]
-    return [leaf for leaf in found if _is_of_kind(leaf)] or found
-
-
-def _is_of_kind(leaf: p.NodePath) -> bool:
-    return isinstance(leaf, p.ItemPath) and leaf.kind is not None
+    return [leaf for leaf in found if leaf.kind is not None] or found
 
 
 def _steps(leaf: p.NodePath) -> list[str | int]:
@@ -264,11 +260,7 @@ def _is_meant(path: Sequence[str | int], leaf: p.NodePath) -> bool:
         elif isinstance(step, str) or (rest and isinstance(rest[0], int)):
             return False
     # What construct decodes may have any shape.
-    return (
-        not rest
-        or isinstance(leaf.node, (p.Opaque, p.ListNode))
-        or (isinstance(leaf.node, p.MoreCells) and len(rest) == 1)
-    )
+    return not rest or leaf.node.leads_inside(len(rest))
 
 
 # ---------------------------------------------------------------------- for each record
@@ -286,10 +278,10 @@ def _test(condition: WhereCondition, plan: p.MessagePlan) -> Test | None:
         return None
     one = comparison(condition, {name: raw for node in nodes for name, raw in node.numbers.items()})
     path = condition.path
-    if _is_of_kind(leaves[0]):
+    if leaves[0].kind is not None:
         gets = [getter(leaf.way) for leaf in leaves]
         return lambda record: any(one(get(record)) for get in gets) is not is_not
-    if len(nodes) == 1 and not isinstance(nodes[0], (p.Opaque, p.MoreCells, p.ListNode)):
+    if len(nodes) == 1 and not nodes[0].leads_inside(1):
         get = getter(path)
         return lambda record: one(get(record)) is not is_not
 

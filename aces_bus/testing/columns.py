@@ -19,7 +19,6 @@ from ..protocol.columns.table import MessageTable, dtype_of, kinds_of
 from ..protocol.keys import key_of
 from ..protocol.live.can import CanScanner
 from ..protocol.live.scanner import Scanner
-from ..protocol.plan import nodes as p
 from ..protocol.record import Meta, Unknown, as_dict, getter, plain_value
 from .scenes import Scene, Way, Wire, wire_variants
 from .trial import ScannedItem, comparable, join_losses, plain_counts
@@ -120,7 +119,7 @@ def _messages(
             return f"has no table of {name[0]}.{name[1]}, of which {len(rows)} came"
         plan = messages[name].plan
         promised = {leaf.path: dtype_of(leaf.node, raw) for leaf in plan.columns}
-        inside = {leaf.path: getter(leaf.way) for leaf in plan.columns if isinstance(leaf, p.ItemPath)}
+        inside = {leaf.path: getter(leaf.way) for leaf in plan.columns if leaf.is_inside}
         for table in got[name]:
             if table.kinds != kinds_of(plan, raw):
                 return f"{table.message} has the columns {table.kinds}, not {kinds_of(plan, raw)}"

@@ -17,7 +17,6 @@ from ..protocol.declare.bits import FLOATS, Bits
 from ..protocol.declare.fields import SignMagnitude
 from ..protocol.declare.message import Message
 from ..protocol.declare.stuffing import CutZeros
-from ..protocol.plan import nodes as p
 from .hints import parts_of
 
 
@@ -112,7 +111,7 @@ def _bits(message: Message) -> dict[str, frozenset[int]]:
     found: dict[str, set[int]] = {}
     for leaf in message.plan.leaves:
         node = leaf.node
-        if isinstance(node, p.Scalar) and (node.kind == "float" or node.is_magnitude):
+        if node.is_number and (node.is_float or node.is_magnitude):
             path = ".".join(step for step in leaf.way if isinstance(step, str))
             found.setdefault(path, set()).update(node.place)
     return {path: frozenset(bits) for path, bits in found.items()}

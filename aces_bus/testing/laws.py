@@ -32,7 +32,6 @@ from ..protocol.declare.protocol import Protocol, Variant
 from ..protocol.keys import EXTENDED
 from ..protocol.live.can import CanScanner
 from ..protocol.live.stream import StreamScanner
-from ..protocol.plan.nodes import DelimitedField, Scalar
 from ..protocol.record import Unknown
 from .allowed_work import candidates_in, unstuffing_allowed, work_allowed
 from .bench import bench_of, reads
@@ -98,7 +97,7 @@ def _bytes_survive(message: Message, image: bytes, request: Any) -> str:
 
 
 def _meaning_survives(message: Message, image: bytes, request: Any) -> str:
-    if any(_is_rounded(leaf.node) for leaf in message.plan.columns):
+    if any(leaf.node.is_rounded for leaf in message.plan.columns):
         return ""
     parsed = message.struct.parse(image, request=request)
     try:
@@ -109,15 +108,6 @@ def _meaning_survives(message: Message, image: bytes, request: Any) -> str:
     if found == wanted:
         return ""
     return f"{message.name} {image.hex()} is {wanted}; sent again it is {rebuilt.hex()}, {found}"
-
-
-def _is_rounded(node: object) -> bool:
-    """Return whether sending rounds a number: written with some digits, or with a scale where a float is not exact."""
-    if isinstance(node, DelimitedField):
-        return node.conversion in ("number", "degrees")
-    if not isinstance(node, Scalar) or (len(node.bits) <= 52 and node.kind != "float"):
-        return False
-    return node.scale is not None and (node.scale.scale, node.scale.offset) != (1, 0)
 
 
 def _values_survive(packet: DrawnPacket) -> str:

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from aces_bus.errors import CallerError, UnknownNameError
@@ -93,29 +94,44 @@ def parse_value(text: str, node: p.Node | None, name: str, depth: int = 0) -> An
     """Return a value from its text; `node` says what is expected, None leaves it to the text."""
     if depth > DEEPEST:
         raise CallerError(f"{name}: lists in lists deeper than {DEEPEST}")
-    is_scalar_text = isinstance(node, p.Scalar) and node.kind == "text"
-    if is_scalar_text or (isinstance(node, p.DelimitedField) and node.conversion == "text"):
+    if node is not None and node.holds == "text" and node.known_names is None:
         return _unquoted(text)
     if text == "none":
         return None
-    match node:
-        case p.Many():
-            return _list(text, list(node.items), name, depth)
-        case p.NestedRecord():
-            return _record(text, {field.name: field.node for field in node.fields}, name, depth)
-        case p.Scalar() if node.kind == "bytes":
-            return _bytes(text.removeprefix("hex:"), name)
-        case p.Scalar() | p.FromIdentifier() | p.DelimitedField():
-            return _of_number(text, node, name)
-        case _:
-            return _open(text, name, depth)
+    return node.shaped(_Parser(text, name, depth)) if node is not None else _open(text, name, depth)
 
 
-def _of_number(text: str, node: p.Scalar | p.FromIdentifier | p.DelimitedField, name: str) -> Any:
-    steps: Sequence[p.Step] = getattr(node, "steps", ())
-    flags = next((step for step in steps if isinstance(step, p.FlagBits)), None)
+@dataclass(frozen=True)
+class _Parser:
+    """The value that a text says, by its shape."""
+
+    text: str
+    name: str
+    depth: int
+
+    def single(self, node: p.Node) -> Any:
+        if node.holds == "bytes":
+            return _bytes(self.text.removeprefix("hex:"), self.name)
+        if node.known_names is None:
+            return _open(self.text, self.name, self.depth)
+        return _of_number(self.text, node, self.name)
+
+    def several(self, node: p.Node, items: Sequence[p.Node]) -> Any:
+        return _list(self.text, list(items), self.name, self.depth)
+
+    def record(self, node: p.Node, type_name: str, fields: Sequence[p.PlanField]) -> Any:
+        return _record(self.text, {field.name: field.node for field in fields}, self.name, self.depth)
+
+    def each(self, node: p.Node, item: p.Node) -> Any:
+        return _open(self.text, self.name, self.depth)
+
+    def tagged(self, node: p.Node, type_name: str, kinds: Sequence[p.ItemKind]) -> Any:
+        return _open(self.text, self.name, self.depth)
+
+
+def _of_number(text: str, node: p.Node, name: str) -> Any:
     number = parse_number(text)
-    if flags is not None and number is None:
+    if node.has_flags and number is None:
         inside = text[1:-1] if text[:1] + text[-1:] in ("{}", "[]") else text
         return [part.strip() for part in re.split(r"[|,]", inside) if part.strip()]
     if number is not None:

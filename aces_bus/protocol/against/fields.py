@@ -85,7 +85,7 @@ class FieldWatch:
         self.message = message
         self.leaf = leaf
         self.steps = steps_of(leaf.node)
-        self.is_unnamed = isinstance(leaf.node, p.Rest)
+        self.is_unnamed = leaf.node.is_unclaimed
         self.total = 0
         self._first_value: Any = None
         self._changes = False
@@ -100,7 +100,7 @@ class FieldWatch:
         scale = node.scale
         self._limits = scale.limits if scale is not None else None
         self._exempt = [*scale.unknown, *(raw for raw, _ in scale.names)] if scale is not None else []
-        self._names = [raw for step in node.steps if isinstance(step, p.ValueNames) for raw, _ in step.values]
+        self._names = node.enumerated
 
     def take(
         self, column: Column, table: MessageTable, devices: Array, locate: Locate, shared: _Followed
@@ -223,7 +223,6 @@ class FieldWatch:
         return (
             isinstance(self.steps, IntegerSteps)
             and self.steps.counts_up
-            and isinstance(node, p.Scalar)
             and not node.unit
             and self.leaf.path not in self.message.counters
         )
@@ -237,11 +236,8 @@ class FieldWatch:
         )
 
     def _of_unnamed_bits(self) -> Iterator[Observation]:
-        node = self.leaf.node
-        assert isinstance(node, p.Rest)
-        bits = [
-            8 * node.offset + bit for bit in range(self._varying.bit_length()) if self._varying >> bit & 1
-        ]
+        places = self.leaf.node.value_bits
+        bits = [places[bit] for bit in range(self._varying.bit_length()) if self._varying >> bit & 1]
         if not bits:
             return
         shown = ", ".join(f"{bit // 8}.{bit % 8}" for bit in bits[:8]) + (", …" if len(bits) > 8 else "")
@@ -297,7 +293,7 @@ class MessageWatch:
         self._telling = [
             one.leaf.path
             for one in self.fields
-            if one.leaf.path in outer or isinstance(one.leaf.node, p.FromRequest) or one.leaf.node.value_names
+            if one.leaf.path in outer or one.leaf.node.is_of_request or one.leaf.node.value_names
         ]
         self._devices: dict[tuple[Any, ...], int] = {}
 

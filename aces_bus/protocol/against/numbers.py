@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..columns.table import Array
+from ..declare.bits import runs_of
 from ..plan import nodes as p
 
 #: Fewer steps, or fewer different values, say nothing.
@@ -53,7 +54,7 @@ class Suspicion:
     remedy: str
 
 
-def bits_of(node: p.Scalar, values: Array) -> Array:
+def bits_of(node: p.Node, values: Array) -> Array:
     """Raw integers as the bits on the wire, uint64."""
     width = len(node.place)
     if node.is_magnitude:
@@ -68,12 +69,17 @@ def bits_of(node: p.Scalar, values: Array) -> Array:
     )
 
 
-def as_numbers(node: p.Scalar, words: Array) -> Array:
+def as_numbers(node: p.Node, words: Array) -> Array:
     """Bits as the numbers that the spec makes of them, float64."""
     width = len(node.place)
     if node.is_magnitude:
         return _magnitude(words, width)
-    return _signed(words, width) if node.kind == "int" else words.astype(np.float64)
+    return _signed(words, width) if is_signed(node) else words.astype(np.float64)
+
+
+def is_signed(node: p.Node) -> bool:
+    """Return whether raw values of a number may be negative."""
+    return node.raw_range is not None and node.raw_range[0] < 0
 
 
 def _mask(width: int) -> np.uint64:
@@ -90,7 +96,7 @@ def _magnitude(words: Array, width: int) -> Array:
     return np.where(words >> np.uint64(width - 1), -numbers, numbers)
 
 
-def readings_of(node: p.Scalar) -> list[BitReading]:
+def readings_of(node: p.Node) -> list[BitReading]:
     """Return the other ways to read an integer's bytes or parts, most likely first; the spec's own sign is kept."""
     width = len(node.place)
 
@@ -109,7 +115,7 @@ def readings_of(node: p.Scalar) -> list[BitReading]:
         )
 
     if not node.is_whole:
-        first, *others = node.runs
+        first, *others = runs_of(node.place)
         return [BitReading("with its two parts swapped", swapped(first[2]))] if len(others) == 1 else []
     size = width // 8
     if size < 2:
@@ -149,14 +155,14 @@ _CONSTRUCTS = {
 class IntegerSteps:
     """The steps of an integer field."""
 
-    def __init__(self, node: p.Scalar) -> None:
+    def __init__(self, node: p.Node) -> None:
         self.node = node
         self.width = len(node.place)
         self.sign = (
             "sign and magnitude"
             if node.is_magnitude
             else "two's complement"
-            if node.kind == "int"
+            if is_signed(node)
             else "unsigned"
         )
         self.readings = readings_of(node)
@@ -300,8 +306,8 @@ class FloatSteps:
 
     counts_up = False
 
-    def __init__(self, node: p.Scalar) -> None:
-        self._dtype = np.dtype(f"f{node.size}")
+    def __init__(self, node: p.Node) -> None:
+        self._dtype = np.dtype(f"f{len(node.place) // 8}")
         self._values: set[float] = set()
         self._steps = 0
         #: Sums of the changes in magnitude, in bits: as the spec reads it, and in the other byte order.
@@ -346,12 +352,8 @@ def _magnitude_bits(values: Array) -> Array:
 
 def steps_of(node: p.Node) -> IntegerSteps | FloatSteps | None:
     """Return what watches a field's steps; None for what is no number, or has names or flags."""
-    if (
-        not isinstance(node, p.Scalar)
-        or node.flags
-        or any(isinstance(one, p.ValueNames) for one in node.steps)
-    ):
+    if not node.is_number or node.is_captured or node.flags or node.enumerated:
         return None
-    if node.kind == "float":
-        return FloatSteps(node) if node.size in (4, 8) and not node.bits else None
+    if node.is_float:
+        return FloatSteps(node) if len(node.place) in (32, 64) and node.is_whole else None
     return IntegerSteps(node) if node.raw_range is not None and 4 <= len(node.place) <= 64 else None

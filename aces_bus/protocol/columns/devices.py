@@ -13,9 +13,5 @@ DEVICE_NAMES = frozenset(
 def is_device_column(leaf: p.NodePath) -> bool:
     """Return whether a column is captured from the identifier, or an integer of the payload that is named like a device."""
     node = leaf.node
-    return isinstance(node, p.FromIdentifier) or (
-        len(leaf.way) == 1
-        and leaf.path in DEVICE_NAMES
-        and isinstance(node, p.Scalar)
-        and node.kind == "uint"
-    )
+    is_unsigned = node.is_number and node.raw_range is not None and node.raw_range[0] >= 0
+    return node.is_captured or (len(leaf.way) == 1 and leaf.path in DEVICE_NAMES and is_unsigned)

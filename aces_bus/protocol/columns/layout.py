@@ -310,17 +310,7 @@ def size_of(block: Block) -> int:
 
 def objects_of(plan: p.MessagePlan) -> dict[str, Holds]:
     """Return what the columns of Python objects of a message hold, by the name of the column."""
-    return {leaf.path: _held(leaf.node) for leaf in plan.columns if dtype_of(leaf.node) is None}
-
-
-def _held(node: p.Node) -> Holds:
-    if isinstance(node, p.Scalar):
-        return "bytes" if node.kind == "bytes" else "text" if node.kind == "text" else "wide"
-    if isinstance(node, p.DelimitedField):
-        return "integer" if node.conversion == "integer" else "text"
-    if isinstance(node, p.FromRequest):
-        return "integer"
-    return "wide" if isinstance(node, p.Rest) else "json"
+    return {leaf.path: leaf.node.holds for leaf in plan.columns if dtype_of(leaf.node) is None}
 
 
 class Objects:

@@ -42,11 +42,9 @@ class ListColumns:
         raw: bool,
         make: Callable[[p.MessagePlan], RowDecoder],
     ) -> None:
-        assert isinstance(node, (p.TaggedItems, p.Repeated))
         self.node, self.tail, self._raw = node, tail, raw
         self._read = list_reader(node, name, raw)
-        plans = [kind.plan for kind in node.kinds] if isinstance(node, p.TaggedItems) else [node.plan]
-        self._decoders = {id(plan): make(plan) for plan in plans}
+        self._decoders = {id(plan): make(plan) for plan in node.plans}
 
     def whole(self, rows: PacketRows) -> Values:
         """Return the lists, as records have them."""
@@ -57,11 +55,12 @@ class ListColumns:
             [read(packet, start, end) for packet, end in zip(packets, ends, strict=True)]
         ), None
 
-    def inside(self, leaf: p.ItemPath) -> Callable[[PacketRows], Values]:
+    def inside(self, leaf: p.NodePath) -> Callable[[PacketRows], Values]:
         """Return a function that gives the values of one column of what is inside."""
         node = self.node
         if isinstance(node, p.Repeated):
             return lambda rows: self._every(node, leaf.inner, rows)
+        assert isinstance(node, p.TaggedItems)
         assert leaf.kind is not None
         kind, dtype = leaf.kind, dtype_of(leaf.node, self._raw)
         return lambda rows: self._first(node, kind, leaf.inner, dtype, rows)

@@ -116,7 +116,7 @@ class RowDecoder:
                     leaf.node, plan.name, plan.tail, raw=raw, make=lambda inner: RowDecoder(inner, raw=raw)
                 )
                 self._columns[leaf.path] = _given(lists[leaf.path].whole)
-            elif isinstance(leaf, p.ItemPath):
+            elif leaf.is_inside:
                 self._columns[leaf.path] = _given(next(reversed(lists.values())).inside(leaf))
             else:
                 self._columns[leaf.path] = self._column(leaf.node, leaf.whens)
@@ -127,7 +127,7 @@ class RowDecoder:
             return plan.opaque
         if plan.split is not None:
             return "delimited text"
-        if any(isinstance(field.node, p.FromRequest) for field in plan.fields):
+        if plan.needs_request:
             return "shows fields of its request"
         if plan.is_checked:
             if self.message is None or self.message.check is None:

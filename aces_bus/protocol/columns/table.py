@@ -373,10 +373,6 @@ def _cells(rows: Array, start: int, size: int) -> Any:
     return cells.view(f"V{size}").ravel().astype(object)
 
 
-#: Widths of NumPy's integers, in bits.
-_WIDTHS = (8, 16, 32, 64)
-
-
 @lru_cache(maxsize=4096)
 def kinds_of(plan: p.MessagePlan, raw: bool = False) -> tuple[ColumnKind, ...]:
     """Return what the columns of a message are, in the order of its fields."""
@@ -385,15 +381,12 @@ def kinds_of(plan: p.MessagePlan, raw: bool = False) -> tuple[ColumnKind, ...]:
 
 def _kind(leaf: p.NodePath, raw: bool) -> ColumnKind:
     node, scale = leaf.node, leaf.node.scale
-    is_item = isinstance(leaf, p.ItemPath) and leaf.kind is not None
-    optional = bool(leaf.whens) or is_item or isinstance(node, (p.DelimitedField, p.FromRequest, p.Opaque))
+    optional = bool(leaf.whens) or leaf.kind is not None or node.may_be_none
     is_object = dtype_of(node, raw) is None
     if raw:
         return ColumnKind(leaf.path, "", leaf.field.doc, None, None, is_object, optional)
-    names: Mapping[float, str] | None = {number: name for name, number in node.numbers.items()} or None
-    if isinstance(node, (p.Each, p.NamedValue)):
-        names = None  # lists, and columns of objects, hold the names themselves
     optional = optional or (scale is not None and bool(scale.unknown))
+    names = node.names_by_number or None
     return ColumnKind(leaf.path, node.unit, leaf.field.doc, names, node.flags or None, is_object, optional)
 
 
@@ -401,31 +394,5 @@ def dtype_of(node: p.Node, raw: bool = False) -> Any:
     """Return the dtype of a value's column: the narrowest that holds all that the record may show; None for Python
     objects.
     """
-    if isinstance(node, p.Rest):
-        return np.dtype(f"u{_bytes(8 * node.size)}") if node.size <= 8 else None
-    if isinstance(node, p.DelimitedField):
-        return np.dtype(np.float64) if not raw and node.conversion in ("number", "degrees") else None
-    if isinstance(node, p.NamedValue):
-        return np.dtype(np.float64) if node.is_float and not raw else None
-    if isinstance(node, p.Scalar) and node.kind == "float":
-        return np.dtype(np.float64)
-    if node.raw_range is None or (isinstance(node, p.Scalar) and len(node.bits) > 64):
-        return None
-    low, high = node.raw_range
-    for step in node.steps if not raw else ():
-        if isinstance(step, p.Scale):
-            if (isinstance(step.scale, float) and step.scale != 1.0) or (
-                isinstance(step.offset, float) and step.offset
-            ):
-                return np.dtype(np.float64)
-            low, high = sorted((int(low * step.scale + step.offset), int(high * step.scale + step.offset)))
-    for width in _WIDTHS:
-        if low >= 0 and high < 1 << width:
-            return np.dtype(f"u{width // 8}")
-        if low >= -(1 << width - 1) and high < 1 << width - 1:
-            return np.dtype(f"i{width // 8}")
-    return None
-
-
-def _bytes(bits: int) -> int:
-    return next(width for width in _WIDTHS if width >= bits) // 8
+    form = node.number_format(raw=raw)
+    return np.dtype(form) if form else None

@@ -89,7 +89,7 @@ def panels(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[LayoutPanel]
         for offset, block in layers[0].blocks.items():
             base.blocks.setdefault(offset, _Block(offset, block.size, f"(by {selector})"))
     if plan.opaque:
-        base.lines.append(("…", f"{', '.join(_payload_names(plan))}: no fixed places ({plan.opaque})"))
+        base.lines.append(("…", f"{', '.join(plan.opaque_names)}: no fixed places ({plan.opaque})"))
     tail = sorted((m for m in marks if m.offset < 0), key=lambda m: m.offset)
     found = [LayoutPanel("", _all_rows(base, plan, tail))]
     found += [LayoutPanel(SHARING, _all_rows(cells, None, [])) for cells in always[1:]]
@@ -257,10 +257,6 @@ def _mark(cells: _Cells, plan: p.MessagePlan, marks: Sequence[Mark]) -> None:
         for bit in range(8):
             if constant.mask >> bit & 1:
                 cells.claim(f"={constant.value >> bit & 1}", (8 * constant.offset + bit,))
-
-
-def _payload_names(plan: p.MessagePlan) -> list[str]:
-    return [one.name for one in plan.fields if isinstance(one.node, p.Opaque)]
 
 
 # ---------------------------------------------------------------------- rows

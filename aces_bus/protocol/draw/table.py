@@ -44,12 +44,10 @@ def field_table(plan: p.MessagePlan, captured: Mapping[str, str] | None = None) 
 
 def _inner_row(leaf: p.NodePath) -> FieldRow:
     """Return the line of a value inside a list of items."""
-    node = leaf.node.item if isinstance(leaf.node, p.Each) else leaf.node
-    row = _field_row(leaf.path, node, leaf.doc, {})
-    kind = leaf.kind if isinstance(leaf, p.ItemPath) else None
-    where = ["of each"] if isinstance(leaf.node, p.Each) else []
-    if kind is not None:
-        where.append(f"{'in' if where else 'of'} tag {kind.number}")
+    row = _field_row(leaf.path, leaf.node.alone, leaf.doc, {})
+    where = ["of each"] if leaf.node.repeats else []
+    if leaf.kind is not None:
+        where.append(f"{'in' if where else 'of'} tag {leaf.kind.number}")
     return replace(row, place=" ".join([row.place, *where]))
 
 
@@ -122,8 +120,7 @@ def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -
         case p.NamedValue():
             return FieldRow(name, "", "number", node.unit, names=_names(node), doc=doc)
         case _:
-            reason = node.reason if isinstance(node, p.Opaque) else ""
-            return FieldRow(name, "", "by construct", doc=doc or reason)
+            return FieldRow(name, "", "by construct", doc=doc or node.reason)
 
 
 def _scalar_row(name: str, node: p.Scalar, doc: str) -> FieldRow:

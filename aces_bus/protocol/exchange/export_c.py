@@ -160,7 +160,7 @@ def _refusal(message: Message) -> str:
         plan.opaque: plan.opaque,
         "delimited text": plan.split is not None,
         "a list of items": plan.lists,
-        "shows fields of its request": any(isinstance(one.node, p.FromRequest) for one in plan.fields),
+        "shows fields of its request": plan.needs_request,
         "a check inside its payload": plan.is_checked or message.check is not None,
         "its length depends on its values": plan.lengths_by is not None,
         "its fields share bits": getattr(message.payload, "overlapping", False),

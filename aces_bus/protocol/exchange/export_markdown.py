@@ -10,7 +10,6 @@ import re
 from collections.abc import Iterable, Sequence
 
 import construct as c
-from msgspec.structs import replace
 
 from .. import draw
 from ..declare.bits import BitLayout
@@ -267,22 +266,16 @@ def _values(found: Iterable[p.NodePath]) -> list[tuple[list[str], list[tuple[str
     tables: dict[tuple[tuple[str, str], ...], list[str]] = {}
     for leaf in found:
         rows: list[tuple[str, str]] = []
-        if isinstance(leaf.node, p.Each):
-            leaf = replace(leaf, node=leaf.node.item)
-        if not isinstance(leaf.node, p.DelimitedField):
-            names = leaf.node.value_names
-            rows += [(str(value), _escaped(name)) for value, name in sorted(names.items())[:MOST_VALUES]]
-            if len(names) > MOST_VALUES:
-                rows.append(("…", f"{len(names) - MOST_VALUES} more"))
-            scale = leaf.node.scale
-            runs = scale.unknown_runs if scale is not None else ()
-            rows += [
-                ("…".join(f"{value:.10g}" for value in dict.fromkeys(run)), "*not known*") for run in runs
-            ]
-        if isinstance(leaf.node, p.Scalar):
-            rows += [(f"bit {bit}", _escaped(name)) for bit, name in leaf.node.flag_names.items()]
-        if isinstance(leaf.node, p.DelimitedField):
-            rows += [(_code(text, is_cell=True), _escaped(name)) for text, name in leaf.node.names]
+        node = leaf.node.alone
+        names, texts = node.value_names, [key for key in node.value_names if isinstance(key, str)]
+        rows += [(_code(text, is_cell=True), _escaped(names[text])) for text in texts]
+        numbers = sorted(names.keys() - set(texts))
+        rows += [(str(number), _escaped(names[number])) for number in numbers[:MOST_VALUES]]
+        if len(numbers) > MOST_VALUES:
+            rows.append(("…", f"{len(numbers) - MOST_VALUES} more"))
+        runs = node.scale.unknown_runs if node.scale is not None else ()
+        rows += [("…".join(f"{value:.10g}" for value in dict.fromkeys(run)), "*not known*") for run in runs]
+        rows += [(f"bit {bit}", _escaped(name)) for bit, name in node.flag_names.items()]
         if rows:
             tables.setdefault(tuple(rows), []).append(leaf.path)
     return [(names, list(rows)) for rows, names in tables.items()]

@@ -298,7 +298,7 @@ class _Printer:
         outer = message.outer_names
         listed, rest = fixed_leaves(message)
         for leaf in listed:
-            if isinstance(leaf.node, p.Opaque):
+            if leaf.node.is_opaque:
                 self._lose(message.name, leaf.path, "part of payload, which is shown as bytes")
                 continue
             table = self._leaf(leaf, message, plan, f"{own}.{unused(leaf.identifier, taken)}")

@@ -165,11 +165,7 @@ class Template:
 
     def _payload_name(self) -> str:
         heads = {head.name for head in self.message.heads}
-        names = [
-            field.name
-            for field in self.plan.fields
-            if isinstance(field.node, p.Opaque) and field.name not in heads
-        ]
+        names = [name for name in self.plan.opaque_names if name not in heads]
         return names[0] if len(names) == 1 else "payload"
 
     def _labels(self) -> Iterator[tuple[str, list[int]]]:
@@ -185,10 +181,8 @@ class Template:
         for leaf in self.plan.leaves:
             if places := _bytes_of(leaf.node):
                 yield leaf.path, places
-            elif isinstance(leaf.node, (p.TaggedItems, p.Repeated)) or (
-                isinstance(leaf.node, p.Scalar) and leaf.node.size is None
-            ):
-                yield leaf.path, [*range(leaf.node.offset, leaf.node.offset + 512)]
+            elif (start := leaf.node.open_from) is not None:
+                yield leaf.path, [*range(start, start + 512)]
 
     def _delimited(self, prefix: bytes) -> tuple[str, list[tuple[str, Any, str]]]:
         """Return to which field between separators the last byte belongs, and the field that it completes."""
@@ -240,6 +234,4 @@ class Template:
 
 
 def _bytes_of(node: p.Node) -> list[int]:
-    if isinstance(node, p.FromIdentifier) and node.number is not None:
-        node = node.number
-    return sorted({bit // 8 for bit in node.place})
+    return sorted({bit // 8 for bit in node.number_place})

@@ -51,7 +51,7 @@ class Decoder(FunctionSetup):
     def print(self) -> tuple[list[str], list[str]]:
         """(module-level lines, function lines)."""
         plan, out = self.plan, self.body
-        needs = not plan.is_flat or any(isinstance(field.node, p.FromRequest) for field in plan.fields)
+        needs = not plan.is_flat or plan.needs_request
         out.line(f"def {self.function}({self.arguments}{', request=None' if needs else ''}):")
         out.depth = 1
         out.line(f'"""{comment_line(plan.doc) or plan.name} ({comment_line(plan.place)})"""')
@@ -436,7 +436,6 @@ class ListDecoder(FunctionSetup):
         self.setup = []
         self.names = names if names is not None else NameScope(CALLED)
         self.types: dict[str, str] = {}
-        assert isinstance(node, (p.TaggedItems, p.Repeated))
         self.offset = node.offset
 
     def print(self) -> str:

@@ -75,7 +75,7 @@ class _Encoder(FunctionSetup):
             raise NoEncoder("it has a rolling counter")
         if getattr(message.payload, "overlapping", False):
             raise NoEncoder("its fields share bits")
-        names = [f.name for f in plan.fields if not isinstance(f.node, p.FromRequest)]
+        names = [f.name for f in plan.fields if not f.node.is_of_request]
         out.line(f"def {self.function}(fields):")
         out.depth = 1
         out.lines(
@@ -87,9 +87,7 @@ class _Encoder(FunctionSetup):
         scalars: list[tuple[p.Scalar, str, str]] = []
         for field in plan.fields:
             node = field.node
-            if isinstance(node, (p.FromIdentifier, p.FromRequest)) or field.name in {
-                h.name for h in message.heads
-            }:
+            if node.is_captured or node.is_of_request or field.name in {h.name for h in message.heads}:
                 continue
             if field.name == "reserved" and isinstance(node, p.Rest):
                 if any(value is not None for value, _ in node.claimed):

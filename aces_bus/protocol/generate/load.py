@@ -26,7 +26,7 @@ from ..declare.protocol import Variant
 from ..plan import nodes as p
 from ..record import Part, Record, from_container, plain_value
 from .decode import CALLED, Decoder, ListDecoder
-from .records import groups_of, part_names, print_records
+from .records import part_names, print_records
 from .source import NameScope, comment_line
 
 Decode = Callable[..., Any]
@@ -189,7 +189,9 @@ def list_reader(node: p.ListNode, name: str, raw: bool = False) -> Callable[[byt
     plain values; `name` is that of the message."""
     printed = ListDecoder(node, name, raw=raw)
     function = printed.print()
-    fields = {one.type_name: [f.name for f in one.fields] for one in groups_of([p.PlanField("items", node)])}
+    fields = {
+        one.type_name: [f.name for f in one.fields] for one in p.nested_records([p.PlanField("items", node)])
+    }
     names = {**_CALLED, **printed.names.bound}
     names |= {called: partial(_plain_part, fields[kind]) for called, kind in printed.types.items()}
     read = load_source("\n".join(printed.setup), f"aces {'raw ' if raw else ''}items of {name}", names)[

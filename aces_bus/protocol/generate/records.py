@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from ..plan import nodes as p
 from .source import NameScope, SourceText, comment_line
@@ -24,73 +25,31 @@ def type_of(node: p.Node, *, raw: bool = False, called: Callable[[str], str] = s
     """Return the Python type of a node's value, for annotations and stubs; `called` is how the text names a nested
     record.
     """
-    if isinstance(node, (p.Scalar, p.FromIdentifier)):
-        return _scalar_type(node.kind if isinstance(node, p.Scalar) else "uint", node.steps, raw)
-    if isinstance(node, p.Many):
-        kinds = [type_of(item, raw=raw, called=called) for item in node.items]
+    return node.shaped(_Types(raw, called))
+
+
+@dataclass(frozen=True)
+class _Types:
+    """Annotations of values, by their shape."""
+
+    raw: bool
+    called: Callable[[str], str]
+
+    def single(self, node: p.Node) -> str:
+        return node.python_type(raw=self.raw)
+
+    def several(self, node: p.Node, items: Sequence[p.Node]) -> str:
+        kinds = [item.shaped(self) for item in items]
         return f"tuple[{', '.join(kinds)}]" if kinds else "tuple[()]"
-    if isinstance(node, p.NestedRecord):
-        return called(node.type_name)
-    if isinstance(node, p.Rest):
-        return "int"
-    if isinstance(node, p.FromRequest):
-        return "int | None"
-    if isinstance(node, p.DelimitedField):
-        if raw:
-            return "str | None"
-        kind = {"text": "str", "number": "float", "integer": "int", "degrees": "float", "names": "str"}[
-            node.conversion
-        ]
-        return f"{kind} | None"
-    if isinstance(node, p.MoreCells):
-        return "tuple[str, ...]"
-    if isinstance(node, p.TaggedItems):
-        return f"tuple[{called(node.type_name)}, ...]"
-    if isinstance(node, p.Repeated):
-        (group,) = node.plan.fields
-        return f"tuple[{type_of(group.node, raw=raw, called=called)}, ...]"
-    return "Any"
 
+    def record(self, node: p.Node, type_name: str, fields: Sequence[p.PlanField]) -> str:
+        return self.called(type_name)
 
-def _scalar_type(kind: str, steps: Sequence[p.Step], raw: bool) -> str:
-    base = {
-        "uint": "int",
-        "int": "int",
-        "float": "float",
-        "bytes": "bytes",
-        "text": "bytes" if raw else "str",
-    }[kind]
-    if raw:
-        return base
-    for step in steps:
-        if isinstance(step, p.Scale):
-            if step.scale != 1 or step.offset:
-                whole = isinstance(step.scale, int) and isinstance(step.offset, int)
-                base = base if whole else "float"
-            if step.names:
-                base += " | str"
-            if step.unknown:
-                base += " | None"
-        elif isinstance(step, p.ValueNames):
-            base = "str | int"
-        elif isinstance(step, p.FlagBits):
-            base = "FlagSet"
-    return base
+    def each(self, node: p.Node, item: p.Node) -> str:
+        return f"tuple[{item.shaped(self)}, ...]"
 
-
-def groups_of(fields: Sequence[p.PlanField]) -> list[p.NestedRecord]:
-    """Return the nested records among fields, innermost first, each once."""
-    inward = sorted(p.walk(fields), key=lambda one: -len(one.way))
-    listed: list[p.NestedRecord] = []
-    for one in inward:
-        if isinstance(one.node, p.TaggedItems):
-            for kind in one.node.kinds:
-                listed += groups_of(kind.plan.fields)
-            listed.append(one.node.record)
-        elif isinstance(one.node, p.Repeated):
-            listed += groups_of(one.node.plan.fields)
-    nested = [one.node for one in inward if isinstance(one.node, p.NestedRecord)]
-    return list({node.type_name: node for node in [*listed, *nested]}.values())
+    def tagged(self, node: p.Node, type_name: str, kinds: Sequence[p.ItemKind]) -> str:
+        return f"tuple[{self.called(type_name)}, ...]" if type_name else "Any"
 
 
 def part_names(plan: p.MessagePlan) -> list[str]:
@@ -121,7 +80,7 @@ def print_records(
         "",
     )
     for plan in plans:
-        for group in groups_of(plan.fields):
+        for group in p.nested_records(plan.fields):
             name = types[plan.name, group.type_name] = names.new(group.type_name)
             out.line(f"class {name}(Part, frozen=True, gc=False):")
             out.depth += 1

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import keyword
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 
 import construct as c
 
@@ -19,7 +20,6 @@ from ..declare.protocol import Protocol
 from ..draw import row_of
 from ..plan import nodes as p
 from ..plan.scalars import NotFlat, scalar_of
-from .records import type_of
 from .source import NameScope, SourceText
 
 #: What a stub's annotations call.
@@ -110,7 +110,7 @@ class _Printer:
         self._names = NameScope()
         self._classes: dict[str, str] = {}
 
-    def _class(self, path: str) -> str:
+    def class_of(self, path: str) -> str:
         """Return the name of the class of a nested record or of flags, by its dotted path from the message."""
         if path not in self._classes:
             self._classes[path] = self._names.new("_" + path.replace(".", "_"))
@@ -122,8 +122,8 @@ class _Printer:
         parts: dict[str, list[str]] = {}
         for message in messages:
             for field in message.plan.fields:
-                kind = self._type(field, f"{name}.{field.name}", parts)
-                if isinstance(field.node, p.Opaque):
+                kind = self.type_of(field, f"{name}.{field.name}", parts)
+                if field.node.is_opaque:
                     kind = self._opaque(message, field.name, parts)
                 known = types.setdefault(field.name, [])
                 if kind not in known:
@@ -162,54 +162,9 @@ class _Printer:
             self.out.line(line.strip())
         self.out.line('"""')
 
-    def _type(self, field: p.PlanField, path: str, parts: dict[str, list[str]]) -> str:
-        kind = self._node(field.node, path, parts)
+    def type_of(self, field: p.PlanField, path: str, parts: dict[str, list[str]]) -> str:
+        kind = field.node.shaped(_Types(self, path, parts))
         return _union([kind, "None"]) if field.when is not None else kind
-
-    def _node(self, node: p.Node, path: str, parts: dict[str, list[str]]) -> str:
-        """Return the type of a value; nested records and flags are declared in `parts` on the way."""
-        if isinstance(node, p.Many):
-            kinds = [self._node(item, path, parts) for item in node.items]
-            return f"tuple[{', '.join(kinds)}]" if kinds else "tuple[()]"
-        if isinstance(node, p.NestedRecord):
-            called = self._class(path)
-            lines = [f"class {called}(Part, frozen=True):"]
-            for field in node.fields:
-                lines.append(f"    {field.name}: {self._type(field, f'{path}.{field.name}', parts)}")
-            parts[path] = lines if len(lines) > 1 else [f"{lines[0]} ..."]
-            return called
-        if isinstance(node, p.TaggedItems):
-            return self._items(node, path, parts)
-        if isinstance(node, p.Repeated):
-            (group,) = node.plan.fields
-            return f"tuple[{self._node(group.node, path, parts)}, ...]"
-        if node.flags:
-            names = [name for name in node.flags if name.isidentifier() and not keyword.iskeyword(name)]
-            body = [f"    {name}: bool" for name in names]
-            called = self._class(path)
-            head = f"class {called}(FlagSet):"
-            parts[path] = [head, *body] if body else [f"{head} ..."]
-            return called
-        # `str` among the types is the names of values, where these are known.
-        kind = type_of(node)
-        listed = _literal(node.value_names.values()) if node.value_names else "str"
-        return (
-            f"{listed} | {kind}"
-            if isinstance(node, p.DelimitedField) and node.names
-            else kind.replace("str", listed)
-        )
-
-    def _items(self, node: p.TaggedItems, path: str, parts: dict[str, list[str]]) -> str:
-        """Return the type of a list of tagged items."""
-        data = [self._node(kind.plan.fields[0].node, f"{path}.{kind.name}", parts) for kind in node.kinds]
-        called = self._class(path)
-        parts[path] = [
-            f"class {called}(Part, frozen=True):",
-            f"    kind: {_literal(kind.name for kind in node.kinds)} | int | None",
-            f"    data: {_union([*data, 'bytes'])}",
-            "    reason: str | None",
-        ]
-        return f"tuple[{called}, ...]"
 
     def _opaque(self, message: Message, name: str, parts: dict[str, list[str]]) -> str:
         """Return the type of a field that construct decodes."""
@@ -227,7 +182,7 @@ class _Printer:
             lines = [
                 f"    {item.name}: {self._construct(item, f'{path}.{item.name}', parts)}" for item in inner
             ]
-            called = self._class(path)
+            called = self.class_of(path)
             head = f"class {called}(Part, frozen=True):"
             parts[path] = [head, *lines] if lines else [f"{head} ..."]
             return called
@@ -236,9 +191,63 @@ class _Printer:
         if isinstance(con, (c.Bytes, type(c.GreedyBytes))):
             return "bytes"
         try:
-            return self._node(scalar_of(con, 0), path, parts)
+            return scalar_of(con, 0).shaped(_Types(self, path, parts))
         except NotFlat:
             return "Any"
+
+
+@dataclass(frozen=True)
+class _Types:
+    """Types of values, by their shape; nested records and flags are declared in `parts` on the way."""
+
+    printer: _Printer
+    path: str
+    parts: dict[str, list[str]]
+
+    def single(self, node: p.Node) -> str:
+        if node.flags:
+            names = [name for name in node.flags if name.isidentifier() and not keyword.iskeyword(name)]
+            self._declare("FlagSet", [f"{name}: bool" for name in names])
+            return self.printer.class_of(self.path)
+        # `str` among the types is the names of values, where these are known.
+        return node.python_type(named=_literal(node.value_names.values()) if node.value_names else "str")
+
+    def several(self, node: p.Node, items: Sequence[p.Node]) -> str:
+        kinds = [item.shaped(self) for item in items]
+        return f"tuple[{', '.join(kinds)}]" if kinds else "tuple[()]"
+
+    def record(self, node: p.Node, type_name: str, fields: Sequence[p.PlanField]) -> str:
+        called = self.printer.class_of(self.path)
+        types = [
+            f"{field.name}: {self.printer.type_of(field, f'{self.path}.{field.name}', self.parts)}"
+            for field in fields
+        ]
+        self._declare("Part, frozen=True", types)
+        return called
+
+    def each(self, node: p.Node, item: p.Node) -> str:
+        return f"tuple[{item.shaped(self)}, ...]"
+
+    def tagged(self, node: p.Node, type_name: str, kinds: Sequence[p.ItemKind]) -> str:
+        if not type_name:
+            return "Any"
+        data = [
+            kind.plan.fields[0].node.shaped(replace(self, path=f"{self.path}.{kind.name}")) for kind in kinds
+        ]
+        called = self.printer.class_of(self.path)
+        self._declare(
+            "Part, frozen=True",
+            [
+                f"kind: {_literal(kind.name for kind in kinds)} | int | None",
+                f"data: {_union([*data, 'bytes'])}",
+                "reason: str | None",
+            ],
+        )
+        return f"tuple[{called}, ...]"
+
+    def _declare(self, bases: str, lines: Sequence[str]) -> None:
+        head = f"class {self.printer.class_of(self.path)}({bases}):"
+        self.parts[self.path] = [head, *(f"    {line}" for line in lines)] if lines else [f"{head} ..."]
 
 
 def _literal(names: Iterable[str]) -> str:
@@ -274,7 +283,7 @@ def _alternatives(kind: str) -> list[str]:
 
 
 def _field_doc(field: p.PlanField) -> str:
-    if isinstance(field.node, p.NestedRecord):
+    if field.node.is_record:
         return field.doc
     row = row_of(field.name, field.node)
     parts = [" ".join(filter(None, [row.range, row.unit]))] if row.unit else []

@@ -34,6 +34,20 @@ class Scale(msgspec.Struct, frozen=True):
         return tuple((value, value) for value in self.unknown)
 
     @property
+    def text(self) -> str:
+        """The step in words."""
+        scale = f"× {self.scale:.12g}" if self.scale != 1 else ""
+        offset = f"{'+' if self.offset > 0 else '−'} {abs(self.offset):.12g}" if self.offset else ""
+        runs = ["…".join(f"{value:g}" for value in dict.fromkeys(run)) for run in self.unknown_runs]
+        unknown = f"unknown at {', '.join(runs)}" if runs else ""
+        names = f"named at {', '.join(str(value) for value, _ in self.names)}" if self.names else ""
+        sent = self.bounds or self.raw_bounds
+        bounds = ""
+        if sent is not None:
+            bounds = f"sent in {sent[0]:g}…{sent[1]:g}{'' if self.bounds is not None else ' (raw)'}"
+        return ", ".join(filter(None, [" ".join(filter(None, [scale, offset])), unknown, names, bounds]))
+
+    @property
     def limits(self) -> tuple[float, float] | None:
         """Limits of values that may be sent, in the unit; None if there are none."""
         if self.bounds is not None or self.raw_bounds is None:
@@ -47,17 +61,32 @@ class ValueNames(msgspec.Struct, frozen=True):
 
     values: tuple[tuple[int, str], ...]
 
+    @property
+    def text(self) -> str:
+        """The step in words."""
+        return f"{len(self.values)} names"
+
 
 class FlagBits(msgspec.Struct, frozen=True):
     """Flag name to bit number."""
 
     bits: tuple[tuple[str, int], ...]
 
+    @property
+    def text(self) -> str:
+        """The step in words."""
+        return f"{len(self.bits)} flags"
+
 
 class Magnitude(msgspec.Struct, frozen=True):
     """Sign and magnitude of `width` bits: part of the raw value, not of its meaning."""
 
     width: int
+
+    @property
+    def text(self) -> str:
+        """The step in words."""
+        return f"sign and magnitude of {self.width} bits"
 
 
 Step = Scale | ValueNames | FlagBits | Magnitude

@@ -16,7 +16,6 @@ import numpy as np
 from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.devices import is_device_column
 from aces_bus.protocol.columns.table import Array, Column, ColumnKind, MessageTable, kinds_of
-from aces_bus.protocol.plan import nodes as p
 from aces_bus.traffic import ArrivalCount, rows_of_each
 
 #: Values of a signal that are kept one by one.
@@ -197,7 +196,7 @@ class MessageProfile:
             for kind, leaf in zip(kinds_of(plan), leaves, strict=True):
                 if leaf.path in devices:
                     continue
-                if leaf.whens or isinstance(leaf, p.ItemPath):
+                if leaf.whens or leaf.is_inside:
                     conditional |= {kind.name, *(f"{kind.name}.{flag}" for flag in kind.flags or ())}
                 if kind.flags:
                     signals |= {

@@ -16,7 +16,6 @@ from aces_bus.protocol.declare.bits import Bits
 from aces_bus.protocol.declare.wire_number import wire_number
 from aces_bus.protocol.draw import FieldRow
 from aces_bus.protocol.lint.fields import Written, payload_fields
-from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.plan.flatten import flatten
 
 #: Columns of a field's line that are compared, and what each is called.
@@ -155,7 +154,7 @@ def _rows(message: Message) -> dict[str, FieldRow]:
     """Return the lines of a message's fields; of those that only construct takes apart, what is in them too."""
     plan = flatten(message)
     rows = {row.name: row for row in draw.field_table(plan, draw.captured_values(message))}
-    opaque = {field.name for field in plan.fields if isinstance(field.node, p.Opaque)}
+    opaque = set(plan.opaque_names)
     for written in payload_fields(message):
         name = written.name
         if name.partition(".")[0] in opaque and name not in opaque:

@@ -155,30 +155,11 @@ def _with_nodes(plan: p.MessagePlan) -> Iterator[tuple[draw.FieldRow, p.Node]]:
 
 
 def _steps(node: p.Node) -> str:
-    if isinstance(node, p.Many):
-        return _steps(node.items[0]) if node.items else ""
-    if isinstance(node, p.Opaque):
+    if node.is_opaque:
         return f"construct: {node.reason}" if node.reason else ""
-    parts: list[str] = []
-    for step in node.steps:
-        if isinstance(step, p.Scale):
-            scale = f"× {step.scale:.12g}" if step.scale != 1 else ""
-            offset = f"{'+' if step.offset > 0 else '−'} {abs(step.offset):.12g}" if step.offset else ""
-            runs = ["…".join(f"{v:g}" for v in dict.fromkeys(run)) for run in step.unknown_runs]
-            unknown = f"unknown at {', '.join(runs)}" if runs else ""
-            names = f"named at {', '.join(str(v) for v, _ in step.names)}" if step.names else ""
-            sent = step.bounds or step.raw_bounds
-            bounds = ""
-            if sent is not None:
-                bounds = f"sent in {sent[0]:g}…{sent[1]:g}{'' if step.bounds is not None else ' (raw)'}"
-            parts += filter(None, [" ".join(filter(None, [scale, offset])), unknown, names, bounds])
-        elif isinstance(step, p.ValueNames):
-            parts.append(f"{len(step.values)} names")
-        elif isinstance(step, p.FlagBits):
-            parts.append(f"{len(step.bits)} flags")
-        else:
-            parts.append(f"sign and magnitude of {step.width} bits")
-    return ", ".join([*parts, *filter(None, [node.unit])])
+    for _, item in node.children:
+        return _steps(item.node)  # all items have the same
+    return ", ".join(filter(None, [*(step.text for step in node.steps), node.unit]))
 
 
 def _plain(value: Any) -> Any:
@@ -233,37 +214,14 @@ def _path(message: Message, hangs: bool) -> dict[str, Any]:
         "columns": columns,
         "why": why,
         "fields": [
-            {"field": leaf.path, "path": "generated", "how": _how(leaf.node)}
-            if not isinstance(leaf.node, (p.Opaque, p.NamedValue))
-            else {
+            {
                 "field": leaf.path,
-                "path": "construct",
-                "how": getattr(leaf.node, "reason", "a value of an item"),
+                "path": "construct" if leaf.node.is_by_construct else "generated",
+                "how": leaf.node.how,
             }
             for leaf in plan.columns
         ],
     }
-
-
-def _how(node: p.Node) -> str:
-    if isinstance(node, p.FromIdentifier):
-        return "a part of the identifier" if node.number is None else "a part of a head field"
-    if isinstance(node, p.FromRequest):
-        return "taken from the request"
-    if isinstance(node, p.Rest):
-        return "the bits that are left"
-    if isinstance(node, (p.DelimitedField, p.MoreCells)):
-        return "cut out of the text"
-    if isinstance(node, p.ListNode):
-        return "read item by item"
-    if isinstance(node, p.Each):
-        return f"{_how(node.item)}, of each"
-    assert isinstance(node, p.Scalar)
-    if node.is_bytes:
-        return "a slice"
-    if (node.kind == "float" and not node.bits) or (node.bits and node.is_whole):
-        return "unpacked by struct"
-    return "shifted out of its bytes"
 
 
 # ---------------------------------------------------------------------- differences

@@ -48,7 +48,7 @@ class RecordTokens:
         for leaf, label, shown, unit, width in self._entries:
             value = leaf.get(record)
             if value is None:
-                if leaf.conditional or isinstance(leaf.node, p.FromRequest):
+                if leaf.conditional or leaf.node.is_of_request:
                     continue
                 text, mark = "unknown", ""
             elif not value and leaf.node.is_quiet:
@@ -94,7 +94,7 @@ class TokenPrinter(LinePrinter):
         """Return the test for a value that is left out, which is `v` then; empty where it never is."""
         if leaf.node.is_quiet:
             return f"not (v := {self.read(leaf)})"
-        is_optional = leaf.conditional or isinstance(leaf.node, p.FromRequest)
+        is_optional = leaf.conditional or leaf.node.is_of_request
         return f"(v := {self.read(leaf)}) is None" if is_optional else ""
 
     def _before_sure(self, number: int, leaf: RecordLeaf, *, is_last: bool) -> None:
@@ -145,13 +145,13 @@ class TokenPrinter(LinePrinter):
 
     def _numbers(self, node: p.Node, value: str) -> list[str | Read] | None:
         """Return the text of a number, or of a list of numbers; None where it may be something else."""
-        if isinstance(node, p.Many):
+        if not node.is_leaf:
             found: list[str | Read] = []
-            for number, item in enumerate(node.items):
-                parts = self._numbers(item, f"{value}[{number}]")
+            for number, item in node.children if not node.is_record else ():
+                parts = self._numbers(item.node, f"{value}[{number}]")
                 if parts is None:
                     return None
-                found += [", " if number else "[", *parts, "" if node.unit else unit_mark(item)]
+                found += [", " if number else "[", *parts, "" if node.unit else unit_mark(item.node)]
             return [*found, "]"] if found else None
         form = number_format(node)
         return None if form is None else [Read(f"{value}:{form}")]

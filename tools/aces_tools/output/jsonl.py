@@ -23,7 +23,7 @@ from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.record import message_of, protocol_name_of
 
 from .printing import HEADS, LinePrinter, Read, has_few_values
-from .shape import OfKind, Plans, is_single_value, json_bytes, json_string, nameless_number, plain_of
+from .shape import OfKind, Plans, json_bytes, json_string, nameless_number, plain_of
 
 BUS: Mapping[bool | None, str] = {True: ', "bus_direction": "rx"', False: ', "bus_direction": "tx"', None: ""}
 
@@ -119,8 +119,8 @@ class FieldsPrinter(LinePrinter):
 
     def _value(self, field: p.PlanField, name: str, value: str) -> list[str | Read]:
         node, is_optional = field.node, field.when is not None
-        if isinstance(node, (p.Many, p.NestedRecord)) and not is_optional and self.plan.is_flat:
-            is_list = isinstance(node, p.Many)
+        if not node.is_leaf and not is_optional and self.plan.is_flat:
+            is_list = not node.is_record
             parts: list[str | Read] = ["[" if is_list else "{"]
             for step, inner in node.children:
                 parts.append(", " if len(parts) > 1 else "")
@@ -134,7 +134,7 @@ class FieldsPrinter(LinePrinter):
             if is_optional or number.has_unknown:
                 text = f"None if (v := {value}) is None else {number.mended('v')}"
             return [Read(f"json({text})")]
-        if is_single_value(node) and (number is None or not number.is_inexact):
+        if node.is_plain and (number is None or not number.is_inexact):
             return [Read(f"json({value})")]
         plain = plain_of(node)
         show = lambda one: msgspec.json.format(json_bytes(plain(one)), indent=0)  # noqa: E731

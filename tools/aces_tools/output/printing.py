@@ -101,7 +101,7 @@ class LinePrinter(FunctionSetup):
 
 def has_few_values(node: p.Node) -> bool:
     """Return whether it pays to keep the texts of a node's values."""
-    if any(isinstance(step, (p.FlagBits, p.ValueNames)) for step in node.steps):
+    if node.has_flags or node.enumerated:
         return True
     low, high = node.raw_range or (0, FEW)
     return high - low < FEW

@@ -6,9 +6,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from decimal import Decimal
-from itertools import repeat
 from math import lcm
 from typing import Any, NamedTuple
 
@@ -107,13 +106,12 @@ class PlainNumber(NamedTuple):
 
 def nameless_number(node: p.Node) -> PlainNumber | None:
     """Return what is known of a node's numbers; None where its values may be something else."""
-    if not isinstance(node, (p.Scalar, p.FromIdentifier)) or node.known_names != []:
+    if not node.is_number or node.known_names != [] or node.has_flags:
         return None
-    if any(isinstance(step, p.FlagBits) for step in node.steps):
-        return None  # flags without names
-    scales = [step for step in node.steps if isinstance(step, p.Scale) and (step.scale != 1 or step.offset)]
-    is_float = isinstance(node, p.Scalar) and node.kind == "float"
-    is_float = is_float or any(isinstance(n, float) for step in scales for n in (step.scale, step.offset))
+    scales = [step for step in node.scales if step.scale != 1 or step.offset]
+    is_float = node.is_float or any(
+        isinstance(n, float) for step in scales for n in (step.scale, step.offset)
+    )
     whole = _whole(scales[0], node.raw_range) if is_float and len(scales) == 1 else 0
     return PlainNumber(is_float, whole, node.scale is not None and bool(node.scale.unknown))
 
@@ -128,48 +126,49 @@ def _whole(scale: p.Scale, raw_range: tuple[int, int] | None) -> int:
 
 def plain_of(node: p.Node) -> Convert:
     """Return a function that makes of a node's values what JSON has for them, scaled integers mended."""
-    match node:
-        case p.Many() | p.Repeated() | p.Each():
-            if isinstance(node, p.Many):
-                inner: Iterable[Convert] = [plain_of(item) for item in node.items]
-            else:
-                item = node.plan.fields[0].node if isinstance(node, p.Repeated) else node.item
-                inner = repeat(plain_of(item))
-            return lambda values: (
-                None if values is None else [one(v) for one, v in zip(inner, values, strict=False)]
-            )
-        case p.NestedRecord():
-            fields = [(field.name, plain_of(field.node)) for field in node.fields]
-            return lambda value: (
-                None if value is None else {name: one(getattr(value, name)) for name, one in fields}
-            )
-        case p.DescribedItems():
-            return plain_of(node.items)
-        case p.TaggedItems():
-            kinds = {kind.name: plain_of(kind.plan.fields[0].node) for kind in node.kinds}
-            return lambda items: [
-                {
-                    "kind": item.kind,
-                    "data": (json_value if item.reason is not None else kinds.get(item.kind, json_value))(
-                        item.data
-                    ),
-                    "reason": item.reason,
-                }
-                for item in items
-            ]
-        case _:
-            number = nameless_number(node)
-            if number is None or not number.is_inexact:
-                return json_value
-            whole = number.whole
-            return lambda value: None if value is None else round(value * whole) / whole
+    return node.shaped(_Plain())
 
 
-def is_single_value(node: p.Node) -> bool:
-    """Return whether msgspec writes the values of this node as they are."""
-    if isinstance(node, p.Scalar):
-        return node.kind != "bytes" and not node.flags
-    return isinstance(node, (p.FromIdentifier, p.Rest, p.DelimitedField))
+class _Plain:
+    """Functions that make values plain, by their shape."""
+
+    def single(self, node: p.Node) -> Convert:
+        number = nameless_number(node)
+        if number is None or not number.is_inexact:
+            return json_value
+        whole = number.whole
+        return lambda value: None if value is None else round(value * whole) / whole
+
+    def several(self, node: p.Node, items: Sequence[p.Node]) -> Convert:
+        converts = [item.shaped(self) for item in items]
+        return lambda values: (
+            None
+            if values is None
+            else [convert(value) for convert, value in zip(converts, values, strict=True)]
+        )
+
+    def record(self, node: p.Node, type_name: str, fields: Sequence[p.PlanField]) -> Convert:
+        converts = [(field.name, field.node.shaped(self)) for field in fields]
+        return lambda value: (
+            None if value is None else {name: convert(getattr(value, name)) for name, convert in converts}
+        )
+
+    def each(self, node: p.Node, item: p.Node) -> Convert:
+        convert = item.shaped(self)
+        return lambda values: None if values is None else [convert(value) for value in values]
+
+    def tagged(self, node: p.Node, type_name: str, kinds: Sequence[p.ItemKind]) -> Convert:
+        converts = {kind.name: kind.plan.fields[0].node.shaped(self) for kind in kinds}
+        return lambda items: [
+            {
+                "kind": item.kind,
+                "data": (json_value if item.reason is not None else converts.get(item.kind, json_value))(
+                    item.data
+                ),
+                "reason": item.reason,
+            }
+            for item in items
+        ]
 
 
 # ---------------------------------------------------------------------- single values, by path
@@ -202,8 +201,8 @@ def record_leaves(plan: p.MessagePlan, *, is_split: bool = True) -> list[RecordL
     nodes = plan.columns
     if not is_split:
         named = (one for one in plan.walk() if all(isinstance(step, str) for step in one.way))
-        nodes = tuple(one for one in named if not isinstance(one.node, p.NestedRecord))
+        nodes = tuple(one for one in named if not one.node.is_record)
     return [
-        RecordLeaf(one.path, one.way, one.node, getter(one.way), bool(one.whens), isinstance(one, p.ItemPath))
+        RecordLeaf(one.path, one.way, one.node, getter(one.way), bool(one.whens), one.is_inside)
         for one in nodes
     ]

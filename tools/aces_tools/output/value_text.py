@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from aces_bus.plain_text import printable
@@ -26,60 +26,46 @@ def unit_mark(node: p.Node) -> str:
 
 def value_printer(node: p.Node) -> Show:
     """Return how the values of a node are printed."""
-    match node:
-        case p.Many():
-            return _show_many(node)
-        case p.NestedRecord():
-            inner = [
-                (f.name, getter((f.name,)), value_printer(f.node), unit_mark(f.node)) for f in node.fields
-            ]
-            return lambda value: (
-                "{" + ", ".join(f"{n}={_or_unknown(s, g(value))}{u}" for n, g, s, u in inner) + "}"
-            )
-        case p.DescribedItems():
-            return value_printer(node.items)
-        case p.TaggedItems():
-            nodes = {kind.name: kind.plan.fields[0].node for kind in node.kinds}
-            return _show_items(
-                {name: (value_printer(inner), unit_mark(inner)) for name, inner in nodes.items()}
-            )
-        case p.OpaqueItems():
-            units = {name: unit_mark(inner) for name, _, inner in node.values}
-            return _show_items({}, lambda data: _named_values(data, units))
-        case p.Repeated():
-            (group,) = node.plan.fields
-            return _show_each(group.node)
-        case p.Each():
-            return _show_each(node.item)
-        case p.Scalar() if node.kind == "bytes":
-            return spaced_hexadecimal
-        case p.Scalar() if node.kind == "text":
-            return shell_quoted
-        case p.Rest():
+    return node.shaped(_Texts())
+
+
+class _Texts:
+    """Functions that print values, by their shape."""
+
+    def single(self, node: p.Node) -> Show:
+        if node.is_unclaimed:
             return hex
-        case p.Scalar() | p.FromIdentifier():
-            return _show_number(node)
-        case _:
-            return anything
+        if units := node.inner_units:
+            return _show_items({}, lambda data: _named_values(data, units))
+        return _show_number(node) if node.is_number else anything
+
+    def several(self, node: p.Node, items: Sequence[p.Node]) -> Show:
+        shows = [item.shaped(self) for item in items]
+        units = ["" if node.unit else unit_mark(item) for item in items]
+
+        def many(values: Any) -> str:
+            shown = (_or_unknown(s, v) + u for s, v, u in zip(shows, values, units, strict=True))
+            return f"[{', '.join(shown)}]"
+
+        return many
+
+    def record(self, node: p.Node, type_name: str, fields: Sequence[p.PlanField]) -> Show:
+        inner = [(f.name, getter((f.name,)), f.node.shaped(self), unit_mark(f.node)) for f in fields]
+        return lambda value: (
+            "{" + ", ".join(f"{n}={_or_unknown(s, g(value))}{u}" for n, g, s, u in inner) + "}"
+        )
+
+    def each(self, node: p.Node, item: p.Node) -> Show:
+        shown, unit = item.shaped(self), unit_mark(item)
+        return lambda values: f"[{', '.join(_or_unknown(shown, value) + unit for value in values)}]"
+
+    def tagged(self, node: p.Node, type_name: str, kinds: Sequence[p.ItemKind]) -> Show:
+        nodes = {kind.name: kind.plan.fields[0].node for kind in kinds}
+        return _show_items({name: (inner.shaped(self), unit_mark(inner)) for name, inner in nodes.items()})
 
 
 def _or_unknown(shown: Show, value: Any) -> str:
     return "unknown" if value is None else shown(value)
-
-
-def _show_many(node: p.Many) -> Show:
-    shows = [value_printer(item) for item in node.items]
-    units = ["" if node.unit else unit_mark(item) for item in node.items]
-
-    def many(values: Any) -> str:
-        return f"[{', '.join(_or_unknown(s, v) + u for s, v, u in zip(shows, values, units, strict=True))}]"
-
-    return many
-
-
-def _show_each(node: p.Node) -> Show:
-    one, unit = value_printer(node), unit_mark(node)
-    return lambda values: f"[{', '.join(_or_unknown(one, value) + unit for value in values)}]"
 
 
 def _show_items(shows: Mapping[str, tuple[Show, str]], otherwise: Show | None = None) -> Show:
@@ -111,7 +97,7 @@ def _named_values(data: Any, units: Mapping[str, str]) -> str:
     return f"{{{', '.join(shown)}}}"
 
 
-def _show_number(node: p.Scalar | p.FromIdentifier) -> Show:
+def _show_number(node: p.Node) -> Show:
     if node.flags:
         return lambda value: "{" + ", ".join(flag_names(value)) + "}"
     form = step_format(node)
@@ -128,9 +114,9 @@ def number_format(node: p.Node) -> str | None:
 
 def step_format(node: p.Node) -> str:
     """Return how the numbers of a node are formatted, as many decimals as one raw step has."""
-    if isinstance(node, p.Scalar) and node.kind == "float":
-        return f".{ {2: 4, 4: 7}.get(node.size or 0, 15) }g"
-    scales = [step for step in node.steps if isinstance(step, p.Scale)]
+    if node.digits is not None:
+        return f".{node.digits}g"
+    scales = node.scales
     if scales and not all(float(s.scale).is_integer() and float(s.offset).is_integer() for s in scales):
         return f".{max(decimals(s.scale, s.offset) for s in scales)}f"
     if scales and any(isinstance(s.scale, float) or isinstance(s.offset, float) for s in scales):

@@ -142,7 +142,7 @@ def _declared(protocol: str, message: str, plan: p.MessagePlan) -> Declared:
         is_device = is_device_column(leaf)
         if is_device:
             devices.append(path)
-        conditional = bool(leaf.whens) or isinstance(leaf, p.ItemPath)
+        conditional = bool(leaf.whens) or leaf.is_inside
         if kind.flags:
             signals += [
                 PlotSignal(protocol, message, f"{path}.{flag}", path, kind, conditional, bit)
@@ -157,25 +157,12 @@ def _declared(protocol: str, message: str, plan: p.MessagePlan) -> Declared:
                 path,
                 kind,
                 conditional,
-                is_number=not _is_text(node),
-                is_quiet=is_device or isinstance(node, p.Rest),
-                is_list=isinstance(node, (p.Each, p.Repeated)),
+                is_number=node.has_numbers,
+                is_quiet=is_device or node.is_unclaimed,
+                is_list=node.repeats,
             )
         )
     return Declared(tuple(signals), tuple(devices), frozenset(kind.name for kind in kinds_of(plan)))
-
-
-def _is_text(node: p.Node) -> bool:
-    if isinstance(node, p.Each):
-        return _is_text(node.item)
-    if isinstance(node, p.Repeated):
-        (group,) = node.plan.fields
-        return not isinstance(group.node, p.Scalar) or _is_text(group.node)
-    if isinstance(node, p.Scalar):
-        return node.kind in ("bytes", "text")
-    return isinstance(node, (p.MoreCells, p.TaggedItems)) or (
-        isinstance(node, p.DelimitedField) and node.conversion in ("text", "names")
-    )
 
 
 def glob(text: str) -> re.Pattern[str]:

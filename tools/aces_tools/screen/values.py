@@ -71,7 +71,7 @@ class FieldFormat:
         for one, get, shown, unit in self._short:
             value = get(record)
             if value is None:
-                if one.when is None and not isinstance(one.node, p.FromRequest):
+                if one.when is None and not one.node.is_of_request:
                     yield FieldText(one.name, "unknown", "")
             elif value or not one.node.is_quiet:
                 yield FieldText(one.name, shown(value), unit)
