@@ -99,7 +99,7 @@ class Node:
 
     @property
     def scales(self) -> list[Scale]:
-        """What makes the raw number a quantity, from the wire outward."""
+        """Steps that turn the raw number into a quantity, from the wire outward."""
         return [step for step in self.steps if isinstance(step, Scale)]
 
     @property
