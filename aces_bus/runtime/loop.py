@@ -45,7 +45,7 @@ LATE_NS = 50_000_000
 MOST_FILES = 1000
 
 
-class Loop(RealClock):
+class Loop:
     """A thread that does what is planned, when it is due, and serves files.
 
     with Loop() as loop:
@@ -55,6 +55,8 @@ class Loop(RealClock):
     which lets time pass as `select.select` does.
     """
 
+    name = RealClock.name
+
     def __init__(
         self,
         name: str = "aces loop",
@@ -63,10 +65,11 @@ class Loop(RealClock):
         now: Callable[[], int] = time.monotonic_ns,
         wait: Callable[..., tuple[list[int], Any, Any]] = select.select,
     ) -> None:
-        super().__init__()
+        #: Add this to one of its instants for nanoseconds since 1970, as of when the loop was made.
+        self.epoch_ns = time.time_ns() - time.monotonic_ns()
         self._monotonic_ns, self._select = now, wait
-        # The method's place is taken by the function: one call less.
-        self.__dict__["now"] = now
+        #: The present instant in ns.
+        self.now = now
         self.thread_name = name
         self._failed = failed
         #: What actions raised, the last few.
@@ -94,6 +97,12 @@ class Loop(RealClock):
         self.own_thread = 0
 
     # ------------------------------------------------------------------ planning
+
+    def sleep_until(self, instant: int) -> None:
+        """Wait until `instant` (ns) on the calling thread, which must not be the loop's own."""
+        left = instant - self.now()
+        if left > 0:
+            time.sleep(left / 1e9)
 
     def call_at(self, instant: int, action: Action) -> Timer:
         """Plan `action` for `instant` (ns); one that has passed is done at once."""

@@ -11,7 +11,6 @@ from typing import Any
 
 from ..device.reading import UNKNOWN
 from . import units
-from .derived import Derived
 from .errors import StateError
 from .polynomial import slope_at
 from .quantity import EDGE_NS, Listener, TimeSeries
@@ -20,15 +19,22 @@ from .state import State
 MOST_ORDER = 4
 
 
-class Rate(Derived):
+class Rate(TimeSeries):
     """The derivative over time, per second."""
 
     def __init__(self, source: TimeSeries, order: int = 1) -> None:
         if order not in range(1, MOST_ORDER + 1):
             raise StateError(f"state {source.name!r}: derivatives of order 1 … {MOST_ORDER}, not {order!r}")
-        super().__init__(f"d({source.name})/dt", float, (source,), units.multiplied(source.unit, "s", -1))
+        super().__init__(f"d({source.name})/dt", units.multiplied(source.unit, "s", -1), source.clock)
         self.source, self.order = source, order
+        self.history, self.stale_after_s = source.history, source.stale_after_s
         self._newest = source.newest_slope if order == 1 and isinstance(source, State) else None
+
+    def named(self, name: str, unit: str | None = None) -> Rate:
+        """Return the same under a name, and in a unit of your choice of symbols."""
+        made = Rate(self.source, self.order)
+        made.name, made.unit = name, self.unit if unit is None else unit
+        return made
 
     @property
     def value(self) -> Any:
@@ -70,6 +76,39 @@ class Rate(Derived):
             return UNKNOWN
         slope = slope_at(instants, values, instant)
         return slope if -math.inf < slope < math.inf else UNKNOWN
+
+    @property
+    def span(self) -> tuple[int, int] | None:
+        """The instants (ns) between which the source has values; None before the first."""
+        return self.source.span
+
+    @property
+    def instant(self) -> int | None:
+        """The source's newest instant (ns)."""
+        return self.source.instant
+
+    @property
+    def is_stale(self) -> bool:
+        """True if the source is stale."""
+        return self.source.is_stale
+
+    @property
+    def epoch(self) -> int:
+        """The source's epoch."""
+        return self.source.epoch
+
+    @property
+    def forgotten(self) -> int | None:
+        """The instant (ns) before which the source's samples are gone; None when none was dropped."""
+        return self.source.forgotten
+
+    def samples_up_to(self, instant: int, most: int) -> list[int]:
+        """Instants of the source's samples, up to the first that is not before `instant`."""
+        return self.source.samples_up_to(instant, most)
+
+    def samples_between(self, start: int, end: int) -> list[int]:
+        """Instants of the source's samples there."""
+        return self.source.samples_between(start, end)
 
     @property
     def origin(self) -> int | None:

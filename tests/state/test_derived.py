@@ -263,6 +263,16 @@ def test_the_derivative_between_samples_and_at_the_ends() -> None:
     assert rate.rate()[0] == pytest.approx(1.5)  # (4 - 1) / 2 s: the slope of slopes
 
 
+def test_a_derivative_under_another_name_is_the_derivative() -> None:
+    """`named` changes name and unit, not the value."""
+    torque, _ = pair()
+    torque.push(1.0, 0)
+    torque.push(3.0, S)
+    slope = torque.rate().named("slope", "W")
+    assert (slope.name, slope.unit, slope[0], slope.at(0)) == ("slope", "W", 2.0, 2.0)
+    assert torque.rate().named("slope").unit == torque.rate().unit
+
+
 def test_the_derivative_beside_an_unknown_sample_is_unknown() -> None:
     """No slope is made up over a gap."""
     omega = made()

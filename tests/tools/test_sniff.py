@@ -26,8 +26,9 @@ from aces_bus.frames import FD_LENGTHS, Frame
 from aces_bus.hardware import AcesBus, BusEvent, CanGate, Received
 from aces_bus.recordings import open_recording
 from aces_tools.live import BusEventLines
-from aces_tools.live_text import CandumpLines, Times
+from aces_tools.live_text import CandumpLines
 from aces_tools.options import duration
+from aces_tools.output.text import Times
 from tests.limits import small_disk
 from tests.tools.live import WAIT_S, Node, Opened, interrupt
 

@@ -31,7 +31,7 @@ from aces_tools.output.columns import beside, column_output
 from aces_tools.output.csv import CsvOutput, cell
 from aces_tools.output.jsonl import JsonLines
 from aces_tools.output.shape import Plans, RecordLeaf, plain_of, plans_of, record_leaves
-from aces_tools.output.text import TextOutput, make_paint, no_paint, printable
+from aces_tools.output.text import TextOutput, Times, make_paint, no_paint, printable
 from aces_tools.output.value_text import decimals
 from tests.specs.catalogue import SPECS
 
@@ -290,7 +290,7 @@ def test_an_output_without_arrows() -> None:
 
 def test_absolute_times() -> None:
     """On request the time is the recording's own."""
-    (line,) = shown(Frame(0x13, b"", 1436509052.249713), is_relative=False)
+    (line,) = shown(Frame(0x13, b"", 1436509052.249713), times=Times("absolute"))
     assert line.startswith("1436509052.249713  ")
 
 

@@ -188,10 +188,6 @@ def run(arguments: argparse.Namespace) -> int:
         raise CallerError(
             "--count is for lines, and tables are written whole; --from and --to choose a piece"
         )
-    if form is not None and arguments.jobs > 1:
-        from .decode_jobs import JobsDecoding
-
-        return JobsDecoding(arguments, form).run()
     if form is not None:
         from .decode_columns import ColumnDecoding
 
@@ -262,11 +258,10 @@ class LiveDecoding(Decoding):
             only = next(iter(self.messages)) if len(self.messages) == 1 else None
             links = frozenset(link for link, variants in self.variants.items() if variants)
             return self._safe(CsvOutput(self.plans, stated, only=only, links=links), "\\x{:02x}")
-        from .live_text import LiveText, Times
-        from .output.text import make_paint, no_paint
+        from .output.text import TextOutput, Times, make_paint, no_paint
 
         is_terminal = self.output.is_terminal
-        return LiveText(
+        return TextOutput(
             self.plans,
             stated,
             notes=self.registers,

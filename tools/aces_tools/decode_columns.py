@@ -9,25 +9,31 @@ from __future__ import annotations
 
 import argparse
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
 from fnmatch import fnmatchcase
 from typing import Any
 
 import numpy as np
 
-from aces_bus.errors import CallerError
+from aces_bus.errors import CallerError, CaptureError
 from aces_bus.export import Export, open_export
 from aces_bus.frame_table import FrameTable
+from aces_bus.protocol.columns.can import CanColumns
+from aces_bus.protocol.columns.can_channels import ChannelColumns
 from aces_bus.protocol.columns.decode import feed
 from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.columns.table import MessageTable, kinds_of
-from aces_bus.recordings import CanRecording, Recording, SerialRecording
-from aces_bus.recordings.pieces import Direction, pieces_of
-from aces_bus.recordings.selection import KeptFrames, RecordingSelection, part_of
+from aces_bus.recordings import CanRecording, Recording, SerialRecording, open_recording
+from aces_bus.recordings.pieces import Direction, make_can_scanner, pieces_of
+from aces_bus.recordings.selection import AdoptedPieces, KeptFrames, RecordingSelection, part_of
 from aces_bus.recordings.totals import Totals
 from aces_bus.recordings.where import Rows, WhereColumns
 
-from .console import Progress, check_not_read, say, say_note
+from .console import SHOWN, Progress, check_not_read, say, say_note
+from .decode_jobs import FORMS, Jobs, Parts, PieceResult
 from .decoding import Decoding, utf8
 from .output.shape import Plans
 from .patience import Patience
@@ -104,12 +110,12 @@ class TableDecoding(Decoding):
 
     def _warn_of(self, contested: Any, tables: Sequence[MessageTable]) -> None:
         """Warn when a decoded frame is of an identifier that two protocols claim: of the first such frame."""
-        found = self._first_contested(contested, tables)
+        found = self.first_contested(contested, tables)
         if found is not None:
             self._warn(contested, found, found & 0x1FFF_FFFF)
 
     @staticmethod
-    def _first_contested(contested: Any, tables: Sequence[MessageTable]) -> int | None:
+    def first_contested(contested: Any, tables: Sequence[MessageTable]) -> int | None:
         """Return the key of the first decoded frame that two protocols claim."""
         keys = np.fromiter(contested, np.uint32, len(contested))
         found: list[tuple[int, int]] = []
@@ -124,7 +130,8 @@ class TableDecoding(Decoding):
 class ColumnDecoding(TableDecoding):
     """One run into an output of tables. A wrong call raises before anything is read or written."""
 
-    def __init__(self, arguments: argparse.Namespace, form: str) -> None:
+    def __init__(self, arguments: argparse.Namespace, form: str, *, is_worker: bool = False) -> None:
+        """`is_worker`: this process decodes pieces for another, and has no output of its own."""
         super().__init__(arguments)
         self.columns = wanted_columns(arguments.signals, self.plans)
         self.selection = RecordingSelection(
@@ -140,9 +147,21 @@ class ColumnDecoding(TableDecoding):
         path: str = arguments.output
         check_not_read(path, self.files)
         self.form = form
-        self.export: Export = self._open_export(path)
+        self.jobs: Jobs | None = None
+        self._notes: dict[str, None] = {}
+        self.export: Export | Parts
+        if is_worker:
+            return
+        if arguments.jobs > 1:
+            if form not in FORMS:
+                raise CallerError(f"--jobs writes {', '.join(FORMS)}; {form} is written by one process")
+            self.jobs = Jobs(self, arguments.jobs)
+            self.export = Parts(self.open_export, path, form)
+        else:
+            self.export = self.open_export(path)
 
-    def _open_export(self, path: str) -> Export:
+    def open_export(self, path: str) -> Export:
+        """Open an output of tables, or of a part of them."""
         arguments = self.arguments
         return open_export(
             path,
@@ -168,7 +187,95 @@ class ColumnDecoding(TableDecoding):
         super()._opened(capture)
         self.source = utf8(capture.name)
 
+    def _can(self, capture: CanRecording, totals: Totals, patience: Patience) -> None:
+        jobs, export = self.jobs, self.export
+        if jobs is None or not isinstance(export, Parts):
+            super()._can(capture, totals, patience)
+            return
+        if not jobs.are_worth(capture):
+            export.begin_own()
+            super()._can(capture, totals, patience)
+            return
+        scanner = self.can_scanner(defer=False)
+        tasks = jobs.tasks(capture)
+        under_way: deque[Future[PieceResult]] = deque()
+        pieces = AdoptedPieces(scanner, self.selection)
+        self._start_window(capture)
+        try:
+            while True:
+                while len(under_way) < 2 * jobs.count and not patience.is_over:
+                    task = next(tasks, None)
+                    if task is None:
+                        break
+                    under_way.append(jobs.submit(task, export.plan()))
+                if not under_way:
+                    break
+                done = under_way.popleft().result()
+                if done.error:
+                    raise CaptureError(done.error) if done.is_of_capture else CallerError(done.error)
+                export.adopt()
+                self._adopt(capture, scanner.contested, pieces, done, totals)
+            self._take(pieces.close(totals), totals)
+        except BrokenProcessPool as error:
+            raise CallerError(
+                "a decoding process has died; is there enough memory? Try fewer --jobs"
+            ) from error
+        finally:
+            for future in under_way:
+                future.cancel()
+            totals.count(scanner.counts)
+
+    def can_scanner(self, *, defer: bool) -> CanColumns | ChannelColumns:
+        """Return a scanner of frames; `defer` leaves frames that hang on others to the first process."""
+        return make_can_scanner(
+            self.variants["can"], direction=self.direction, include_unknown=self.include_unknown, defer=defer
+        )
+
+    def _start_window(self, capture: CanRecording) -> None:
+        """Relative times count from the first frame of the file: every process must know it."""
+        if self.window is None:
+            return
+        untimed = self.window.untimed
+        with open_recording(capture.name, link="can") as same:
+            for table in same.tables():
+                self.window.inside(table.time)
+                if self.window.first is not None:
+                    break
+        self.window.untimed = untimed
+
+    def _adopt(
+        self,
+        capture: CanRecording,
+        contested: Mapping[int, tuple[str, str]],
+        pieces: AdoptedPieces,
+        done: PieceResult,
+        totals: Totals,
+    ) -> None:
+        """Go on behind a piece: its files, its counts, its complaints, and the frames that it left."""
+        self._seen(done.channels)
+        if self.window is not None:
+            self.window.untimed += done.untimed
+        if done.contested is not None and not self.is_warned:
+            self._warn(contested, done.contested, done.contested & 0x1FFF_FFFF)
+        for name, number in done.totals.bins.items():
+            totals.add(name, number)
+        before = capture.lines
+        for name, number in done.counts.items():
+            setattr(capture, name, getattr(capture, name) + number)
+        if any(done.counts.values()):  # a part of a log, which the process has read itself
+            for kind, number in done.others.items():
+                capture.others[kind] = capture.others.get(kind, 0) + number
+            room = max(0, SHOWN - len(capture.problems))
+            capture.problems += [p._replace(line=p.line + before) for p in done.problems[:room]]
+        self._notes.update(dict.fromkeys(done.notes))
+        before_frames = pieces.frames
+        self._take(pieces.adopt(done.handover, totals), totals)
+        self.progress.step(pieces.frames - before_frames)
+
     def _finish(self, *, is_whole: bool) -> None:
+        if is_whole:
+            for note in self._notes:
+                say_note(note)
         self.progress.close()
         if not self.totals:
             return  # no file could be opened: what is at the output stays
@@ -184,6 +291,8 @@ class ColumnDecoding(TableDecoding):
         """Flush nothing: the output is not printed."""
 
     def _clean_up(self) -> None:
+        if self.jobs is not None:
+            self.jobs.close()
         self.progress.close()
         self.export.abandon()  # nothing, once it is closed
         if self.interrupted:

@@ -19,31 +19,26 @@ import shutil
 import signal
 import sys
 import threading
-from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from aces_bus.errors import AcesError, CallerError, CaptureError
+from aces_bus.errors import AcesError, CaptureError
 from aces_bus.export import Export
 from aces_bus.export.files import Staging, telling
 from aces_bus.frame_table import FrameTable
-from aces_bus.protocol.columns.can import CanColumns
-from aces_bus.protocol.columns.can_channels import ChannelColumns
 from aces_bus.protocol.columns.table import MessageTable
-from aces_bus.recordings import CanRecording, UnreadableEntry, open_recording
+from aces_bus.recordings import CanRecording, UnreadableEntry
 from aces_bus.recordings.open import open_part, split_capture
-from aces_bus.recordings.pieces import make_can_scanner, pieces_of
-from aces_bus.recordings.selection import AdoptedPieces, part_of
+from aces_bus.recordings.pieces import pieces_of
+from aces_bus.recordings.selection import part_of
 from aces_bus.recordings.totals import Totals
 
-from .console import SHOWN, say_note
-from .decode_columns import ColumnDecoding
-from .patience import Patience
+if TYPE_CHECKING:
+    from .decode_columns import ColumnDecoding
 
 #: Bytes of a log that are one piece, at most; each process gets as many. To begin and end the files of 60 messages takes as
 #: long as to decode 7 MB, so pieces are large; but what a process leaves to this one comes with its piece, all at once.
@@ -54,6 +49,8 @@ WORTH = 8 << 20
 COUNTED = ("lines", "lines_unreadable", "lines_comment", "lines_blank", "frames_dropped")
 #: Outputs that are folders of tables, which parts can be put into.
 FORMS = ("parquet", "arrow", "feather")
+#: Name of a recording, a piece of it (its place in a log, or frames), the instant (ns) that relative times count from.
+Task = tuple[str, Any, int | None]
 
 
 @dataclass
@@ -77,252 +74,156 @@ class PieceResult:
     is_of_capture: bool = True
 
 
-class JobsDecoding(ColumnDecoding):
-    """One run over several processes."""
+class PieceDecoder:
+    """Decodes pieces of recordings for the first process; `run` has the protocols and what is wanted."""
 
-    def __init__(self, arguments: argparse.Namespace, form: str) -> None:
-        if form not in FORMS:
-            raise CallerError(f"--jobs writes {', '.join(FORMS)}; {form} is written by one process")
-        super().__init__(arguments, form)
-        self._pool: ProcessPoolExecutor | None = None
-        self._piece = 0
-        self._notes: dict[str, None] = {}
-        self._deferring: CanColumns | ChannelColumns | None = None
+    def __init__(self, run: ColumnDecoding) -> None:
+        self._run = run
+        #: Made once: `hand_over` leaves it as new.
+        self._scanner = run.can_scanner(defer=True)
 
-    def _open_export(self, path: str) -> Export:
-        return Parts(self, path)  # type: ignore[return-value]  # what this class uses of an export
-
-    def part(self, path: str) -> Export:
-        """Return an export of its own for a part."""
-        return super()._open_export(path)
-
-    # ------------------------------------------------------------------ this process
-
-    def _can(self, capture: CanRecording, totals: Totals, patience: Patience) -> None:
-        if capture.live or (os.path.isfile(capture.name) and os.path.getsize(capture.name) < WORTH):
-            self._piece += 1
-            self.export.begin_own()  # type: ignore[attr-defined]
-            super()._can(capture, totals, patience)
-            return
-        scanner = self._column_scanner(defer=False)
-        tasks = self._tasks(capture)
-        under_way: deque[Future[PieceResult]] = deque()
-        pieces = AdoptedPieces(scanner, self.selection)
-        self._start_window(capture)
-        try:
-            while True:
-                while len(under_way) < 2 * self.arguments.jobs and not patience.is_over:
-                    task = next(tasks, None)
-                    if task is None:
-                        break
-                    under_way.append(self._submit(task))
-                if not under_way:
-                    break
-                self._adopt(capture, scanner, pieces, under_way.popleft().result(), totals)
-            self._take(pieces.close(totals), totals)
-        except BrokenProcessPool as error:
-            raise CallerError(
-                "a decoding process has died; is there enough memory? Try fewer --jobs"
-            ) from error
-        finally:
-            for future in under_way:
-                future.cancel()
-            totals.count(scanner.counts)
-
-    def _start_window(self, capture: CanRecording) -> None:
-        """Relative times count from the first frame of the file: every process must know it."""
-        if self.window is None:
-            return
-        untimed = self.window.untimed
-        with open_recording(capture.name, link="can") as same:
-            for table in same.tables():
-                self.window.inside(table.time)
-                if self.window.first is not None:
-                    break
-        self.window.untimed = untimed
-
-    def _tasks(self, capture: CanRecording) -> Iterator[Any]:
-        spans = None
-        if os.path.isfile(capture.name):
-            jobs = self.arguments.jobs
-            turns = -(-os.path.getsize(capture.name) // (jobs * PIECE))
-            spans = split_capture(capture.name, jobs * max(1, turns))
-        first = None if self.window is None else self.window.first
-        if spans is not None:
-            for span in spans:
-                yield ("span", capture.name, span, first)
-            return
-        for table in pieces_of(capture.tables(), is_live=False):
-            yield ("table", capture.name, table, first)
-
-    def _submit(self, task: Any) -> Future[PieceResult]:
-        if self._pool is None:
-            self._pool = self._make_pool()
-        number, self._piece = self._piece, self._piece + 1
-        return self._pool.submit(_work, task, self.export.piece(number))  # type: ignore[attr-defined]
-
-    def _make_pool(self) -> ProcessPoolExecutor:
-        # A fork has everything imported and generated already; it is safe while no thread runs beside this one.
-        can_fork = sys.platform == "linux" and threading.active_count() == 1
-        global _worker
-        _worker = self
-        return ProcessPoolExecutor(
-            self.arguments.jobs,
-            multiprocessing.get_context("fork" if can_fork else "spawn"),
-            initializer=_begin,
-            initargs=(self.arguments, self.form),
-        )
-
-    def _adopt(
-        self,
-        capture: CanRecording,
-        scanner: Any,
-        pieces: AdoptedPieces,
-        done: PieceResult,
-        totals: Totals,
-    ) -> None:
-        """Go on behind a piece: its files, its counts, its complaints, and the frames that it left."""
-        if done.error:
-            raise CaptureError(done.error) if done.is_of_capture else CallerError(done.error)
-        export: Any = self.export
-        export.adopt()
-        self._seen(done.channels)
-        if self.window is not None:
-            self.window.untimed += done.untimed
-        contested = scanner.contested
-        if done.contested is not None and not self.is_warned:
-            self._warn(contested, done.contested, done.contested & 0x1FFF_FFFF)
-        for name, number in done.totals.bins.items():
-            totals.add(name, number)
-        before = capture.lines
-        for name, number in done.counts.items():
-            setattr(capture, name, getattr(capture, name) + number)
-        if any(done.counts.values()):  # a part of a log, which the process has read itself
-            for kind, number in done.others.items():
-                capture.others[kind] = capture.others.get(kind, 0) + number
-            room = max(0, SHOWN - len(capture.problems))
-            capture.problems += [p._replace(line=p.line + before) for p in done.problems[:room]]
-        self._notes.update(dict.fromkeys(done.notes))
-        before_frames = pieces.frames
-        self._take(pieces.adopt(done.handover, totals), totals)
-        self.progress.step(pieces.frames - before_frames)
-
-    def _finish(self, *, is_whole: bool) -> None:
-        if is_whole:
-            for note in self._notes:
-                say_note(note)
-        super()._finish(is_whole=is_whole)
-
-    def _clean_up(self) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(wait=True, cancel_futures=True)
-        super()._clean_up()
-
-    # ------------------------------------------------------------------ the other processes
-
-    def _column_scanner(self, *, defer: bool) -> CanColumns | ChannelColumns:
-        return make_can_scanner(
-            self.variants["can"], direction=self.direction, include_unknown=self.include_unknown, defer=defer
-        )
-
-    def work(self, task: Any, place: str) -> PieceResult:
+    def decode(self, task: Task, place: str) -> PieceResult:
         """Decode a piece into an export of its own at `place`."""
-        kind, name, piece, first = task
-        if self._deferring is None:  # made once: `hand_over` leaves it as new
-            self._deferring = self._column_scanner(defer=True)
-        scanner = self._deferring
+        run, scanner, window = self._run, self._scanner, self._run.window
+        name, piece, first = task
         totals, channels = Totals(), set[str]()
         contested: int | None = None
         capture: CanRecording | None = None
-        if self.window is not None:
-            self.window.begin()
-            self.window.see(first)
-            self.window.untimed = 0
-        tables: Iterable[FrameTable] = [piece]
-        if kind == "span":
+        if window is not None:
+            window.begin()
+            if first is not None:
+                window.see(first)
+            window.untimed = 0
+        tables: Iterable[FrameTable]
+        if isinstance(piece, FrameTable):
+            tables = [piece]
+        else:
             capture = open_part(name, piece)
             tables = pieces_of(capture.tables(), is_live=False)
-        self.source = name
-        with self.part(place) as self.export:
+        with run.open_export(place) as export:
             row = 0
             for frames in tables:
                 found = scanner.feed(frames)
                 if scanner.contested and contested is None:
-                    contested = self._first_contested(scanner.contested, found)
-                if self.absent:
+                    contested = run.first_contested(scanner.contested, found)
+                if run.absent:
                     channels |= {str(frames.channels.names[n]) for n in np.unique(frames.channel).tolist()}
-                kept = self.selection.kept(frames)
+                kept = run.selection.kept(frames)
                 if kept is not None:
                     found = [part_of(table, kept[table.row - row], totals) for table in found]
-                self._take(found, totals)
+                export.write(run.selection.shown(found, totals), source=name, columns=run.columns)
                 row += len(frames)
-            notes = self.export.notes
+            notes = export.notes
         done = PieceResult(scanner.hand_over(), totals, channels, contested, notes=notes)
-        if self.window is not None:
-            done.untimed = self.window.untimed
+        if window is not None:
+            done.untimed = window.untimed
         if capture is not None:
             done.counts = {name: getattr(capture, name) for name in COUNTED}
             done.others, done.problems = capture.others, capture.problems
         return done
 
 
-_worker: JobsDecoding | None = None
+class Jobs:
+    """The other processes of a run, at most `count`: they are started with the first piece."""
+
+    def __init__(self, run: ColumnDecoding, count: int) -> None:
+        self._run, self.count = run, count
+        self._pool: ProcessPoolExecutor | None = None
+
+    def are_worth(self, capture: CanRecording) -> bool:
+        """Return False for a recording that this process decodes as quickly as others are started."""
+        is_small = os.path.isfile(capture.name) and os.path.getsize(capture.name) < WORTH
+        return not (capture.live or is_small)
+
+    def tasks(self, capture: CanRecording) -> Iterator[Task]:
+        """Yield the pieces of a recording: places in a plain log, else frames that are read here."""
+        run = self._run
+        spans = None
+        if os.path.isfile(capture.name):
+            turns = -(-os.path.getsize(capture.name) // (self.count * PIECE))
+            spans = split_capture(capture.name, self.count * max(1, turns))
+        first = None if run.window is None else run.window.first
+        for piece in spans if spans is not None else pieces_of(capture.tables(), is_live=False):
+            yield capture.name, piece, first
+
+    def submit(self, task: Task, place: str) -> Future[PieceResult]:
+        """Have a piece decoded into an export at `place`."""
+        if self._pool is None:
+            # A fork has everything imported and generated already; it is safe while no thread runs beside this one.
+            can_fork = sys.platform == "linux" and threading.active_count() == 1
+            global _decoder
+            _decoder = PieceDecoder(self._run)
+            self._pool = ProcessPoolExecutor(
+                self.count,
+                multiprocessing.get_context("fork" if can_fork else "spawn"),
+                initializer=_begin,
+                initargs=(self._run.arguments, self._run.form),
+            )
+        return self._pool.submit(_decode, task, place, self._run.arguments.output)
+
+    def close(self) -> None:
+        """Wait for the processes to end; pieces that are not begun are dropped."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+
+
+_decoder: PieceDecoder | None = None
 
 
 def _begin(arguments: argparse.Namespace, form: str) -> None:
     """Start a worker process; leave Ctrl-C to the first process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    global _worker
-    if _worker is None:
-        _worker = DecodeWorker(arguments, form)
+    global _decoder
+    if _decoder is None:
+        from .decode_columns import ColumnDecoding
+
+        _decoder = PieceDecoder(ColumnDecoding(arguments, form, is_worker=True))
 
 
-def _work(task: Any, place: str) -> PieceResult:
-    assert _worker is not None
+def _decode(task: Task, place: str, output: str) -> PieceResult:
+    assert _decoder is not None
     try:
-        return _worker.work(task, place)
+        return _decoder.decode(task, place)
     except AcesError as error:
         # The piece has a temporary name, which means nothing to the user.
-        said = str(error).replace(place, _worker.arguments.output)
+        said = str(error).replace(place, output)
         return PieceResult(None, Totals(), set(), error=said, is_of_capture=isinstance(error, CaptureError))
 
 
-class DecodeWorker(JobsDecoding):
-    """The run as another process has it that could not be forked: without an output of its own."""
-
-    def _open_export(self, path: str) -> Export:
-        return None  # type: ignore[return-value]  # each piece has its own
-
-
 class Parts:
-    """The folder that parts are put into; it has of an export what `ColumnDecoding` uses."""
+    """The folder that parts are put into, with what a run uses of an export. `open_export` opens one at a path."""
 
-    def __init__(self, run: JobsDecoding, path: str) -> None:
-        self._run = run
+    def __init__(self, open_export: Callable[[str], Export], path: str, form: str) -> None:
+        self._open_export = open_export
         self._path = path.rstrip("/" + os.sep) or path
         suffix = os.path.splitext(self._path)[1]
-        self.suffix = suffix if suffix else f".{run.form}"
+        self.suffix = suffix if suffix else f".{form}"
         self._staging = Staging(self._path, is_folder=True, is_ours=lambda name: name.endswith(self.suffix))
         self._folder = os.path.join(self._staging.temporary, ".pieces")
         with telling(path):
             os.mkdir(self._folder)
-        self._adopted = 0
+        self._planned = self._adopted = 0
         self._own: Export | None = None
         self.notes: list[str] = []
 
-    def piece(self, number: int) -> str:
-        """Return where a process writes piece `number`."""
+    def _place(self, number: int) -> str:
         return os.path.join(self._folder, f"{number}{self.suffix}")
+
+    def plan(self) -> str:
+        """Return where a process writes the next piece."""
+        self._planned += 1
+        return self._place(self._planned - 1)
 
     def adopt(self) -> None:
         """Begin to write the next piece: its files take their places, and those of the piece before are complete."""
         self._close_own()
-        self._move(self.piece(self._adopted), f"part-{self._adopted:05}")
+        self._move(self._place(self._adopted), f"part-{self._adopted:05}")
         self._adopted += 1
 
     def begin_own(self) -> None:
         """Begin a piece that this process alone writes."""
         self._close_own()
+        self._planned += 1
         self._adopted += 1
 
     def write(
@@ -333,7 +234,7 @@ class Parts:
         if not tables:
             return
         if self._own is None:
-            self._own = self._run.part(os.path.join(self._folder, f"own{self.suffix}"))
+            self._own = self._open_export(os.path.join(self._folder, f"own{self.suffix}"))
         self._own.write(tables, source=source, columns=columns)
 
     def _close_own(self) -> None:

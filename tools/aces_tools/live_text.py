@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-import datetime
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -19,51 +18,7 @@ from aces_bus.frames import Frame
 from aces_bus.plain_text import LOOKALIKES
 from aces_bus.recordings import Chunk
 
-from .output.text import Paint, TextOutput, no_paint, printable
-
-
-class Times:
-    """The times of shown lines in one of candump's modes. `digits` is the least number before the point."""
-
-    def __init__(self, mode: str, start: float | None = None) -> None:
-        self.mode = mode
-        self.start = start
-        self._last: float | None = None
-
-    def number(self, time: float) -> float | None:
-        """Return what is shown for an instant (s); None where that is a date."""
-        if self.mode == "date":
-            return None
-        if self.mode == "absolute":
-            return time
-        if self.start is None:
-            self.start = time
-        if self.mode == "relative":
-            return time - self.start
-        last, self._last = self._last, time
-        return 0.0 if last is None else time - last
-
-    @staticmethod
-    def date(time: float) -> str:
-        """Return an instant as date and local time."""
-        try:
-            return f"{datetime.datetime.fromtimestamp(time):%Y-%m-%d %H:%M:%S.%f}"
-        except (OverflowError, ValueError, OSError):
-            return f"{time:.6f}"
-
-
-class LiveText(TextOutput):
-    """Decoded lines with candump's time modes."""
-
-    def __init__(self, *arguments: Any, times: Times, **options: Any) -> None:
-        super().__init__(*arguments, is_relative=times.mode == "relative", **options)
-        self._times = times
-
-    def _stamp(self, time: float) -> str:
-        if self._times.mode == "relative":
-            return super()._stamp(time)
-        number = self._times.number(time)
-        return self._times.date(time) if number is None else f"{number:.6f}"
+from .output.text import Paint, Times, no_paint, printable
 
 
 class CandumpLines:

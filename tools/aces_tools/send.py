@@ -36,9 +36,10 @@ from aces_bus.recordings.text.rows import UnreadableRow
 from .bus_arg import BUS_ARGUMENTS, CAN_OPTIONS, ChosenBus, chosen_bus
 from .console import ENDLESS, Output, abandon_stdout, say, say_note, terminal_width, wants_colour
 from .live import LINGER_S, BusEventLines, SendQueue, received_frame
-from .live_text import CandumpLines, LiveText, Times, notation
+from .live_text import CandumpLines, notation
 from .options import COLOR, COUNT, EVERY, FOR, PROTOCOL, RATE, TX, Arguments, argument, duration, flag
 from .output.shape import plans_of
+from .output.text import TextOutput, Times
 from .patience import Patience
 from .protocols_arg import parse_protocols
 from .registers import RegisterNotes, with_registers
@@ -239,11 +240,12 @@ class Sending:
         from .output.text import make_paint, no_paint
 
         is_terminal = self.output.is_terminal
-        return _Untitled(
+        return TextOutput(
             self.plans,
             None,
             notes=self.registers,
             times=Times("relative"),
+            has_title=False,
             paint=make_paint() if wants_colour(self.arguments.color, is_terminal) else no_paint,
             width=terminal_width() if is_terminal else None,
             encoding=self.output.encoding,
@@ -397,14 +399,6 @@ def _packets(made: Any) -> list[Packet]:
     if isinstance(made, bytes):
         return [made]
     return [message_to_frame(one) for one in (made if isinstance(made, list) else [made])]
-
-
-class _Untitled(LiveText):
-    """Lines without the name of a source above them."""
-
-    def _title(self) -> list[str]:
-        self._is_titled = True
-        return []
 
 
 # ---------------------------------------------------------------------- replies

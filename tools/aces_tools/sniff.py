@@ -36,7 +36,7 @@ from .console import ENDLESS, Output, abandon_stdout, say, say_note, terminal_wi
 from .decode import LiveDecoding
 from .decoding import utf8
 from .live import BusEventLines, losses, received_frame, silence_s
-from .live_text import CandumpLines, LiveText, Times
+from .live_text import CandumpLines
 from .live_view import live_view, show_bus_event, wants_view
 from .options import (
     COLOR,
@@ -57,6 +57,7 @@ from .options import (
     flag,
 )
 from .output import Writer, line_format, live_kind
+from .output.text import TextOutput, Times
 from .patience import STEP_S, Patience
 from .protocols_arg import parse_protocols
 from .rotation import Rotation
@@ -202,7 +203,7 @@ class Sniffing(LiveDecoding):
         paint = make_paint() if wants_colour(arguments.color, is_terminal) else no_paint
         if not self.plans:
             self.lines = CandumpLines(self.times, paint=paint, encoding=self.output.encoding)
-        return LiveText(
+        return TextOutput(
             self.plans,
             self.direction if self.direction != "both" else None,
             notes=self.registers,

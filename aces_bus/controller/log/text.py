@@ -60,30 +60,33 @@ class TextSink(LogSink):
         self._number: Callable[[float], str] = shortest if digits is None else f"%.{digits}g".__mod__
         self._seconds = seconds_text if digits is None else lambda ns: self._number(ns / 1e9)
         self._file = AppendFile(path)
-        self._file.write(self._head().encode())
-
-    def _head(self) -> str:
-        return "0 " + "".join(f"{column.original} " for column in self.about.columns) + "\n"
-
-    def _line(self, ns: int, values: list[float]) -> str:
-        return f"{self._seconds(ns)} {' '.join(map(self._number, values))} \n"
+        names = "".join(f"{column.original} " for column in about.columns)
+        self._file.write(f"0 {names}\n".encode())
 
     def append(self, rows: Sequence[Row]) -> None:
         """Write a line for each row."""
-        self._file.write("".join([self._line(ns, values) for ns, values in rows]).encode())
+        seconds, number = self._seconds, self._number
+        lines = [f"{seconds(ns)} {' '.join(map(number, values))} \n" for ns, values in rows]
+        self._file.write("".join(lines).encode())
 
 
-class CsvSink(TextSink):
+class CsvSink(LogSink):
     """`walk.csv`: a line of names (`time` in seconds, then the columns), a line each row."""
 
-    def _head(self) -> str:
+    def __init__(self, path: str, about: About) -> None:
+        super().__init__(path, about)
+        self._file = AppendFile(path)
         head = io.StringIO()
-        csv.writer(head, lineterminator="\n").writerow(["time", *map(cell_text, self.about.names)])
-        return head.getvalue()
+        csv.writer(head, lineterminator="\n").writerow(["time", *map(cell_text, about.names)])
+        self._file.write(head.getvalue().encode())
 
-    def _line(self, ns: int, values: list[float]) -> str:
-        row = shortest_row(values, ",").replace("nan,", ",")  # an unknown value is an empty cell
-        return f"{seconds_text(ns)},{row[:-1]}\n"
+    def append(self, rows: Sequence[Row]) -> None:
+        """Write a line for each row; an unknown value is an empty cell."""
+        lines = [
+            f"{seconds_text(ns)},{shortest_row(values, ',').replace('nan,', ',')[:-1]}\n"
+            for ns, values in rows
+        ]
+        self._file.write("".join(lines).encode())
 
 
 def _names(text: NumberText, number: int, line: bytes, is_csv: bool) -> list[str]:

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from aces_bus.device import Steps
 from aces_bus.errors import DeviceError
 
-from .objects import ObjectAccess
 from .sdo import SdoRefused
+
+if TYPE_CHECKING:
+    from .node import CanopenNode
 
 NOT_VALID = 1 << 31
 #: PDOs each way that the predefined connection set has.
@@ -151,12 +153,12 @@ def from_file(who: str, dictionary: Any, node: int, side: tuple[int, int, int]) 
     return layouts(who, dictionary, node, side, value)
 
 
-def _number(device: ObjectAccess, index: int, subindex: int) -> Steps:
+def _number(device: CanopenNode, index: int, subindex: int) -> Steps:
     data: bytes = yield device.sdo.upload(index, subindex)
     return int.from_bytes(data, "little")
 
 
-def read_layouts(device: ObjectAccess, side: tuple[int, int, int]) -> Steps:
+def read_layouts(device: CanopenNode, side: tuple[int, int, int]) -> Steps:
     """Return the PDOs as the node has them."""
     communication, mapping, base = side
     found: dict[int, PdoLayout] = {}

@@ -11,12 +11,15 @@ An entry of object 1016 is `node << 16 | ms`; a node watches from that node's fi
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from aces_bus.device import Steps
 from aces_bus.errors import AcesError, CallerError, DeviceError
 
-from .objects import ObjectAccess
 from .sdo import SdoRefused
+
+if TYPE_CHECKING:
+    from .node import CanopenNode
 
 CONSUMER = 0x1016
 #: What a drive does when its connection is lost, object 6007: nothing; go into fault.
@@ -29,7 +32,7 @@ class Watchdog:
     """One node's watch over the host; `reactions` are its objects that say what it does without (6007 of each axis)."""
 
     def __init__(
-        self, device: ObjectAccess, wait_ms: int, host_node: int, reactions: Sequence[int] = ()
+        self, device: CanopenNode, wait_ms: int, host_node: int, reactions: Sequence[int] = ()
     ) -> None:
         self.device, self.wait_ms, self.host_node, self.reactions = device, wait_ms, host_node, reactions
         #: The entry of object 1016 that is ours while it watches; None: it does not.

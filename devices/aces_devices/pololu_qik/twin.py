@@ -26,25 +26,26 @@ SETTING_NS = 4_000_000
 OVERRUN, FRAME, FORMAT, TIMEOUT = 8, 16, 64, 128
 
 
-class Wheel(TurningWheel):
+class Wheel:
     """A motor with what it turns: `drive` or `free` it."""
 
-    __slots__ = ("duty",)
+    __slots__ = ("duty", "position", "speed", "turning")
 
     def __init__(self, now: int) -> None:
-        super().__init__(now)
+        self.turning = TurningWheel(now)
+        self.position, self.speed = self.turning.position, self.turning.speed
         #: The duty that it is driven with, −1…1; None: it turns freely.
         self.duty: float | None = None
 
     def drive(self, now: int, duty: float) -> None:
         """Drive it at this share of the supply; 0 brakes."""
         self.duty = duty
-        self.lead(now, SPEED * duty, DRIVEN)
+        self.turning.lead(now, SPEED * duty, DRIVEN)
 
     def free(self, now: int) -> None:
         """Let it run out."""
         self.duty = None
-        self.lead(now, 0.0, FREE)
+        self.turning.lead(now, 0.0, FREE)
 
 
 class _Joint:

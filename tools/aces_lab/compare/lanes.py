@@ -142,7 +142,7 @@ class LanePicture:
 
     def watch_messages(self, table: MessageTable, sides: str) -> None:
         """Take decoded messages."""
-        self._part(sides).signals.add(table)
+        self._part(sides).signals.collector.add(table)
 
     def save(self, path: str, found: RecordingComparison, names: Sequence[str]) -> int:
         """Draw into a file, if there is anything to draw; how many changes have a lane. Raises `CallerError` when the file

@@ -31,7 +31,7 @@ NUMBER, LEVEL, FREE = 0.48, 0.14, 0.1
 MOST_LEVELS = 12
 
 
-class LaneSignals(Collector):
+class LaneSignals:
     """The messages and signals of one recording."""
 
     def __init__(self, variants: Sequence[Variant], clock: TimeAxis, arrivals: Arrivals) -> None:
@@ -42,15 +42,15 @@ class LaneSignals(Collector):
             )
             for owner, message in declared_signals(variants).items()
         }
-        super().__init__(wanted, clock, leaves_out=True, most=MOST_SIGNALS, room=ROOM)
-        self._arrivals = arrivals
 
-    def _came(self, table: MessageTable, key: Key, x: Array) -> None:
-        self._arrivals.add(_subject((table.protocol, table.message), key), x)
+        def came(table: MessageTable, key: Key, x: Array) -> None:
+            arrivals.add(_subject((table.protocol, table.message), key), x)
+
+        self.collector = Collector(wanted, clock, leaves_out=True, most=MOST_SIGNALS, room=ROOM, came=came)
 
     def find(self, subject: DeviceMessage, path: str, any_channel: bool) -> Series | None:
         """Return a signal of a message; None where nothing is kept of it."""
-        for one in self.series.values():
+        for one in self.collector.series.values():
             if one.signal.path == path and is_of(_subject(one.signal.owner, one.key), subject, any_channel):
                 return None if one.others or not one.points()[0].size else one
         return None

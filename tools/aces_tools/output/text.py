@@ -92,9 +92,40 @@ def make_paint() -> Paint:
     return paint
 
 
+class Times:
+    """The times of shown lines in one of candump's modes. `digits` is the least number before the point."""
+
+    def __init__(self, mode: str, start: float | None = None) -> None:
+        self.mode = mode
+        self.start = start
+        self._last: float | None = None
+
+    def number(self, time: float) -> float | None:
+        """Return what is shown for an instant (s); None where that is a date."""
+        if self.mode == "date":
+            return None
+        if self.mode == "absolute":
+            return time
+        if self.start is None:
+            self.start = time
+        if self.mode == "relative":
+            return time - self.start
+        last, self._last = self._last, time
+        return 0.0 if last is None else time - last
+
+    @staticmethod
+    def date(time: float) -> str:
+        """Return an instant as date and local time."""
+        try:
+            return f"{datetime.datetime.fromtimestamp(time):%Y-%m-%d %H:%M:%S.%f}"
+        except (OverflowError, ValueError, OSError):
+            return f"{time:.6f}"
+
+
 class TextOutput:
-    """`paint` colours, `width` is the terminal's (None: no limit), `is_relative` counts time from the first item; `notes`
-    are shown behind a record's fields."""
+    """Lines for people. `paint` colours, `width` is the terminal's (None: no limit). `times` says how times are shown; None
+    counts them from the first item. `notes` are shown behind a record's fields; `has_title` False hides the source's name.
+    """
 
     def __init__(
         self,
@@ -103,11 +134,12 @@ class TextOutput:
         *,
         paint: Paint = no_paint,
         width: int | None = None,
-        is_relative: bool = True,
+        times: Times | None = None,
+        has_title: bool = True,
         encoding: str = "utf-8",
         notes: Notes | None = None,
     ) -> None:
-        self._notes = notes
+        self._notes, self._times, self._has_title = notes, times, has_title
         self._fields = OfKind(lambda kind: RecordTokens(plans[kind]))
         self._printed = OfKind(lambda kind: TokenPrinter(plans[kind]).load())
         self._is_plain = width is None and paint is no_paint
@@ -117,7 +149,7 @@ class TextOutput:
         self._direction = direction
         self._paint = paint
         self._width = width
-        self._is_relative = is_relative
+        self._is_relative = times is None or times.mode == "relative"
         self._encoding = encoding
         self._arrows = ARROWS if can_write("→", encoding) else PLAIN_ARROWS
         self._source = ""
@@ -157,6 +189,8 @@ class TextOutput:
 
     def _title(self) -> list[str]:
         self._is_titled = True
+        if not self._has_title:
+            return []
         shown = "standard input" if self._source == "-" else printable(self._source)
         title = self._paint("source", shown)
         if self._start:
@@ -221,7 +255,10 @@ class TextOutput:
         return GAP.join(columns)
 
     def _stamp(self, time: float) -> str:
-        return f"{time:.6f}"
+        if self._times is None or self._is_relative:
+            return f"{time:.6f}"
+        number = self._times.number(time)
+        return self._times.date(time) if number is None else f"{number:.6f}"
 
     def _column(self, column: str, text: str, most: int = 1000) -> int:
         width = self._widths[column]

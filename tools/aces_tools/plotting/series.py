@@ -169,7 +169,8 @@ class Collector:
     """Collects the wanted signals out of tables. With `keeps_points` False it only counts.
 
     Raises `CallerError` as soon as there are more than `most` lines, and not at the end of a long recording; with
-    `leaves_out` the others are left out. Each has room for so many points.
+    `leaves_out` the others are left out. Each has room for so many points. `came` is called with a table, a device and the
+    places of its messages on the axis.
     """
 
     def __init__(
@@ -182,8 +183,9 @@ class Collector:
         leaves_out: bool = False,
         most: int = MOST_LINES,
         room: int = MOST_POINTS,
+        came: Callable[[MessageTable, Key, Array], None] | None = None,
     ) -> None:
-        self.wanted = wanted
+        self.wanted, self._came = wanted, came
         self.clock = clock
         self.window = window
         self.keeps_points, self.leaves_out = keeps_points, leaves_out
@@ -204,7 +206,8 @@ class Collector:
         rows = None if kept.all() else np.flatnonzero(kept)
         groups = _by_key(table, wanted.keys, rows)
         for key, at in groups:
-            self._came(table, key, x[at])
+            if self._came is not None:
+                self._came(table, key, x[at])
         for signal, patterns in wanted.signals:
             takers = [
                 (key, at)
@@ -224,9 +227,6 @@ class Collector:
                     self._strange(signal, key, column, at)
                 else:
                     self._take(signal, key, x[at], values[at], floats[at], column, at)
-
-    def _came(self, table: MessageTable, key: Key, x: Array) -> None:
-        """Messages of a device came at these places of the axis."""
 
     def _of(self, signal: PlotSignal, key: Key, *, there: bool) -> Series | None:
         if signal.column in dict(key):  # a device's number, drawn itself: one line
