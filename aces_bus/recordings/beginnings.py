@@ -11,13 +11,6 @@ from collections.abc import Callable
 
 BLF = b"LOGG"
 SQLITE = b"SQLite format 3\x00"
-#: Byte order, and nanoseconds of a unit of the time stamps' fractions.
-PCAP: dict[bytes, tuple[str, int]] = {
-    b"\xa1\xb2\xc3\xd4": (">", 1000),
-    b"\xd4\xc3\xb2\xa1": ("<", 1000),
-    b"\xa1\xb2\x3c\x4d": (">", 1),
-    b"\x4d\x3c\xb2\xa1": ("<", 1),
-}
 PYTHON_CAN_CSV = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
 
 _LOOKED_AT = 1 << 14
@@ -33,16 +26,6 @@ def has_line(pattern: bytes, flags: int = 0) -> Callable[[bytes], bool]:
     return lambda head: re.search(pattern, head[:_LOOKED_AT], flags) is not None
 
 
-def is_pcapng(head: bytes) -> bool:
-    """Return whether these are the first bytes of a pcapng file."""
-    return head[:4] == b"\n\r\r\n" and head[8:12] in (b"\x1a\x2b\x3c\x4d", b"\x4d\x3c\x2b\x1a")
-
-
-is_trc = has_line(
-    rb"\A\s*;(?:\$FILEVERSION|#{20})|^[ \t]*[0-9]{1,12}\)[ \t]+[0-9]+(?:\.[0-9]+)?[ \t]+"
-    rb"(?:(?:[0-9][ \t]+)?(?:Rx|Tx|Warng|Error)[ \t]+)?[0-9A-F]{4,8}[ \t]",
-    re.MULTILINE,
-)
 is_asc = has_line(
     rb"^[ \t]*(?:date\s+\w{2,}.{0,16}?\s\d|base\s+(?:hex|dec)\b|begin\s+triggerblock\b"
     rb"|[0-9]{1,9}\.[0-9]{1,9}[ \t]+(?:[0-9]{1,5}[ \t]+(?:[0-9A-Fa-f]{1,8}[xX]?[ \t]+[RT]x[ \t]+[dr]\b|ErrorFrame\b)"

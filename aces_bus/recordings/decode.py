@@ -13,7 +13,7 @@ from ..errors import CallerError
 from ..protocol.columns.decode import DecodedRecording
 from ..protocol.declare.message import GivenWay
 from ..protocol.declare.protocol import Configuration, Protocol
-from ..protocol.exchange import SUFFIXES, load_database
+from ..protocol.exchange import database_suffixes, load_database
 from ..protocol.live.scanner import load_protocol
 from .open import open_recording
 from .source import PathSource
@@ -46,7 +46,7 @@ def decode(
             " `aces decode FILE FILE …` does"
         )
     if isinstance(protocol, str):
-        if protocol.lower().endswith(SUFFIXES):
+        if protocol.lower().endswith(database_suffixes()):
             imported = load_database(protocol)
             if imported.problems:
                 warnings.warn(imported.summary, stacklevel=2)

@@ -20,7 +20,7 @@ from typing import BinaryIO, Literal, NamedTuple, overload
 from ..errors import CallerError, CaptureError, UnknownNameError
 from ..plugins import installed_items
 from .base import CanRecording, Link, SerialRecording, printable_start
-from .beginnings import BLF, PCAP, SQLITE, begins, is_asc, is_pcapng, is_python_can_csv, is_trc
+from .beginnings import BLF, SQLITE, begins, is_asc, is_python_can_csv
 from .candump.reader import EXAMPLE, CandumpCapture, begins_like_candump, looks_like_candump
 from .serial.raw import OPENING, RawCapture
 from .serial.slog import OPENING as SERIAL_LOG
@@ -55,8 +55,6 @@ def _by_name_only(_: bytes) -> bool:
 #: Most specific first: magic numbers, then first lines that are one format's own, then what lines look like.
 FORMATS: tuple[RecordingFormat, ...] = (
     RecordingFormat("blf", "Vector BLF log", "can", begins(BLF), ".blf.reader:BlfCapture"),
-    RecordingFormat("pcap", "pcap capture", "can", begins(*PCAP), ".pcap.reader:PcapCapture"),
-    RecordingFormat("pcapng", "pcapng capture", "can", is_pcapng, ".pcap.pcapng:PcapngCapture"),
     RecordingFormat("sqlite", "SQLite log of python-can", "can", begins(SQLITE), ".sqlite:SqliteCapture"),
     RecordingFormat(
         "slog", "serial log of aces-bus", "serial", looks_like_serial_log, ".serial.slog:SerialLogCapture"
@@ -68,7 +66,6 @@ FORMATS: tuple[RecordingFormat, ...] = (
         begins(OPENING, after_blanks=True),
         ".serial.raw:DxconfCapture",
     ),
-    RecordingFormat("trc", "PEAK trace", "can", is_trc, ".text.trc:TrcCapture"),
     RecordingFormat("asc", "Vector ASC log", "can", is_asc, ".text.asc:AscCapture"),
     RecordingFormat("csv", "python-can CSV", "can", is_python_can_csv, ".text.canlog_csv:CanlogCsvCapture"),
 )

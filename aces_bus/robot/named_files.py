@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from ..errors import CallerError
-from ..protocol.exchange import SUFFIXES
+from ..protocol.exchange import database_suffixes
 from ..protocol.files import is_loaded, python_file
 from ..protocol.live.scanner import adopt_protocol
 
@@ -39,7 +39,7 @@ class NamedFiles:
         """
         file, attribute = python_file(name)
         if not file:
-            return adopt_protocol(self._below(name)) if name.lower().endswith(SUFFIXES) else name
+            return adopt_protocol(self._below(name)) if name.lower().endswith(database_suffixes()) else name
         path = os.path.join(self._folder, file)
         if not is_loaded(path):
             path = self._below(file)

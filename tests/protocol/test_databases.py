@@ -379,5 +379,5 @@ def test_the_collector_is_as_it_was(tmp_path: Path) -> None:
     path = tmp_path / "none.dbc"
     for _ in range(2):
         with pytest.raises(CallerError):
-            dbc.load_dbc(str(path), "dbc")
+            dbc.load_dbc(str(path))
         assert gc.isenabled()

@@ -54,9 +54,9 @@ from aces_bus.protocol import (
 from aces_bus.protocol.exchange.export_wireshark import print_dissector
 from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.plan.flatten import fixed_leaves, flatten
-from aces_bus.recordings.write.pcapng import PcapngWriter
 from aces_bus.testing.packets import UndrawableError, draw_packet
 from aces_bus.testing.source import spread
+from aces_lab.formats.pcap.writer import PcapngWriter
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.nmea0183.spec import nmea0183
 from aces_protocols.robotis.spec import robotis

@@ -15,7 +15,7 @@ from aces_bus.errors import CaptureError
 from aces_bus.frame_table import NO_TIME, Channels, FrameTable
 from aces_bus.frames import FD_LENGTHS, Frame
 from aces_bus.recordings import CanRecording, open_recording
-from aces_bus.recordings.write.pcapng import PcapngWriter
+from aces_lab.formats.pcap.writer import PcapngWriter
 
 BIG_ENDIAN, LITTLE_ENDIAN = ">", "<"
 ORDERS = pytest.mark.parametrize("order", [LITTLE_ENDIAN, BIG_ENDIAN], ids=["little", "big"])

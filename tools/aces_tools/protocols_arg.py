@@ -36,13 +36,13 @@ from typing import Any, NamedTuple
 
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Protocol, Variant, load_protocol
-from aces_bus.protocol.exchange import SUFFIXES, ImportedProtocol
+from aces_bus.protocol.exchange import ImportedProtocol, database_suffixes
 from aces_bus.protocol.exchange.read_once import known_database
 
 from .console import say_note
 
 _FILE = re.compile(
-    rf"(?P<path>.+\.(?P<kind>py|{'|'.join(suffix[1:] for suffix in SUFFIXES)}))"
+    rf"(?P<path>.+\.(?P<kind>py|{'|'.join(suffix[1:] for suffix in database_suffixes())}))"
     r"(?P<names>(?::[^:@/\\]+)*)(?:@(?P<configuration>.+))?",
     re.IGNORECASE,
 )
@@ -112,11 +112,11 @@ def _installed(name: str) -> Protocol:
     try:
         return load_protocol(name)
     except UnknownNameError as unknown:
-        for suffix in (".py", *SUFFIXES):
+        for suffix in (".py", *database_suffixes()):
             if os.path.exists(name + suffix):
                 raise CallerError(f"{unknown}; the file of that name: -p {name}{suffix}") from None
         if os.path.isfile(name):
-            kinds = " ".join((".py", *SUFFIXES))
+            kinds = " ".join((".py", *database_suffixes()))
             raise CallerError(
                 f"-p {name}: a file that declares a protocol has one of the suffixes {kinds}"
             ) from None

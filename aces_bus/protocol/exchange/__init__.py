@@ -1,10 +1,12 @@
 """Protocols in and out of other tools' files.
 
-In: DBC, KCD, SYM, ARXML (through cantools), CANopen's EDS and DCF (through canopen), MAVLink's dialects, canboat's table of
-NMEA 2000. Out: DBC, a Wireshark dissector, pages in Markdown, and a protocol as spec source.
+In: DBC, KCD, SYM, ARXML (through cantools), and other databases by entry point. Out: DBC, a Wireshark dissector, C, pages in
+Markdown, and a protocol as spec source.
 
 1. What a file of the other kind cannot say is reported: an `ImportProblem` or a `Loss` each, never silence.
 2. Exporters do no I/O; text of others (names, comments, units) reaches printed source as literals only.
+3. A kind of database is a `DatabaseFormat`: the core's are in `FORMATS`, others are entry points of the group
+   `aces_bus.databases`. Its module is imported when a file of it is read.
 
 imported = load_database("car.dbc")
 imported.protocol       a Protocol like any other: scan, encode, draw
@@ -14,12 +16,47 @@ imported.problems       what could not be taken over, with line and reason
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
+from importlib import import_module
+from typing import NamedTuple
 
 from ...errors import CallerError
+from ...plugins import installed_items
 from .problems import ImportedProtocol, ImportProblem, Loss
 
-#: What files are taken for, by their suffix.
-SUFFIXES = (".dbc", ".kcd", ".sym", ".arxml", ".eds", ".dcf", ".xml", ".json")
+
+class DatabaseFormat(NamedTuple):
+    """A kind of database; an entry point of the group `aces_bus.databases` is one, or a tuple of them.
+
+    `place` is that of a function which makes an `ImportedProtocol` of a path (`their_package.module:load_theirs`), and
+    raises `CallerError` for a file that cannot be read or has nothing that can be used.
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    place: str
+
+    def load(self, path: str) -> ImportedProtocol:
+        """Read a file of this kind."""
+        module, _, name = self.place.partition(":")
+        load: Callable[[str], ImportedProtocol] = getattr(import_module(module, __package__), name)
+        return load(path)
+
+
+#: The core's kinds, all read by cantools.
+FORMATS: tuple[DatabaseFormat, ...] = (
+    DatabaseFormat("cantools", (".dbc", ".kcd", ".sym", ".arxml"), ".import_dbc:load_dbc"),
+)
+
+
+def database_formats() -> tuple[DatabaseFormat, ...]:
+    """Return all kinds of databases, those of installed packages behind the core's."""
+    return FORMATS + installed_items("aces_bus.databases", DatabaseFormat)
+
+
+def database_suffixes() -> tuple[str, ...]:
+    """Return the suffixes of all kinds of databases."""
+    return tuple(suffix for form in database_formats() for suffix in form.suffixes)
 
 
 def load_database(path: str | os.PathLike[str]) -> ImportedProtocol:
@@ -30,23 +67,12 @@ def load_database(path: str | os.PathLike[str]) -> ImportedProtocol:
     """
     name = os.fspath(path)
     suffix = os.path.splitext(name)[1].lower()
-    if suffix in (".eds", ".dcf"):
-        from .import_eds import load_eds
-
-        return load_eds(name)
-    if suffix == ".json":
-        from .import_canboat import load_canboat
-
-        return load_canboat(name)
-    if suffix == ".xml":
-        from .import_mavlink import load_mavlink
-
-        return load_mavlink(name)
-    from .import_dbc import FORMATS, load_dbc
-
-    if suffix not in FORMATS:
-        raise CallerError(f"{name}: not a database file by its suffix (these are: {', '.join(SUFFIXES)})")
-    return load_dbc(name, FORMATS[suffix])
+    for form in database_formats():
+        if suffix in form.suffixes:
+            return form.load(name)
+    raise CallerError(
+        f"{name}: not a database file by its suffix (these are: {', '.join(database_suffixes())})"
+    )
 
 
-__all__ = ["SUFFIXES", "ImportProblem", "ImportedProtocol", "Loss", "load_database"]
+__all__ = ["ImportProblem", "ImportedProtocol", "Loss", "load_database"]

@@ -37,14 +37,12 @@ MOST_MESSAGES, MOST_SIGNALS = 32_768, 524_288
 #: Statements that cantools can parse but not use are searched for so often, and so many seconds; statements that it cannot
 #: parse, so many seconds.
 MOST_SEARCHES, MOST_SECONDS, MOST_PARSING = 50, 30.0, 120.0
-#: Suffix to cantools' name of the format.
-FORMATS = {".dbc": "dbc", ".kcd": "kcd", ".sym": "sym", ".arxml": "arxml"}
 
 
-def load_dbc(path: str, kind: str) -> ImportedProtocol:
-    """Return the database file `path` of the format `kind` as a protocol. Raises `CallerError` when nothing can be read."""
+def load_dbc(path: str) -> ImportedProtocol:
+    """Return a DBC, KCD, SYM or ARXML file as a protocol; raises `CallerError` when nothing can be read."""
     with _no_collector():
-        return _load(path, kind)
+        return _load(path, os.path.splitext(path)[1].lower()[1:])
 
 
 @contextmanager

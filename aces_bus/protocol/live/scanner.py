@@ -171,10 +171,10 @@ def load_protocol(name: str) -> Protocol:
         return protocol
     if name in _adopted:
         return _adopted[name]
-    from ..exchange import SUFFIXES
+    from ..exchange import database_suffixes
 
-    if not name.lower().endswith(SUFFIXES):
-        _refuse_variant(name, (*SUFFIXES, ".py"))
+    if not name.lower().endswith(database_suffixes()):
+        _refuse_variant(name, (*database_suffixes(), ".py"))
         return PROTOCOLS.load(name)
     from ..exchange.read_once import known_database
 

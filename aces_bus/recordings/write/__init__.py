@@ -85,8 +85,6 @@ FORMATS: tuple[FormatOut, ...] = (
     ),
     FormatOut("asc", (".asc",), "Vector ASC", "can", ".asc", "AscWriter", is_text=True, grows=True),
     FormatOut("blf", (".blf",), "Vector BLF", "can", ".blf", "BlfWriter", needs_seek=True, grows=True),
-    FormatOut("trc", (".trc",), "PEAK TRC 2.1", "can", ".trc", "TrcWriter", is_text=True, grows=True),
-    FormatOut("pcapng", (".pcapng",), "pcapng of SocketCAN", "can", ".pcapng", "PcapngWriter", grows=True),
     FormatOut(
         "csv",
         (".csv",),

@@ -20,7 +20,7 @@ from aces_bus.protocol import Protocol, Variant, load_protocol
 from aces_bus.protocol.columns.decode import feed
 from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.columns.table import Array, MessageTable
-from aces_bus.protocol.exchange import SUFFIXES, load_database
+from aces_bus.protocol.exchange import database_suffixes, load_database
 from aces_bus.recordings import CanFilter, CanRecording, SerialRecording, open_recording
 from aces_bus.recordings.filters import passing
 from aces_bus.recordings.pieces import Direction, SerialWays
@@ -337,7 +337,7 @@ def _variant(protocol: Protocol | Variant | str) -> Variant:
     if isinstance(protocol, Variant):
         return protocol
     if isinstance(protocol, str):
-        is_database = protocol.lower().endswith(SUFFIXES)
+        is_database = protocol.lower().endswith(database_suffixes())
         protocol = load_database(protocol).protocol if is_database else load_protocol(protocol)
     return protocol.variant()
 

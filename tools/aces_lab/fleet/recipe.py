@@ -24,7 +24,7 @@ from aces_bus import __version__
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import load_protocol
 from aces_bus.protocol.declare.protocol import Variant
-from aces_bus.protocol.exchange import SUFFIXES
+from aces_bus.protocol.exchange import database_suffixes
 from aces_bus.protocol.files import python_file
 from aces_bus.protocol.record_plans import plans_of
 from aces_bus.recordings.base import Link
@@ -67,7 +67,7 @@ class FleetProtocol(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
         Raises `CallerError` for a file that cannot be read.
         """
         path, attribute = python_file(protocol)
-        if not path and protocol.lower().endswith(SUFFIXES):
+        if not path and protocol.lower().endswith(database_suffixes()):
             path = protocol
         tables = (
             {name: dict(table) for name, table in configuration.items()}

@@ -1,4 +1,4 @@
-"""Formats of recordings that the core does not need: MF4, BUSMASTER, CRTD, GVRET, Microchip, any CSV.
+"""Formats of recordings that the core does not need: MF4, pcap, PEAK TRC, BUSMASTER, CRTD, GVRET, Microchip, any CSV.
 
 They are entry points of the groups `aces_bus.readers` and `aces_bus.writers`, as a stranger's formats are. Only their first
 bytes are known here: a reader or writer is imported when its format is used.
@@ -10,13 +10,18 @@ from aces_bus.recordings.beginnings import begins
 from aces_bus.recordings.open import RecordingFormat
 from aces_bus.recordings.write import FormatOut
 
-from .beginnings import MDF, is_busmaster, is_crtd, is_gvret, is_id_csv, is_microchip
+from .beginnings import MDF, PCAP, is_busmaster, is_crtd, is_gvret, is_id_csv, is_microchip, is_pcapng, is_trc
 
 #: Most specific first.
 READERS: tuple[RecordingFormat, ...] = (
     RecordingFormat(
         "mf4", "ASAM MDF 4 bus log", "can", begins(*MDF), "aces_lab.formats.mf4.reader:Mf4Capture"
     ),
+    RecordingFormat("pcap", "pcap capture", "can", begins(*PCAP), "aces_lab.formats.pcap.reader:PcapCapture"),
+    RecordingFormat(
+        "pcapng", "pcapng capture", "can", is_pcapng, "aces_lab.formats.pcap.pcapng:PcapngCapture"
+    ),
+    RecordingFormat("trc", "PEAK trace", "can", is_trc, "aces_lab.formats.trc:TrcCapture"),
     RecordingFormat(
         "busmaster", "BUSMASTER log", "can", is_busmaster, "aces_lab.formats.busmaster:BusmasterCapture"
     ),
@@ -40,6 +45,25 @@ READERS: tuple[RecordingFormat, ...] = (
 WRITERS: tuple[FormatOut, ...] = (
     FormatOut(
         "mf4", (".mf4",), "ASAM MDF 4", "can", "aces_lab.formats.mf4.writer", "Mf4Writer", needs_seek=True
+    ),
+    FormatOut(
+        "trc",
+        (".trc",),
+        "PEAK TRC 2.1",
+        "can",
+        "aces_lab.formats.trc_writer",
+        "TrcWriter",
+        is_text=True,
+        grows=True,
+    ),
+    FormatOut(
+        "pcapng",
+        (".pcapng",),
+        "pcapng of SocketCAN",
+        "can",
+        "aces_lab.formats.pcap.writer",
+        "PcapngWriter",
+        grows=True,
     ),
     FormatOut(
         "gvret",

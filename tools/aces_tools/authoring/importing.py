@@ -19,7 +19,7 @@ import sys
 from pathlib import Path
 
 from aces_bus.errors import CallerError
-from aces_bus.protocol.exchange import SUFFIXES, load_database
+from aces_bus.protocol.exchange import database_suffixes, load_database
 from aces_bus.protocol.exchange.export_source import print_source
 from aces_bus.protocol.exchange.import_dbc import read_text
 from aces_bus.protocol.exchange.import_statements import split_statements
@@ -31,7 +31,9 @@ from ..options import JSON, OUTPUT, STRICT, Arguments, argument, flag
 SUMMARY = "turn a DBC, KCD, SYM, ARXML or EDS file into a spec"
 
 ARGUMENTS: Arguments = (
-    argument("file", metavar="FILE", help=f"one of the kinds {' '.join(SUFFIXES)}; what is on CAN"),
+    argument(
+        "file", metavar="FILE", help=f"one of the kinds {' '.join(database_suffixes())}; what is on CAN"
+    ),
     OUTPUT.but(metavar="FILE.py"),
     flag("--force", help="write -o FILE.py even if it exists"),
     JSON.but(help="source and problems as one JSON object on standard output"),

@@ -19,11 +19,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...errors import CaptureError
-from ...frame_table import FrameTable, Ints
-from ..base import CanRecording
+from aces_bus.errors import CaptureError
+from aces_bus.frame_table import FrameTable, Ints
+from aces_bus.recordings.base import CanRecording
+from aces_bus.recordings.source import ByteSource
+
 from ..beginnings import PCAP
-from ..source import ByteSource
 from .socketcan import (
     ERROR_BIT,
     EXTENDED_BIT,

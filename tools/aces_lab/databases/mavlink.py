@@ -21,18 +21,19 @@ from typing import Any, Final
 
 import construct as c
 
-from ...errors import AcesError, CallerError
-from ..declare.checks import Crc, Extra
-from ..declare.fields import Enumeration, Flags, Quantity, Text
-from ..declare.framing import Framing, Trailer
-from ..declare.place import SourceLine
-from ..declare.protocol import Protocol
-from ..declare.stuffing import CutZeros
-from ..declare.wire_number import wire_number
-from .import_dbc import protocol_name
+from aces_bus.errors import AcesError, CallerError
+from aces_bus.protocol.declare.checks import Crc, Extra
+from aces_bus.protocol.declare.fields import Enumeration, Flags, Quantity, Text
+from aces_bus.protocol.declare.framing import Framing, Trailer
+from aces_bus.protocol.declare.place import SourceLine
+from aces_bus.protocol.declare.protocol import Protocol
+from aces_bus.protocol.declare.stuffing import CutZeros
+from aces_bus.protocol.declare.wire_number import wire_number
+from aces_bus.protocol.exchange.import_dbc import protocol_name
+from aces_bus.protocol.exchange.names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
+from aces_bus.protocol.exchange.problems import ImportedProtocol, clean_text, one_line, without_place
+
 from .mavlink_dialect import MOST_PAYLOAD, MOST_V1, MOST_V2, TYPES, Dialect, DialectField, DialectMessage
-from .names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
-from .problems import ImportedProtocol, clean_text, one_line, without_place
 
 #: The field of what is behind the known ones, a signature among it; bytes of that, and the flag that announces it.
 TRAILING: Final = "trailing"

@@ -22,9 +22,10 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from ...errors import CaptureError
-from ...frame_table import NO_TIME, RX, TX, FrameTable, Ints
-from ..source import ByteSource
+from aces_bus.errors import CaptureError
+from aces_bus.frame_table import NO_TIME, RX, TX, FrameTable, Ints
+from aces_bus.recordings.source import ByteSource
+
 from .reader import MAX_BLOCK, PacketCapture, as_tables, padded, run_length
 from .socketcan import gather_rows
 

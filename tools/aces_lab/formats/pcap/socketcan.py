@@ -21,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, RX, TX, Ints
-from ...frames import FD_LENGTHS
+from aces_bus.frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, RX, TX, Ints
+from aces_bus.frames import FD_LENGTHS
 
 SOCKETCAN, COOKED, COOKED2 = 227, 113, 276
 LINK_TYPES = (SOCKETCAN, COOKED, COOKED2)

@@ -15,9 +15,9 @@ from xml.parsers import expat
 
 import construct as c
 
-from ...errors import CallerError
-from ..declare.checks import Crc
-from .problems import ImportProblem, clean_text, one_line
+from aces_bus.errors import CallerError
+from aces_bus.protocol.declare.checks import Crc
+from aces_bus.protocol.exchange.problems import ImportProblem, clean_text, one_line
 
 #: Bytes and number of the files that are read, elements inside one another, messages.
 MOST_BYTES, MOST_FILES, MOST_DEPTH, MOST_MESSAGES = 16 * 1024 * 1024, 64, 32, 16_384

@@ -35,10 +35,10 @@ from decimal import Decimal
 
 import numpy as np
 
-from ...frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, RX, TX, FrameTable
-from ...frames import Frame
-from ..base import printable_start
-from .rows import (
+from aces_bus.frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, RX, TX, FrameTable
+from aces_bus.frames import Frame
+from aces_bus.recordings.base import printable_start
+from aces_bus.recordings.text.rows import (
     CLASSIC_LENGTHS,
     FD_LENGTHS_BY_CODE,
     MAX_ORIGIN,
@@ -51,7 +51,7 @@ from .rows import (
     integer,
     one_less,
 )
-from .words import Mask, Words, channel_numbers
+from aces_bus.recordings.text.words import Mask, Words, channel_numbers
 
 _MS = 1_000_000
 #: Days from 30 December 1899 to 1 January 1970.

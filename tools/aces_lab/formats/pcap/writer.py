@@ -14,7 +14,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ...frame_table import (
+from aces_bus.frame_table import (
     BITRATE_SWITCH,
     ERROR,
     ERROR_STATE,
@@ -26,8 +26,10 @@ from ...frame_table import (
     FrameTable,
     Ints,
 )
-from ..pcap.pcapng import BYTE_ORDER, ENHANCED, INTERFACE, NAME_BYTES, SECTION, interface_name
-from ..pcap.socketcan import (
+from aces_bus.recordings.write.base import FrameWriter, records_in_order
+
+from .pcapng import BYTE_ORDER, ENHANCED, INTERFACE, NAME_BYTES, SECTION, interface_name
+from .socketcan import (
     BRS,
     CLASSIC_SIZE,
     ERROR_BIT,
@@ -38,7 +40,6 @@ from ..pcap.socketcan import (
     REMOTE_BIT,
     SOCKETCAN,
 )
-from .base import FrameWriter, records_in_order
 
 _HEAD = [
     ("type", "<u4"), ("total", "<u4"), ("interface", "<u4"), ("high", "<u4"), ("low", "<u4"),

@@ -25,18 +25,24 @@ from typing import Any
 
 import construct as c
 
-from ...errors import AcesError, CallerError
-from ..declare.bits import BitLayout, bits, float_bits
-from ..declare.fast_packet import FastPacket
-from ..declare.fields import Enumeration, Flags, Quantity, Text
-from ..declare.message import Message
-from ..declare.pattern import IdField, IdPattern
-from ..declare.place import SourceLine
-from ..declare.protocol import Protocol
-from .import_build import TRAILING
-from .import_dbc import protocol_name, read_text
-from .names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
-from .problems import ImportedProtocol, ImportProblem, clean_text, one_line, without_place
+from aces_bus.errors import AcesError, CallerError
+from aces_bus.protocol.declare.bits import BitLayout, bits, float_bits
+from aces_bus.protocol.declare.fast_packet import FastPacket
+from aces_bus.protocol.declare.fields import Enumeration, Flags, Quantity, Text
+from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol.declare.pattern import IdField, IdPattern
+from aces_bus.protocol.declare.place import SourceLine
+from aces_bus.protocol.declare.protocol import Protocol
+from aces_bus.protocol.exchange.import_build import TRAILING
+from aces_bus.protocol.exchange.import_dbc import protocol_name, read_text
+from aces_bus.protocol.exchange.names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
+from aces_bus.protocol.exchange.problems import (
+    ImportedProtocol,
+    ImportProblem,
+    clean_text,
+    one_line,
+    without_place,
+)
 
 #: Bytes of the largest table, and its PGNs, forms of one PGN, fields, and values with names: canboat's has 3 MB, 611, 56,
 #: 5,000 and 6,000.

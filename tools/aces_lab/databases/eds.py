@@ -16,16 +16,23 @@ from typing import Any
 
 import construct as c
 
-from ...errors import AcesError, CallerError
-from ..declare.bits import BitLayout, bits, float_bits
-from ..declare.fields import Enumeration, Quantity
-from ..declare.pattern import IdField, IdPattern
-from ..declare.place import SourceLine
-from ..declare.protocol import Protocol
-from .import_build import TRAILING
-from .import_dbc import protocol_name, read_text
-from .names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
-from .problems import ImportedProtocol, ImportProblem, clean_text, excerpt, quiet, without_place
+from aces_bus.errors import AcesError, CallerError
+from aces_bus.protocol.declare.bits import BitLayout, bits, float_bits
+from aces_bus.protocol.declare.fields import Enumeration, Quantity
+from aces_bus.protocol.declare.pattern import IdField, IdPattern
+from aces_bus.protocol.declare.place import SourceLine
+from aces_bus.protocol.declare.protocol import Protocol
+from aces_bus.protocol.exchange.import_build import TRAILING
+from aces_bus.protocol.exchange.import_dbc import protocol_name, read_text
+from aces_bus.protocol.exchange.names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
+from aces_bus.protocol.exchange.problems import (
+    ImportedProtocol,
+    ImportProblem,
+    clean_text,
+    excerpt,
+    quiet,
+    without_place,
+)
 
 #: PDOs of a device (CiA 301, 7.5.1), and the identifiers of the first four where the file gives none (7.3.5).
 MOST_PDOS = 512

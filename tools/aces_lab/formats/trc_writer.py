@@ -25,9 +25,26 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ...frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, TX, FrameTable, Ints
-from .base import DLC_OF_LENGTH, StartedWriter
-from .text import choices, decimal_text, hexadecimal_text, join_columns, only, padded_data
+from aces_bus.frame_table import (
+    BITRATE_SWITCH,
+    ERROR,
+    ERROR_STATE,
+    EXTENDED,
+    FD,
+    REMOTE,
+    TX,
+    FrameTable,
+    Ints,
+)
+from aces_bus.recordings.write.base import DLC_OF_LENGTH, StartedWriter
+from aces_bus.recordings.write.text import (
+    choices,
+    decimal_text,
+    hexadecimal_text,
+    join_columns,
+    only,
+    padded_data,
+)
 
 #: 1e-7 days in ns, and the days from 1899-12-30 to 1970-01-01.
 _GRAIN, _DAYS_BEFORE = 8_640_000, 25_569
