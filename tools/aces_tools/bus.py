@@ -368,7 +368,7 @@ def _served_load(text: str, seconds_ns: int | None) -> Iterator[dict[str, Any]]:
             ):
                 return dict(channel)
         raise CallerError(
-            f"{text}: say which channel: {', '.join(one['channel'] for one in status['channels'])}"
+            f"{text}: say which channel: {', '.join(channel['channel'] for channel in status['channels'])}"
         )
 
     before = look()

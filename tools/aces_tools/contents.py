@@ -111,7 +111,7 @@ class Row(FrameCount):
     @property
     def pattern(self) -> str:
         """One character a byte: `x` where it changes, `.` where it is always the same."""
-        return "".join("x" if one else "." for one in self._changed[: self.lengths_seen[-1]].tolist())
+        return "".join("x" if bit else "." for bit in self._changed[: self.lengths_seen[-1]].tolist())
 
 
 class CanContents:
@@ -233,8 +233,8 @@ def _advise(page: Page, name: str, piece: Any) -> None:
     fitting = fitting_protocols(piece)[:NAMED]
     command = "… | aces decode" if name == "-" else f"aces decode {shlex.quote(name)}"
     page.lines([""])
-    for one in fitting:
-        page.lines([printable(f"{one.share:4.0%} is {one.name}:  {command} {one.options}")])
+    for protocol in fitting:
+        page.lines([printable(f"{protocol.share:4.0%} is {protocol.name}:  {command} {protocol.options}")])
     if not fitting:
         page.lines(
             [

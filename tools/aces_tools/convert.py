@@ -177,7 +177,9 @@ class Conversion:
                         self._serial(writer, patience, stack)
                 finally:
                     self.progress.close()
-                if patience.is_over and not (self.captures and all(one.live for one in self.captures)):
+                if patience.is_over and not (
+                    self.captures and all(capture.live for capture in self.captures)
+                ):
                     self._problems()
                     say(f"interrupted: {writer.name} is not written")
                     return 130
@@ -326,7 +328,9 @@ class Conversion:
             return
         there = ", ".join(sorted(str(name) for name in seen if name is not None)) or "none with a name"
         wanted = (
-            {one.interface for one in self.filter.sets if one.interface} if self.filter is not None else set()
+            {entry.interface for entry in self.filter.sets if entry.interface}
+            if self.filter is not None
+            else set()
         )
         for option, names in (("--filter", wanted), ("--map", set(self.relabel.names))):
             for name in sorted(str(name) for name in names - seen):

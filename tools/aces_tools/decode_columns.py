@@ -308,7 +308,7 @@ class ColumnDecoding(TableDecoding):
 
 def wanted_columns(texts: Sequence[str], plans: Plans) -> dict[str, list[str]] | None:
     """Return the columns that --signals names, of each message that has some; None: all."""
-    globs = [one.strip() for text in texts for one in text.split(",")]
+    globs = [pattern.strip() for text in texts for pattern in text.split(",")]
     if not globs:
         return None
     found: dict[str, list[str]] = {}

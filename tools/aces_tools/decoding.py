@@ -77,7 +77,7 @@ class Decoding(ABC):
         #: Channels that -p and --filter name; those that occurred are taken out.
         self.bound = {variant.channel for variant in variants if variant.channel is not None}
         named = self.filter.sets if self.filter is not None else ()
-        self.absent = self.bound | {one.interface for one in named if one.interface}
+        self.absent = self.bound | {wanted.interface for wanted in named if wanted.interface}
         #: All that occurred, while one is missing.
         self.present: set[str] = set()
         #: Ctrl-C ended the work before its end.

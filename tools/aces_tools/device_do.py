@@ -41,9 +41,9 @@ def signals_of(device: Device, part: str | None) -> list[Signal]:
         return list(device.signals.values())
     names = {part, *(joint.name for joint in device.joints if part in joint.aliases)}
     names |= {sensor.name for sensor in device.sensors if part in sensor.aliases}
-    owned = [(one.name.partition(".")[0], one) for one in device.signals.values()]
-    return [one for owner, one in owned if owner in names] + [
-        one for owner, one in owned if owner == device.name and owner not in names
+    owned = [(signal.name.partition(".")[0], signal) for signal in device.signals.values()]
+    return [signal for owner, signal in owned if owner in names] + [
+        signal for owner, signal in owned if owner == device.name and owner not in names
     ]
 
 
@@ -52,10 +52,12 @@ def chosen_signals(device: Device, part: str | None, names: list[str]) -> list[S
     signals = signals_of(device, part)
     found: list[Signal] = []
     for name in names:
-        near = [one for one in signals if name in (one.name, one.name.partition(".")[2])]
+        near = [signal for signal in signals if name in (signal.name, signal.name.partition(".")[2])]
         if not near:
-            raise UnknownNameError(f"signal of {part or device.name}", name, [one.name for one in signals])
-        found += [one for one in near if one not in found]
+            raise UnknownNameError(
+                f"signal of {part or device.name}", name, [signal.name for signal in signals]
+            )
+        found += [signal for signal in near if signal not in found]
     return found
 
 
@@ -64,10 +66,10 @@ def checked(device: Device, part: str | None, action: str, values: Any) -> None:
     if action == "stop":
         return
     if action in ("get", "watch"):
-        for one in chosen_signals(device, part, values):
-            if one.name not in device.readable:
-                raise CallerError(f"{one.name} can only be set: {device.name} does not report it")
-        if not values and not any(one.name in device.readable for one in signals_of(device, part)):
+        for signal in chosen_signals(device, part, values):
+            if signal.name not in device.readable:
+                raise CallerError(f"{signal.name} can only be set: {device.name} does not report it")
+        if not values and not any(signal.name in device.readable for signal in signals_of(device, part)):
             raise CallerError(f"{part or device.name} reports nothing: it can only be set")
         return
     if action == "set":
@@ -79,17 +81,19 @@ def checked(device: Device, part: str | None, action: str, values: Any) -> None:
         known = ["get", "set", "watch", "stop", *device.actions]
         raise UnknownNameError(f"action of {device.name} ({device.config.driver})", action, known)
     signature = inspect.signature(getattr(device, action))
-    takes_any = any(one.kind is inspect.Parameter.VAR_KEYWORD for one in signature.parameters.values())
+    takes_any = any(
+        parameter.kind is inspect.Parameter.VAR_KEYWORD for parameter in signature.parameters.values()
+    )
     for name in values:
         if name not in signature.parameters and not takes_any:
             raise UnknownNameError(f"argument of {action}", name, signature.parameters)
     missing = [
-        one.name
-        for one in signature.parameters.values()
-        if one.default is inspect.Parameter.empty
-        and one.kind not in (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
-        and one.name not in values
-        and not (one.name == "joint" and part is not None)
+        parameter.name
+        for parameter in signature.parameters.values()
+        if parameter.default is inspect.Parameter.empty
+        and parameter.kind not in (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
+        and parameter.name not in values
+        and not (parameter.name == "joint" and part is not None)
     ]
     if missing:
         raise CallerError(f"{action} needs {' '.join(f'{name}=…' for name in missing)}")
@@ -99,11 +103,11 @@ def _targets(device: Device, part: str | None, values: dict[str, Any]) -> list[t
     """Return what is to be set to what; raises `CallerError`."""
     targets: list[tuple[Signal, Any]] = []
     for name, value in values.items():
-        for one in chosen_signals(device, part, [name]):
-            if not one.is_writable:
+        for signal in chosen_signals(device, part, [name]):
+            if not signal.is_writable:
                 can = [s.name for s in signals_of(device, part) if s.is_writable]
-                raise CallerError(f"{one.name} can only be read (to be set: {', '.join(can) or 'none'})")
-            targets.append((one, value_for(one, value)))
+                raise CallerError(f"{signal.name} can only be read (to be set: {', '.join(can) or 'none'})")
+            targets.append((signal, value_for(signal, value)))
     return targets
 
 
@@ -134,29 +138,31 @@ class Doing:
         """Return what is to be read: those of these names, by default all that the device reports."""
         if names:
             return chosen_signals(self.device, self.part, names)
-        return [one for one in signals_of(self.device, self.part) if one.name in self.device.readable]
+        return [
+            signal for signal in signals_of(self.device, self.part) if signal.name in self.device.readable
+        ]
 
     # ------------------------------------------------------------------ get and watch
 
     def get(self) -> int:
         """Return all that is known, once; 1 when something is unknown."""
         signals = self.readable(self.arguments.values)
-        self.wait(lambda: all(one.instant is not None for one in signals), round(HEARD_S * 1e9))
+        self.wait(lambda: all(signal.instant is not None for signal in signals), round(HEARD_S * 1e9))
         if self.arguments.json:
             whole = {
-                one.name: {
-                    "value": json_value(one.value),
-                    "unit": one.unit,
-                    "age_s": None if one.age_ns is None else one.age_ns / 1e9,
+                signal.name: {
+                    "value": json_value(signal.value),
+                    "unit": signal.unit,
+                    "age_s": None if signal.age_ns is None else signal.age_ns / 1e9,
                 }
-                for one in signals
+                for signal in signals
             }
             print_json(whole)
         else:
-            width = max(len(one.name) for one in signals)
-            for one in signals:
-                print(f"{one.name:<{width}}  {reading(one)}")
-        missing = any(one.instant is None for one in signals)
+            width = max(len(signal.name) for signal in signals)
+            for signal in signals:
+                print(f"{signal.name:<{width}}  {reading(signal)}")
+        missing = any(signal.instant is None for signal in signals)
         if missing and self.device.host.passive and self.device.last_received is None:
             say(f"nothing came from {self.device.name}: no other program asks it; --ask does")
         return 1 if missing else 0
@@ -172,7 +178,7 @@ class Doing:
                 return self._watch(signals, every, duration, show, is_paced=True)
         show = self._print_object if self.arguments.json else self._print_line
         if not self.arguments.json:
-            names = [one.name.rjust(_width(one)) for one in signals]
+            names = [signal.name.rjust(_width(signal)) for signal in signals]
             print("  ".join(["time".rjust(9), *names]), flush=True)
         return self._watch(signals, every, duration, show, is_paced=is_terminal)
 
@@ -191,16 +197,16 @@ class Doing:
             due += every
             if self.live.virtual is None and due < clock.now():
                 due += (clock.now() - due) // every * every + every  # late by whole lines: they are left out
-        return 1 if all(one.instant is None for one in signals) else 0
+        return 1 if all(signal.instant is None for signal in signals) else 0
 
     @staticmethod
     def _print_line(seconds: float, signals: list[Signal]) -> None:
-        cells = [reading(one).rjust(_width(one)) for one in signals]
+        cells = [reading(signal).rjust(_width(signal)) for signal in signals]
         print("  ".join([f"{seconds:9.3f}", *cells]), flush=True)
 
     @staticmethod
     def _print_object(seconds: float, signals: list[Signal]) -> None:
-        values = {one.name: json_value(one.value) for one in signals}
+        values = {signal.name: json_value(signal.value) for signal in signals}
         print_json({"time": round(seconds, 6), **values}, None)
 
     # ------------------------------------------------------------------ set
@@ -248,15 +254,15 @@ class Doing:
     def _give(self, targets: list[tuple[Signal, Any]]) -> None:
         """Hand set-points down; positions are led no faster than the joint's nominal speed, where it has one."""
         door, robot = self.live.rig.door, self.live.robot
-        for one, value in targets:
-            owner, _, quantity = one.name.partition(".")
+        for target, value in targets:
+            owner, _, quantity = target.name.partition(".")
             joint = robot.joints.get(owner)
             if joint is not None and joint.nominal_speed is not None and quantity == "position":
-                door.pace(one.name, joint.nominal_speed)
+                door.pace(target.name, joint.nominal_speed)
             try:
-                one.set(value)
+                target.set(value)
             except (TypeError, ValueError, ArithmeticError) as error:
-                raise CallerError(f"{one.name} cannot be set to {value!r}: {error}") from None
+                raise CallerError(f"{target.name} cannot be set to {value!r}: {error}") from None
 
     def _is_there(self) -> bool:
         """Return whether the device has answered; one that is never polled may be there."""
@@ -270,14 +276,14 @@ class Doing:
     def _show_set(self, targets: list[tuple[Signal, Any]]) -> int:
         device = self.device
         if self.arguments.json:
-            print_json({one.name: json_value(one.value) for one, _ in targets}, None)
+            print_json({target.name: json_value(target.value) for target, _ in targets}, None)
         else:
-            for one, value in targets:
-                now = f", is {reading(one)}" if one.name in device.readable else ""
-                given = self.live.rig.door.given(one.name)
+            for target, value in targets:
+                now = f", is {reading(target)}" if target.name in device.readable else ""
+                given = self.live.rig.door.given(target.name)
                 taken = shown_value(json_value(value if given is None else given))
-                print(f"{one.name}: set to {taken} {one.unit}".rstrip() + now)
-        owners = {one.name.partition(".")[0] for one, _ in targets}
+                print(f"{target.name}: set to {taken} {target.unit}".rstrip() + now)
+        owners = {target.name.partition(".")[0] for target, _ in targets}
         idle = [o for o in owners if (e := device.signals.get(f"{o}.enabled")) and e.value is False]
         if idle and not self.arguments.enable:
             self.events.drop("not sent")
@@ -302,25 +308,27 @@ class Doing:
         device, since = self.device, self.live.clock.now()
         if device.polls:  # this program may have been held up, and not know yet what became of it
             self.wait(lambda: (device.last_received or 0) > since, round(ANSWERS_S * 1e9))
-        return [one.name for one, _ in targets if device.takes(one) is False]
+        return [target.name for target, _ in targets if device.takes(target) is False]
 
     def _is_changed(self, targets: list[tuple[Signal, Any]]) -> bool:
         """Return whether a set-point was limited, has not been led all the way, or was refused; which is said."""
         door = self.live.rig.door
         changed = False
-        for one, value in targets:
-            goal, given = door.goal(one.name), door.given(one.name)
-            if door.counts(one.name).position:
+        for target, value in targets:
+            goal, given = door.goal(target.name), door.given(target.name)
+            if door.counts(target.name).position:
                 limits = (
-                    f"{one.lower:g} to {one.upper:g}" if None not in (one.lower, one.upper) else "its limits"
+                    f"{target.lower:g} to {target.upper:g}"
+                    if None not in (target.lower, target.upper)
+                    else "its limits"
                 )
-                say(f"{one.name}: limited: {value:g} is not within {limits} {one.unit}".rstrip())
+                say(f"{target.name}: limited: {value:g} is not within {limits} {target.unit}".rstrip())
             elif goal is not None:
-                so_far = "where it was" if given is None else f"{given:.4g} {one.unit}".rstrip()
+                so_far = "where it was" if given is None else f"{given:.4g} {target.unit}".rstrip()
                 say(
-                    f"{one.name}: limited in speed: only at {so_far} on the way to {goal:g}; say --for longer"
+                    f"{target.name}: limited in speed: only at {so_far} on the way to {goal:g}; say --for longer"
                 )
-            elif one.name not in door.tripped:
+            elif target.name not in door.tripped:
                 continue
             changed = True
         return changed
@@ -397,8 +405,8 @@ class Doing:
         return awaited.result
 
 
-def _width(one: Signal) -> int:
-    return max(len(one.name), 14)
+def _width(signal: Signal) -> int:
+    return max(len(signal.name), 14)
 
 
 # ---------------------------------------------------------------------- on a terminal
@@ -431,13 +439,16 @@ def _table(seconds: float, signals: list[Signal]) -> Any:
     table.add_column(justify="right", overflow="fold")
     table.add_column(no_wrap=True)
     table.add_column(overflow="ellipsis", no_wrap=True)
-    for one in signals:
+    for signal in signals:
         value, note, style = "unknown", "", "dim"
-        if one.instant is not None:
-            value, style = shown_value(json_value(one.last)), ""
-            if one.is_stale and one.age_ns is not None:
-                note, style = f"stale, {one.age_ns / 1e9:.1f} s old", "dim"
+        if signal.instant is not None:
+            value, style = shown_value(json_value(signal.last)), ""
+            if signal.is_stale and signal.age_ns is not None:
+                note, style = f"stale, {signal.age_ns / 1e9:.1f} s old", "dim"
         table.add_row(
-            one.name, Text(value, style), one.unit if one.instant is not None else "", Text(note, "dim")
+            signal.name,
+            Text(value, style),
+            signal.unit if signal.instant is not None else "",
+            Text(note, "dim"),
         )
     return table

@@ -43,13 +43,13 @@ def shown_value(value: Any) -> str:
             return str(value)
 
 
-def reading(one: Signal) -> str:
+def reading(signal: Signal) -> str:
     """Return a signal's value with its unit; what is unknown or stale says so."""
-    if one.instant is None:
+    if signal.instant is None:
         return "unknown"
-    whole = f"{shown_value(json_value(one.last))} {one.unit}".rstrip()
-    age = one.age_ns
-    return f"{whole} (stale, {age / 1e9:.1f} s old)" if one.is_stale and age is not None else whole
+    whole = f"{shown_value(json_value(signal.last))} {signal.unit}".rstrip()
+    age = signal.age_ns
+    return f"{whole} (stale, {age / 1e9:.1f} s old)" if signal.is_stale and age is not None else whole
 
 
 def result_lines(value: Any, indent: str = "") -> list[str]:
@@ -86,35 +86,35 @@ def parse_pairs(texts: Sequence[str]) -> dict[str, Any]:
     Raises `CallerError` for what is no NAME=VALUE, or is given twice.
     """
     found: dict[str, Any] = {}
-    for one in texts:
-        name, equals, value = one.partition("=")
+    for text in texts:
+        name, equals, value = text.partition("=")
         if not equals or not name or not value:
-            raise CallerError(f"{one}: write NAME=VALUE")
+            raise CallerError(f"{text}: write NAME=VALUE")
         if name in found:
             raise CallerError(f"{name} is given twice")
         found[name] = value == "true" if value in ("true", "false") else parse_value(value, None, name)
     return found
 
 
-def value_for(one: Signal, value: Any) -> Any:
+def value_for(signal: Signal, value: Any) -> Any:
     """Return what is to be set, as the signal takes it: a finite number in its unit, `30deg` where that is rad; yes and no.
 
     Raises `CallerError`.
     """
-    if not one.unit:
-        if isinstance(one.last, bool) and (value in (0, 1) or value in WORDS):
+    if not signal.unit:
+        if isinstance(signal.last, bool) and (value in (0, 1) or value in WORDS):
             return WORDS[value] if isinstance(value, str) else bool(value)
         return value
     degrees = _DEGREES.fullmatch(value) if isinstance(value, str) else None
-    if degrees is not None and one.unit == f"rad{degrees[2] or ''}":
+    if degrees is not None and signal.unit == f"rad{degrees[2] or ''}":
         value = math.radians(float(degrees[1]))
     try:
         number = float("nan" if isinstance(value, bool | str) else value)
     except (TypeError, ValueError, OverflowError):
         number = math.nan
     if not math.isfinite(number):
-        also = ", or degrees: 30deg" if one.unit == "rad" else ""
-        raise CallerError(f"{one.name}: {value!r} is no number of {one.unit}{also}")
+        also = ", or degrees: 30deg" if signal.unit == "rad" else ""
+        raise CallerError(f"{signal.name}: {value!r} is no number of {signal.unit}{also}")
     return value
 
 

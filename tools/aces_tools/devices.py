@@ -48,7 +48,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print_json(found)
         return status
-    print("\n".join(aligned_rows([(one["driver"], one["protocol"], one["doc"]) for one in found], "")))
+    print(
+        "\n".join(aligned_rows([(entry["driver"], entry["protocol"], entry["doc"]) for entry in found], ""))
+    )
     return status
 
 
@@ -67,13 +69,13 @@ def describe_driver(driver: Driver) -> dict[str, Any]:
                     continue
                 actions |= device.actions  # a device may have those of its kind only
                 asking |= set(device.asking)
-                for one in device.signals.values():
-                    name = one.name.partition(".")[2]
+                for signal in device.signals.values():
+                    name = signal.name.partition(".")[2]
                     known = signals.setdefault(
-                        name, {"unit": one.unit, "read": False, "set": False, "doc": one.doc}
+                        name, {"unit": signal.unit, "read": False, "set": False, "doc": signal.doc}
                     )
-                    known["set"] = known["set"] or one.is_writable
-                    known["read"] = known["read"] or one.name in device.readable
+                    known["set"] = known["set"] or signal.is_writable
+                    known["read"] = known["read"] or signal.name in device.readable
     return {
         "driver": driver.name,
         "protocol": driver.protocol,
@@ -95,8 +97,13 @@ def _show(whole: dict[str, Any]) -> None:
     _table(
         "signals",
         [
-            (name, one["unit"] or "–", ", ".join(way for way in ("set", "read") if one[way]), one["doc"])
-            for name, one in whole["signals"].items()
+            (
+                name,
+                signal["unit"] or "–",
+                ", ".join(way for way in ("set", "read") if signal[way]),
+                signal["doc"],
+            )
+            for name, signal in whole["signals"].items()
         ],
     )
     asking = whole["asking"]
@@ -151,15 +158,15 @@ def show_device(device: Device, config: DeviceConfig, signals: list[Signal], as_
             "device": device.name,
             "driver": config.driver,
             "signals": {
-                one.name: {
-                    "unit": one.unit,
-                    "read": one.name in device.readable,
-                    "set": one.is_writable,
-                    "lower": one.lower,
-                    "upper": one.upper,
-                    "doc": one.doc,
+                signal.name: {
+                    "unit": signal.unit,
+                    "read": signal.name in device.readable,
+                    "set": signal.is_writable,
+                    "lower": signal.lower,
+                    "upper": signal.upper,
+                    "doc": signal.doc,
                 }
-                for one in signals
+                for signal in signals
             },
             "actions": {
                 name: {"doc": doc, "arguments": arguments_of(device, name), "asks": name in device.asking}
@@ -170,10 +177,10 @@ def show_device(device: Device, config: DeviceConfig, signals: list[Signal], as_
         return 0
     print(f"{device.name}: {config.driver} on bus {config.bus}, {credential_text(device.credentials)}")
     table: list[tuple[str, ...]] = []
-    for one in signals:
-        ways = ["set"] * one.is_writable + ["read"] * (one.name in device.readable)
-        limits = "" if one.lower is None or one.upper is None else f" {one.lower:g}…{one.upper:g}"
-        table.append((one.name, one.unit or "–", ", ".join(ways) + limits, one.doc))
+    for signal in signals:
+        ways = ["set"] * signal.is_writable + ["read"] * (signal.name in device.readable)
+        limits = "" if signal.lower is None or signal.upper is None else f" {signal.lower:g}…{signal.upper:g}"
+        table.append((signal.name, signal.unit or "–", ", ".join(ways) + limits, signal.doc))
     print("\n".join(aligned_rows(table)) if table else "  no signals")
     if device.actions:
         is_marked = any(name in device.asking for name in device.actions)
@@ -190,10 +197,10 @@ def arguments_of(device: Device, action: str) -> dict[str, bool]:
     """Return the names of an action's arguments; True: must be given."""
     parameters = inspect.signature(getattr(device, action)).parameters.values()
     return {
-        one.name: one.default is inspect.Parameter.empty
-        and one.kind is not inspect.Parameter.VAR_KEYWORD
-        and one.name != "joint"
-        for one in parameters
+        parameter.name: parameter.default is inspect.Parameter.empty
+        and parameter.kind is not inspect.Parameter.VAR_KEYWORD
+        and parameter.name != "joint"
+        for parameter in parameters
     }
 
 

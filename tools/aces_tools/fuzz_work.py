@@ -260,7 +260,7 @@ def failure_report(job: FuzzJob, failure: Failure) -> FoundFailure:
 
 def chosen_laws(texts: Sequence[str]) -> tuple[int, ...]:
     """Return the numbers of laws that are named: `3`, `chunking`, `3-chunking`; all when none is."""
-    found = {_law(one.strip()).number for text in texts for one in text.split(",")}
+    found = {_law(law.strip()).number for text in texts for law in text.split(",")}
     return tuple(sorted(found)) or tuple(law.number for law in laws.LAWS)
 
 
@@ -355,18 +355,18 @@ def as_json(
     }
     failures = [
         {
-            "law": one.law,
-            "name": one.name,
-            "wire": one.label,
-            "direction": one.direction,
-            "text": one.text,
-            "drawing": one.drawing,
-            "capture": one.capture,
-            "scene": one.scene,
-            "commands": list(one.commands),
-            "example": one.example,
+            "law": failure.law,
+            "name": failure.name,
+            "wire": failure.label,
+            "direction": failure.direction,
+            "text": failure.text,
+            "drawing": failure.drawing,
+            "capture": failure.capture,
+            "scene": failure.scene,
+            "commands": list(failure.commands),
+            "example": failure.example,
         }
-        for one in found
+        for failure in found
     ]
     return json.dumps(
         {"names": list(names), **numbers, "failures": failures, "protocols": protocols}, ensure_ascii=False

@@ -70,7 +70,7 @@ def _unknown_options(given: list[str], known: list[str]) -> str:
     """Return what is said of arguments that a verb does not take: of a mistyped option, what was meant."""
     from difflib import get_close_matches
 
-    option = next((one.partition("=")[0] for one in given if one.startswith("-")), None)
+    option = next((word.partition("=")[0] for word in given if word.startswith("-")), None)
     if option is None:
         return f"one too many: {' '.join(given)}"
     near = get_close_matches(option, known, n=1)
@@ -200,7 +200,7 @@ def parser_of(verb: str, parser: Parser | None = None) -> Parser:
     add_arguments(parser, module.ARGUMENTS)
     for options in options_of(verb):
         add_arguments(parser, options.ARGUMENTS)
-    if not any("-q" in one.option_strings for one in parser.arguments):
+    if not any("-q" in argument.option_strings for argument in parser.arguments):
         add_arguments(parser, [QUIET])
     parser.set_defaults(**getattr(module, "DEFAULTS", {}))
     return parser

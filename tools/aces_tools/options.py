@@ -68,18 +68,18 @@ def several(*names: str, metavar: str, help: str) -> Argument:
 
 def add_arguments(parser: argparse.ArgumentParser, arguments: Arguments) -> None:
     """Add the entries of a table to a parser."""
-    for one in arguments:
-        if isinstance(one, Argument):
-            parser.add_argument(*one.names, **one.keywords)
-        elif isinstance(one, Group):
+    for argument in arguments:
+        if isinstance(argument, Argument):
+            parser.add_argument(*argument.names, **argument.keywords)
+        elif isinstance(argument, Group):
             adds: Any = (
                 parser.add_mutually_exclusive_group()
-                if one.is_exclusive
-                else parser.add_argument_group(one.title)
+                if argument.is_exclusive
+                else parser.add_argument_group(argument.title)
             )
-            add_arguments(adds, one.arguments)
+            add_arguments(adds, argument.arguments)
         else:
-            one(parser)
+            argument(parser)
 
 
 # ---------------------------------------------------------------------- what a value may be

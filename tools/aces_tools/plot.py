@@ -238,10 +238,10 @@ class Plotting(TableDecoding):
     # ------------------------------------------------------------------ drawing
 
     def _draw(self) -> None:
-        series = [one for one in self.collector.series.values() if one.count and one.points()[0].size]
-        for one in [one for one in series if one.others]:
-            say(f"{LineNames(series).full(one)} holds {one.others}, which no line can show")
-        series = [one for one in series if not one.others]
+        series = [curve for curve in self.collector.series.values() if curve.count and curve.points()[0].size]
+        for curve in [curve for curve in series if curve.others]:
+            say(f"{LineNames(series).full(curve)} holds {curve.others}, which no line can show")
+        series = [curve for curve in series if not curve.others]
         if not series:
             raise CallerError(f"nothing to draw: {self._absent()}")
         series.sort(key=self._place)
@@ -284,9 +284,9 @@ class Plotting(TableDecoding):
         given: float | None = self.arguments.break_time
         return math.inf if self.clock.origin is None or (given is not None and given < 0) else given
 
-    def _place(self, one: Series) -> Any:
+    def _place(self, curve: Series) -> Any:
         """Return what series are sorted by: messages as they are declared, then devices."""
-        return list(self.declared).index(one.signal.owner), _natural(one.key)
+        return list(self.declared).index(curve.signal.owner), _natural(curve.key)
 
     def _absent(self) -> str:
         if self.window is not None:
@@ -295,7 +295,7 @@ class Plotting(TableDecoding):
 
     def _say_what_is_absent(self, series: Sequence[Series]) -> None:
         for pattern in (pattern for group in self.groups for axis in group for pattern in axis):
-            if not any(pattern.takes(one.signal) and pattern.holds(one.key) for one in series):
+            if not any(pattern.takes(curve.signal) and pattern.holds(curve.key) for curve in series):
                 say(f"nothing that {pattern.text!r} means occurs")
 
     def _label(self, panels: Sequence[PlotPanel]) -> None:
@@ -320,9 +320,9 @@ class Plotting(TableDecoding):
 
         series = sorted(
             (
-                one
-                for one in self.collector.series.values()
-                if one.count and (one.low or one.high or not one.signal.is_quiet)
+                curve
+                for curve in self.collector.series.values()
+                if curve.count and (curve.low or curve.high or not curve.signal.is_quiet)
             ),
             key=self._place,
         )
@@ -331,15 +331,16 @@ class Plotting(TableDecoding):
         names = LineNames(series, always=True)
         rows = [
             (
-                printable(names.full(one)),
-                str(one.count),
-                printable(_shown(one, one.low)),
-                printable(_shown(one, one.high)),
+                printable(names.full(curve)),
+                str(curve.count),
+                printable(_shown(curve, curve.low)),
+                printable(_shown(curve, curve.high)),
                 printable(
-                    one.signal.kind.unit or {"str": "text", "dict": "record"}.get(one.others, one.others)
+                    curve.signal.kind.unit
+                    or {"str": "text", "dict": "record"}.get(curve.others, curve.others)
                 ),
             )
-            for one in series
+            for curve in series
         ]
         sizes = [max(len(row[index]) for row in [*rows, LIST_HEAD]) for index in range(5)]
         aligned = [

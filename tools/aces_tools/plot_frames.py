@@ -150,12 +150,14 @@ class BitDrawing(FrameDrawing):
         arguments, images = self.arguments, self.images
         if arguments.bits:
             chosen = [
-                images.images[one]
-                for one in choose_identifiers(parse_identifiers(arguments.bits) or (), list(images.images))
+                images.images[identifier]
+                for identifier in choose_identifiers(
+                    parse_identifiers(arguments.bits) or (), list(images.images)
+                )
             ]
         else:
             chosen = self._all()
-        chosen = [one for one in chosen if one.length]
+        chosen = [image for image in chosen if image.length]
         if not chosen:
             came = "no identifier came twice" if images.images and not arguments.bits else self._absent
             raise CallerError(f"nothing to draw: {came}")
@@ -174,21 +176,23 @@ class BitDrawing(FrameDrawing):
 
     def _all(self) -> list[BitImage]:
         """Return those that have data and are no errors, by channel and identifier; of too many those with most frames."""
-        every = [one for one in self.images.images.values() if one.length and not one.identifier.is_error]
-        some = [one for one in every if one.steps.any()]
+        every = [
+            image for image in self.images.images.values() if image.length and not image.identifier.is_error
+        ]
+        some = [image for image in every if image.steps.any()]
         if len(some) < len(every):
             single = ", ".join(
-                sorted(str(one.identifier) for one in every if not one.steps.any())[:MOST_NAMED]
+                sorted(str(image.identifier) for image in every if not image.steps.any())[:MOST_NAMED]
             )
             say_note(f"not drawn: {counted(len(every) - len(some), 'identifier')} with one frame ({single})")
-        some.sort(key=lambda one: -int(one.frames.sum()))
+        some.sort(key=lambda image: -int(image.frames.sum()))
         if len(some) > MOST_DRAWN:
             say_note(
                 f"drawn: the {MOST_DRAWN} of {len(some)} identifiers with most frames; name others: --bits 2A0,3*"
             )
         return sorted(
             some[:MOST_DRAWN],
-            key=lambda one: (str(one.identifier.channel), one.identifier.is_extended, one.identifier),
+            key=lambda image: (str(image.identifier.channel), image.identifier.is_extended, image.identifier),
         )
 
 
@@ -246,7 +250,7 @@ class ByteDrawing(FrameDrawing):
         if not self.seen:
             raise CallerError(f"nothing to draw: {self._absent}")
         chosen = choose_identifiers(self.patterns, list(self.seen))
-        several = len({one.channel for one in self.seen}) > 1
+        several = len({identifier.channel for identifier in self.seen}) > 1
         panels: list[PlotPanel] = []
         for identifier in chosen:
             name = f"{identifier.channel} {identifier}" if several else str(identifier)
@@ -274,18 +278,20 @@ class ByteDrawing(FrameDrawing):
 
     def _panels(self, name: str, series: list[Series]) -> list[PlotPanel]:
         """Return a panel a byte; where some change, those that do not are said and not drawn."""
-        still = [one for one in series if one.low == one.high]
-        moving = [one for one in series if one.low != one.high] or series
+        still = [curve for curve in series if curve.low == curve.high]
+        moving = [curve for curve in series if curve.low != curve.high] or series
         if len(moving) < len(series):
-            values = ", ".join(f"{one.signal.path} is {int(one.low or 0):02X}" for one in still)
+            values = ", ".join(f"{curve.signal.path} is {int(curve.low or 0):02X}" for curve in still)
             say_note(f"{name}: not drawn, being constant: {values}")
         panels: list[PlotPanel] = []
-        for one in moving:
-            x, y = one.points()
+        for curve in moving:
+            x, y = curve.points()
             given: float | None = self.arguments.break_time
             gap = longest_period(x) if given is None else math.inf if given < 0 else given
             x, y = broken(x, y, gap if self.clock.origin is not None else math.inf)
-            panel = PlotPanel("numbers", [[PlotLine(one, ImageFormat(), x, y)]], f"{name}  {one.signal.path}")
+            panel = PlotPanel(
+                "numbers", [[PlotLine(curve, ImageFormat(), x, y)]], f"{name}  {curve.signal.path}"
+            )
             panel.units, panel.captions, panel.limits = [""], ["value"], [(None, None)]
             panel.is_small = True
             panels.append(panel)

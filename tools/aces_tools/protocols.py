@@ -245,12 +245,14 @@ def _lengths(message: Message) -> str:
 
 def _print_registers(registers: Sequence[Register], page: Page) -> None:
     rows = []
-    for one in sorted(registers, key=lambda r: r.address):
-        row = _of_register(one)
-        access = {"read": "r", "write": "w", "read-write": "rw"}[one.access]
+    for register in sorted(registers, key=lambda r: r.address):
+        row = _of_register(register)
+        access = {"read": "r", "write": "w", "read-write": "rw"}[register.access]
         default = f"Default: {row['default']}." if row["default"] else ""
-        doc = " ".join(filter(None, [_joined(one.doc, row["names"]), default]))
-        rows.append((f"{one.address:#04x}", one.name, row["type"], access, row["range"], row["unit"], doc))
+        doc = " ".join(filter(None, [_joined(register.doc, row["names"]), default]))
+        rows.append(
+            (f"{register.address:#04x}", register.name, row["type"], access, row["range"], row["unit"], doc)
+        )
     page.table(("address", "register", "type", "", "range", "unit", ""), rows)
 
 
@@ -317,7 +319,7 @@ def _template(message: Message) -> list[tuple[str, str]]:
     kinds = (("29 bits", message.extended), ("remote", message.remote), ("CAN FD", message.fd))
     parts = [
         f"{name} {values[name]}"
-        for name in (one.name for one in message.identifier.captures)
+        for name in (capture.name for capture in message.identifier.captures)
         if name in values
     ]
     parts += [kind for kind, given in kinds if given and message.protocol.link == "can"]

@@ -97,8 +97,8 @@ class RecordingFile:
         while pieces:
             piece = pieces.pop(0)
             try:
-                for one in self._pieces(piece):
-                    self._log.write(one, len(one) if self.link == "can" else len(one.data))
+                for part in self._pieces(piece):
+                    self._log.write(part, len(part) if self.link == "can" else len(part.data))
                 self._log.commit()
             except OSError:
                 if len(piece) == 1 or not getattr(self._log.file, "is_independent", False):

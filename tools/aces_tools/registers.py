@@ -36,7 +36,9 @@ class RegisterNotes:
 
     def __init__(self, variants: Iterable[Variant]) -> None:
         protocols = {variant.protocol.name: variant.protocol for variant in variants}
-        self._tables = {name: _Tables(one) for name, one in protocols.items() if one.register_maps}
+        self._tables = {
+            name: _Tables(protocol) for name, protocol in protocols.items() if protocol.register_maps
+        }
         self._notes: dict[int, list[PrintedField]] = {}
 
     def see(self, items: Iterable[Any]) -> None:
@@ -60,7 +62,9 @@ class _Tables:
 
     def __init__(self, protocol: Protocol) -> None:
         self._maps = protocol.register_maps
-        self._replies = {one.reply_message: one.reply_field for one in self._maps if one.reply_message}
+        self._replies = {
+            table.reply_message: table.reply_field for table in self._maps if table.reply_message
+        }
         #: By device: first address and number of bytes.
         self._asked: dict[int, tuple[int, int]] = {}
         self._shows: dict[tuple[int, str], Callable[[Any], str]] = {}
@@ -82,12 +86,15 @@ class _Tables:
                 self._asked[device] = address, number
             return self._names(address, number)
         if (servos := getattr(record, "servos", None)) is not None:
-            return self._together(address, {one.id: one.data for one in servos})
+            return self._together(address, {servo.id: servo.data for servo in servos})
         return self._values(address, getattr(record, "data", b""))
 
     def _names(self, start: int, count: int) -> list[PrintedField]:
         """Return the first and the last of the registers that begin in a stretch."""
-        tables = [[one for one in _ordered(map_) if 0 <= one.address - start < count] for map_ in self._maps]
+        tables = [
+            [register for register in _ordered(map_) if 0 <= register.address - start < count]
+            for map_ in self._maps
+        ]
         names = {(found[0].name, found[-1].name) if found else ("", "") for found in tables}
         if len(names) != 1 or any(found and found[0].address != start for found in tables):
             return []
@@ -97,7 +104,7 @@ class _Tables:
     def _values(self, start: int, data: bytes) -> list[PrintedField]:
         found = self._read(start, data)
         more = [PrintedField("", f"… and {len(found) - SHOWN} more registers", "", "name")]
-        fields = [PrintedField(f"{one[0]}=", one[1], one[2], "value") for one in found[:SHOWN]]
+        fields = [PrintedField(f"{place[0]}=", place[1], place[2], "value") for place in found[:SHOWN]]
         return fields + (more if len(found) > SHOWN else [])
 
     def _together(self, start: int, data: Mapping[int, bytes]) -> list[PrintedField]:
@@ -114,7 +121,7 @@ class _Tables:
     def _read(self, start: int, data: bytes) -> list[tuple[str, str, str]]:
         """Name, value and unit of the registers in `data`, as all tables say them."""
         tables = [self._of_map(number, start, data) for number in range(len(self._maps))]
-        return [one for one in tables[0] if all(one in other for other in tables[1:])]
+        return [register for register in tables[0] if all(register in other for other in tables[1:])]
 
     def _of_map(self, number: int, start: int, data: bytes) -> list[tuple[str, str, str]]:
         found = []
@@ -166,7 +173,7 @@ def with_registers(message: Message, texts: Sequence[str]) -> list[str]:
         if found and found[1] == "start" and _NAME.fullmatch(found[2]):
             register = _agreed(message, found[2])
             kept.append(f"start={register.address}")
-            if size := next((one for one in ("count", "size") if one in message.fields), None):
+            if size := next((name for name in ("count", "size") if name in message.fields), None):
                 kept += [] if size in names else [f"{size}={register.size}"]
         elif found and found[1] not in message.fields and "data" in message.fields:
             if not any(found[1] in table for table in maps):
@@ -201,8 +208,8 @@ def _agreed(message: Message, name: str) -> Register:
     if not found:
         known = {register for table in maps for register in table}
         raise UnknownNameError(f"register of {message.protocol.name}", name, known)
-    if len({(one.address, one.size) for one in found}) > 1 or len(found) < len(maps):
-        places = ", ".join(f"{one.address} ({one.size} bytes)" for one in found)
+    if len({(register.address, register.size) for register in found}) > 1 or len(found) < len(maps):
+        places = ", ".join(f"{register.address} ({register.size} bytes)" for register in found)
         raise CallerError(
             f"{name} is not in all tables of {message.protocol.name} the same: {places}; give the address"
         )

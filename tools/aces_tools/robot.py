@@ -102,22 +102,22 @@ def _check(names: Sequence[str], arguments: argparse.Namespace) -> int:
                 "without_watchdog": without,
                 "problems": [
                     {
-                        "file": one.file,
-                        "line": one.line,
-                        "key": one.key,
-                        "text": one.text,
-                        "level": "warning" if one.is_warning else "error",
+                        "file": problem.file,
+                        "line": problem.line,
+                        "key": problem.key,
+                        "text": problem.text,
+                        "level": "warning" if problem.is_warning else "error",
                     }
-                    for one in problems
+                    for problem in problems
                 ],
             }
         )
         if not arguments.json:
-            for one in problems:
-                print(one)
+            for problem in problems:
+                print(problem)
             for device, text in without.items():
                 print(f"{name}: {device}: no watchdog of its own: without its host it {text}")
-            errors = sum(not one.is_warning for one in problems)
+            errors = sum(not problem.is_warning for problem in problems)
             facts = _facts(robot) if robot is not None else counted(errors, "error")
             print(f"{name}: {'ok: ' if is_right else ''}{facts}")
     if arguments.json:
@@ -181,13 +181,13 @@ def _list(arguments: argparse.Namespace) -> int:
         print_json(
             [
                 {
-                    "name": one.name,
-                    "doc": one.doc,
-                    "source": one.source,
-                    "protocols": list(one.protocols),
-                    **_counts(one),
+                    "name": robot.name,
+                    "doc": robot.doc,
+                    "source": robot.source,
+                    "protocols": list(robot.protocols),
+                    **_counts(robot),
                 }
-                for one in found
+                for robot in found
             ]
         )
         return status
@@ -195,12 +195,14 @@ def _list(arguments: argparse.Namespace) -> int:
         ("robot", "speaks", "has", ""),
         [
             (
-                one.name,
-                ", ".join(_joined(name, dialect) for name, some in one.protocols.items() for dialect in some),
-                _facts(one),
-                one.doc or "",
+                robot.name,
+                ", ".join(
+                    _joined(name, dialect) for name, some in robot.protocols.items() for dialect in some
+                ),
+                _facts(robot),
+                robot.doc or "",
             )
-            for one in found
+            for robot in found
         ],
     )
     return status
@@ -262,7 +264,7 @@ def _tables(robot: Any) -> Iterable[tuple[Sequence[str], list[tuple[str, ...]]]]
                         _cell(d.channels),
                         _cell(d.kind),
                         _inactive(d),
-                        " ".join(one.name for one in (*robot.joints_of(d.name), *robot.sensors_of(d.name))),
+                        " ".join(part.name for part in (*robot.joints_of(d.name), *robot.sensors_of(d.name))),
                     ),
                 )
             )
@@ -354,46 +356,54 @@ def _tables(robot: Any) -> Iterable[tuple[Sequence[str], list[tuple[str, ...]]]]
                     printable,
                     (
                         " ".join(path),
-                        one.signal or one.message or f"key {one.key}",
-                        _cell(one.bit),
-                        _cell(one.clear),
-                        _cell(one.pressed),
-                        "" if one.key else f"{one.stale_after_s:g} s",
+                        entry.signal or entry.message or f"key {entry.key}",
+                        _cell(entry.bit),
+                        _cell(entry.clear),
+                        _cell(entry.pressed),
+                        "" if entry.key else f"{entry.stale_after_s:g} s",
                     ),
                 )
             )
-            for path, one in robot.inputs.items()
+            for path, entry in robot.inputs.items()
         ],
     )
     yield (
         ("reduced speed", "active"),
         [
             (
-                f"{one.scale:.3g} of every limit",
-                "yes" if one.active else "--reduced" if one.input is None else "--reduced, or by its input",
+                f"{reduced.scale:.3g} of every limit",
+                "yes"
+                if reduced.active
+                else "--reduced"
+                if reduced.input is None
+                else "--reduced, or by its input",
             )
-            for one in (robot.reduced,)
-            if one is not None
+            for reduced in (robot.reduced,)
+            if reduced is not None
         ],
     )
     yield (
         ("bus, device, controller", "rate", "priority"),
         [
-            (printable(one.name), "" if one.rate_hz is None else f"{one.rate_hz:g} Hz", _cell(one.priority))
-            for one in (*robot.buses.values(), *robot.devices.values(), *robot.controllers.values())
-            if one.rate_hz is not None or one.priority is not None
+            (
+                printable(owner.name),
+                "" if owner.rate_hz is None else f"{owner.rate_hz:g} Hz",
+                _cell(owner.priority),
+            )
+            for owner in (*robot.buses.values(), *robot.devices.values(), *robot.controllers.values())
+            if owner.rate_hz is not None or owner.priority is not None
         ],
     )
 
 
 def _cell(value: Any) -> str:
     if isinstance(value, dict):
-        return ", ".join(f"{key} {_cell(one)}" for key, one in value.items())
+        return ", ".join(f"{key} {_cell(item)}" for key, item in value.items())
     return "" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def _inactive(one: Any) -> str:
-    return "" if one.active else "inactive"
+def _inactive(part: Any) -> str:
+    return "" if part.active else "inactive"
 
 
 def _joined(protocol: str, dialect: str | None) -> str:

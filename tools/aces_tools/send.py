@@ -160,7 +160,9 @@ class Sending:
         found = [variant for variant in self.variants if name in variant.messages]
         if not found:
             raise UnknownNameError(
-                "message", name, {one for variant in self.variants for one in variant.messages}
+                "message",
+                name,
+                {message_name for variant in self.variants for message_name in variant.messages},
             )
         self.variant, self.message = found[0], found[0].messages[name]
         self.fields = parse_fields(self.message, with_registers(self.message, texts))
@@ -315,8 +317,8 @@ class Sending:
             return False
         sent = [self.message] if self.message is not None else []
         for name in answers(self.variant, self.message):
-            one = self.variant.messages[name]
-            if one.transport is not None and one.transport.is_for(key, data, one, self.fields, sent):
+            found = self.variant.messages[name]
+            if found.transport is not None and found.transport.is_for(key, data, found, self.fields, sent):
                 return True
         return False
 
@@ -398,7 +400,7 @@ def _packets(made: Any) -> list[Packet]:
     """Return what an encoder made: python-can messages as frames, bytes as they are."""
     if isinstance(made, bytes):
         return [made]
-    return [message_to_frame(one) for one in (made if isinstance(made, list) else [made])]
+    return [message_to_frame(frame) for frame in (made if isinstance(made, list) else [made])]
 
 
 # ---------------------------------------------------------------------- replies
@@ -474,7 +476,9 @@ class Replies:
                 self._unnamed(item)
                 continue
             items = self._decoded(item)
-            wanted = [one for one in items if not self._expected or type(one).__name__ in self._expected]
+            wanted = [
+                record for record in items if not self._expected or type(record).__name__ in self._expected
+            ]
             if not wanted:
                 continue
             self._registers.see(items)

@@ -94,7 +94,7 @@ def stop_now(robot: Robot, options: Mapping[str, Mapping[str, Any]]) -> int:
 
     def begun(leaves: Mapping[str, str]) -> None:
         for left, text in LEFT.items():
-            names = [_named(robot, device) for device, one in leaves.items() if one == left]
+            names = [_named(robot, device) for device, leaf in leaves.items() if leaf == left]
             if names:
                 say(f"{text}: {', '.join(names)}")
 
@@ -167,10 +167,12 @@ def _drivers_of(name: str) -> list[Driver]:
         except AcesError as error:  # a broken driver stops nothing, and keeps no other from it
             say(str(error))
     found = [
-        one for one in drivers if one.protocol == name and one.device.stop_motion is not Device.stop_motion
+        driver
+        for driver in drivers
+        if driver.protocol == name and driver.device.stop_motion is not Device.stop_motion
     ]
     if not found:
-        stop = {one.protocol for one in drivers if one.device.stop_motion is not Device.stop_motion}
+        stop = {driver.protocol for driver in drivers if driver.device.stop_motion is not Device.stop_motion}
         raise UnknownNameError(
             "protocol whose devices can be stopped, or driver", name, sorted({*stop, *installed})
         )
@@ -183,12 +185,14 @@ def _numbered(drivers: Sequence[Driver], number: int) -> DeviceConfig:
 
     if len(drivers) > 1:
         raise CallerError(
-            f"which driver? {drivers[0].protocol} has {', '.join(one.name for one in drivers)}: -p DRIVER"
+            f"which driver? {drivers[0].protocol} has {', '.join(candidate.name for candidate in drivers)}: -p DRIVER"
         )
     driver = drivers[0]
     example, _ = parse_robot(driver.example)
     devices = (
-        () if example is None else [one for one in example.devices.values() if one.driver == driver.name]
+        ()
+        if example is None
+        else [device for device in example.devices.values() if device.driver == driver.name]
     )
     like = next(iter(devices), None)
     if like is None or len(like.credentials) != 1:

@@ -136,7 +136,7 @@ def layouts(
         raw |= {sub: known for sub in (1, 2, 5) if (known := value(index, sub)) is not None}
         count = min(value(objects, 0) or 0, 64)
         entries = [value(objects, sub) or 0 for sub in range(1, count + 1)]
-        made = layout_of(who, dictionary, number, base, node, raw, [one for one in entries if one])
+        made = layout_of(who, dictionary, number, base, node, raw, [entry for entry in entries if entry])
         if made is not None:
             found[number] = made
     return found

@@ -118,10 +118,10 @@ class Watchdog:
         if self.entry is None:
             self._beats = False
             return
-        mates = (getattr(one, "watchdog", None) for one in device.host.devices.values())
-        watching = [one for one in mates if isinstance(one, Watchdog) and one.entry is not None]
-        leader = next(one for one in watching if one.host_node == self.host_node)
+        mates = (getattr(node, "watchdog", None) for node in device.host.devices.values())
+        watching = [mate for mate in mates if isinstance(mate, Watchdog) and mate.entry is not None]
+        leader = next(watchdog for watchdog in watching if watchdog.host_node == self.host_node)
         if leader is self and device.host.is_open:
             device.send("Heartbeat", node=self.host_node, state="operational", toggle=0)
-        wait_ms = min(one.wait_ms for one in watching)
+        wait_ms = min(watchdog.wait_ms for watchdog in watching)
         device.clock.call_in(wait_ms * 1_000_000 // BEATS, self._beat)

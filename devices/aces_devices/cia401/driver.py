@@ -71,8 +71,8 @@ class Cia401(CanopenNode):
         #: Of outputs, the module's own: which take an error value, and that value.
         self.errors: dict[tuple[int, int], tuple[int, int]] = {}
         self._by_where: dict[tuple[int, int], list[tuple[IoChannel, Signal]]] = {}
-        for one in self.channels.values():
-            self._by_where.setdefault(one.where, []).append((one, self._add(one)))
+        for channel in self.channels.values():
+            self._by_where.setdefault(channel.where, []).append((channel, self._add(channel)))
         watchdog = Watchdog(self, settings.watchdog_ms, settings.host_node)
         self.add_node(settings.heartbeat_ms, settings.sdo_timeout_s, watchdog)
         self._reading: Job | None = None
@@ -81,14 +81,14 @@ class Cia401(CanopenNode):
         #: Set-points that came before the module was set up.
         self._early: dict[str, Any] = {}
 
-    def _add(self, one: IoChannel) -> Signal:
-        given, setter = one.given, partial(self._set, one) if one.is_output else None
+    def _add(self, channel: IoChannel) -> Signal:
+        given, setter = channel.given, partial(self._set, channel) if channel.is_output else None
         ends: list[float | None] = [given.lower, given.upper]
-        if one.bit is None and one.is_output:
-            low, high = sorted((one.value(LEAST), one.value(MOST)))
+        if channel.bit is None and channel.is_output:
+            low, high = sorted((channel.value(LEAST), channel.value(MOST)))
             ends = [low if given.lower is None else given.lower, high if given.upper is None else given.upper]
         return self.add_signal(
-            one.name,
+            channel.name,
             unit=given.unit,
             setter=setter,
             lower=ends[0],
@@ -96,7 +96,7 @@ class Cia401(CanopenNode):
             stale_s=max(0.5, 5 * self.settings.every_s),
             read_from=("Tpdo1", "SdoUploaded"),
             doc=given.kind.replace("_", " ") + f" {given.number}",
-            source=f"CiA 401, object {one.index:04X}:{one.subindex}",
+            source=f"CiA 401, object {channel.index:04X}:{channel.subindex}",
         )
 
     # ------------------------------------------------------------------ up
@@ -188,8 +188,8 @@ class Cia401(CanopenNode):
 
     def _known(self, where: tuple[int, int], number: int, instant: int) -> None:
         self.numbers[where] = number
-        for one, signal in self._by_where.get(where, ()):
-            signal.update(one.value(number), instant)
+        for channel, signal in self._by_where.get(where, ()):
+            signal.update(channel.value(number), instant)
 
     def received(self, record: Any, instant: int) -> None:
         """PDOs; what any node says."""
@@ -221,38 +221,40 @@ class Cia401(CanopenNode):
             return None
         return super().takes(signal) if self.is_operational else False
 
-    def _set(self, one: IoChannel, value: Any) -> None:
+    def _set(self, channel: IoChannel, value: Any) -> None:
         if self.host.passive:
-            self.emit_event("not sent", f"{one.name}: this bus is only listened to")
+            self.emit_event("not sent", f"{channel.name}: this bus is only listened to")
             return
         if self._is_unknown:
-            self._early[one.name] = value
+            self._early[channel.name] = value
             return
-        self._give(one, value)
+        self._give(channel, value)
 
     @property
     def _is_unknown(self) -> bool:
         """True if the module is being set up, or never has been."""
         return not self.numbers or (self._set_up is not None and not self._set_up.is_over)
 
-    def _give(self, one: IoChannel, value: Any) -> None:
-        if not self.is_operational or one.where not in self.numbers:
+    def _give(self, channel: IoChannel, value: Any) -> None:
+        if not self.is_operational or channel.where not in self.numbers:
             self.emit_event(
-                "not sent", f"{one.name}: the module is not operational; the set-point is dropped"
+                "not sent", f"{channel.name}: the module is not operational; the set-point is dropped"
             )
             return
-        if self._stop_number(one.where, 0) is None:
+        if self._stop_number(channel.where, 0) is None:
             self.emit_event(
                 "not sent",
-                f"{one.name}: the module's error value (6444) is {self.errors[one.where][1]}, and CiA 401 leaves open"
-                " what that is of 16 bits; say what stops it, as stop = 0.0 of the channel",
+                f"{channel.name}: the module's error value (6444) is {self.errors[channel.where][1]}, which CiA 401 does not"
+                " define for 16 bits; give the channel a value that stops it: stop = 0.0",
             )
             return
         self.is_driven = True
-        before = self.goals.get(one.where, self.numbers[one.where])
-        self.goals[one.where] = one.put(before, value)
-        self._driven[one.where] = self._driven.get(one.where, 0) | (-1 if one.bit is None else 1 << one.bit)
-        self._unsent.add(one.where)
+        before = self.goals.get(channel.where, self.numbers[channel.where])
+        self.goals[channel.where] = channel.put(before, value)
+        self._driven[channel.where] = self._driven.get(channel.where, 0) | (
+            -1 if channel.bit is None else 1 << channel.bit
+        )
+        self._unsent.add(channel.where)
         if self._writing is None or self._writing.is_over:
             is_watched = self.watchdog.entry is not None or not self.watchdog.is_possible
             if is_watched and self._in_pdos(self._unsent):
@@ -371,9 +373,9 @@ class Cia401(CanopenNode):
         """Return the number that an output's object gets when its driven channels stop; None if it is not known."""
         mode, value = self.errors.get(where, (0xFF, 0))
         found = error_number(where[0], number, mode, value)
-        stated = [one for one, _ in self._by_where[where] if one.given.stop is not None]
-        for one in stated:
-            found = one.put(found, one.given.stop)
+        stated = [channel for channel, _ in self._by_where[where] if channel.given.stop is not None]
+        for channel in stated:
+            found = channel.put(found, channel.given.stop)
         is_open = where[0] == 0x6411 and mode and value and not stated
         driven = self._driven.get(where, 0)
         return None if is_open else number & ~driven | found & driven

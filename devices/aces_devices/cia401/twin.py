@@ -38,7 +38,7 @@ class Cia401Twin(CanopenTwin):
         dictionary = module_dictionary(settings.eds, self.credentials["node"])
         self.channels = io_channels(self.name, settings, dictionary)
         #: The numbers of all objects of inputs and outputs, by index and subindex.
-        self.numbers: dict[tuple[int, int], int] = {one.where: 0 for one in self.channels.values()}
+        self.numbers: dict[tuple[int, int], int] = {channel.where: 0 for channel in self.channels.values()}
         self.has_lost_host = False
         self.add_node(dictionary)
         for index, subindex in self.numbers:
@@ -53,25 +53,25 @@ class Cia401Twin(CanopenTwin):
 
     def put(self, name: str, value: Any) -> None:
         """Have an input's value. Raises `UnknownNameError`, `CallerError` for an output."""
-        one = self._channel(name)
-        if one.is_output:
+        channel = self._channel(name)
+        if channel.is_output:
             raise CallerError(f"{self.name}: {name} is an output; the host sets it")
-        before = self.numbers[one.where]
-        self.numbers[one.where] = one.put(before, value)
-        if self.numbers[one.where] != before:
-            self._send_changed(one)
+        before = self.numbers[channel.where]
+        self.numbers[channel.where] = channel.put(before, value)
+        if self.numbers[channel.where] != before:
+            self._send_changed(channel)
 
     def take(self, name: str) -> Any:
         """Return a channel's value, an input's or an output's. Raises `UnknownNameError`."""
-        one = self._channel(name)
-        return one.value(self.numbers[one.where])
+        channel = self._channel(name)
+        return channel.value(self.numbers[channel.where])
 
-    def _send_changed(self, one: IoChannel) -> None:
+    def _send_changed(self, channel: IoChannel) -> None:
         if self.node.nmt.state != "OPERATIONAL" or not self.is_powered:
             return
-        is_quiet = one.index == KINDS["analog_input"][0] and self.number(ANALOG_EVENTS, 0) == 0
+        is_quiet = channel.index == KINDS["analog_input"][0] and self.number(ANALOG_EVENTS, 0) == 0
         for number, layout in self.outputs.items():
-            is_in = any((place.index, place.subindex) == one.where for place in layout.places)
+            is_in = any((place.index, place.subindex) == channel.where for place in layout.places)
             if is_in and not layout.is_synchronous and not is_quiet:
                 self.send_pdo(number, layout, self.clock.now())
 
@@ -106,10 +106,10 @@ class Cia401Twin(CanopenTwin):
         for (index, subindex), number in self.numbers.items():
             if index in OUTPUTS and "stuck" not in self.active_faults:
                 mode, value = (
-                    self.number(one, subindex)
-                    if self.dictionary.get_variable(one, subindex) is not None
-                    else USUAL_ERRORS[one]
-                    for one in ERROR_VALUES[index]
+                    self.number(entry, subindex)
+                    if self.dictionary.get_variable(entry, subindex) is not None
+                    else USUAL_ERRORS[entry]
+                    for entry in ERROR_VALUES[index]
                 )
                 self.numbers[index, subindex] = error_number(index, number, mode, value)
 

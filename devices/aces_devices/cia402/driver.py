@@ -91,10 +91,10 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
         self.dictionary = dictionary_of(settings.eds, self.node)
         self.inputs = from_file(self.name, self.dictionary, self.node, SENT)
         self.outputs = from_file(self.name, self.dictionary, self.node, RECEIVED)
-        holder = next((one for one in self.inputs.values() if one.has(STATUSWORD)), None)
+        holder = next((pdo for pdo in self.inputs.values() if pdo.has(STATUSWORD)), None)
         as_filed = holder is not None and holder.kind == 1
         self.sync = self.pdo == "write" or as_filed if settings.sync is None else settings.sync
-        slowest = max([one.event_ms for one in self.inputs.values()] + [self.event_ms])
+        slowest = max([pdo.event_ms for pdo in self.inputs.values()] + [self.event_ms])
         self.pdo_stale_s = 0.1 if self.sync else max(0.1, 5 * slowest / 1000)
         self.axes = [DriveAxis(self, joint) for joint in self.joints]
         reactions = [ABORT_OPTION + axis.offset for axis in self.axes]
@@ -112,21 +112,21 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
         axes = {axis.offset: axis for axis in self.axes}
         self._readers: dict[str, list[tuple[PdoEntry, DriveAxis, int]]] = {}
         self._takers: dict[int, int] = {}
-        for one in self.inputs.values():
-            for place in one.places:
+        for pdo in self.inputs.values():
+            for place in pdo.places:
                 axis = axes.get(offset_of(place.index))
                 if axis is None or place.subindex:
                     continue
                 index = place.index - axis.offset
-                self._readers.setdefault(f"Tpdo{one.number}", []).append((place, axis, index))
+                self._readers.setdefault(f"Tpdo{pdo.number}", []).append((place, axis, index))
         for axis in self.axes:
             found = {index for readers in self._readers.values() for _, a, index in readers if a is axis}
             for index, names in _SHOWN.items():
                 wholes = {axis.signals[name].name for name in names}
                 self.readable = self.readable | wholes if index in found else self.readable - wholes
-        for one in self.outputs.values():
-            for place in one.places:
-                self._takers.setdefault(place.index, one.number)
+        for pdo in self.outputs.values():
+            for place in pdo.places:
+                self._takers.setdefault(place.index, pdo.number)
 
     def polls_of(self, name: str) -> list[Poll]:
         """Sync has all that is in PDOs sent, where the node waits for it."""
@@ -149,7 +149,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
         if on:
             self.host.postpone(self, "Sync", LONG_S)
             return
-        holder = next((n for n, one in self.inputs.items() if one.has(STATUSWORD)), 1)
+        holder = next((n for n, pdo in self.inputs.items() if pdo.has(STATUSWORD)), 1)
         for slot in self.host.slots:
             if slot.device is self:
                 slot.replies = frozenset((f"Tpdo{holder}",))

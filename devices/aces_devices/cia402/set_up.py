@@ -99,9 +99,9 @@ def _check(device: Cia402) -> None:
     help_ = 'settings pdo = "write" makes it so'
     for axis in device.axes:
         holders = [
-            one
-            for one in device.inputs.values()
-            if any(place.index == STATUSWORD + axis.offset for place in one.places)
+            pdo
+            for pdo in device.inputs.values()
+            if any(place.index == STATUSWORD + axis.offset for place in pdo.places)
         ]
         if not holders:
             raise DeviceError(f"{device.name}: no PDO has the statusword of {axis.joint.name}; {help_}")
@@ -159,7 +159,7 @@ def _write_side(device: Cia402, side: tuple[int, int, int], wanted: dict[int, li
         if not wanted.get(number):
             continue
         yield device.sdo.download(objects, 0, b"\0")
-        entries = [one << 16 | SIZES[one - offset_of(one)] for one in wanted[number]]
+        entries = [entry << 16 | SIZES[entry - offset_of(entry)] for entry in wanted[number]]
         for subindex, entry in enumerate(entries, 1):
             yield device.sdo.download(objects, subindex, entry.to_bytes(4, "little"))
         yield device.sdo.download(objects, 0, bytes((len(entries),)))

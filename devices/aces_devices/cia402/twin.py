@@ -57,10 +57,10 @@ class Cia402Twin(CanopenTwin):
             if index < 0x6000 or offset_of(index) != offset:
                 continue
             members = [entry] if hasattr(entry, "data_type") else entry.values()
-            for one in members:
-                value = one.value if one.value is not None else one.default
+            for place in members:
+                value = place.value if place.value is not None else place.default
                 if isinstance(value, int):
-                    key = index - offset if one is entry else (index - offset) << 8 | one.subindex
+                    key = index - offset if place is entry else (index - offset) << 8 | place.subindex
                     found[key] = value
         return found
 
@@ -68,7 +68,7 @@ class Cia402Twin(CanopenTwin):
 
     def in_order(self, places: Sequence[PdoEntry]) -> Iterable[PdoEntry]:
         """Targets before the controlword: a rising bit 4 takes what came with it."""
-        return sorted(places, key=lambda one: one.index - offset_of(one.index) == 0x6040)
+        return sorted(places, key=lambda place: place.index - offset_of(place.index) == 0x6040)
 
     def take_object(self, index: int, subindex: int, value: int, now: int) -> None:
         """Take an object of an axis that was written."""

@@ -143,12 +143,12 @@ class Damiao(MitMotor):
             raise DeviceError(f"{self.name}: its ranges PMAX, VMAX, TMAX are {found}: these are none")
         ranges = whole((found[0], found[1], found[2]))
         if self._filed is not None and any(
-            abs(one - other) > 1e-3 * other for one, other in zip(ranges, self._filed, strict=True)
+            abs(actual - other) > 1e-3 * other for actual, other in zip(ranges, self._filed, strict=True)
         ):
             self.emit_event(
                 "alarm",
-                f"its ranges are {', '.join(f'{one:g}' for one in ranges[:3])}; the robot's file means"
-                f" {', '.join(f'{one:g}' for one in self._filed[:3])}. The motor's count",
+                f"its ranges are {', '.join(f'{number:g}' for number in ranges[:3])}; the robot's file means"
+                f" {', '.join(f'{number:g}' for number in self._filed[:3])}. The motor's count",
             )
         if ranges != self.ranges:
             self.know(ranges)

@@ -84,7 +84,7 @@ class Epoch:
     @property
     def used(self) -> int:
         """Number of satellites that are used."""
-        return sum(one.used for one in self.satellites)
+        return sum(satellite.used for satellite in self.satellites)
 
 
 #: Height of the geoid above the ellipsoid at `USUAL_PLACE` (m).

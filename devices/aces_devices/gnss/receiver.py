@@ -123,18 +123,18 @@ class Receiver(Device):
             height = values["height"]
             values["up"] = None if height is None else height - origin.height
         for name, value in values.items():
-            one = self.signals[f"{self.name}.{name}"]
+            signal = self.signals[f"{self.name}.{name}"]
             if value is None:
-                one.forget()
+                signal.forget()
             else:
-                one.update(value, instant)
+                signal.update(value, instant)
 
     def lost(self) -> None:
         """Forget the position."""
         for name in LOCATED:
-            one = self.signals.get(f"{self.name}.{name}")
-            if one is not None:
-                one.forget()
+            signal = self.signals.get(f"{self.name}.{name}")
+            if signal is not None:
+                signal.forget()
 
 
 def origin_of(settings: ReceiverSettings) -> Origin | None:

@@ -98,7 +98,7 @@ def _gll(epoch: Epoch) -> Iterable[Fields]:
 
 
 def _gsa(epoch: Epoch) -> Iterable[Fields]:
-    used = [one.number for one in epoch.satellites if one.used][:12]
+    used = [satellite.number for satellite in epoch.satellites if satellite.used][:12]
     used_or_not: list[int | None] = [*used, *[None] * (12 - len(used))]
     yield {
         "selection": "automatic",
@@ -116,8 +116,13 @@ def _gsv(epoch: Epoch) -> Iterable[Fields]:
     count = max(1, -(-len(shown) // IN_ONE))
     for number in range(count):
         texts: list[str] = []
-        for one in shown[number * IN_ONE : (number + 1) * IN_ONE]:
-            texts += [f"{one.number:02}", f"{one.elevation:02}", f"{one.azimuth:03}", f"{one.signal:02}"]
+        for satellite in shown[number * IN_ONE : (number + 1) * IN_ONE]:
+            texts += [
+                f"{satellite.number:02}",
+                f"{satellite.elevation:02}",
+                f"{satellite.azimuth:03}",
+                f"{satellite.signal:02}",
+            ]
         yield {
             "talker": "GP",
             "messages": count,

@@ -261,21 +261,21 @@ def _nav_sat(epoch: Epoch) -> dict[str, Any]:
         "satellites": [
             {
                 "system": "gps",
-                "satellite": one.number,
-                "signal": one.signal,
-                "elevation": one.elevation,
-                "azimuth": one.azimuth,
+                "satellite": satellite.number,
+                "signal": satellite.signal,
+                "elevation": satellite.elevation,
+                "azimuth": satellite.azimuth,
                 "residual": 0,
                 "state": {
                     "quality": 7,
-                    "used": int(one.used),
+                    "used": int(satellite.used),
                     "health": "healthy",
                     "differential": 0,
                     "smoothed": 0,
                     "orbit_source": 1,
                 },
             }
-            for one in epoch.satellites
+            for satellite in epoch.satellites
         ],
     }
 

@@ -45,10 +45,11 @@ class ForceTorqueTwin(SensorTwin):
             tilt = self.groups["tilt"] = Axes(3, noise=3.0, hot=1.0)
             tilt.nulled = [0, 1]  # nulling the third would take gravity away
             self.groups["motion"] = Axes(4, noise=3.0, hot=1.0)
-        sensor = next((one for one in self.sensors if one.kind == "force_torque"), None)
+        sensor = next((entry for entry in self.sensors if entry.kind == "force_torque"), None)
         self._signs = sensor.signs if sensor is not None and sensor.signs is not None else (1, 1, 1)
         self._tilt_signs = next(
-            (one.signs for one in self.sensors if one.kind == "tilt" and one.signs is not None), (1, 1, 1)
+            (entry.signs for entry in self.sensors if entry.kind == "tilt" and entry.signs is not None),
+            (1, 1, 1),
         )
         self._rows = _undone(sensor.matrix) if sensor is not None and sensor.matrix is not None else None
 

@@ -26,7 +26,10 @@ class ImuTwin(SensorTwin):
         """Begin with nothing nulled."""
         super().setup()
         self.groups["motion"] = Axes(4, noise=2.0, hot=1.0)
-        signs = next((one.signs for one in self.sensors if one.kind == "imu" and one.signs is not None), None)
+        signs = next(
+            (sensor.signs for sensor in self.sensors if sensor.kind == "imu" and sensor.signs is not None),
+            None,
+        )
         self._signs = signs if signs is not None else (1, 1, 1, 1)
         self._is_old = self.variant.dialect != "D12"
 

@@ -77,7 +77,9 @@ class MotorChannel:
         if own is None:
             return made
         if own.gains is not None:
-            made.kp, made.ki, made.kd = (int(one or 0) for one in (own.gains.kp, own.gains.ki, own.gains.kd))
+            made.kp, made.ki, made.kd = (
+                int(gain or 0) for gain in (own.gains.kp, own.gains.ki, own.gains.kd)
+            )
         home = own.home
         if home is not None:
             made.search_direction = home.direction or made.search_direction

@@ -177,7 +177,7 @@ class HuboMotorTwin(Twin):
             self.reply(current.reply[0], current=[*signed, 0][:2])
             return
         most = {1: 10.23, 2: 10.23, 5: 0.255}.get(self.kind if isinstance(self.kind, int) else 0, 1.02)
-        reported = [min(most, round(one, 3)) for one in amps]
+        reported = [min(most, round(amp, 3)) for amp in amps]
         if self.shape.channels == 5:
             self.repeat(current.reply[0], current=reported)
             return

@@ -58,7 +58,7 @@ class BodyPose:
     def __init__(self, world: World, robot: Robot, build: Build = BUILD) -> None:
         self.world, self.build = world, build
         # Looked up in each update: a board that reboots may register other models.
-        self._names = [[_name(robot, side + one) for one in _LEG] for side in "RL"]
+        self._names = [[_name(robot, side + part) for part in _LEG] for side in "RL"]
         self._at = -HOLD_NS
         self.roll = self.pitch = self.roll_rate = self.pitch_rate = 0.0
         self.feet = {"R": Foot(), "L": Foot()}

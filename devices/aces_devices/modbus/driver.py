@@ -95,21 +95,21 @@ class ModbusDevice(Device):
         #: Until when an answer may come late (ns).
         self._quiet_until = 0
         periods: dict[float, list[ModbusRegister]] = {}
-        for one in self.table.values():
-            if one.entry.access != "write":
-                every = given.every_s if one.entry.every_s is None else one.entry.every_s
-                periods.setdefault(every, []).append(one)
+        for register in self.table.values():
+            if register.entry.access != "write":
+                every = given.every_s if register.entry.every_s is None else register.entry.every_s
+                periods.setdefault(every, []).append(register)
         for every, mine in periods.items():
             for span in stretches(mine):
-                inside = [one for one in mine if _is_in(one, span)]
-                self.spans |= {one.name: span for one in inside}
+                inside = [register for register in mine if _is_in(register, span)]
+                self.spans |= {register.name: span for register in inside}
                 if every:
                     self._span_polls[span] = Poll(
                         *self._question(span), every_s=every, timeout_s=given.timeout_s
                     )
         self.polls = tuple(self._span_polls.values())
-        for one in self.table.values():
-            self._add(one)
+        for register in self.table.values():
+            self._add(register)
         for name in given.stop or {}:
             if name not in self.table or self.table[name].entry.access == "read":
                 raise CallerError(
@@ -118,19 +118,19 @@ class ModbusDevice(Device):
         for name, value in (given.stop or {}).items():
             self.table[name].raw(value)  # raises for what does not fit
 
-    def _add(self, one: ModbusRegister) -> None:
-        entry = one.entry
+    def _add(self, register: ModbusRegister) -> None:
+        entry = register.entry
         every = self.settings.every_s if entry.every_s is None else entry.every_s
         setter: Callable[[Any], None] | None = None
         if entry.access != "read":
-            setter = partial(self._set, one.name)
+            setter = partial(self._set, register.name)
         self.add_signal(
-            one.name,
+            register.name,
             unit=entry.unit,
             setter=setter,
             lower=entry.lower,
             upper=entry.upper,
-            read_from=() if entry.access == "write" else ("Bits" if one.is_bit else "Registers",),
+            read_from=() if entry.access == "write" else ("Bits" if register.is_bit else "Registers",),
             stale_s=max(0.5, 5 * every) if every else 1e9,
             doc=entry.doc,
             source=entry.source,
@@ -184,14 +184,14 @@ class ModbusDevice(Device):
         elif name in ("Registers", "Bits"):
             raw = self._raw_of(record)
             assert raw is not None  # see `receive`
-            for one in self.table.values():
-                span = self.spans.get(one.name)
+            for register in self.table.values():
+                span = self.spans.get(register.name)
                 if span is None or READERS[span[0]] != record.function:
                     continue
-                at = one.entry.address - record.start
-                if at >= 0 and at + one.size <= len(raw):
-                    self.signals[f"{self.name}.{one.name}"].update(
-                        one.value(raw[at : at + one.size]), instant
+                at = register.entry.address - record.start
+                if at >= 0 and at + register.size <= len(raw):
+                    self.signals[f"{self.name}.{register.name}"].update(
+                        register.value(raw[at : at + register.size]), instant
                     )
 
     def _raw_of(self, record: Any) -> list[int] | None:
@@ -223,19 +223,21 @@ class ModbusDevice(Device):
 
         Raises `UnknownNameError`, `CallerError` for what can only be written.
         """
-        one = self._register(name)
-        if one.entry.access == "write":
+        register = self._register(name)
+        if register.entry.access == "write":
             raise CallerError(f"{self.name}: register {name} can only be written")
 
         def steps(job: Job) -> Steps:
-            answer = yield from self._asked(*self._question((one.entry.table, one.entry.address, one.size)))
+            answer = yield from self._asked(
+                *self._question((register.entry.table, register.entry.address, register.size))
+            )
             self._raise_refusal(answer, f"reading {name}")
             raw = self._raw_of(answer)
             if raw is None:
                 raise DeviceError(
                     f"{self.name}: reading {name}: the answer has another size than was asked for"
                 )
-            return one.value(raw)
+            return register.value(raw)
 
         return self.job(f"read {name}", steps)
 
@@ -244,13 +246,13 @@ class ModbusDevice(Device):
 
         Fails with `DeviceError` when it refuses, `NoReplyError` without an answer. Raises `UnknownNameError`, `CallerError`.
         """
-        one = self._register(name)
-        if one.entry.access == "read":
+        register = self._register(name)
+        if register.entry.access == "read":
             raise CallerError(f"{self.name}: register {name} can only be read")
-        raw = one.raw(value)
+        raw = register.raw(value)
 
         def steps(job: Job) -> Steps:
-            answer = yield from self._asked(*self._order(one, raw))
+            answer = yield from self._asked(*self._order(register, raw))
             self._raise_refusal(answer, f"writing {name} = {value!r}")
 
         return self.job(f"write {name}", steps)
@@ -262,12 +264,12 @@ class ModbusDevice(Device):
         return found
 
     def _order(
-        self, one: ModbusRegister, raw: tuple[int, ...]
+        self, register: ModbusRegister, raw: tuple[int, ...]
     ) -> tuple[str, tuple[str, ...], dict[str, Any]]:
-        start = one.entry.address
-        if one.is_bit:
+        start = register.entry.address
+        if register.is_bit:
             return "WriteBit", WRITTEN, {"start": start, "value": "on" if raw[0] else "off"}
-        if one.size == 1 and not self.settings.write_many:
+        if register.size == 1 and not self.settings.write_many:
             return "WriteRegister", WRITTEN, {"start": start, "value": raw[0]}
         return "WriteRegisters", WRITTEN, {"start": start, "count": len(raw), "registers": list(raw)}
 
@@ -290,10 +292,10 @@ class ModbusDevice(Device):
             self._writing[name] = self.lead(f"set {name}", partial(self._write_wanted, name))
 
     def _write_wanted(self, name: str, job: Job) -> Steps:
-        one = self.table[name]
+        register = self.table[name]
         while name in self._wanted:
             value = self._wanted.pop(name)
-            answer = yield from self._asked(*self._order(one, one.raw(value)))
+            answer = yield from self._asked(*self._order(register, register.raw(value)))
             self._raise_refusal(answer, f"setting {name} = {value!r}")
 
     # ------------------------------------------------------------------ stopping
@@ -306,8 +308,8 @@ class ModbusDevice(Device):
             return None
         tickets: list[tuple[str, Ticket, dict[str, Any]]] = []
         for name, value in self.settings.stop.items():
-            one = self.table[name]
-            message, reply, fields = self._order(one, one.raw(value))
+            register = self.table[name]
+            message, reply, fields = self._order(register, register.raw(value))
             ticket = self.send_now(
                 message, reply=reply, timeout_s=self.settings.timeout_s, retries=2, **fields
             )
@@ -334,7 +336,7 @@ class ModbusDevice(Device):
                 else None
             )
         stop = {self.table[name]: value for name, value in self.settings.stop.items()}
-        readable = {one: value for one, value in stop.items() if one.entry.access != "write"}
+        readable = {register: value for register, value in stop.items() if register.entry.access != "write"}
         return self.job("read back", partial(self._stays, readable)) if any(self.timed_out.values()) else None
 
     def _goes_on(self, job: Job) -> Steps:
@@ -342,20 +344,26 @@ class ModbusDevice(Device):
         raise DeviceError(f"{self.name} was set, and its file says no `stop`: what it does, it goes on doing")
 
     def _stays(self, wanted: dict[ModbusRegister, float], job: Job) -> Steps:
-        for one, value in wanted.items():
-            message, reply, fields = self._question((one.entry.table, one.entry.address, one.size))
+        for register, value in wanted.items():
+            message, reply, fields = self._question(
+                (register.entry.table, register.entry.address, register.size)
+            )
             answer = yield self.ask(
                 message, reply=reply, timeout_s=self.settings.timeout_s, retries=1, confirms=True, **fields
             )
-            self._raise_refusal(answer, f"reading {one.name}")
+            self._raise_refusal(answer, f"reading {register.name}")
             raw = self._raw_of(answer)
-            if raw is None or tuple(raw) != tuple(one.raw(value)):
-                raise DeviceError(f"{self.name}: stopping by {one.name}: it has not stayed {value:g}")
+            if raw is None or tuple(raw) != tuple(register.raw(value)):
+                raise DeviceError(f"{self.name}: stopping by {register.name}: it has not stayed {value:g}")
 
 
-def _is_in(one: ModbusRegister, span: tuple[str, int, int]) -> bool:
+def _is_in(register: ModbusRegister, span: tuple[str, int, int]) -> bool:
     table, start, count = span
-    return one.entry.table == table and start <= one.addresses.start and one.addresses.stop <= start + count
+    return (
+        register.entry.table == table
+        and start <= register.addresses.start
+        and register.addresses.stop <= start + count
+    )
 
 
 EXAMPLE = """

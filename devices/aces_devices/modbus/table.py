@@ -117,9 +117,9 @@ def stretches(registers: Iterable[ModbusRegister]) -> list[tuple[str, int, int]]
     [('holding', 0, 3), ('holding', 9, 1)]
     """
     found: list[tuple[str, int, int]] = []
-    for one in sorted(registers, key=lambda one: (one.entry.table, one.entry.address)):
-        table, first, end = one.entry.table, one.addresses.start, one.addresses.stop
-        most = MOST_BITS if one.is_bit else MOST_REGISTERS
+    for register in sorted(registers, key=lambda register: (register.entry.table, register.entry.address)):
+        table, first, end = register.entry.table, register.addresses.start, register.addresses.stop
+        most = MOST_BITS if register.is_bit else MOST_REGISTERS
         if (
             found
             and found[-1][0] == table

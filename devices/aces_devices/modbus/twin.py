@@ -33,10 +33,10 @@ class ModbusTwin(Twin):
         )
         self.numbers: dict[str, dict[int, int]] = {table: {} for table in READERS}
         self.writable: dict[str, set[int]] = {table: set() for table in READERS}
-        for one in self.table.values():
-            self.numbers[one.entry.table] |= dict.fromkeys(one.addresses, 0)
-            if one.entry.access != "read":
-                self.writable[one.entry.table].update(one.addresses)
+        for register in self.table.values():
+            self.numbers[register.entry.table] |= dict.fromkeys(register.addresses, 0)
+            if register.entry.access != "read":
+                self.writable[register.entry.table].update(register.addresses)
 
     def _register(self, name: str) -> ModbusRegister:
         if name not in self.table:
@@ -45,14 +45,14 @@ class ModbusTwin(Twin):
 
     def put(self, name: str, value: Any) -> None:
         """Have a register's value, in its unit. Raises `UnknownNameError`, `CallerError` for what does not fit."""
-        one = self._register(name)
-        self.numbers[one.entry.table].update(zip(one.addresses, one.raw(value), strict=True))
+        register = self._register(name)
+        self.numbers[register.entry.table].update(zip(register.addresses, register.raw(value), strict=True))
 
     def take(self, name: str) -> Any:
         """Return a register's value, in its unit. Raises `UnknownNameError`."""
-        one = self._register(name)
-        kept = self.numbers[one.entry.table]
-        return one.value([kept[address] for address in one.addresses])
+        register = self._register(name)
+        kept = self.numbers[register.entry.table]
+        return register.value([kept[address] for address in register.addresses])
 
     # ------------------------------------------------------------------ reading
 
@@ -156,9 +156,9 @@ class ModbusTwin(Twin):
             self._refuse(request, function, "busy")
         else:
             self.numbers[table] |= given
-            for one in self.table.values():
-                if one.entry.table == table and not given.keys().isdisjoint(one.addresses):
-                    self.was_set(one.name)
+            for register in self.table.values():
+                if register.entry.table == table and not given.keys().isdisjoint(register.addresses):
+                    self.was_set(register.name)
             return True
         return False
 

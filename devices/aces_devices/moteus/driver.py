@@ -150,7 +150,7 @@ class Moteus(Device):
         self.takes_set_points = False
         self.alarms: frozenset[str] = frozenset()
         queries = [
-            {"subframes": [{"kind": kind, "data": names} for kind, names in one]} for one in (STATE, SLOW)
+            {"subframes": [{"kind": kind, "data": names} for kind, names in group]} for group in (STATE, SLOW)
         ]
         self.polls = (Poll("Query", REPLIES, queries[0]), Poll("Query", REPLIES, queries[1], every_s=SLOW_S))
         self._signals(joint.name if joint else self.name)
@@ -252,11 +252,13 @@ class Moteus(Device):
 
     def received(self, record: Any, instant: int) -> None:
         """Values of registers; what is not a number is not known."""
-        for one in record.subframes:
-            if one.reason is not None:
-                self.emit_event("malformed", f"a sub-frame of its answer is {one.reason}")
-            elif one.kind == "read_error":
-                self.emit_event("malformed", f"it cannot read {one.data.register}: error {one.data.error}")
+        for subframe in record.subframes:
+            if subframe.reason is not None:
+                self.emit_event("malformed", f"a sub-frame of its answer is {subframe.reason}")
+            elif subframe.kind == "read_error":
+                self.emit_event(
+                    "malformed", f"it cannot read {subframe.data.register}: error {subframe.data.error}"
+                )
         values = register_values(record.subframes)
         for name, (target, to_si) in self.known.items():
             value = values.get(name)

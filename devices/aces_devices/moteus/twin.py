@@ -144,12 +144,14 @@ class MoteusTwin(Twin):
         self._sync()
         # An error is what a controller answers; sent to one, it asks for nothing.
         reads = [
-            one
-            for one in request.subframes
-            if str(one.kind).startswith("read_") and one.kind != "read_error" and one.reason is None
+            subframe
+            for subframe in request.subframes
+            if str(subframe.kind).startswith("read_")
+            and subframe.kind != "read_error"
+            and subframe.reason is None
         ]
-        items = [item for one in reads for item in self._answers(str(one.kind).split("_")[1], one.data)]
-        if sum(len(one.data) for one in reads) > SURE:
+        items = [item for read in reads for item in self._answers(str(read.kind).split("_")[1], read.data)]
+        if sum(len(read.data) for read in reads) > SURE:
             while len(bytes_of(items)) > FD_LENGTHS[-1]:
                 items.pop()  # a frame has no room for more
         self.reply("Reply" if self.credentials["id"] < 8 else "ReplyExtended", subframes=items)

@@ -97,10 +97,10 @@ class Obd2(Device):
                 raise UnknownNameError(f"value of {self.name}", name, VALUES)
             unit, _, _ = SI.get(sheet := getattr(VALUES[name][1], "unit", ""), (sheet, 1.0, 0.0))
             shown = f"{name.replace('_', ' ')}{', 0 to 1' if sheet == '%' else ''}"
-            for one in ("codes", "lamp") if name == "monitor_status" else (name,):
-                doc = {"codes": "number of stored codes", "lamp": "the warning lamp is on"}.get(one, shown)
+            for part in ("codes", "lamp") if name == "monitor_status" else (name,):
+                doc = {"codes": "number of stored codes", "lamp": "the warning lamp is on"}.get(part, shown)
                 self.add_signal(
-                    one, unit=unit, read_from=("Live",), stale_s=stale_s, doc=doc, source="SAE J1979"
+                    part, unit=unit, read_from=("Live",), stale_s=stale_s, doc=doc, source="SAE J1979"
                 )
 
     def received(self, record: Any, instant: int) -> None:

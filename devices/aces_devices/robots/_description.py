@@ -185,9 +185,9 @@ class RobotDescription:
     def names(self) -> dict[str, str]:
         """Return the joints' names and aliases, each with the name here."""
         return {
-            one: name
+            alias: name
             for name, joint in self.content["joints"].items()
-            for one in (name, *joint.get("aliases", ()))
+            for alias in (name, *joint.get("aliases", ()))
         }
 
     def add_sensor(
@@ -208,7 +208,7 @@ class RobotDescription:
         before = devices.get(board, {"bus": bus, "active": False})
         if before["bus"] != bus:
             self.complain(line, "can", f"sensor {number} is on the {before['bus']} bus already")
-        kinds = {kind} | {one["kind"] for one in sensors.values() if one["device"] == board}
+        kinds = {kind} | {sensor["kind"] for sensor in sensors.values() if sensor["device"] == board}
         is_foot = "tilt" in kinds or number in (1, 2)
         devices[board] = {
             "driver": "hubo_imu" if "imu" in kinds else "hubo_ft",

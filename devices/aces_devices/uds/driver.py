@@ -79,7 +79,7 @@ class Uds(Device):
                 f"{self.name}: the setting level = {given.level} is even; seeds are asked for with an odd one"
             )
         self.table = identifiers_of(self.name, given.table, given.identifiers)
-        self.by_number = {one.number: one for one in self.table.values()}
+        self.by_number = {entry.number: entry for entry in self.table.values()}
         self.session = "default"
         self.unlocked = 0
         self.patience_s = PATIENCE_S
@@ -102,30 +102,30 @@ class Uds(Device):
     def _declare_values(self) -> None:
         given = self.settings
         periods: dict[float, list[UdsValue]] = {}
-        for one in self.table.values():
-            every = given.every_s if one.entry.every_s is None else one.entry.every_s
-            is_read = one.entry.access != "write"
+        for value in self.table.values():
+            every = given.every_s if value.entry.every_s is None else value.entry.every_s
+            is_read = value.entry.access != "write"
             if is_read:
-                periods.setdefault(every, []).append(one)
+                periods.setdefault(every, []).append(value)
             self.add_signal(
-                one.name,
-                unit=one.entry.unit,
-                setter=None if one.entry.access == "read" else partial(self._set, one.name),
-                lower=one.entry.lower,
-                upper=one.entry.upper,
+                value.name,
+                unit=value.entry.unit,
+                setter=None if value.entry.access == "read" else partial(self._set, value.name),
+                lower=value.entry.lower,
+                upper=value.entry.upper,
                 read_from=("Data",) if is_read else (),
                 stale_s=max(0.5, 5 * every) if every else 1e9,
-                doc=one.entry.doc,
-                source=one.entry.source,
+                doc=value.entry.doc,
+                source=value.entry.source,
             )
         for every, mine in periods.items():
             for at in range(0, len(mine) if every else 0, given.at_once):
                 asked = mine[at : at + given.at_once]
-                numbers = {"identifiers": [one.number for one in asked]}
+                numbers = {"identifiers": [value.number for value in asked]}
                 poll = Poll(
                     "ReadData", ("Data", "Refused"), numbers, every_s=every, timeout_s=given.timeout_s
                 )
-                self._value_polls |= dict.fromkeys((one.name for one in asked), poll)
+                self._value_polls |= dict.fromkeys((entry.name for entry in asked), poll)
 
     def _codes_poll(self, every_s: float) -> Poll:
         known: dict[str, Any] = {
@@ -147,8 +147,8 @@ class Uds(Device):
 
     def start(self) -> Job | None:
         """Read what is read once."""
-        unread = (one for one in self.table.values() if one.entry.access != "write")
-        once = [one.name for one in unread if one.name not in self._value_polls]
+        unread = (entry for entry in self.table.values() if entry.entry.access != "write")
+        once = [entry.name for entry in unread if entry.name not in self._value_polls]
         if not once:
             return None
 
@@ -167,9 +167,9 @@ class Uds(Device):
             self.last_received = instant
             self.host.prolong(self, self.patience_s)
             return
-        asked = next((one for one in self.awaiting if is_answer(record, one)), None)
+        asked = next((ticket for ticket in self.awaiting if is_answer(record, ticket)), None)
         if asked is None:
-            is_awaited = any(name in one.reply for one in self.awaiting)
+            is_awaited = any(name in ticket.reply for ticket in self.awaiting)
             if is_awaited or (name == "Session" and not self.host.passive):
                 self.last_received = instant
                 self.emit_event("late reply", f"{late_text(record)}, which nothing asks for now")
@@ -180,7 +180,7 @@ class Uds(Device):
             self.awaiting.remove(asked)
             self.awaiting.insert(0, asked)
         if name == "Codes" and asked is not None and asked.poll is not None:
-            confirmed = [str(one.code) for one in record.codes]
+            confirmed = [str(code.code) for code in record.codes]
             self._codes.update(len(confirmed), instant)
             self._trouble.update(", ".join(confirmed) or "none", instant)
         super().receive(record, instant)
@@ -211,16 +211,16 @@ class Uds(Device):
     def _take(self, data: bytes, instant: int) -> None:
         """Update signals from identifiers and values, as far as the table knows them."""
         while len(data) >= 2:
-            one = self.by_number.get(int.from_bytes(data[:2], "big"))
-            if one is None:
+            value = self.by_number.get(int.from_bytes(data[:2], "big"))
+            if value is None:
                 return
-            inside, data = data[2 : 2 + one.size], data[2 + one.size :]
-            if len(inside) < one.size or (len(data) == 1):
+            inside, data = data[2 : 2 + value.size], data[2 + value.size :]
+            if len(inside) < value.size or (len(data) == 1):
                 self.emit_event(
-                    "malformed", f"{one.name}: {len(inside) + len(data)} bytes, its type has {one.size}"
+                    "malformed", f"{value.name}: {len(inside) + len(data)} bytes, its type has {value.size}"
                 )
                 return
-            self.signals[f"{self.name}.{one.name}"].update(one.value(inside), instant)
+            self.signals[f"{self.name}.{value.name}"].update(value.value(inside), instant)
 
     def _begun(self, session: str) -> None:
         """Note that another session may have begun, in which nothing is unlocked; keep a session that is not
@@ -293,16 +293,18 @@ class Uds(Device):
 
         Raises `UnknownNameError`.
         """
-        one = self._value(name)
+        entry = self._value(name)
 
         def steps(job: Job) -> Steps:
             answer = yield from self._asked(
-                f"reading {name}", "ReadData", "Data", retries=1, identifiers=[one.number]
+                f"reading {name}", "ReadData", "Data", retries=1, identifiers=[entry.number]
             )
             data = answer.meta.raw[3:]
-            if len(data) != one.size:
-                raise DeviceError(f"{self.name}: reading {name}: {len(data)} bytes, its type has {one.size}")
-            return one.value(data)
+            if len(data) != entry.size:
+                raise DeviceError(
+                    f"{self.name}: reading {name}: {len(data)} bytes, its type has {entry.size}"
+                )
+            return entry.value(data)
 
         return self.job(f"read {name}", steps)
 
@@ -313,7 +315,7 @@ class Uds(Device):
 
         def steps(job: Job) -> Steps:
             answer = yield from self._asked("reading codes", *asks, retries=1, **fields)
-            return {str(one.code): list(one.status) for one in answer.codes}
+            return {str(code.code): list(code.status) for code in answer.codes}
 
         return self.job("read codes", steps)
 
@@ -374,15 +376,15 @@ class Uds(Device):
         Fails with `DeviceError`, `NoReplyError`. Raises `UnknownNameError`, and `CallerError` for one that does not fit, or
         can only be read.
         """
-        one = self._value(name)
-        if one.entry.access == "read":
+        entry = self._value(name)
+        if entry.entry.access == "read":
             raise CallerError(f"{self.name}: {name} can only be read")
-        data = one.data(value)
+        data = entry.data(value)
 
         def steps(job: Job) -> Steps:
             doing = f"writing {name} = {value!r}"
             yield from self._ready()
-            yield from self._asked(doing, "WriteData", "DataWritten", identifier=one.number, data=data)
+            yield from self._asked(doing, "WriteData", "DataWritten", identifier=entry.number, data=data)
 
         return self.lead(f"write {name}", steps)
 

@@ -83,10 +83,10 @@ def identifiers_of(who: str, table: str | None, own: Mapping[str, Any]) -> dict[
         except (msgspec.ValidationError, CallerError) as error:
             raise CallerError(f"{who}: value {name}: {error}") from None
     numbers: dict[int, str] = {}
-    for one in found.values():
-        if one.number in numbers:
+    for entry in found.values():
+        if entry.number in numbers:
             raise CallerError(
-                f"{who}: {numbers[one.number]} and {one.name} have the same identifier, {one.number:#06x}"
+                f"{who}: {numbers[entry.number]} and {entry.name} have the same identifier, {entry.number:#06x}"
             )
-        numbers[one.number] = one.name
+        numbers[entry.number] = entry.name
     return found

@@ -85,11 +85,13 @@ class UdsTwin(Twin):
         self.ecu = ecu_of(self.world, self.config)
         self.session = "default"
         self.table = identifiers_of(self.name, settings.get("table"), settings.get("identifiers", {}))
-        self.by_number = {one.number: one for one in self.table.values()}
+        self.by_number = {entry.number: entry for entry in self.table.values()}
         if "data" not in self.__dict__:
             self.data = {
-                one.number: (self._standard(one.number) or bytes(one.size))[: one.size].ljust(one.size, b"\0")
-                for one in self.table.values()
+                entry.number: (self._standard(entry.number) or bytes(entry.size))[: entry.size].ljust(
+                    entry.size, b"\0"
+                )
+                for entry in self.table.values()
             }
             self.memory = bytearray(MEMORY_SIZE)
         self.level = int(settings.get("level", 0))
@@ -112,13 +114,13 @@ class UdsTwin(Twin):
 
     def put(self, name: str, value: Any) -> None:
         """Have a value, in its unit. Raises `UnknownNameError`, `CallerError` for what does not fit."""
-        one = self._value(name)
-        self.data[one.number] = one.data(value)
+        entry = self._value(name)
+        self.data[entry.number] = entry.data(value)
 
     def take(self, name: str) -> Any:
         """Return a value, in its unit. Raises `UnknownNameError`."""
-        one = self._value(name)
-        return one.value(self.data[one.number])
+        entry = self._value(name)
+        return entry.value(self.data[entry.number])
 
     # ------------------------------------------------------------------ every request
 
@@ -256,9 +258,9 @@ class UdsTwin(Twin):
 
     def _data(self, number: int) -> bytes | None:
         """Return the bytes of a value: of the table's, else of the standard's; None: it has none."""
-        one = self.by_number.get(number)
-        if one is not None:
-            return self.data[number] if one.entry.access != "write" else None
+        entry = self.by_number.get(number)
+        if entry is not None:
+            return self.data[number] if entry.entry.access != "write" else None
         return self._standard(number)
 
     def _standard(self, number: int) -> bytes | None:
@@ -276,7 +278,9 @@ class UdsTwin(Twin):
 
     def _read(self, request: Any) -> tuple[str, dict[str, Any]]:
         found = [(number, self._data(number)) for number in request.identifiers]
-        data = b"".join(number.to_bytes(2, "big") + one for number, one in found if one is not None)
+        data = b"".join(
+            number.to_bytes(2, "big") + content for number, content in found if content is not None
+        )
         if not request.identifiers:
             raise UdsRefusal("incorrect_length")
         if not data:
@@ -284,20 +288,20 @@ class UdsTwin(Twin):
         return "Data", {"values": [{"kind": None, "data": data}]}
 
     def _write(self, request: Any) -> tuple[str, dict[str, Any]]:
-        one = self.by_number.get(request.identifier)
-        if one is None or one.entry.access == "read":
+        entry = self.by_number.get(request.identifier)
+        if entry is None or entry.entry.access == "read":
             raise UdsRefusal("out_of_range")
         self._need_level()
-        if len(request.data) != one.size:
+        if len(request.data) != entry.size:
             raise UdsRefusal("incorrect_length")
-        value = one.value(request.data)
-        low, high = one.entry.lower, one.entry.upper
+        value = entry.value(request.data)
+        low, high = entry.entry.lower, entry.entry.upper
         if isinstance(value, int | float) and not (-inf if low is None else low) <= value <= (
             inf if high is None else high
         ):
             raise UdsRefusal("out_of_range")
-        self.data[one.number] = request.data
-        return "DataWritten", {"identifier": one.number}
+        self.data[entry.number] = request.data
+        return "DataWritten", {"identifier": entry.number}
 
     # ------------------------------------------------------------------ routines and downloads
 
@@ -361,9 +365,9 @@ class UdsTwin(Twin):
                 return "CodeCount", {**every, "format": 1, "count": count}
             case "ReadCodes":
                 names = self.ecu.with_status(list(request.status))
-                return "Codes", {**every, "codes": [_code(one, codes[one]) for one in names]}
+                return "Codes", {**every, "codes": [_code(code, codes[code]) for code in names]}
             case "ReadKnownCodes":
-                return "KnownCodes", {**every, "codes": [_code(one, codes[one]) for one in sorted(codes)]}
+                return "KnownCodes", {**every, "codes": [_code(code, codes[code]) for code in sorted(codes)]}
             case _:
                 if request.group != 0xFFFFFF:
                     raise UdsRefusal("out_of_range")

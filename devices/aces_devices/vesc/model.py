@@ -79,7 +79,7 @@ class VescModel:
     def fault_name(self) -> str:
         """The fault that it reports."""
         number = round(self.faults.get("trip", 0))
-        return next((name for name, one in FAULTS.items() if one == number), "none")
+        return next((name for name, fault in FAULTS.items() if fault == number), "none")
 
     def lead(self) -> None:
         """Have the motor do what the last set-point said."""

@@ -173,8 +173,8 @@ _ALL = [
     Quantum(0x158, "uuid_mask_capable"),
 ]
 #: The registers by number and by name.
-BY_NUMBER: dict[int, Quantum] = {one.number: one for one in _ALL}
-BY_NAME: dict[str, Quantum] = {one.name: one for one in _ALL}
+BY_NUMBER: dict[int, Quantum] = {quantum.number: quantum for quantum in _ALL}
+BY_NAME: dict[str, Quantum] = {quantum.name: quantum for quantum in _ALL}
 
 
 def register_at(number: int) -> Quantum:

@@ -98,10 +98,10 @@ def varuint(number: int) -> bytes:
 def register_values(subframes: Iterable[Any]) -> dict[str, Any]:
     """Return the values by name of the registers that a record's sub-frames write or answer; the last one counts."""
     found: dict[str, Any] = {}
-    for one in subframes:
-        if one.reason is None and str(one.kind).partition("_")[0] in ("write", "reply"):
-            if hasattr(one.data, "__struct_fields__"):
-                found.update((name, getattr(one.data, name)) for name in one.data.__struct_fields__)
+    for subframe in subframes:
+        if subframe.reason is None and str(subframe.kind).partition("_")[0] in ("write", "reply"):
+            if hasattr(subframe.data, "__struct_fields__"):
+                found.update((name, getattr(subframe.data, name)) for name in subframe.data.__struct_fields__)
     return found
 
 
@@ -109,7 +109,8 @@ class Subframes(ItemList):
     """The sub-frames of a frame, see above. Built, they are filled up with `nop` to a length that CAN FD has."""
 
     values: ClassVar = {
-        one.name: (one.number, one.unit, None if one.measure else one.names) for one in BY_NUMBER.values()
+        quantum.name: (quantum.number, quantum.unit, None if quantum.measure else quantum.names)
+        for quantum in BY_NUMBER.values()
     }
 
     # ------------------------------------------------------------------ reading
@@ -198,18 +199,20 @@ def _read_registers(reader: _Reader, tag: int, operation: str, raw: bool) -> c.C
         )
     registers = [register_at(first + n) for n in range(count)]
     if operation == "read":
-        return c.Container(kind=name, data=c.ListContainer(one.name for one in registers), reason=None)
+        return c.Container(
+            kind=name, data=c.ListContainer(register.name for register in registers), reason=None
+        )
     values = c.Container()
     width = _WIDTHS[kind]
     numbers = struct.unpack(f"<{count}{TYPES[kind][1]}", reader.take(count * width))
-    for place, (one, number) in enumerate(zip(registers, numbers, strict=True)):
+    for place, (register, number) in enumerate(zip(registers, numbers, strict=True)):
         if kind == "f32" and (
-            number != number or (one.names and number == 0)
+            number != number or (register.names and number == 0)
         ):  # a signalling NaN, or -0 with a name
             at = reader.at - (count - place) * width
             same = struct.pack("<f", 0.0 if number == 0 else number)
             reader.is_plain &= same == reader.data[at : at + width]
-        values[one.name] = number if raw else _physical(one, kind, number)
+        values[register.name] = number if raw else _physical(register, kind, number)
     return c.Container(kind=name, data=values, reason=None)
 
 
@@ -281,18 +284,18 @@ def _built_registers(operation: str, kind: str, long: bool, data: Any, path: str
     count = len(registers)
     if count > MOST or (not count and not long):
         raise FieldError(f"{path}: {count} registers in one sub-frame")
-    for one, two in pairwise(registers):
-        if two.number != one.number + 1:
+    for register, two in pairwise(registers):
+        if two.number != register.number + 1:
             raise FieldError(
-                f"{path}: {two.name} does not follow {one.name}; what one sub-frame has follows by number, start another"
+                f"{path}: {two.name} does not follow {register.name}; a sub-frame has consecutive registers: start another"
             )
     code = OPERATIONS[operation] | list(TYPES).index(kind) << 2
     out = bytearray((code,)) + varuint(count) if long or count > 3 else bytearray((code | count,))
     if count:
         out += varuint(registers[0].number)
     if isinstance(data, Mapping):
-        for one, value in zip(registers, data.values(), strict=True):
-            out += _number(one, kind, value, f"{path}.{one.name}", raw)
+        for register, value in zip(registers, data.values(), strict=True):
+            out += _number(register, kind, value, f"{path}.{register.name}", raw)
     return bytes(out)
 
 

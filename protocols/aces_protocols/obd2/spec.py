@@ -40,7 +40,7 @@ def _asks(
     shared: dict[str, Any] = {
         "direction": "to device", "payload": Struct(Const(service, Byte), *fields), "source": source,
     }  # fmt: skip
-    one = obd2.message(name, transport=ONE_ECU, doc=doc, examples=examples, **shared)
+    message = obd2.message(name, transport=ONE_ECU, doc=doc, examples=examples, **shared)
     everyone = obd2.message(
         f"{name}All",
         transport=ALL_ECUS,
@@ -49,7 +49,7 @@ def _asks(
         examples=for_all(examples),
         **shared,
     )
-    return one, everyone
+    return message, everyone
 
 
 def _says(

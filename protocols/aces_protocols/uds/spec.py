@@ -93,18 +93,18 @@ def _asks(
     fields: dict[str, Any] = {"match": {"service": service, **match}}
     if payload is not None:
         fields["payload"] = payload
-    SERVICE_OF[name] = next(one for one, number in SERVICES.items() if number == service)
-    one = uds.family(transport=ONE_ECU, overrides="Other", **known)(
+    SERVICE_OF[name] = next(service_name for service_name, number in SERVICES.items() if number == service)
+    message = uds.family(transport=ONE_ECU, overrides="Other", **known)(
         name, doc=doc, examples=examples, **fields
     )
-    _ASKED.append(one)
+    _ASKED.append(message)
     if not to_all:
-        return (one,)
+        return (message,)
     everyone = uds.family(transport=ALL_ECUS, id=ALL, overrides="OtherAll", **known)(
         f"{name}All", doc=f"{name} of all ECUs.", examples=for_all(examples), **fields
     )
     _ASKED.append(everyone)
-    return one, everyone
+    return message, everyone
 
 
 def _says(name: str, service: int, *fields: Construct, to: tuple[Any, ...], **more: Any) -> None:

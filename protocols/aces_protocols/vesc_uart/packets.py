@@ -45,5 +45,5 @@ class PacketReader:
 
     def read(self, packet: bytes) -> Any:
         """Return the record of a packet."""
-        found = [one for one in self._scanner.feed(framed(packet)) if not isinstance(one, Unknown)]
+        found = [record for record in self._scanner.feed(framed(packet)) if not isinstance(record, Unknown)]
         return found[0] if found else None

@@ -49,29 +49,29 @@ def _plain(text: str) -> str:
 
 def _rows(messages: Sequence[MessageBudget]) -> list[tuple[str, list[MessageBudget]]]:
     rows: dict[tuple[str, bool], list[MessageBudget]] = {}
-    for one in messages:
-        rows.setdefault((one.sent.message, one.sent.node == "host"), []).append(one)
+    for message in messages:
+        rows.setdefault((message.sent.message, message.sent.node == "host"), []).append(message)
     return [(name, some) for (name, _), some in rows.items()]
 
 
 def _draw(axis: Any, bus: BusBudget, rows: Sequence[tuple[str, list[MessageBudget]]]) -> None:
     tick = bus.traffic.tick_ns / 1e6
-    latest = [one.response_ns / 1e6 for one in bus.messages if one.response_ns is not None]
-    is_ticked = any(one.sent.is_ticked for one in bus.messages)
+    latest = [message.response_ns / 1e6 for message in bus.messages if message.response_ns is not None]
+    is_ticked = any(message.sent.is_ticked for message in bus.messages)
     right = 1.04 * max([*latest, tick] if is_ticked else latest, default=tick)
     for number, (_, some) in enumerate(rows):
-        for one in some:
-            if one.response_ns is None:
+        for message in some:
+            if message.response_ns is None:
                 axis.plot([right * 0.99], [number], "x", color=MISSED, clip_on=False)
                 continue
-            kind = HOST if one.sent.node == "host" else ANSWER if one.sent.is_ticked else ALONE
-            end, length = one.response_ns / 1e6, one.wire_ns / 1e6
+            kind = HOST if message.sent.node == "host" else ANSWER if message.sent.is_ticked else ALONE
+            end, length = message.response_ns / 1e6, message.wire_ns / 1e6
             axis.barh(
                 number,
                 length,
                 left=end - length,
                 height=0.7,
-                color=kind if one.is_met else MISSED,
+                color=kind if message.is_met else MISSED,
                 edgecolor="white",
                 linewidth=0.4,
             )
@@ -89,7 +89,9 @@ def _draw(axis: Any, bus: BusBudget, rows: Sequence[tuple[str, list[MessageBudge
     axis.set_title(
         _plain(f"{bus.traffic.name}: {bus.utilisation:.0%} used, {verdict}"), loc="left", fontsize=9
     )
-    seen = {one.sent.node == "host" or (None if one.sent.is_ticked else False) for one in bus.messages}
+    seen = {
+        message.sent.node == "host" or (None if message.sent.is_ticked else False) for message in bus.messages
+    }
     handles = [
         axis.barh([0], [0], color=colour, label=label)
         for key, colour, label in (

@@ -73,22 +73,22 @@ def response_times(messages: MessageSet) -> dict[str, ResponseTime]:
             if not messages.is_fifo(message):
                 found[message.name] = _of_priority(messages, message, queued)
                 continue
-            one = _of_fifo(messages, message, queued)
-            delay = LONGEST_NS if one.response_ns is None else one.response_ns - message.wire_ns
+            result = _of_fifo(messages, message, queued)
+            delay = LONGEST_NS if result.response_ns is None else result.response_ns - message.wire_ns
             if delay > most or (turn > MOST_TURNS and delay != queued[message.name]):
                 # Queues that drive one another up: there is no bound for them.
-                one, delay = replace(one, response_ns=None, busy_ns=None, instance=0), LONGEST_NS
-            found[message.name], later[message.name] = one, delay
+                result, delay = replace(result, response_ns=None, busy_ns=None, instance=0), LONGEST_NS
+            found[message.name], later[message.name] = result, delay
     return found
 
 
 def _is_overloaded(messages: MessageSet, some: Sequence[BusMessage], blocking_ns: int) -> bool:
     """Return whether a busy period of these need not end."""
-    load = sum((Fraction(one.wire_ns, one.period_ns) for one in some), Fraction())
+    load = sum((Fraction(message.wire_ns, message.period_ns) for message in some), Fraction())
     if messages.errors.burst:
-        longest = max(one.wire_ns for one in some)
+        longest = max(message.wire_ns for message in some)
         load += Fraction(ERROR_BITS * messages.bit_ns + longest, messages.errors.every_ns)
-    is_delayed = blocking_ns or messages.errors.burst or any(one.jitter_ns for one in some)
+    is_delayed = blocking_ns or messages.errors.burst or any(message.jitter_ns for message in some)
     return load > 1 or (load == 1 and bool(is_delayed))
 
 
@@ -112,16 +112,18 @@ def _count(window_ns: int, jitter_ns: int, period_ns: int) -> int:
 
 def _of_priority(messages: MessageSet, message: BusMessage, queued: dict[str, int]) -> ResponseTime:
     """Return the revised analysis of 2007. Messages of the same priority are taken to go first."""
-    above = [one for one in messages.messages if one is not message and one.priority <= message.priority]
-    below = [one for one in messages.messages if one.priority > message.priority]
+    above = [
+        other for other in messages.messages if other is not message and other.priority <= message.priority
+    ]
+    below = [other for other in messages.messages if other.priority > message.priority]
     wire, period, jitter = message.wire_ns, message.period_ns, queued[message.name]
-    blocking = max((one.wire_ns for one in below), default=0)
+    blocking = max((other.wire_ns for other in below), default=0)
     if _is_overloaded(messages, [message, *above], blocking) or any(
-        queued[one.name] >= LONGEST_NS for one in above
+        queued[other.name] >= LONGEST_NS for other in above
     ):
         return ResponseTime(message, None, blocking, None)
-    again = [wire, *(one.wire_ns for one in above)]
-    level = [(one.wire_ns, queued[one.name], one.period_ns) for one in above]
+    again = [wire, *(other.wire_ns for other in above)]
+    level = [(other.wire_ns, queued[other.name], other.period_ns) for other in above]
     bit = messages.bit_ns
 
     def busy_until(now: int) -> int:
@@ -151,21 +153,21 @@ def _of_priority(messages: MessageSet, message: BusMessage, queued: dict[str, in
 
 def _of_fifo(messages: MessageSet, message: BusMessage, queued: dict[str, int]) -> ResponseTime:
     """Return a message that waits behind all that its node has queued before."""
-    mine = [one for one in messages.messages if one.node == message.node]
-    lowest = max(one.priority for one in mine)
-    above = [one for one in messages.messages if one.node != message.node and one.priority <= lowest]
-    below = [one for one in messages.messages if one.node != message.node and one.priority > lowest]
-    blocking = max((one.wire_ns for one in below), default=0)
+    mine = [other for other in messages.messages if other.node == message.node]
+    lowest = max(other.priority for other in mine)
+    above = [other for other in messages.messages if other.node != message.node and other.priority <= lowest]
+    below = [other for other in messages.messages if other.node != message.node and other.priority > lowest]
+    blocking = max((other.wire_ns for other in below), default=0)
     if _is_overloaded(messages, [*mine, *above], blocking) or any(
-        queued[one.name] >= LONGEST_NS for one in above
+        queued[other.name] >= LONGEST_NS for other in above
     ):
         return ResponseTime(message, None, blocking, None)
-    again = [one.wire_ns for one in (*mine, *above)]
-    level = [(one.wire_ns, queued[one.name], one.period_ns) for one in above]
+    again = [other.wire_ns for other in (*mine, *above)]
+    level = [(other.wire_ns, queued[other.name], other.period_ns) for other in above]
     bit = messages.bit_ns
 
     def busy_until(now: int) -> int:
-        own = sum(_count(now, one.jitter_ns, one.period_ns) * one.wire_ns for one in mine)
+        own = sum(_count(now, other.jitter_ns, other.period_ns) * other.wire_ns for other in mine)
         more = sum(_count(now, late, every) * long for long, late, every in level)
         return messages.error_ns(now, again) + blocking + own + more
 
@@ -174,16 +176,16 @@ def _of_fifo(messages: MessageSet, message: BusMessage, queued: dict[str, int]) 
         return ResponseTime(message, None, blocking, None)
     # What was queued by an instant changes at the begin of periods; the wait is longest just then.
     instants = {0}
-    for one in mine:
-        first = max(1, -(-one.jitter_ns // one.period_ns))
-        last = (busy + one.jitter_ns) // one.period_ns
+    for other in mine:
+        first = max(1, -(-other.jitter_ns // other.period_ns))
+        last = (busy + other.jitter_ns) // other.period_ns
         if last - first > MOST_INSTANCES:
             return ResponseTime(message, None, blocking, None)
-        instants.update(n * one.period_ns - one.jitter_ns for n in range(first, last + 1))
+        instants.update(n * other.period_ns - other.jitter_ns for n in range(first, last + 1))
     worst, which, wait = 0, 0, 0
-    for instant in sorted(one for one in instants if one < busy):
+    for instant in sorted(begin for begin in instants if begin < busy):
         before = (
-            sum(((instant + one.jitter_ns) // one.period_ns + 1) * one.wire_ns for one in mine)
+            sum(((instant + other.jitter_ns) // other.period_ns + 1) * other.wire_ns for other in mine)
             - message.wire_ns
         )
 

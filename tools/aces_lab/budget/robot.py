@@ -137,20 +137,24 @@ def _bus_budget(bus: BusTraffic, assumptions: Assumptions) -> BusBudget:
     ways = [bus.messages]
     if bus.link == "serial" and not bus.half_duplex:
         ways = [
-            tuple(one for one in bus.messages if one.node == HOST),
-            tuple(one for one in bus.messages if one.node != HOST),
+            tuple(message for message in bus.messages if message.node == HOST),
+            tuple(message for message in bus.messages if message.node != HOST),
         ]
     for number, way in enumerate(ways):
-        starts = {name: one.response_ns or 0 for name, one in found.items()} if number else {}
+        starts = {name: bound.response_ns or 0 for name, bound in found.items()} if number else {}
         for whole in _contents(bus, way, assumptions.together):
             content = _fitting(bus, whole, wires, assumptions)
-            put_off |= {one.name for one in whole if one not in content and one.period_ns <= bus.tick_ns}
+            put_off |= {
+                message.name
+                for message in whole
+                if message not in content and message.period_ns <= bus.tick_ns
+            }
             times = _times(bus, content, way, wires, assumptions, starts)
             ends.append(times.round_ns)
-            for name, one in (*times.frames.items(), *times.others.items()):
+            for name, bound in (*times.frames.items(), *times.others.items()):
                 before = found.get(name)
-                if before is None or _longer(one.response_ns, before.response_ns):
-                    found[name] = one
+                if before is None or _longer(bound.response_ns, before.response_ns):
+                    found[name] = bound
     round_ns = None if None in ends else max((end for end in ends if end is not None), default=0)
     messages = []
     for message in bus.messages:
@@ -161,12 +165,12 @@ def _bus_budget(bus: BusTraffic, assumptions: Assumptions) -> BusBudget:
             response = round_ns  # where the line is asked one by one, whose turn is the last changes
         is_carried = times_of is None or message.name in put_off
         messages.append(MessageBudget(message, wires[message.name], response, deadline, is_carried))
-    loads = [sum(wires[one.name] / one.period_ns for one in way) for way in ways]
+    loads = [sum(wires[message.name] / message.period_ns for message in way) for way in ways]
     return BusBudget(bus, max(loads), tuple(messages), round_ns, _silent_ns(bus, messages, round_ns))
 
 
-def _longer(one: int | None, other: int | None) -> bool:
-    return other is not None and (one is None or one > other)
+def _longer(first: int | None, other: int | None) -> bool:
+    return other is not None and (first is None or first > other)
 
 
 def _wire_ns(bus: BusTraffic, message: SentMessage) -> int:
@@ -195,17 +199,20 @@ def _fitting(
     One that asks one by one knows what an answer costs; any other takes it to be as long as its request (`Host.tick`).
     """
     used, left_out, polls = 0, set[str](), 0
-    for message in sorted((one for one in content if one.node == HOST), key=lambda one: one.timeout_ns > 0):
+    for message in sorted(
+        (command for command in content if command.node == HOST), key=lambda command: command.timeout_ns > 0
+    ):
         cost = wires[message.name]
         if message.timeout_ns:
-            answers = [one for one in content if one.after == message.name]
+            answers = [answer for answer in content if answer.after == message.name]
             if not bus.one_by_one:
                 cost *= 2
             elif answers:
-                delays = [max(one.delay_ns, assumptions.answer_ns) for one in answers]
+                delays = [max(answer.delay_ns, assumptions.answer_ns) for answer in answers]
                 longest = max(range(len(answers)), key=delays.__getitem__)
                 cost += max(
-                    sum(wires[one.name] for one in answers), delays[longest] + wires[answers[longest].name]
+                    sum(wires[answer.name] for answer in answers),
+                    delays[longest] + wires[answers[longest].name],
                 )
                 cost += assumptions.latency_ns
             is_first = bus.one_by_one and not polls  # it goes out whatever it costs, or it never would
@@ -214,7 +221,9 @@ def _fitting(
                 continue
             polls += 1
         used += cost
-    return tuple(one for one in content if one.name not in left_out and one.after not in left_out)
+    return tuple(
+        message for message in content if message.name not in left_out and message.after not in left_out
+    )
 
 
 def _contents(
@@ -231,7 +240,7 @@ def _contents(
         if not together and poll.timeout_ns and poll.period_ns > tick:
             every = -(-(poll.period_ns - tick // 2) // tick)
             rhythms[message.name] = every, -(-poll.first_ns // tick) % every
-    for name, (every, _) in sorted(rhythms.items(), key=lambda one: -one[1][0]):
+    for name, (every, _) in sorted(rhythms.items(), key=lambda item: -item[1][0]):
         if lcm(*(every for every, _ in rhythms.values())) <= MOST_TICKS:
             break
         del rhythms[name]
@@ -261,11 +270,11 @@ def _times(
     """Return the response times of one tick's messages; `starts` are when requests have arrived that went the other way."""
     assert bus.bitrate is not None
     is_can = bus.link == "can"
-    alone = [one for one in way if not one.is_ticked]
-    there = {one.name for one in content}
+    alone = [message for message in way if not message.is_ticked]
+    there = {message.name for message in content}
     frames: list[RoundFrame] = []
     last, longest = "", -1
-    for request in (one for one in content if not one.after or one.after not in there):
+    for request in (message for message in content if not message.after or message.after not in there):
         after, delay = "", assumptions.jitter_ns
         if request.after:  # its request went the other way
             delay = starts.get(request.after, 0) + max(request.delay_ns, assumptions.answer_ns)
@@ -280,10 +289,10 @@ def _times(
                 frames.append(RoundFrame(_message(answer, wires, delay), request.name))
                 if bus.one_by_one and delay >= longest:
                     last, longest = answer.name, delay
-    nodes = {one.node for one in alone}
+    nodes = {message.node for message in alone}
     queues: dict[str, Queue] = {HOST: "fifo", **assumptions.queues}
     others = MessageSet(
-        tuple(_message(one, wires, 0) for one in alone),
+        tuple(_message(message, wires, 0) for message in alone),
         bits_ns(1, bus.bitrate),
         {node: queue for node, queue in queues.items() if node in nodes},
         assumptions.errors if is_can else NO_ERRORS,
@@ -302,11 +311,11 @@ def _silent_ns(bus: BusTraffic, messages: Sequence[MessageBudget], round_ns: int
     """When a tick is over in which one device does not answer, where the host waits for that."""
     if not bus.one_by_one or round_ns is None:
         return None
-    timeouts = {one.name: one.sent.timeout_ns for one in messages if one.sent.timeout_ns}
+    timeouts = {message.name: message.sent.timeout_ns for message in messages if message.sent.timeout_ns}
     lost = [
-        timeouts[one.sent.after] - one.sent.delay_ns - one.wire_ns
-        for one in messages
-        if one.sent.after in timeouts and one.response_ns is not None
+        timeouts[message.sent.after] - message.sent.delay_ns - message.wire_ns
+        for message in messages
+        if message.sent.after in timeouts and message.response_ns is not None
     ]
     return round_ns + max(lost) if lost else None
 

@@ -130,7 +130,7 @@ class _Round:
         mine = frames[index].message
         own: list[int] = []
         if self.fifo[index]:
-            together = [i for i, one in enumerate(frames) if one.message.node == mine.node and i != index]
+            together = [i for i, frame in enumerate(frames) if frame.message.node == mine.node and i != index]
             own = [
                 i
                 for i in together
@@ -207,7 +207,9 @@ class _Round:
         message = frame.message
         self.queued[index] = message.jitter_ns + (self.arrived[self.place[frame.after]] if frame.after else 0)
         rivals, priority, blocking = self._rivals[index]
-        beside = max((one.wire_ns for one in self.others.messages if one.priority > priority), default=0)
+        beside = max(
+            (other.wire_ns for other in self.others.messages if other.priority > priority), default=0
+        )
         ready, queued = self.ready, self.queued
         # Of a FIFO's own frames it counts when they were queued, of others when they come to the bus.
         latest = {
@@ -231,12 +233,14 @@ class _Round:
     def _wait(self, message: BusMessage, priority: int, work_ns: int, lengths: list[int]) -> int:
         """Return how long a frame waits from the begin of a busy period that has so much of the tick to send."""
         others = self.others
-        beside = [one for one in others.messages if one.priority <= priority]
-        again = [message.wire_ns, *lengths, *(one.wire_ns for one in beside)]
+        beside = [other for other in others.messages if other.priority <= priority]
+        again = [message.wire_ns, *lengths, *(other.wire_ns for other in beside)]
         now = work_ns
         while now <= LONGEST_NS:
             window = now + others.bit_ns
-            more = sum(-(-(window + self.beside[one.name]) // one.period_ns) * one.wire_ns for one in beside)
+            more = sum(
+                -(-(window + self.beside[other.name]) // other.period_ns) * other.wire_ns for other in beside
+            )
             following = work_ns + more + others.error_ns(now + message.wire_ns, again)
             if following == now:
                 return now

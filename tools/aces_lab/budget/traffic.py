@@ -105,8 +105,10 @@ class BusTraffic:
             self,
             tick_ns=tick,
             messages=tuple(
-                replace(one, period_ns=tick) if one.is_ticked and one.period_ns <= self.tick_ns else one
-                for one in self.messages
+                replace(message, period_ns=tick)
+                if message.is_ticked and message.period_ns <= self.tick_ns
+                else message
+                for message in self.messages
             ),
         )
 
@@ -227,12 +229,12 @@ class _Stream:
 
     @property
     def instants(self) -> list[int]:
-        return [one.instant for one in self.packets]
+        return [sent.instant for sent in self.packets]
 
     @property
     def size(self) -> int:
         return max(
-            len(one.packet.data if isinstance(one.packet, Frame) else one.packet) for one in self.packets
+            len(sent.packet.data if isinstance(sent.packet, Frame) else sent.packet) for sent in self.packets
         )
 
     def sent(self, period_ns: int, *, is_ticked: bool, **more: Any) -> SentMessage:
@@ -375,15 +377,17 @@ class _Watch:
         packets = self.logs[name].packets
         self._name(host, packets)
         tick = round(1e9 / (host.rate_hz or self.rate_hz))
-        streams = _streams([one for one in packets if driven <= one.instant < alone])
-        silent = _streams([one for one in packets if one.instant >= alone + QUIET_NS])
+        streams = _streams([packet for packet in packets if driven <= packet.instant < alone])
+        silent = _streams([packet for packet in packets if packet.instant >= alone + QUIET_NS])
         by_itself = {
-            key: one for key, one in silent.items() if one.node != HOST and len(set(one.instants)) > 1
+            key: stream
+            for key, stream in silent.items()
+            if stream.node != HOST and len(set(stream.instants)) > 1
         }
         messages = self._ticked(
-            host, [one for key, one in streams.items() if key not in by_itself], tick, steady
+            host, [stream for key, stream in streams.items() if key not in by_itself], tick, steady
         )
-        messages += [one.sent(one.period_ns(), is_ticked=False) for one in by_itself.values()]
+        messages += [stream.sent(stream.period_ns(), is_ticked=False) for stream in by_itself.values()]
         wire = self.wires[name]
         return BusTraffic(
             name,
@@ -405,18 +409,18 @@ class _Watch:
         slots = {_key(part): slot for slot in host.slots for part in _parts(slot.packet)}
         #: Frames of a packet that is not whole yet, by identifier.
         begun: dict[Any, list[_SentPacket]] = {}
-        for one in packets:
-            is_can = isinstance(one.packet, Frame)
-            records = (down if one.from_host else up).feed((one.packet,) if is_can else one.packet)
-            if one.from_host:
-                up.sent(one.packet)
-                slot = slots.get(_key(one.packet))
+        for packet in packets:
+            is_can = isinstance(packet.packet, Frame)
+            records = (down if packet.from_host else up).feed((packet.packet,) if is_can else packet.packet)
+            if packet.from_host:
+                up.sent(packet.packet)
+                slot = slots.get(_key(packet.packet))
                 if slot is not None:
-                    one.slot, one.message = slot, slot.poll.message
-                    one.device = "" if slot.common else slot.device.name
+                    packet.slot, packet.message = slot, slot.poll.message
+                    packet.device = "" if slot.common else slot.device.name
                     continue
-            parts = begun.setdefault((one.from_host, one.packet.arbitration_id if is_can else None), [])
-            parts.append(one)
+            parts = begun.setdefault((packet.from_host, packet.packet.arbitration_id if is_can else None), [])
+            parts.append(packet)
             found = next((record for record in reversed(records) if not isinstance(record, Unknown)), None)
             if found is None:
                 continue
@@ -431,28 +435,32 @@ class _Watch:
         made: list[SentMessage] = []
         requests: list[_Stream] = []
         periods: dict[str, int] = {}
-        for one in sorted(streams, key=lambda one: -1 if one.slot is None else self.order[id(one.slot)]):
-            if one.node != HOST:
+        for stream in sorted(
+            streams, key=lambda stream: -1 if stream.slot is None else self.order[id(stream.slot)]
+        ):
+            if stream.node != HOST:
                 continue
             number, more = 1, dict[str, int]()
-            if one.slot is not None:
-                period = max(one.slot.every_ns, tick)
-                more = {"first_ns": self.first[id(one.slot)], "timeout_ns": one.slot.timeout_ns}
-            elif len(set(one.instants)) < 2:
+            if stream.slot is not None:
+                period = max(stream.slot.every_ns, tick)
+                more = {"first_ns": self.first[id(stream.slot)], "timeout_ns": stream.slot.timeout_ns}
+            elif len(set(stream.instants)) < 2:
                 continue  # a step of something, not traffic
             else:
-                number, ticks = one.rhythm(tick, begin)
+                number, ticks = stream.rhythm(tick, begin)
                 period = ticks * tick
-                together = [slot.timeout_ns for slot in host.slots if slot.poll.together == one.message]
+                together = [slot.timeout_ns for slot in host.slots if slot.poll.together == stream.message]
                 more = {"timeout_ns": max(together, default=0)}
-            requests.append(one)
-            periods[one.name] = period
-            made += _numbered(one.sent(period, is_ticked=True, **more), number)
-        for one in streams:
-            if one.node == HOST:
+            requests.append(stream)
+            periods[stream.name] = period
+            made += _numbered(stream.sent(period, is_ticked=True, **more), number)
+        for stream in streams:
+            if stream.node == HOST:
                 continue
-            for place, (cause, packets) in enumerate(_answered(host, one, requests)):
-                answers = _Stream(one.name if not place else f"{one.name} ({place + 1})", one.packets[0])
+            for place, (cause, packets) in enumerate(_answered(host, stream, requests)):
+                answers = _Stream(
+                    stream.name if not place else f"{stream.name} ({place + 1})", stream.packets[0]
+                )
                 answers.packets = packets
                 arrived = [packet.arrived for packet in cause.packets]
                 delays = [
@@ -481,18 +489,24 @@ def _streams(packets: Sequence[_SentPacket]) -> dict[Any, _Stream]:
     """Return the packets by message, device, identifier and, of polls, what they ask."""
     streams: dict[Any, _Stream] = {}
     names: Counter[str] = Counter()
-    for one in packets:
-        frame = one.packet if isinstance(one.packet, Frame) else None
+    for packet in packets:
+        frame = packet.packet if isinstance(packet.packet, Frame) else None
         identity = None if frame is None else (frame.arbitration_id, frame.is_extended_id)
-        key = (one.from_host, one.message, one.device, identity, id(one.slot) if one.slot else None)
+        key = (
+            packet.from_host,
+            packet.message,
+            packet.device,
+            identity,
+            id(packet.slot) if packet.slot else None,
+        )
         stream = streams.get(key)
         if stream is None:
-            name = ".".join(part for part in (one.device, one.message) if part)
+            name = ".".join(part for part in (packet.device, packet.message) if part)
             if not name:
                 name = "not decoded" if frame is None else f"0x{frame.arbitration_id:03X}"
             names[name] += 1
-            stream = streams[key] = _Stream(name if names[name] == 1 else f"{name} ({names[name]})", one)
-        stream.packets.append(one)
+            stream = streams[key] = _Stream(name if names[name] == 1 else f"{name} ({names[name]})", packet)
+        stream.packets.append(packet)
     return streams
 
 

@@ -213,17 +213,17 @@ def _grouped(
 ) -> Iterator[tuple[str, Sequence[MessageBudget]]]:
     """Yield the messages of one kind, period and length of all devices together."""
     groups: dict[Any, list[MessageBudget]] = {}
-    for one in messages:
-        key: Any = one.name
+    for message in messages:
+        key: Any = message.name
         if not is_long:
-            key = one.sent.message, one.sent.node == "host", one.sent.period_ns, one.wire_ns
-        groups.setdefault(key, []).append(one)
+            key = message.sent.message, message.sent.node == "host", message.sent.period_ns, message.wire_ns
+        groups.setdefault(key, []).append(message)
     for some in groups.values():
         yield (some[0].name if is_long else some[0].sent.message), some
 
 
 def _row(label: str, some: Sequence[MessageBudget], is_long: bool) -> tuple[str, ...]:
-    last = max(some, key=lambda one: float("inf") if one.response_ns is None else one.response_ns)
+    last = max(some, key=lambda message: float("inf") if message.response_ns is None else message.response_ns)
     sender = (
         "host" if last.sent.node == "host" else last.sent.node if is_long or len(some) == 1 else "devices"
     )
@@ -253,11 +253,11 @@ def _time(ns: int | None) -> str:
 
 
 def _names(some: Sequence[MessageBudget]) -> str:
-    text = ", ".join(printable(one.name) for one in some[:NAMED])
+    text = ", ".join(printable(message.name) for message in some[:NAMED])
     return text if len(some) <= NAMED else f"{text} and {len(some) - NAMED} more"
 
 
-def _missed(bus: BusBudget, one: str, several: str) -> list[str]:
+def _missed(bus: BusBudget, singular: str, several: str) -> list[str]:
     """Return what cannot be kept, a line each: what a tick has no room for, what is late."""
     lines = []
     carried = [message for message in bus.missed if message.is_carried and not message.sent.after]
@@ -268,7 +268,7 @@ def _missed(bus: BusBudget, one: str, several: str) -> list[str]:
         )
     late = [message for message in bus.missed if not message.is_carried]
     if late:
-        lines.append(f"{_names(late)} {one if len(late) == 1 else several}")
+        lines.append(f"{_names(late)} {singular if len(late) == 1 else several}")
     return lines
 
 
@@ -302,15 +302,15 @@ def _object(found: RobotBudget) -> dict[str, Any]:
                 "round_ns": bus.round_ns,
                 "silent_ns": bus.silent_ns,
                 "ok": bus.is_met,
-                "messages": [_message_object(one) for one in bus.messages],
+                "messages": [_message_object(message) for message in bus.messages],
             }
             for name, bus in found.buses.items()
         ],
     }
 
 
-def _message_object(one: MessageBudget) -> Mapping[str, Any]:
-    sent = one.sent
+def _message_object(message: MessageBudget) -> Mapping[str, Any]:
+    sent = message.sent
     return {
         "name": sent.name,
         "node": sent.node,
@@ -322,9 +322,9 @@ def _message_object(one: MessageBudget) -> Mapping[str, Any]:
         "period_ns": sent.period_ns,
         "after": sent.after or None,
         "delay_ns": sent.delay_ns,
-        "wire_ns": one.wire_ns,
-        "response_ns": one.response_ns,
-        "deadline_ns": one.deadline_ns,
-        "carried": one.is_carried,
-        "ok": one.is_met,
+        "wire_ns": message.wire_ns,
+        "response_ns": message.response_ns,
+        "deadline_ns": message.deadline_ns,
+        "carried": message.is_carried,
+        "ok": message.is_met,
     }

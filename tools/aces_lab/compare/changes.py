@@ -170,17 +170,19 @@ def traffic_changes(a: TrafficProfile, b: TrafficProfile, exposure: Exposure) ->
 
     Where each side has one channel the two are compared, whatever they are called.
     """
-    channels = [{one.channel for one in side.identifiers} for side in (a, b)]
+    channels = [{identifier.channel for identifier in side.identifiers} for side in (a, b)]
     by_name = any(len(names) > 1 for names in channels)
     sides = [
         {
-            one if by_name else one._replace(channel=None): (one, traffic)
-            for one, traffic in side.identifiers.items()
+            identifier if by_name else identifier._replace(channel=None): (identifier, traffic)
+            for identifier, traffic in side.identifiers.items()
         }
         for side in (a, b)
     ]
     found: list[TrafficChange] = []
-    for key in sorted(sides[0].keys() | sides[1].keys(), key=lambda one: (str(one.channel), one[1:])):
+    for key in sorted(
+        sides[0].keys() | sides[1].keys(), key=lambda identity: (str(identity.channel), identity[1:])
+    ):
         subject = f"{key.channel} {key}" if by_name and key.channel is not None else str(key)
         in_a, in_b = sides[0].get(key), sides[1].get(key)
         if in_a is None and in_b is not None:
@@ -334,7 +336,7 @@ def _byte(both: _Sides, byte: int) -> Iterator[TrafficChange]:
         score = novelty(count / n_b, by_itself(a.visits[byte]))
         found.append(both.change("values", score, **values, count=count))
     if found:  # of bits that are new and of values that are, what says more
-        yield max(found, key=lambda one: one.score)
+        yield max(found, key=lambda change: change.score)
     gone = ones_a & zeros_a & ~(ones_b & zeros_b)
     if gone:
         flips = a.flips[byte][list(_bits_of(gone))]

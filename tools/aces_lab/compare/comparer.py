@@ -149,7 +149,7 @@ class RecordingComparer:
         for side in chosen:
             side.begin()
         link = "can" if isinstance(capture, CanRecording) else "serial"
-        variants = [one for one in self.variants if (one.link == "can") == (link == "can")]
+        variants = [variant for variant in self.variants if (variant.link == "can") == (link == "can")]
         if link == "serial" and not variants:
             raise CallerError(
                 f"{capture.name}: bytes of a serial line have no identifiers to compare: say what is spoken (protocol=, -p"
@@ -256,10 +256,12 @@ class RecordingComparer:
         exposure = Exposure.of(self.a.watched, self.b.watched)
         changes = traffic_changes(self.a.traffic, self.b.traffic, exposure)
         whole = self._decoded - self._unknown
-        changes = [one for one in changes if one.identifier is None or one.identifier.key not in whole]
+        changes = [
+            change for change in changes if change.identifier is None or change.identifier.key not in whole
+        ]
         changes += message_changes(self.a.messages, self.b.messages, exposure)
-        changes.sort(key=lambda one: -one.score)
-        telling = [one for one in changes if one.score >= least]
+        changes.sort(key=lambda change: -change.score)
+        telling = [change for change in changes if change.score >= least]
         return RecordingComparison(self.a, self.b, telling, len(changes) - len(telling))
 
 
@@ -299,7 +301,7 @@ def compare_recordings(
         raise CallerError("messages are selected where a protocol says what they are (protocol=)")
     variants = [] if protocol is None else [_variant(protocol)]
     windows = [
-        [one if isinstance(one, TimeWindow) else _window(one) for one in times]
+        [window if isinstance(window, TimeWindow) else _window(window) for window in times]
         for times in (a_times, b_times)
     ]
     if b is None and not windows[1]:

@@ -76,7 +76,7 @@ class LanePart:
     @property
     def has_channels(self) -> bool:
         """True if there are several channels; each then has its own count of frames."""
-        return len({one.channel for one in self.arrivals.kept}) > 1
+        return len({shown.channel for shown in self.arrivals.kept}) > 1
 
     @property
     def span(self) -> tuple[float, float]:
@@ -177,7 +177,7 @@ class LanePicture:
                 if is_of(image.identifier, subject, any_channel)
             }
             return self._shaded(
-                change, {name: self._bits(self._parts[name], one, change) for name, one in images.items()}
+                change, {name: self._bits(self._parts[name], bits, change) for name, bits in images.items()}
             )
         if change.signal is None:
             came = {
@@ -209,17 +209,19 @@ class LanePicture:
 
     def _shaded(self, change: TrafficChange, shades: Mapping[str, Shades]) -> Lane | None:
         """Return a lane of shades, where there is anything."""
-        seen = np.concatenate([one.values[~np.isnan(one.values)] for one in shades.values()] or [np.empty(0)])
+        seen = np.concatenate(
+            [shade.values[~np.isnan(shade.values)] for shade in shades.values()] or [np.empty(0)]
+        )
         if not len(seen):
             return None
         low, high = (0.0 if change.byte is None else float(seen.min())), float(seen.max())
         if len(change.bits) == 1 or not high > low:
             low, high = 0.0, 1.0
 
-        def drawing(one: Shades) -> Callable[[Any, float], None]:
-            return lambda ax, top: _shade_lane(ax, top, one, low, high)
+        def drawing(shade: Shades) -> Callable[[Any, float], None]:
+            return lambda ax, top: _shade_lane(ax, top, shade, low, high)
 
-        return Lane(change, LANE, {name: drawing(one) for name, one in shades.items()})
+        return Lane(change, LANE, {name: drawing(shade) for name, shade in shades.items()})
 
     def _bits(self, part: LanePart, image: BitImage, change: TrafficChange) -> Shades:
         """Return the mean of a byte, or of some of its bits, as shares of the highest value that there is."""

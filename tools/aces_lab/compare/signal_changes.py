@@ -30,9 +30,12 @@ ONE_WAY = 0.25
 
 def message_changes(a: MessageProfile, b: MessageProfile, exposure: Exposure) -> list[TrafficChange]:
     """Return what differs between the messages of two profiles, in no order."""
-    by_name = any(len({one.channel for one in side.subjects}) > 1 for side in (a, b))
+    by_name = any(len({subject.channel for subject in side.subjects}) > 1 for side in (a, b))
     sides = [
-        {one if by_name else one._replace(channel=None): traffic for one, traffic in side.subjects.items()}
+        {
+            subject if by_name else subject._replace(channel=None): traffic
+            for subject, traffic in side.subjects.items()
+        }
         for side in (a, b)
     ]
     found: list[TrafficChange] = []
@@ -139,7 +142,7 @@ def _mostly(
     """Return a value that is most of B and hardly any of A; None where there is none."""
     if a.is_more or b.is_more or b.count < 2:
         return None
-    value, usual = max(b.values.items(), key=lambda one: one[1].count)
+    value, usual = max(b.values.items(), key=lambda item: item[1].count)
     rare = a.values.get(value)
     score = 0.0 if rare is None else rarity(rare.count, a.count, usual.count, b.count, windows)
     if not score:
@@ -154,8 +157,8 @@ def _mostly(
 
 def _union(found: Any) -> int:
     mask = 0
-    for one in found:
-        mask |= one.windows
+    for message in found:
+        mask |= message.windows
     return mask
 
 
@@ -164,7 +167,7 @@ def _text(signal: SignalValues) -> str:
     unit = f" {signal.kind.unit}" if signal.kind.unit else ""
     names = signal.kind.names is not None or signal.low is None
     if not signal.is_more and (len(signal.values) <= LISTED or (names and len(signal.values) <= FEW)):
-        values = sorted(signal.values.items(), key=lambda one: -one[1].count)
+        values = sorted(signal.values.items(), key=lambda item: -item[1].count)
         return ", ".join(signal.text(value) for value, _ in values) + (unit if values else "")
     if signal.low is None or signal.high is None:
         return f"{'more than ' if signal.is_more else ''}{len(signal.values)} values"

@@ -37,7 +37,7 @@ class LaneSignals:
     def __init__(self, variants: Sequence[Variant], clock: TimeAxis, arrivals: Arrivals) -> None:
         wanted = {
             owner: Wanted(
-                tuple((one, ()) for one in message.signals if one.column not in message.devices),
+                tuple((signal, ()) for signal in message.signals if signal.column not in message.devices),
                 message.devices,
             )
             for owner, message in declared_signals(variants).items()
@@ -74,12 +74,12 @@ class Arrivals:
 
     def find(self, kind: BusIdentifier | DeviceMessage, any_channel: bool) -> Series | None:
         """Return a kind's, or that of its like on whatever channel; None where none came."""
-        return next((one for key, one in self.kept.items() if is_of(key, kind, any_channel)), None)
+        return next((kept for key, kept in self.kept.items() if is_of(key, kind, any_channel)), None)
 
     @property
     def last(self) -> float:
         """Place of the last arrival on the axis."""
-        return max((float(one.points()[0][-1]) for one in self.kept.values()), default=0.0)
+        return max((float(series.points()[0][-1]) for series in self.kept.values()), default=0.0)
 
 
 def _subject(owner: tuple[str, str], key: Key) -> DeviceMessage:
@@ -112,7 +112,7 @@ class SignalLane:
     def of(cls, series: Sequence[Series]) -> SignalLane:
         """Return it for the series of both sides."""
         signal = series[0].signal
-        values = np.unique(np.concatenate([one.points()[1] for one in series]))
+        values = np.unique(np.concatenate([part.points()[1] for part in series]))
         values = values[~np.isnan(values)]
         low, high = (float(values[0]), float(values[-1])) if len(values) else (0.0, 0.0)
         known = signal.kind.names

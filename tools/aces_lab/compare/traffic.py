@@ -89,7 +89,7 @@ class TrafficProfile:
 
     def __init__(self, windows: int = 1) -> None:
         self.identifiers = IdentifierCounts(
-            lambda one: IdentifierTraffic(windows, has_data=not one.key & KEY_REMOTE)
+            lambda identifier: IdentifierTraffic(windows, has_data=not identifier.key & KEY_REMOTE)
         )
 
     @property

@@ -340,7 +340,11 @@ class Comparing:
             }
             for (name, side), words in zip(self._sides(), self._names(), strict=True)
         }
-        return {**sides, "changes": [one.as_dict() for one in found.changes], "less_telling": found.weaker}
+        return {
+            **sides,
+            "changes": [change.as_dict() for change in found.changes],
+            "less_telling": found.weaker,
+        }
 
     def _print(self, found: RecordingComparison) -> None:
         page = Page(self.arguments.color)
@@ -354,8 +358,16 @@ class Comparing:
             page.table(
                 ("", "what", "of", "where", "A", "B", "in B"),
                 [
-                    (f"{one.score:.2f}", one.kind, one.subject, one.place, one.a, one.b, _evidence(one))
-                    for one in found.changes
+                    (
+                        f"{change.score:.2f}",
+                        change.kind,
+                        change.subject,
+                        change.place,
+                        change.a,
+                        change.b,
+                        _evidence(change),
+                    )
+                    for change in found.changes
                 ],
             )
         else:
@@ -369,9 +381,9 @@ def _sizes(side: ComparedSide) -> list[tuple[str, int]]:
     return [*parts, ("messages", side.messages.frames)] if side.messages.frames else parts
 
 
-def _evidence(one: Any) -> str:
-    text = f"{one.count} of {one.frames}" if one.count and one.frames else ""
-    return text + (f", {one.seen_in} of {one.windows} times" if text and one.windows > 1 else "")
+def _evidence(value: Any) -> str:
+    text = f"{value.count} of {value.frames}" if value.count and value.frames else ""
+    return text + (f", {value.seen_in} of {value.windows} times" if text and value.windows > 1 else "")
 
 
 def read_marks(path: str) -> list[TimeMark]:

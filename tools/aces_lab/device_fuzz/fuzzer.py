@@ -113,7 +113,7 @@ def _write(file: Any, path: Path, sent: Sequence[tuple[float, Any]], bus: str) -
     if sent and isinstance(sent[0][1], Frame):
         from aces_bus.recordings.write.candump import CandumpWriter
 
-        frames = [structs.replace(one, timestamp=at, channel=bus, is_rx=None) for at, one in sent]
+        frames = [structs.replace(packet, timestamp=at, channel=bus, is_rx=None) for at, packet in sent]
         writer = CandumpWriter(file, str(path))
         writer.write(FrameTable.from_frames(frames, Channels()))
         writer.close()
@@ -121,8 +121,8 @@ def _write(file: Any, path: Path, sent: Sequence[tuple[float, Any]], bus: str) -
     from aces_bus.recordings.write.serial import SerialLogWriter
 
     lines = SerialLogWriter(file, str(path))
-    for at, one in sent:
-        lines.write(Chunk(one, at, "to device"))
+    for at, packet in sent:
+        lines.write(Chunk(packet, at, "to device"))
     lines.close()
 
 
@@ -165,14 +165,14 @@ class DeviceFuzzer:
         #: What was done so far: episodes, packets sent in them, and packets sent to make faults small.
         self.episodes = self.sent = self.resent = self.trials = 0
         #: What it does wrong when it is fresh already: not what is searched for.
-        self.known: dict[tuple[str, str], Problem] = {one.key: one for one in self.fresh.problems}
+        self.known: dict[tuple[str, str], Problem] = {problem.key: problem for problem in self.fresh.problems}
         self._bench = Bench(self.variant, "to device")
 
     def _fresh_trial(self, needs_start: bool | None = None) -> TwinTrial:
         start = self.fresh.needs_start if needs_start is None else needs_start
         trial = TwinTrial(self.robot, self.name, load=self._load, needs_start=start)
         if needs_start is None:
-            trial.tester.ignored = {one.key for one in self.fresh.problems}
+            trial.tester.ignored = {problem.key for problem in self.fresh.problems}
         return trial
 
     def _measured(self, first: TwinTrial) -> FreshDevice:
@@ -497,9 +497,9 @@ def rules_of(
 ) -> SendRules:
     """Return what may be sent of a variant's messages; raises `UnknownNameError` for names that are none."""
     sent = [m.name for m in variant.messages_for("to device")]
-    for one in only:
-        if one not in sent:
-            raise UnknownNameError(f"message to a device of {variant.label}", one, sent)
+    for message in only:
+        if message not in sent:
+            raise UnknownNameError(f"message to a device of {variant.label}", message, sent)
     return SendRules(
         variant,
         credentials,

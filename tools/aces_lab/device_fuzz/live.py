@@ -120,7 +120,7 @@ class LiveDeviceFuzzer:
             raise DeviceError(
                 f"{self.name} neither answers its polls nor sends anything: nothing was sent to it"
             )
-        self.tester.ignored = {one.key for one in fresh.problems}
+        self.tester.ignored = {problem.key for problem in fresh.problems}
         self.tester.problems.clear()
 
     def _after_set_up(self) -> FreshDevice:

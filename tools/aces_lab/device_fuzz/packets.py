@@ -119,7 +119,7 @@ class SendRules:
         if strictly:
             own = [m for m in own if m.name in (allowed or ()) or self._is_only_ours(m)]
         self.messages = [m for m in own if allowed is None or m.name in allowed]
-        whole = {one.message for one in self.left_out if one.field is None}
+        whole = {exclusion.message for exclusion in self.left_out if exclusion.field is None}
         self.messages = [m for m in self.messages if m.name not in whole]
         self._names = {m.name for m in self.messages}
         self._scanner = make_scanner([variant], direction="to device", include_unknown=True)
@@ -138,7 +138,7 @@ class SendRules:
         else:
             records = self._scanner.feed(list(packet) if isinstance(packet, tuple) else [packet])
         whole = [record for record in records if record.__class__ is not UnknownRecord]
-        if any(one.covers(record) for one in self.left_out for record in whole):
+        if any(exclusion.covers(record) for exclusion in self.left_out for record in whole):
             return False
         if not all(self._is_allowed(record) for record in whole):
             return False

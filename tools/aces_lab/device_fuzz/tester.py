@@ -258,7 +258,7 @@ class DeviceTester(BusEndpoint[_Ear]):
         self._found("another's", name, f"{name} came with {credential_text(theirs) or 'no number'}")
 
     def _found(self, kind: Kind, subject: str, text: str) -> None:
-        if (kind, subject) not in {*self.ignored, *(one.key for one in self.problems)}:
+        if (kind, subject) not in {*self.ignored, *(problem.key for problem in self.problems)}:
             self.problems.append(Problem(kind, subject, text))
 
     # ------------------------------------------------------------------ what is sent
@@ -273,13 +273,13 @@ class DeviceTester(BusEndpoint[_Ear]):
     def _send(self, packet: AnyPacket, how: str) -> None:
         frames = packet if isinstance(packet, tuple) else (packet,)
         self._sent_ns = self.clock.now() + self._wire_ns(packet)
-        for one in frames:
-            self.scanner.sent(one)
+        for frame in frames:
+            self.scanner.sent(frame)
         if how != "mutated":
             self.port.send(packet)
             return
-        for one in frames:  # one behind the other, whatever its receiver allows
-            self._end.send(one)
+        for frame in frames:  # one behind the other, whatever its receiver allows
+            self._end.send(frame)
 
     def _wire_ns(self, packet: AnyPacket) -> int:
         return sum(map(self._end.wire_ns, packet)) if isinstance(packet, tuple) else self._end.wire_ns(packet)

@@ -404,7 +404,7 @@ class Searching:
                     "frames": sent,
                     "seconds": round(seconds, 3),
                     "interrupted": self.is_over,
-                    "findings": [self._as_object(one) for one in findings],
+                    "findings": [self._as_object(finding) for finding in findings],
                 }
             )
         found = f"{len(findings)} found" if findings else "nothing found"

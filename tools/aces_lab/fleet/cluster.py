@@ -83,7 +83,13 @@ class Here(Workers):
     def submit(self, call: Callable[..., Any], *arguments: Any) -> Any:
         try:
             return _Called(
-                None, call(*(self.result(one) if isinstance(one, _Called) else one for one in arguments))
+                None,
+                call(
+                    *(
+                        self.result(argument) if isinstance(argument, _Called) else argument
+                        for argument in arguments
+                    )
+                ),
             )
         except Exception as error:
             return _Called(error, None)
@@ -149,10 +155,10 @@ class DaskWorkers(Workers):
         return task.result()
 
     def close(self) -> None:
-        for one in (self.client if self._owns and hasattr(self, "client") else None, self._cluster):
-            if one is not None:
+        for client in (self.client if self._owns and hasattr(self, "client") else None, self._cluster):
+            if client is not None:
                 with suppress(Exception):
-                    one.close()
+                    client.close()
 
 
 def load_distributed() -> Any:

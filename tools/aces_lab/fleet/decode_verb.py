@@ -31,12 +31,12 @@ def run(arguments: argparse.Namespace) -> int:
     if "-" in arguments.files:
         raise CallerError("--cluster reads files and URIs, not standard input")
     named = [named_protocol(text) for text in arguments.protocol]
-    plans = plans_of([one.variant() for one in named])
+    plans = plans_of([protocol.variant() for protocol in named])
     line = StatusLine(is_wanted=not arguments.quiet)
     try:
         run = decode_with_fleet(
             arguments.files,
-            [_travelling(one) for one in named],
+            [_travelling(protocol) for protocol in named],
             arguments.output,
             cluster=arguments.cluster,
             direction=arguments.direction,
@@ -86,7 +86,7 @@ def duration_text(seconds: float) -> str:
 
 def say_faults(inputs: list[FleetInput], where: str) -> None:
     """Print the first faults of the inputs to stderr."""
-    faults = [fault for one in inputs for fault in one.faults]
+    faults = [fault for entry in inputs for fault in entry.faults]
     for fault in faults[:SHOWN]:
         say(fault)
     if len(faults) > SHOWN:
@@ -95,13 +95,13 @@ def say_faults(inputs: list[FleetInput], where: str) -> None:
 
 def _summary(run: FleetRun, arguments: argparse.Namespace) -> int:
     say_faults(run.failed, arguments.output)
-    for one in run.inputs:
-        for note in one.notes:
-            say_note(f"{one.uri}: {note}")
+    for entry in run.inputs:
+        for note in entry.notes:
+            say_note(f"{entry.uri}: {note}")
     if run.stood:
         say_note(f"{run.stood} inputs stand as they were decoded before")
     total = run.total
-    unread = any(one.state != "done" or not _is_read(one) for one in run.failed)
+    unread = any(entry.state != "done" or not _is_read(entry) for entry in run.failed)
     status = 2 if unread else 0
     if arguments.strict and (faults := [fault for bins in total.values() for fault in bins.faults]):
         say(f"--strict: {', '.join(faults)}")
@@ -114,6 +114,6 @@ def _summary(run: FleetRun, arguments: argparse.Namespace) -> int:
     return status
 
 
-def _is_read(one: FleetInput) -> bool:
+def _is_read(entry: FleetInput) -> bool:
     """Return whether only single lines of it could not be read."""
-    return len(one.faults) <= one.lines_unreadable
+    return len(entry.faults) <= entry.lines_unreadable

@@ -204,7 +204,7 @@ class FleetDataset:
         import pyarrow as pa
         from pyarrow import parquet
 
-        rows = [{**msgspec.structs.asdict(one), **_closed(one)} for _, one in sorted(entries.items())]
+        rows = [{**msgspec.structs.asdict(entry), **_closed(entry)} for _, entry in sorted(entries.items())]
         sink = io.BytesIO()
         parquet.write_table(pa.Table.from_pylist(rows, _schema(pa)), sink, compression="zstd")
         self.place.write(self.path(FLEET, "manifest.parquet"), sink.getvalue())

@@ -25,7 +25,7 @@ class FleetStatus:
     @property
     def states(self) -> dict[InputState, int]:
         """Number of inputs by their state."""
-        return dict(Counter(one.state for one in self.inputs.values()))
+        return dict(Counter(entry.state for entry in self.inputs.values()))
 
     @property
     def total(self) -> dict[Link, Totals]:
@@ -35,22 +35,22 @@ class FleetStatus:
     @property
     def bytes(self) -> int:
         """Of all inputs, as they are stored."""
-        return sum(one.size for one in self.inputs.values())
+        return sum(entry.size for entry in self.inputs.values())
 
     @property
     def duration_s(self) -> float:
         """Of all inputs together, from the first to the last decoded message of each."""
-        return sum(one.duration_s or 0.0 for one in self.inputs.values())
+        return sum(entry.duration_s or 0.0 for entry in self.inputs.values())
 
     @property
     def seconds(self) -> float:
         """That workers took."""
-        return sum(one.seconds for one in self.inputs.values())
+        return sum(entry.seconds for entry in self.inputs.values())
 
     @property
     def faulty(self) -> list[FleetInput]:
         """Inputs of which something could not be read, or nothing."""
-        return [one for one in self.inputs.values() if one.faults]
+        return [entry for entry in self.inputs.values() if entry.faults]
 
 
 def status(dataset: str) -> FleetStatus:
@@ -59,7 +59,7 @@ def status(dataset: str) -> FleetStatus:
     place.check()
     inputs = place.manifest()
     journal = place.journal()
-    cut_off = {one.uri for one in journal.values() if one.state == "placing"}
+    cut_off = {entry.uri for entry in journal.values() if entry.state == "placing"}
     for entry in journal.values():
         if entry.state != "placing":
             inputs[entry.uri] = entry

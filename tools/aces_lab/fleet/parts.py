@@ -87,7 +87,7 @@ class DayParts:
                 continue
             for day in np.unique(days).tolist():
                 by_day.setdefault(_day(day), []).append(table.take(np.flatnonzero(days == day)))
-        for day, some in sorted(by_day.items(), key=lambda one: str(one[0])):
+        for day, some in sorted(by_day.items(), key=lambda item: str(item[0])):
             self._export(day).write(some, source=self._source, columns=self._recipe.columns)
 
     def _see(self, table: MessageTable) -> None:

@@ -166,15 +166,17 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         """Make a recipe from protocols and options; raise `CallerError` for unknown names before any work is
         sent out.
         """
-        given = [FleetProtocol.of(one) if isinstance(one, str) else one for one in protocols]
+        given = [
+            FleetProtocol.of(protocol) if isinstance(protocol, str) else protocol for protocol in protocols
+        ]
         if not given:
             raise CallerError("name a protocol: fleet.decode(inputs, 'truck.dbc', …)")
         with tempfile.TemporaryDirectory(prefix="aces-") as folder:
-            variants = [one.variant(folder) for one in given]
+            variants = [protocol.variant(folder) for protocol in given]
         known = {name for variant in variants for name in variant.messages}
         wanted: set[str] = set()
         for name in _several(message):
-            fits = {one for one in known if fnmatchcase(one.lower(), name.lower())}
+            fits = {known_name for known_name in known if fnmatchcase(known_name.lower(), name.lower())}
             if not fits:
                 raise UnknownNameError("message", name, known)
             wanted |= fits
@@ -199,7 +201,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
             stop=last,
             messages=sorted(wanted) or None,
             columns=None if columns is None else {name: list(some) for name, some in sorted(columns.items())},
-            version="" if all(one.files for one in given) else __version__,
+            version="" if all(protocol.files for protocol in given) else __version__,
             **options,
         )
 
@@ -238,8 +240,8 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     def variants(self, folder: str) -> dict[Link, list[Variant]]:
         """Return the protocols by their link."""
         found: dict[Link, list[Variant]] = {"can": [], "serial": []}
-        for one in self.protocols:
-            variant = one.variant(folder)
+        for protocol in self.protocols:
+            variant = protocol.variant(folder)
             found[_link(variant)].append(variant)
         return found
 

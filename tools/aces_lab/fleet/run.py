@@ -91,7 +91,7 @@ class FleetRun:
     @property
     def failed(self) -> list[FleetInput]:
         """Inputs of which something could not be read, or nothing."""
-        return [one for one in self.inputs if one.faults or one.state != "done"]
+        return [entry for entry in self.inputs if entry.faults or entry.state != "done"]
 
 
 def decode(
@@ -184,7 +184,7 @@ class _Run:
                 self._keep(entry)
             elif entry.uri in whole:  # pieces of it: what is not in the whole is of an attempt before it
                 known = set(whole[entry.uri].outputs)
-                self.dataset.remove(one for one in entry.outputs if one not in known)
+                self.dataset.remove(output for output in entry.outputs if output not in known)
                 self._folding.append(name)
             else:
                 self._leftovers.setdefault(entry.uri, []).extend(entry.outputs)
@@ -201,7 +201,7 @@ class _Run:
             except StoreError as error:
                 self.failed.append(FleetInput(uri=place.uri, recipe=self.key, faults=[str(error)]))
                 continue
-            found.update((one.uri, one) for one in some)
+            found.update((entry.uri, entry) for entry in some)
         for file in found.values():
             before, leftovers = self.known.get(file.uri), self._leftovers.get(file.uri, [])
             if before is not None and not leftovers and before.is_of(file, self.key):
@@ -344,7 +344,7 @@ class _Run:
     def _fold(self) -> None:
         """Move the entries of the journal into the manifest."""
         began = time.monotonic()
-        if self._folding or any(not one.is_settled for one in self.results):
+        if self._folding or any(not result.is_settled for result in self.results):
             self.dataset.write_manifest(self.known)
             self.dataset.forget(self._folding)
             self._folding = []

@@ -53,8 +53,8 @@ def _show(found: FleetStatus, *, shows_faults: bool) -> None:
     for uri in found.cut_off:
         say(f"{uri}: an attempt was cut off; decode it again")
     if shows_faults:
-        for one in found.faulty:
-            for fault in one.faults:
+        for entry in found.faulty:
+            for fault in entry.faults:
                 print(fault)
     elif found.faulty:
         print(f"{counted(len(found.faulty), 'input')} with faults; --faults shows them")
@@ -72,17 +72,17 @@ def _whole(found: FleetStatus) -> dict[str, object]:
         "cut_off": found.cut_off,
         "inputs": [
             {
-                "uri": one.uri,
-                "state": one.state,
-                "size": one.size,
-                "hash": one.hash,
-                "format": one.format,
-                "counts": one.counts,
-                "duration_s": one.duration_s,
-                "rows": one.rows,
-                "faults": one.faults,
-                "outputs": one.outputs,
+                "uri": entry.uri,
+                "state": entry.state,
+                "size": entry.size,
+                "hash": entry.hash,
+                "format": entry.format,
+                "counts": entry.counts,
+                "duration_s": entry.duration_s,
+                "rows": entry.rows,
+                "faults": entry.faults,
+                "outputs": entry.outputs,
             }
-            for one in found.inputs.values()
+            for entry in found.inputs.values()
         ],
     }

@@ -221,7 +221,8 @@ class Place:
             try:
                 self.fs.invalidate_cache()
                 return [
-                    str(one["name"]).rstrip("/").rpartition("/")[2] for one in self.fs.ls(path, detail=True)
+                    str(entry["name"]).rstrip("/").rpartition("/")[2]
+                    for entry in self.fs.ls(path, detail=True)
                 ]
             except FileNotFoundError:
                 return []

@@ -475,7 +475,7 @@ class InputWork:
     def _joined(self, pieces: Sequence[PieceDone]) -> FleetInput:
         self._check_unchanged()
         known = [piece.entry for piece in pieces]
-        hashes = [one.hash for one in known]
+        hashes = [part.hash for part in known]
         is_cut = pieces[0].piece is not None and pieces[0].piece.span is not None
         if not is_cut and len(set(hashes)) > 1:
             raise StoreError(f"{self.task.uri}: changed while it was read")
@@ -486,7 +486,10 @@ class InputWork:
             parts = self._parts(folder, self.variants["can"])
             for piece in pieces:
                 totals.join(piece.entry.totals)
-                faults += [f"{self.task.uri}:{one._replace(line=one.line + lines)}" for one in piece.problems]
+                faults += [
+                    f"{self.task.uri}:{problem._replace(line=problem.line + lines)}"
+                    for problem in piece.problems
+                ]
                 lines += piece.lines
                 if self.selection.window is not None:
                     self.selection.window.untimed += piece.untimed
@@ -498,18 +501,18 @@ class InputWork:
             parts.write(self.selection.shown(adopted.close(totals), totals))
             made = parts.close()
             totals.count(adopted.counts)
-            for one in known:
-                parts.notes.update(dict.fromkeys(one.notes))
-                for name, number in one.rows.items():
+            for part in known:
+                parts.notes.update(dict.fromkeys(part.notes))
+                for name, number in part.rows.items():
                     parts.rows[name] = parts.rows.get(name, 0) + number
-            parts.first = _least([parts.first, *(one.first for one in known)], min)
-            parts.last = _least([parts.last, *(one.last for one in known)], max)
-            stopped = [fault for one in known for fault in one.faults]
+            parts.first = _least([parts.first, *(part.first for part in known)], min)
+            parts.last = _least([parts.last, *(part.last for part in known)], max)
+            stopped = [fault for part in known for fault in part.faults]
             entry = self._filled(parts, totals, "can", known[0].format, [*stopped, *faults[:5]])
             entry.state = known[0].state
             entry.hash = uri_key(" ".join(hashes)) if is_cut else hashes[0]
-            entry.seconds += sum(one.seconds for one in known)
-            self._place_joined(entry, made, [name for one in known for name in one.outputs])
+            entry.seconds += sum(part.seconds for part in known)
+            self._place_joined(entry, made, [name for part in known for name in part.outputs])
         return entry
 
     def _place_joined(self, entry: FleetInput, parts: Sequence[LocalPart], placed: Sequence[str]) -> None:
@@ -527,7 +530,7 @@ class InputWork:
 
 
 def _least(some: Sequence[int | None], choose: Any) -> int | None:
-    known = [one for one in some if one is not None]
+    known = [value for value in some if value is not None]
     found: int | None = choose(known) if known else None
     return found
 

@@ -455,7 +455,12 @@ class LiveStates:
         clock = getattr(rig, "clock", None) or next((state.clock for state in found.values()), None)
         if clock is not None:
             self.view.use_clock(clock)
-        self.read({name: (getattr(one, "unit", "") or "", _newest(one)) for name, one in found.items()})
+        self.read(
+            {
+                name: (getattr(quantity, "unit", "") or "", _newest(quantity))
+                for name, quantity in found.items()
+            }
+        )
 
     def read(self, reads: Mapping[str, tuple[str, Callable[[], Any]]]) -> None:
         """Have these quantities: name → unit, and what gives the value (whatever is no number is unknown)."""

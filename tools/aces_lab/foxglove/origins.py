@@ -97,9 +97,9 @@ class OriginGate:
         self._listener.close()
         with self._lock:
             known = [*self._sockets]
-        for one in known:
+        for connection in known:
             with suppress(OSError):
-                one.shutdown(socket.SHUT_RDWR)
+                connection.shutdown(socket.SHUT_RDWR)
         self._thread.join(5.0)
 
     def _accept(self) -> None:
@@ -125,8 +125,8 @@ class OriginGate:
             with socket.create_connection(self._server, 5.0) as server, self._kept(server):
                 viewer.settimeout(None)
                 server.settimeout(None)
-                for one in (viewer, server):
-                    one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                for side in (viewer, server):
+                    side.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 server.sendall(request)
                 self._change(1)
                 try:
@@ -144,17 +144,17 @@ class OriginGate:
             self.viewers += by
 
     @contextmanager
-    def _kept(self, one: socket.socket) -> Generator[None]:
+    def _kept(self, connection: socket.socket) -> Generator[None]:
         """While it is open, `close` ends it."""
         with self._lock:
             if self._is_closed:
                 raise OSError("closed")
-            self._sockets.add(one)
+            self._sockets.add(connection)
         try:
             yield
         finally:
             with self._lock:
-                self._sockets.discard(one)
+                self._sockets.discard(connection)
 
     def _request(self, viewer: socket.socket) -> bytes:
         """Return the request, whole, if its page may look; raises `_Refused`."""
@@ -188,6 +188,6 @@ def _pass_on(source: socket.socket, sink: socket.socket) -> None:
     with suppress(OSError):
         while piece := source.recv(PIECE):
             sink.sendall(piece)
-    for one in (source, sink):
+    for side in (source, sink):
         with suppress(OSError):
-            one.shutdown(socket.SHUT_RDWR)
+            side.shutdown(socket.SHUT_RDWR)

@@ -62,7 +62,7 @@ def _joined(sample: Rows, free: Array) -> dict[int, int]:
                 edges[low, high] = max(edges.get((low, high), -np.inf), score)
     up: dict[int, int] = {}
     below: set[int] = set()
-    for (low, high), score in sorted(edges.items(), key=lambda one: -one[1]):
+    for (low, high), score in sorted(edges.items(), key=lambda item: -item[1]):
         is_border = low // 8 != high // 8
         if score > (FOR if is_border else AGAINST) and low not in up and high not in below:
             if is_border and (up.get(_last(high // 8), -1) // 8 == low // 8):
@@ -112,8 +112,8 @@ def whole_bytes(free: Array) -> list[tuple[list[int], ByteOrder]]:
     return found
 
 
-def _are_simultaneous(sample: Rows, one: list[int], other: list[int]) -> bool:
-    moves = [np.not_equal(*sample.pairs(sample.values(bits))) for bits in (one, other)]
+def _are_simultaneous(sample: Rows, mine: list[int], other: list[int]) -> bool:
+    moves = [np.not_equal(*sample.pairs(sample.values(bits))) for bits in (mine, other)]
     either = (moves[0] | moves[1]).sum()
     return bool(either >= 2 and (moves[0] & moves[1]).sum() >= SIMULTANEOUS * either)
 
@@ -214,7 +214,7 @@ def _goes_with_bit(lower: Array, upper: Array) -> Array:
     return found
 
 
-def _dot(one: Array, other: Array) -> Array:
+def _dot(left: Array, other: Array) -> Array:
     """Return the sum of products, row by row."""
-    found: Array = np.einsum("ij,ij->i", one, other)
+    found: Array = np.einsum("ij,ij->i", left, other)
     return found

@@ -22,8 +22,8 @@ def sum_bits(kind: str, own: Array, covered: Array) -> float:
         return 0.0
     if kind != "fletcher":
         for byte in varying.T:
-            for one in own.T:
-                if any((mirror == mirror[0]).all() for mirror in (one - byte, one + byte, one ^ byte)):
+            for row in own.T:
+                if any((mirror == mirror[0]).all() for mirror in (row - byte, row + byte, row ^ byte)):
                     return 0.0
     different = len(np.unique(varying, axis=0))
     steps = np.diff(stored_numbers(own, "little"))

@@ -236,14 +236,14 @@ class _Search:
         """Return what fits beyond chance, the most certain of what overlaps, in the order of places."""
         if self.count < 4 or self.least < 2:
             return []
-        found = [one for size in (1, 2, 3, 4) if size < self.least for one in self._of_size(size)]
+        found = [check for size in (1, 2, 3, 4) if size < self.least for check in self._of_size(size)]
         by_chance = log2(max(self.tried, 1))
         kept: list[_Found] = []
-        for one in sorted(found, key=lambda one: one.rank, reverse=True):
-            if one.guess.bits >= by_chance + CHANCE_BITS and not any(_same(one, other) for other in kept):
-                kept.append(one)
-        kept.sort(key=lambda one: one.guess.offset)
-        return [replace(one.guess, bits=one.guess.bits - by_chance) for one in kept]
+        for check in sorted(found, key=lambda check: check.rank, reverse=True):
+            if check.guess.bits >= by_chance + CHANCE_BITS and not any(_same(check, other) for other in kept):
+                kept.append(check)
+        kept.sort(key=lambda check: check.guess.offset)
+        return [replace(check.guess, bits=check.guess.bits - by_chance) for check in kept]
 
     # ------------------------------------------------------------------ places
 
@@ -316,7 +316,9 @@ class _Search:
         """Ranges in which nearly all rows leave the same rest."""
         self.tried += len(starts)
         few = rest[self.few]
-        if max(int((few == few[one]).sum(axis=0).max()) for one in (0, len(few) // 2, -1)) < TRIAL * len(few):
+        if max(
+            int((few == few[example]).sum(axis=0).max()) for example in (0, len(few) // 2, -1)
+        ) < TRIAL * len(few):
             return
         for start, column in zip(starts.tolist(), rest.T, strict=True):
             values, counts = np.unique(column, return_counts=True)

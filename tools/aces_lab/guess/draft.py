@@ -78,7 +78,7 @@ def payload_lines(fields: Sequence[FieldGuess], size: int, trailing: bool = Fals
     """
     if not size:
         return ['Struct("rest" / GreedyBytes)'] if trailing else []
-    texts = [one for one in fields if one.kind == "text"]
+    texts = [field for field in fields if field.kind == "text"]
     if not texts:
         return _layout(fields, 0, size, trailing)
     lines = ["Struct("]
@@ -86,7 +86,7 @@ def payload_lines(fields: Sequence[FieldGuess], size: int, trailing: bool = Fals
     for text in [*texts, None]:
         end = size if text is None else text.first_byte
         if end > at:
-            inner = [one for one in fields if at <= one.first_byte < end and one.kind != "text"]
+            inner = [field for field in fields if at <= field.first_byte < end and field.kind != "text"]
             layout = _layout(inner, at, end - at, False)
             lines += [f'    "bytes_{at}" / {layout[0]}', *(f"    {line}" for line in layout[1:])]
             lines[-1] += ","
@@ -98,13 +98,13 @@ def payload_lines(fields: Sequence[FieldGuess], size: int, trailing: bool = Fals
     return [*lines, ")"]
 
 
-def field_name(one: FieldGuess) -> str:
+def field_name(field: FieldGuess) -> str:
     """Return what a field is called: its kind and where it is, by byte and, where that is not its first, bit."""
-    bit = one.start % 8
-    if one.kind == "multiplexer":
-        return f"{one.kind}_{one.first_byte}"
-    when = f"_at_{one.when[0]}" if one.when else ""
-    return f"{one.kind}_{one.first_byte}" + (f"_{bit}" if bit or one.length < 8 else "") + when
+    bit = field.start % 8
+    if field.kind == "multiplexer":
+        return f"{field.kind}_{field.first_byte}"
+    when = f"_at_{field.when[0]}" if field.when else ""
+    return f"{field.kind}_{field.first_byte}" + (f"_{bit}" if bit or field.length < 8 else "") + when
 
 
 # ---------------------------------------------------------------------- the head
@@ -118,10 +118,10 @@ def _about(guess: TrafficGuess, files: Iterable[str]) -> Iterator[str]:
     if guess.known:
         best = guess.known[0]
         said.append(f"{guess.decoded:,} of these frames are {best.name}, and are not in here.")
-    said += [f"{one.name}: {one.evidence}" for one in guess.protocols]
-    said += [f"{_shown(one.reply)} answers {_shown(one.request)}: {one.evidence}" for one in guess.pairs]
-    for one in said:
-        yield from wrapped(one, "# ", "#   ")
+    said += [f"{protocol.name}: {protocol.evidence}" for protocol in guess.protocols]
+    said += [f"{_shown(pair.reply)} answers {_shown(pair.request)}: {pair.evidence}" for pair in guess.pairs]
+    for line in said:
+        yield from wrapped(line, "# ", "#   ")
 
 
 def _shown(key: int) -> str:
@@ -187,8 +187,8 @@ def _message(message: MessageGuess, own: str, nodes: dict[str, str]) -> Iterator
         lines[-1] += ","
         yield f"    payload={lines[0]}"
         yield from (f"    {line}" for line in lines[1:])
-    check = next((one for one in fields if one.check is not None), None)
-    if check is not None and check.check is not None and not any(one.kind == "text" for one in fields):
+    check = next((field for field in fields if field.check is not None), None)
+    if check is not None and check.check is not None and not any(field.kind == "text" for field in fields):
         yield f"    check={check.check.declare(field_name(check))},"
     yield ")"
 
@@ -213,25 +213,25 @@ def _values(numbers: Sequence[int]) -> str:
 
 
 def _constants(fields: Iterable[FieldGuess]) -> Iterator[str]:
-    for one in fields:
-        if one.kind == "constant":
-            first, last = one.first_byte, (one.start + one.length - 1) // 8
+    for field in fields:
+        if field.kind == "constant":
+            first, last = field.first_byte, (field.start + field.length - 1) // 8
             where = f"byte {first}" if first == last else f"bytes {first} to {last}"
-            if one.length % 8:
-                low = one.start % 8
-                where += f" bit {low}" if one.length == 1 else f" bits {low} to {low + one.length - 1}"
-            yield f"{where}: {one.evidence}"
+            if field.length % 8:
+                low = field.start % 8
+                where += f" bit {low}" if field.length == 1 else f" bits {low} to {low + field.length - 1}"
+            yield f"{where}: {field.evidence}"
 
 
 def _named_once(fields: Iterable[FieldGuess]) -> list[FieldGuess]:
     """Keep the first check of a message; turn further checks into numbers."""
     found: list[FieldGuess] = []
     has_check = False
-    for one in fields:
-        if one.kind == "check" and has_check:
-            one = replace(one, kind="number")
-        has_check = has_check or one.kind == "check"
-        found.append(one)
+    for field in fields:
+        if field.kind == "check" and has_check:
+            field = replace(field, kind="number")
+        has_check = has_check or field.kind == "check"
+        found.append(field)
     return found
 
 
@@ -240,13 +240,13 @@ def _named_once(fields: Iterable[FieldGuess]) -> list[FieldGuess]:
 
 def _layout(fields: Sequence[FieldGuess], first: int, size: int, trailing: bool) -> list[str]:
     """Return a `BitLayout` of these fields, of `size` bytes from byte `first` on."""
-    some = [one for one in fields if one.kind != "constant"]
-    multibyte = [one.order for one in some if one.positions[0] // 8 != one.positions[-1] // 8]
+    some = [field for field in fields if field.kind != "constant"]
+    multibyte = [field.order for field in some if field.positions[0] // 8 != field.positions[-1] // 8]
     is_big = multibyte.count("big") > len(multibyte) / 2
     lines = ["BitLayout(", f"    {size},"]
     # A selector comes before what it selects.
-    for one in sorted(some, key=lambda one: one.kind != "multiplexer"):
-        lines += _commented(one, f'"{field_name(one)}" / {_field(one, first, is_big)},')
+    for field in sorted(some, key=lambda field: field.kind != "multiplexer"):
+        lines += _commented(field, f'"{field_name(field)}" / {_field(field, first, is_big)},')
     if is_big:
         lines.append('    order="msb",')
     if trailing:
@@ -254,27 +254,27 @@ def _layout(fields: Sequence[FieldGuess], first: int, size: int, trailing: bool)
     return [*lines, ")"]
 
 
-def _commented(one: FieldGuess, code: str) -> list[str]:
-    text = f"{one.evidence} ({one.confidence:.2f})"
+def _commented(field: FieldGuess, code: str) -> list[str]:
+    text = f"{field.evidence} ({field.confidence:.2f})"
     return [f"    {line}" for line in (*wrapped(plain(text), "# ", "# "), *wrapped(code, "", "    "))]
 
 
-def _field(one: FieldGuess, first: int, is_big: bool) -> str:
-    spans = one.positions[0] // 8 != one.positions[-1] // 8
-    is_msb = one.order == "big" if spans else is_big
-    at = (one.positions[-1] ^ 7 if is_msb else one.positions[0]) - 8 * first
-    arguments = f"{one.length}, {at}"
+def _field(field: FieldGuess, first: int, is_big: bool) -> str:
+    spans = field.positions[0] // 8 != field.positions[-1] // 8
+    is_msb = field.order == "big" if spans else is_big
+    at = (field.positions[-1] ^ 7 if is_msb else field.positions[0]) - 8 * first
+    arguments = f"{field.length}, {at}"
     order = "" if is_msb == is_big else f', order="{"msb" if is_msb else "lsb"}"'
-    if one.kind == "float":
+    if field.kind == "float":
         made = f"float_bits({arguments}{order})"
     else:
-        made = f"bits({arguments}{', signed=True' if one.signed else ''}{order})"
-    if one.kind == "counter" and one.value == 1 and one.modulus:
-        made = f"Counter({made}{f', {one.modulus}' if one.modulus != 1 << one.length else ''})"
-    if one.kind == "enumeration" and one.values:
-        made = f"Enumeration({made}, {', '.join(f'value_{value}={value}' for value in one.values)})"
-    if one.when:
-        made = f'Multiplexed("{one.selector}", {_set(one.when)}, {made})'
+        made = f"bits({arguments}{', signed=True' if field.signed else ''}{order})"
+    if field.kind == "counter" and field.value == 1 and field.modulus:
+        made = f"Counter({made}{f', {field.modulus}' if field.modulus != 1 << field.length else ''})"
+    if field.kind == "enumeration" and field.values:
+        made = f"Enumeration({made}, {', '.join(f'value_{value}={value}' for value in field.values)})"
+    if field.when:
+        made = f'Multiplexed("{field.selector}", {_set(field.when)}, {made})'
     return made
 
 

@@ -33,9 +33,9 @@ def stream_source(guess: StreamGuess, name: str = "draft", files: Iterable[str] 
             body.append(
                 f'{variable}_of = {variable}.family(prefix=Struct("word" / Bytes({framing.opcode[1]})))'
             )
-        for one in guess.packets:
-            if one.framing == number:
-                body += ["", *_message(one, framing, variable)]
+        for packet in guess.packets:
+            if packet.framing == number:
+                body += ["", *_message(packet, framing, variable)]
     comments = [line for text in said for line in _comment(text)]
     return "\n".join(
         [TITLE, "", *comments, "", *imports_of(body), f'{own} = Protocol("{own}", link="serial")', *body, ""]
@@ -85,19 +85,23 @@ def _framing(framing: FramingGuess, own: str, variable: str) -> Iterator[str]:
     yield ")"
 
 
-def _message(one: PacketGuess, framing: FramingGuess, variable: str) -> Iterator[str]:
-    sizes = f"{one.sizes[0]} bytes" if len(one.sizes) == 1 else f"{one.sizes[0]} to {one.sizes[-1]} bytes"
-    yield from _comment(f"{one.count:,} packets of {sizes}, as {one.example[:24].hex(' ').upper()}")
+def _message(packet: PacketGuess, framing: FramingGuess, variable: str) -> Iterator[str]:
+    sizes = (
+        f"{packet.sizes[0]} bytes"
+        if len(packet.sizes) == 1
+        else f"{packet.sizes[0]} to {packet.sizes[-1]} bytes"
+    )
+    yield from _comment(f"{packet.count:,} packets of {sizes}, as {packet.example[:24].hex(' ').upper()}")
     if framing.kind == "lines":
-        yield from _line(one, framing, variable)
+        yield from _line(packet, framing, variable)
         return
-    code = "" if one.opcode is None else f"_{one.opcode.hex().upper()}"
+    code = "" if packet.opcode is None else f"_{packet.opcode.hex().upper()}"
     yield f"{variable}("
     yield f'    "{variable.title()}{code}",'
-    if one.opcode is not None:
-        yield f'    match={{"opcode": 0x{one.opcode.hex().upper()}}},'
-    size = max(0, one.size - framing.head_end - body_end(framing))
-    lines = payload_lines(_without_checks(one.fields), size, len(one.sizes) > 1)
+    if packet.opcode is not None:
+        yield f'    match={{"opcode": 0x{packet.opcode.hex().upper()}}},'
+    size = max(0, packet.size - framing.head_end - body_end(framing))
+    lines = payload_lines(_without_checks(packet.fields), size, len(packet.sizes) > 1)
     if lines:
         yield f"    payload={lines[0]}"
         yield from (f"    {line}" for line in lines[1:-1])
@@ -108,20 +112,20 @@ def _message(one: PacketGuess, framing: FramingGuess, variable: str) -> Iterator
 
 def _without_checks(fields: Iterable[FieldGuess]) -> list[FieldGuess]:
     """Turn checks among the fields into numbers: the framing itself has the packet's check."""
-    return [replace(one, kind="number", check=None) if one.kind == "check" else one for one in fields]
+    return [replace(field, kind="number", check=None) if field.kind == "check" else field for field in fields]
 
 
-def _line(one: PacketGuess, framing: FramingGuess, variable: str) -> Iterator[str]:
-    if one.opcode is None:
+def _line(packet: PacketGuess, framing: FramingGuess, variable: str) -> Iterator[str]:
+    if packet.opcode is None:
         yield f'{variable}("{variable.title()}", payload=Struct("text" / GreedyBytes))'
         return
-    end = len(one.example) - body_end(framing)
-    rest = one.example[len(framing.sync) + len(one.opcode) : end].decode("latin-1")
-    name = re.sub(r"\W", "_", one.opcode.decode("latin-1"))
+    end = len(packet.example) - body_end(framing)
+    rest = packet.example[len(framing.sync) + len(packet.opcode) : end].decode("latin-1")
+    name = re.sub(r"\W", "_", packet.opcode.decode("latin-1"))
     name = name if name.isidentifier() else f"Line_{name}"
     separator = rest[:1] if rest[:1] and not rest[:1].isalnum() else ""
     if not separator:
         payload = 'Struct("text" / GreedyBytes)'
     else:
         payload = f'Delimited({separator!r}, "field_1" / AsciiText(), lead=True, more=True)'
-    yield f'{variable}_of("{name}", word={one.opcode!r}, payload={payload})'
+    yield f'{variable}_of("{name}", word={packet.opcode!r}, payload={payload})'

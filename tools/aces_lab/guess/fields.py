@@ -173,14 +173,14 @@ def fields_of(rows: Array, times_ns: Array | None = None, prefix: bytes | Array 
     free = np.ones(8 * sample.size, bool)
     selector = selector_of(sample, plain)
     if selector is not None:
-        plain = [*(one for one in plain if one.start != selector.start), selector]
-    for one in plain:
-        free[list(one.positions)] = False
+        plain = [*(field for field in plain if field.start != selector.start), selector]
+    for field in plain:
+        free[list(field.positions)] = False
     found = list(plain)
     if selector is not None:
         found += _selected(rows, selector, free)
-        for one in found:
-            free[list(one.positions)] = False
+        for field in found:
+            free[list(field.positions)] = False
     return filled(sample, found + _split(rows, sample, free), np.ones(8 * sample.size, bool))
 
 
@@ -208,19 +208,19 @@ def _selected(rows: Array, selector: FieldGuess, free: Array) -> list[FieldGuess
         some = rows[values == value]
         sample = Rows(some)
         own = free.copy()
-        plain = [one for one in plain_fields(sample, None, b"") if free[list(one.positions)].all()]
-        for one in plain:
-            own[list(one.positions)] = False
+        plain = [field for field in plain_fields(sample, None, b"") if free[list(field.positions)].all()]
+        for field in plain:
+            own[list(field.positions)] = False
         fields = filled(sample, [*plain, *_split(some, sample, own)], free)
-        found.append([one for one in fields if one.kind != "constant"])
-    places = [{one.positions for one in some} for some in found]
+        found.append([field for field in fields if field.kind != "constant"])
+    places = [{field.positions for field in some} for some in found]
     common = set.intersection(*places)
     if common and all(place == common for place in places):
         return []
     return [
-        replace(one, when=(value,), selector=f"{selector.kind}_{selector.first_byte}")
+        replace(field, when=(value,), selector=f"{selector.kind}_{selector.first_byte}")
         for value, some in zip(selector.values, found, strict=True)
-        for one in some
+        for field in some
     ]
 
 
@@ -228,31 +228,33 @@ def filled(sample: Rows, found: Iterable[FieldGuess], free: Array) -> list[Field
     """Return the guesses, widened by zeros that fill their bytes, and constants for all bits of `free` that are left."""
     found = list(found)
     free = free.copy()
-    for one in found:
-        free[list(one.positions)] = False
+    for field in found:
+        free[list(field.positions)] = False
     constant = free & ~sample.varies
-    widened = [_widened(one, constant, sample.bits[0]) if one.kind == "number" else one for one in found]
-    for one in widened:
-        free[list(one.positions)] = False
+    widened = [
+        _widened(field, constant, sample.bits[0]) if field.kind == "number" else field for field in found
+    ]
+    for field in widened:
+        free[list(field.positions)] = False
     widened += _constants(sample, free & ~sample.varies)
-    return sorted(widened, key=lambda one: (one.first_byte, min(one.positions)))
+    return sorted(widened, key=lambda field: (field.first_byte, min(field.positions)))
 
 
-def _widened(one: FieldGuess, free: Array, values: Array) -> FieldGuess:
+def _widened(field: FieldGuess, free: Array, values: Array) -> FieldGuess:
     """Return a number with the bits around it, in its bytes, that never change: zeros, or a single bit that fills the
     byte.
     """
-    start, length = one.start, one.length
+    start, length = field.start, field.length
     if length < 4:
-        return one
+        return field
     while start % 8 and free[start - 1] and not values[start - 1]:
         start, length = start - 1, length + 1
         free[start] = False
-    top = positions_of(start, length, one.order)[-1]
-    while top % 8 != 7 and free[top + 1] and not one.signed and (not values[top + 1] or top % 8 == 6):
+    top = positions_of(start, length, field.order)[-1]
+    while top % 8 != 7 and free[top + 1] and not field.signed and (not values[top + 1] or top % 8 == 6):
         top, length = top + 1, length + 1
         free[top] = False
-    return replace(one, start=start, length=length)
+    return replace(field, start=start, length=length)
 
 
 def _constants(sample: Rows, free: Array) -> list[FieldGuess]:

@@ -43,13 +43,18 @@ def framings_of(sample: Sample) -> list[FramingGuess]:
             break
         judged: list[tuple[tuple[float, ...], FramingGuess, list[Span]]] = []
         for candidate in _candidates(sample, free):
-            one = _judged(sample, candidate, len(found), left)
-            if one is not None:
-                judged.append(one)
-                if one[1].is_checked and one[1].share > 0.98 and one[1].kind != "silence" and one[0][2]:
+            verdict = _judged(sample, candidate, len(found), left)
+            if verdict is not None:
+                judged.append(verdict)
+                if (
+                    verdict[1].is_checked
+                    and verdict[1].share > 0.98
+                    and verdict[1].kind != "silence"
+                    and verdict[0][2]
+                ):
                     break
-        judged.sort(key=lambda one: one[0], reverse=True)
-        best = next((one for one in judged if _go_together([*found, one[1]])), None)
+        judged.sort(key=lambda verdict: verdict[0], reverse=True)
+        best = next((verdict for verdict in judged if _go_together([*found, verdict[1]])), None)
         if best is None:
             break
         found.append(best[1])
@@ -76,14 +81,14 @@ def _judged(
     except AcesError:
         return None
     spans = [
-        Span(one.start + start, one.end + start, number)
+        Span(candidate.start + start, candidate.end + start, number)
         for (start, _), found in zip(free, some, strict=True)
-        for one in found
+        for candidate in found
     ]
     if guess.kind == "silence":
         bursts = dict(sample.silences)[guess.gap_s or 0.0]
         spans = [Span(start, end, number) for start, end in bursts]
-    covered = sum(one.end - one.start for one in spans)
+    covered = sum(span.end - span.start for span in spans)
     share = covered / max(left, 1)
     if guess.bits < ENOUGH_BITS or len(spans) < 3 or share < 0.02:
         return None
@@ -178,25 +183,27 @@ def _of_lines(lines: list[bytes], sync: bytes, end: bytes) -> FramingGuess:
 
 def _enclosed(sample: Sample, free: list[tuple[int, int]]) -> Iterator[FramingGuess]:
     for name, mark, stuffing in (("COBS", b"\0", Cobs()), ("SLIP", b"\xc0", Slip())):
-        packets = [one for start, end in free for one in sample.data[start:end].split(mark)[1:-1] if one]
+        packets = [
+            packet for start, end in free for packet in sample.data[start:end].split(mark)[1:-1] if packet
+        ]
         packets = packets[:PACKETS]
         if len(packets) < 4:
             continue
         plain: list[bytes] = []
-        for one in packets:
+        for packet in packets:
             try:
-                plain.append(stuffing.unstuff(one))
+                plain.append(stuffing.unstuff(packet))
             except ValueError:
                 continue
         if len(plain) < 0.9 * len(packets):
             continue
         if name == "COBS":
             # A wrong block ends anywhere; a right one at the mark.
-            bits = sum(min(log2(1 + len(one)), 6.0) for one in plain) - len(packets)
+            bits = sum(min(log2(1 + len(packet)), 6.0) for packet in plain) - len(packets)
             words = f"between zeros {len(plain)} of {len(packets)} packets are whole COBS blocks"
         else:
-            escapes = sum(one.count(b"\xdb") for one in packets)
-            bits = 7.0 * escapes + 2.0 * sum(1 for one in packets if len(one) > 64)
+            escapes = sum(packet.count(b"\xdb") for packet in packets)
+            bits = 7.0 * escapes + 2.0 * sum(1 for packet in packets if len(packet) > 64)
             words = f"between C0 {len(plain)} of {len(packets)} packets have DB before DC and DD only ({escapes} times)"
         most = max(map(len, packets))
         guess = FramingGuess(

@@ -166,7 +166,7 @@ def framing_check(guess: FramingGuess) -> Check | None:
     check = found.check
     over = [slice(start, stop) for start, stop in found.covers]
     if guess.stuffing is not None and guess.end:
-        over = [slice(one.start, (one.stop or 0) - len(guess.end)) for one in over]
+        over = [slice(run.start, (run.stop or 0) - len(guess.end)) for run in over]
     if not guess.tail:
         return _with_over(check, over)
     if not isinstance(check, Crc) or check.order != "big":
@@ -182,7 +182,7 @@ def framing_check(guess: FramingGuess) -> Check | None:
         poly=poly << more,
         init=init << more,
         xorout=xorout << more | int.from_bytes(guess.tail, "big"),
-        over=[slice(one.start, (one.stop or 0)) for one in over],
+        over=[slice(run.start, (run.stop or 0)) for run in over],
         order="big",
     )
 
@@ -234,7 +234,7 @@ def spans_of(
         declare_framing(protocol, guess, f"framing {number}")(name, payload=Struct("data" / GreedyBytes))
         names[name] = number
     scanner = protocol.scanner()
-    gap = min((one.gap_s for one in guesses if one.gap_s is not None), default=None)
+    gap = min((guess.gap_s for guess in guesses if guess.gap_s is not None), default=None)
     found: list[list[Span]] = []
     for line in lines:
         scanner.reset()
@@ -260,7 +260,7 @@ def spans_of(
 
 def with_check(guess: FramingGuess, packets: Sequence[bytes], least_share: float = 0.9) -> FramingGuess:
     """Return the guess with the check at the end of its packets, if there is one."""
-    for check in sorted(checks_of_packets(packets, least_share=least_share), key=lambda one: -one.bits):
+    for check in sorted(checks_of_packets(packets, least_share=least_share), key=lambda found: -found.bits):
         behind = -check.offset - check.size
         tails = Counter(packet[len(packet) - behind :] for packet in packets)
         tail, count = tails.most_common(1)[0]

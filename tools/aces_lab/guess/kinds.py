@@ -33,18 +33,18 @@ def plain_fields(sample: Rows, rows: Array | None, prefix: bytes | Array) -> lis
     found: list[FieldGuess] = []
     free = np.ones(8 * sample.size, bool)
     for make in (lambda *_: _checks(rows, prefix), _texts, _counters, _floats):
-        for one in make(sample, free):
-            if free[list(one.positions)].all():
-                found.append(one)
-                free[list(one.positions)] = False
+        for field in make(sample, free):
+            if free[list(field.positions)].all():
+                found.append(field)
+                free[list(field.positions)] = False
     return found
 
 
 def _checks(rows: Array | None, prefix: bytes | Array) -> Iterator[FieldGuess]:
-    for one in checks_of(rows, prefix) if rows is not None else ():
-        order: ByteOrder = "big" if one.size > 1 and one.check.order == "big" else "little"
-        start = 8 * (one.offset + (one.size - 1 if order == "big" else 0))
-        yield FieldGuess(start, 8 * one.size, order, "check", one.confidence, one.evidence, check=one)
+    for field in checks_of(rows, prefix) if rows is not None else ():
+        order: ByteOrder = "big" if field.size > 1 and field.check.order == "big" else "little"
+        start = 8 * (field.offset + (field.size - 1 if order == "big" else 0))
+        yield FieldGuess(start, 8 * field.size, order, "check", field.confidence, field.evidence, check=field)
 
 
 # ---------------------------------------------------------------------- text
@@ -82,7 +82,7 @@ def _counters(sample: Rows, free: Array) -> Iterator[FieldGuess]:
         return
     for bit in np.flatnonzero(sample.varies & (sample.rates >= COUNTS)).tolist():
         grown = [_grown(sample, bit, order) for order in _ORDERS]
-        positions, step, order = max(grown, key=lambda one: len(one[0]))
+        positions, step, order = max(grown, key=lambda run: len(run[0]))
         if len(positions) < 2:
             continue
         before, after = sample.pairs(sample.values(positions))
@@ -142,7 +142,9 @@ def _floats(sample: Rows, free: Array) -> Iterator[FieldGuess]:
     while at + 4 <= sample.size:
         found = None
         if free[8 * at : 8 * at + 32].all() and sample.varies[8 * at : 8 * at + 32].any():
-            found = max((_float_at(sample, at, order) for order in _ORDERS), key=lambda one: one.confidence)
+            found = max(
+                (_float_at(sample, at, order) for order in _ORDERS), key=lambda guess: guess.confidence
+            )
         if found is not None and found.confidence > 0:
             yield found
             at += 4
@@ -213,21 +215,21 @@ def classified(sample: Rows, piece: tuple[list[int], ByteOrder]) -> FieldGuess:
     )  # fmt: skip
 
 
-def with_all_values(one: FieldGuess, rows: Array) -> FieldGuess:
+def with_all_values(field: FieldGuess, rows: Array) -> FieldGuess:
     """Return an enumeration with the values that it has in all rows, not in a sample only; with too many of them it is
     a number.
     """
-    if one.kind != "enumeration":
-        return one
+    if field.kind != "enumeration":
+        return field
     seen = np.zeros(len(rows), np.int64)
-    for to, at in enumerate(one.positions):
+    for to, at in enumerate(field.positions):
         seen |= (rows[:, at // 8] >> at % 8 & 1).astype(np.int64) << to
     values = tuple(np.flatnonzero(np.bincount(seen)).tolist())
     if len(values) > NAMES:
         return replace(
-            one, kind="number", values=(), evidence=f"{len(values)} values, of which few occur often"
+            field, kind="number", values=(), evidence=f"{len(values)} values, of which few occur often"
         )
-    return replace(one, values=values)
+    return replace(field, values=values)
 
 
 def _kind(

@@ -29,13 +29,13 @@ def selector_of(sample: Rows, plain: Sequence[FieldGuess]) -> FieldGuess | None:
     if sample.steps < 4 * STEPS:
         return None
     explained = np.zeros(8 * sample.size, bool)
-    for one in plain:
-        explained[list(one.positions)] = True
+    for field in plain:
+        explained[list(field.positions)] = True
     best: tuple[float, FieldGuess] | None = None
-    for one in _candidates(sample, plain, explained):
+    for candidate in _candidates(sample, plain, explained):
         others = sample.varies & ~explained
-        others[list(one.positions)] = False
-        values = sample.values(one.positions)
+        others[list(candidate.positions)] = False
+        values = sample.values(candidate.positions)
         numbers, counts = np.unique(values, return_counts=True)
         before, after = sample.pairs(values)
         if not (
@@ -57,7 +57,7 @@ def selector_of(sample: Rows, plain: Sequence[FieldGuess]) -> FieldGuess | None:
             continue
         said = f"among messages of one value {count} of {len(usual)} other bits change far less"
         made = replace(
-            one,
+            candidate,
             kind="multiplexer",
             confidence=min(0.95, 0.5 + 0.05 * count),
             evidence=f"{len(numbers)} values; {said}",
@@ -70,11 +70,11 @@ def selector_of(sample: Rows, plain: Sequence[FieldGuess]) -> FieldGuess | None:
 
 
 def _candidates(sample: Rows, plain: Sequence[FieldGuess], explained: Array) -> list[FieldGuess]:
-    found = [one for one in plain if one.kind == "counter" and one.length <= 8]
+    found = [field for field in plain if field.kind == "counter" and field.length <= 8]
     for byte in range(sample.size):
         for start, length in ((0, 8), (0, 4), (4, 4)):
             bits = range(8 * byte + start, 8 * byte + start + length)
             if sample.varies[bits].any() and not explained[bits].any():
                 found.append(FieldGuess(bits[0], length, "little", "multiplexer", 0.0, ""))
                 break
-    return sorted(found, key=lambda one: one.start)
+    return sorted(found, key=lambda field: field.start)

@@ -61,17 +61,17 @@ class Members:
 
 def families(frames: FrameTable, groups: Sequence[Members]) -> list[Members]:
     """Return the groups, those together that only differ in a node number."""
-    masks = [_signature(frames, one) for one in groups]
+    masks = [_signature(frames, group) for group in groups]
     left = dict.fromkeys(range(len(groups)))
     found: list[Members] = []
-    for shift, candidates in _candidates([one.keys[0] for one in groups]):
+    for shift, candidates in _candidates([group.keys[0] for group in groups]):
         numbers = [at for at in candidates if at in left]
         for alike in _alike(groups, masks, numbers):
             if len(alike) >= MEMBERS:
                 found.append(_joined(groups, alike, shift))
                 for at in alike:
                     del left[at]
-    return sorted([*found, *(groups[at] for at in left)], key=lambda one: one.keys[0])
+    return sorted([*found, *(groups[at] for at in left)], key=lambda family: family.keys[0])
 
 
 def _candidates(keys: Sequence[int]) -> Iterator[tuple[int, list[int]]]:
@@ -145,7 +145,7 @@ def _joined(groups: Sequence[Members], alike: Sequence[int], shift: int) -> Memb
         "source" if is_source else "node",
         base,
         shift,
-        tuple((one - base) >> shift for one in identifiers),
+        tuple((identifier - base) >> shift for identifier in identifiers),
         min(0.9, 0.5 + 0.1 * len(keys)) * (1.0 if is_source else 0.5 + 0.5 * density),
         f"{len(keys)} identifiers with the same lengths and rate, in which the same bits change",
     )

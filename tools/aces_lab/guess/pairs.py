@@ -57,11 +57,11 @@ def pairs_of(frames: FrameTable, clocked: Collection[int] = ()) -> list[PairGues
     found: dict[int, PairGuess] = {}
     frames = frames.take(slice(0, LOOKED_AT))
     for some in (frames, frames.take(~np.isin(frames.key, np.array(list(clocked), np.uint32)))):
-        for one in _pairs_among(some):
-            best = found.get(one.reply)
-            if best is None or (best.confidence, best.count) < (one.confidence, one.count):
-                found[one.reply] = one
-    return sorted(found.values(), key=lambda one: -one.confidence)
+        for pair in _pairs_among(some):
+            best = found.get(pair.reply)
+            if best is None or (best.confidence, best.count) < (pair.confidence, pair.count):
+                found[pair.reply] = pair
+    return sorted(found.values(), key=lambda pair: -pair.confidence)
 
 
 def _pairs_among(frames: FrameTable) -> Iterator[PairGuess]:

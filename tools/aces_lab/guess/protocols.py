@@ -111,14 +111,12 @@ def _j1939(rows: dict[int, Array]) -> Iterator[ProtocolGuess]:
 def _put_together(frames: FrameTable, rows: dict[int, Array]) -> Iterator[ProtocolGuess]:
     keys, found = j1939_packets(frames, rows)
     if found:
-        sizes = [size for one in found for size in one.sizes]
-        said = f"{sum(one.count for one in found)} packets of {min(sizes)} to {max(sizes)} bytes are whole"
+        sizes = [size for transfer in found for size in transfer.sizes]
+        said = f"{sum(transfer.count for transfer in found)} packets of {min(sizes)} to {max(sizes)} bytes are whole"
         yield ProtocolGuess("J1939 transport", keys, 0.95, said, tuple(found))
     keys, found = cyphal_packets(frames, rows)
     if found:
-        said = (
-            f"{sum(one.count for one in found)} transfers are whole, those of several frames with their CRC"
-        )
+        said = f"{sum(transfer.count for transfer in found)} transfers are whole, those of several frames with their CRC"
         yield ProtocolGuess("Cyphal", keys, 0.95, said)
 
 
@@ -147,7 +145,7 @@ def _iso_tp(data: Array, lengths: Array) -> str | None:
     kind, low = data[:, 0] >> 4, data[:, 0] & 15
     if (kind > 3).any():
         return None
-    single, first, following, flow = (kind == one for one in range(4))
+    single, first, following, flow = (kind == kind_number for kind_number in range(4))
     if (single & ((low == 0) | (low >= lengths)) & (lengths <= 8)).mean() > AGAINST or (
         flow & (low > 2)
     ).any():

@@ -65,7 +65,7 @@ class PacketGuess:
             "opcode": None if self.opcode is None else self.opcode.hex(" ").upper(),
             "count": self.count,
             "sizes": list(self.sizes),
-            "fields": [one.as_dict() for one in self.fields],
+            "fields": [field.as_dict() for field in self.fields],
         }
 
 
@@ -91,11 +91,11 @@ class StreamGuess:
             "kept": self.kept,
             "decoded": self.decoded,
             "known": [
-                {"name": one.name, "share": round(one.share, 4), "direction": one.direction}
-                for one in self.known
+                {"name": protocol.name, "share": round(protocol.share, 4), "direction": protocol.direction}
+                for protocol in self.known
             ],
-            "framings": [one.as_dict() for one in self.framings],
-            "packets": [one.as_dict() for one in self.packets],
+            "framings": [framing.as_dict() for framing in self.framings],
+            "packets": [packet.as_dict() for packet in self.packets],
         }
 
 
@@ -142,7 +142,7 @@ class StreamTraffic:
         framings, spans = self._scanned(framings, lines)
         if len(sample.data) < self.kept:
             said = f"found in {len(sample.data):,} of the bytes; packets are counted in all"
-            framings = [replace(one, evidence=(*one.evidence, said)) for one in framings]
+            framings = [replace(framing, evidence=(*framing.evidence, said)) for framing in framings]
         found: list[PacketGuess] = []
         for number, framing in enumerate(framings):
             packets, times = _packets(lines, spans, number)
@@ -357,7 +357,7 @@ def _kinds(
     groups: dict[bytes | None, list[int]] = {}
     for index, packet in enumerate(logical):
         groups.setdefault(_code(framing, packet), []).append(index)
-    for code, members in sorted(groups.items(), key=lambda one: -len(one[1]))[:KINDS]:
+    for code, members in sorted(groups.items(), key=lambda group: -len(group[1]))[:KINDS]:
         members = members[:ROWS]
         sizes = sorted({len(logical[index]) for index in members})
         fields: list[FieldGuess] = []

@@ -48,8 +48,8 @@ class _Vote(NamedTuple):
 def synced(sample: Sample, free: list[tuple[int, int]]) -> Iterator[FramingGuess]:
     """Yield the likeliest framings with sync bytes of what is `free`, at most `FINALISTS`."""
     votes = [vote for vote in _votes(sample, free) if vote.bits > 0]
-    by_bits = sorted(votes, key=lambda one: -one.bits)
-    by_bytes = sorted(votes, key=lambda one: -one.covered)
+    by_bits = sorted(votes, key=lambda vote: -vote.bits)
+    by_bytes = sorted(votes, key=lambda vote: -vote.covered)
     seen: set[tuple[object, ...]] = set()
     for vote in chain.from_iterable(zip(by_bits, by_bytes, strict=True)):
         guess = _of_vote(sample, vote)
@@ -228,8 +228,8 @@ def _stuffed(guess: FramingGuess, packets: Sequence[bytes]) -> FramingGuess:
     pattern = guess.sync[:3]
     byte = pattern[-1:]
     inside = [packet[3:] for packet in packets]
-    there = sum(one.count(pattern) for one in inside)
-    followed = sum(one.count(pattern + byte) for one in inside)
+    there = sum(data.count(pattern) for data in inside)
+    followed = sum(data.count(pattern + byte) for data in inside)
     if there < 2 or followed < there:
         return guess
     words = f"{pattern.hex(' ').upper()} inside of packets is always followed by {byte.hex().upper()} ({there} times)"

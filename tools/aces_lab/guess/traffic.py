@@ -115,7 +115,7 @@ class MessageGuess:
             "lengths": list(self.lengths),
             "period_ms": None if self.timing is None else self.timing.period_ns / 1e6,
             "jitter_ms": None if self.timing is None else self.timing.jitter_ns / 1e6,
-            "fields": [one.as_dict() for one in self.fields],
+            "fields": [field.as_dict() for field in self.fields],
         }
 
 
@@ -143,11 +143,13 @@ class TrafficGuess:
             "looked_at": self.kept,
             "error_frames": self.errors,
             "beyond": self.beyond,
-            "known": [{"share": round(one.share, 4), "protocol": one.name} for one in self.known],
+            "known": [
+                {"share": round(protocol.share, 4), "protocol": protocol.name} for protocol in self.known
+            ],
             "decoded_by_known": self.decoded,
-            "protocols": [one.as_dict() for one in self.protocols],
-            "messages": [one.as_dict() for one in self.messages],
-            "pairs": [one.as_dict() for one in self.pairs],
+            "protocols": [protocol.as_dict() for protocol in self.protocols],
+            "messages": [message.as_dict() for message in self.messages],
+            "pairs": [pair.as_dict() for pair in self.pairs],
         }
 
 
@@ -243,16 +245,16 @@ def timing_of(gaps: GapCounts) -> TimingGuess | None:
 def _carried(standards: Iterable[ProtocolGuess]) -> dict[int, str]:
     """Return the transport of each key of packets, as a spec declares it."""
     return {
-        key: TRANSPORTS[one.name]
-        for one in standards
-        if one.name in TRANSPORTS
-        for key in ([packet.key for packet in one.packets] or one.keys)
+        key: TRANSPORTS[standard.name]
+        for standard in standards
+        if standard.name in TRANSPORTS
+        for key in ([packet.key for packet in standard.packets] or standard.keys)
     }
 
 
 def _messages(frames: FrameTable, standards: Sequence[ProtocolGuess]) -> tuple[list[MessageGuess], int]:
     carried = _carried(standards)
-    parts = {key for one in standards if one.packets for key in one.keys}
+    parts = {key for standard in standards if standard.packets for key in standard.keys}
     groups: list[Members] = []
     beyond = 0
     for key, by_channel in rows_by_key(frames).items():
@@ -263,23 +265,23 @@ def _messages(frames: FrameTable, standards: Sequence[ProtocolGuess]) -> tuple[l
             beyond += len(rows)
             continue
         counts = [FrameCount(exact=FRAMES) for _ in by_channel]
-        for one, own in zip(counts, by_channel, strict=True):
-            one.count(frames.time[own], frames.length[own])
-        lengths = sorted({length for one in counts for length in one.lengths_seen})
+        for count, own in zip(counts, by_channel, strict=True):
+            count.count(frames.time[own], frames.length[own])
+        lengths = sorted({length for count in counts for length in count.lengths_seen})
         groups.append(Members((key,), rows, tuple(lengths), timing_of(counts[0].gaps)))
     found: list[MessageGuess] = []
     looked_at = 0
-    for group in families(frames, [one for one in groups if one.keys[0] not in carried]):
+    for group in families(frames, [candidate for candidate in groups if candidate.keys[0] not in carried]):
         found += _messages_of(frames, group, with_fields=looked_at < BYTES)
         looked_at += sum(group.lengths[-LENGTHS:])
     for group in groups:
         if group.keys[0] in carried:
             found.append(_packets(group, carried[group.keys[0]]))
     seen = {group.keys[0] for group in groups}
-    for packet in (packet for one in standards for packet in one.packets if packet.key not in seen):
+    for packet in (packet for standard in standards for packet in standard.packets if packet.key not in seen):
         group = Members((packet.key,), np.zeros(packet.frames), packet.sizes, None)
         found.append(_packets(group, carried[packet.key]))
-    return sorted(found, key=lambda one: (one.keys[0], one.length or 0)), beyond
+    return sorted(found, key=lambda message: (message.keys[0], message.length or 0)), beyond
 
 
 def _packets(group: Members, transport: str) -> MessageGuess:
@@ -328,7 +330,12 @@ def _message(
 
 def _clocked(messages: Iterable[MessageGuess]) -> set[int]:
     """Return the keys of messages that come at a fixed rate."""
-    return {key for one in messages if one.timing is not None and one.timing.is_regular for key in one.keys}
+    return {
+        key
+        for message in messages
+        if message.timing is not None and message.timing.is_regular
+        for key in message.keys
+    }
 
 
 def _name(group: Members) -> str:

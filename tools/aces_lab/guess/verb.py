@@ -119,7 +119,7 @@ def run(arguments: argparse.Namespace) -> int:
         stem = Path(arguments.output).stem
         write_text(
             arguments.output,
-            draft_source(guess, stem, [Path(one).name for one in arguments.files]),
+            draft_source(guess, stem, [Path(file).name for file in arguments.files]),
             is_quiet=True,
         )
     if arguments.json:
@@ -134,7 +134,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _best(known: Sequence[FittingProtocol]) -> str:
     """Return the protocols that fit best, where bytes alone do not say which one it is."""
-    return " or ".join(one.name for one in known if one.share == known[0].share)
+    return " or ".join(protocol.name for protocol in known if protocol.share == known[0].share)
 
 
 # ---------------------------------------------------------------------- streams
@@ -143,7 +143,7 @@ def _best(known: Sequence[FittingProtocol]) -> str:
 def _of_stream(guess: StreamGuess, arguments: argparse.Namespace) -> None:
     if arguments.output is not None and guess.framings:
         source = stream_source(
-            guess, Path(arguments.output).stem, [Path(one).name for one in arguments.files]
+            guess, Path(arguments.output).stem, [Path(file).name for file in arguments.files]
         )
         write_text(arguments.output, source, is_quiet=True)
     if arguments.json:
@@ -158,7 +158,7 @@ def _of_stream(guess: StreamGuess, arguments: argparse.Namespace) -> None:
 def _show_stream(guess: StreamGuess, arguments: argparse.Namespace) -> None:
     page = Page(arguments.color)
     title = ", ".join(map(_title, arguments.files))
-    files = " ".join("-" if one == "-" else shlex.quote(one) for one in arguments.files)
+    files = " ".join("-" if file == "-" else shlex.quote(file) for file in arguments.files)
     packets = "" if guess.known else f", {guess.decoded:,} in packets"
     page.lines([printable(f"{title}: {counted(guess.bytes, 'byte')}{packets}")])
     if guess.kept < guess.bytes:
@@ -182,7 +182,7 @@ def _show_stream(guess: StreamGuess, arguments: argparse.Namespace) -> None:
             page.lines(["", page.paint("message", f"packet{code}  {packet.count:,} of {_bytes(sizes)}")])
             if packet.fields:
                 page.table(
-                    ("field", "bits", "kind", "sure", "evidence"), [_cells(one) for one in packet.fields]
+                    ("field", "bits", "kind", "sure", "evidence"), [_cells(field) for field in packet.fields]
                 )
     if guess.framings and arguments.output is None:
         page.lines(["", f"a draft to edit: aces spec guess {printable(files)} -o draft.py"])
@@ -216,7 +216,7 @@ def _show(guess: TrafficGuess, arguments: argparse.Namespace) -> None:
         page.lines([f"only the first {guess.kept:,} frames were looked at"])
     if guess.beyond:
         page.lines([f"{counted(guess.beyond, 'frame')} of still more identifiers were not looked at"])
-    files = " ".join("-" if one == "-" else shlex.quote(one) for one in arguments.files)
+    files = " ".join("-" if file == "-" else shlex.quote(file) for file in arguments.files)
     for known in guess.known[:LISTED]:
         page.lines([printable(f"{known.share:4.0%} is {known.name}:  aces decode {files} {known.options}")])
     if guess.known:
@@ -232,14 +232,14 @@ def _show(guess: TrafficGuess, arguments: argparse.Namespace) -> None:
     for message in guess.messages:
         page.lines([""])
         page.lines([page.paint("message", printable(_headline(message)))])
-        page.table(("field", "bits", "kind", "sure", "evidence"), [_cells(one) for one in message.fields])
+        page.table(("field", "bits", "kind", "sure", "evidence"), [_cells(field) for field in message.fields])
     if guess.pairs:
         page.lines(["", "requests and replies"])
         page.table(
             ("request", "reply", "sure", "evidence"),
             [
-                (_identifier(one.request), _identifier(one.reply), f"{one.confidence:.2f}", one.evidence)
-                for one in guess.pairs[:LISTED]
+                (_identifier(pair.request), _identifier(pair.reply), f"{pair.confidence:.2f}", pair.evidence)
+                for pair in guess.pairs[:LISTED]
             ],
         )
     if guess.messages and arguments.output is None:
@@ -276,20 +276,20 @@ def _headline(message: MessageGuess) -> str:
     return ", ".join(parts)
 
 
-def _cells(one: FieldGuess) -> tuple[str, ...]:
-    first, last = one.positions[0], one.positions[-1]
+def _cells(field: FieldGuess) -> tuple[str, ...]:
+    first, last = field.positions[0], field.positions[-1]
     where = f"{first // 8}.{first % 8}" + (f"…{last // 8}.{last % 8}" if first != last else "")
-    kind = one.kind
-    if one.kind in ("number", "counter", "float"):
-        size = f"{'s' if one.signed else 'u'}{one.length}" if one.kind != "float" else f"{one.length}"
-        order = f" {one.order}" if first // 8 != last // 8 else ""
-        kind = f"{one.kind} {size}{order}"  # type: ignore[assignment]  # text from here on
-    if one.when:
-        where += f" at {one.when[0]}"
-    return (_name(one), where, kind, f"{one.confidence:.2f}", one.evidence)
+    kind = field.kind
+    if field.kind in ("number", "counter", "float"):
+        size = f"{'s' if field.signed else 'u'}{field.length}" if field.kind != "float" else f"{field.length}"
+        order = f" {field.order}" if first // 8 != last // 8 else ""
+        kind = f"{field.kind} {size}{order}"  # type: ignore[assignment]  # text from here on
+    if field.when:
+        where += f" at {field.when[0]}"
+    return (_name(field), where, kind, f"{field.confidence:.2f}", field.evidence)
 
 
-def _name(one: FieldGuess) -> str:
+def _name(field: FieldGuess) -> str:
     from .draft import field_name
 
-    return "" if one.kind == "constant" else field_name(one)
+    return "" if field.kind == "constant" else field_name(field)

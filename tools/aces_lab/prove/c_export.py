@@ -52,7 +52,7 @@ def check_c(variant: Variant) -> Iterator[Outcome]:
     """Compare the C export of a variant with its decoders; yield an outcome for each message that C has, and has not."""
     compiler = shutil.which("cc") or shutil.which("gcc")
     made = print_c_source(variant, name="spec")
-    for name in variant.messages.keys() - {one.message.name for one in made.messages}:
+    for name in variant.messages.keys() - {message.message.name for message in made.messages}:
         outcome = Outcome(variant.label, name)
         why = next((loss for loss in made.losses if name in str(loss)), None)
         outcome.add(
@@ -65,22 +65,22 @@ def check_c(variant: Variant) -> Iterator[Outcome]:
         folder = Path(name)
         (folder / "spec.h").write_text(made.header, encoding="utf-8")
         (folder / "spec.c").write_text(made.source, encoding="utf-8")
-        cases = "\n".join(_case(number, one) for number, one in enumerate(made.messages))
+        cases = "\n".join(_case(number, message) for number, message in enumerate(made.messages))
         (folder / "main.c").write_text(_MAIN.replace("CASES", cases), encoding="utf-8")
         call = [compiler, "-std=c99", "-O1", "-o", "read", "main.c", "spec.c", "-lm"]
         subprocess.run(call, cwd=folder, check=True, capture_output=True)
-        for number, one in enumerate(made.messages):
-            yield _compared(variant, number, one, folder)
+        for number, message in enumerate(made.messages):
+            yield _compared(variant, number, message, folder)
 
 
-def _case(number: int, one: CMessage) -> str:
+def _case(number: int, message: CMessage) -> str:
     """Return the C statements that print a message's members, or `refused`."""
-    is_can = one.message.framing is None
+    is_can = message.message.framing is None
     lines = [
-        f"        case {number}: {{ struct {one.name} s; memset(&s, 0, sizeof s);",
-        f'            if ({one.name}_unpack(&s, {"id, " if is_can else ""}data, size)) {{ printf("refused"); break; }}',
+        f"        case {number}: {{ struct {message.name} s; memset(&s, 0, sizeof s);",
+        f'            if ({message.name}_unpack(&s, {"id, " if is_can else ""}data, size)) {{ printf("refused"); break; }}',
     ]
-    for field in one.fields:
+    for field in message.fields:
         if field.type in ("float", "double", "bytes", "rest"):
             continue
         kind = "PRIu64, (uint64_t)" if field.type.startswith("u") else "PRId64, (int64_t)"
@@ -88,8 +88,8 @@ def _case(number: int, one: CMessage) -> str:
     return "\n".join([*lines, "            break; }"])
 
 
-def _compared(variant: Variant, number: int, one: CMessage, folder: Path) -> Outcome:
-    message = one.message
+def _compared(variant: Variant, number: int, printed: CMessage, folder: Path) -> Outcome:
+    message = printed.message
     outcome = Outcome(variant.label, message.name)
     base = accepted_packet(message)
     if base is None or message.plan.lists or message.plan.is_checked:
@@ -112,7 +112,7 @@ def _compared(variant: Variant, number: int, one: CMessage, folder: Path) -> Out
     sent = b"".join(head + len(data).to_bytes(4, "little") + data for data in packets)
     found = subprocess.run([folder / "read"], input=sent, capture_output=True, check=True, cwd=folder)
     decode = decoders_of(variant, True)[message.name]
-    fields = [f for f in one.fields if f.type not in ("float", "double", "bytes", "rest")]
+    fields = [f for f in printed.fields if f.type not in ("float", "double", "bytes", "rest")]
     for data, line in zip(packets, found.stdout.decode().splitlines(), strict=True):
         record = decode(data, key, None, None, data, None)
         want = "refused" if record is None else " ".join(str(_number(record, f)) for f in fields)

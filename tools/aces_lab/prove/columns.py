@@ -119,7 +119,7 @@ def _differing(
     rows = PacketRows(np.ascontiguousarray(data), lengths, np.full(len(data), key, np.uint32))
     rows = rows.reaching(decoder.extent)
     taken = decoder.accepts(rows)
-    kind = next(one for one in decoder.kinds if one.name == path)
+    kind = next(candidate for candidate in decoder.kinds if candidate.name == path)
     values = decoder.column(kind, rows).to_list()
     decode = decoders_of(variant, raw)[message.name]
     for index in range(len(data)):

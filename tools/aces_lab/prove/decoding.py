@@ -139,15 +139,15 @@ def parts_of_function(function: types.FunctionType) -> list[types.FunctionType]:
     final = node.body[-1]
     if not isinstance(final, ast.Return) or not isinstance(final.value, ast.Call):
         return [function]
-    if sum(isinstance(one, ast.IfExp) for one in ast.walk(final)) <= MOST_CHOICES:
+    if sum(isinstance(inner_node, ast.IfExp) for inner_node in ast.walk(final)) <= MOST_CHOICES:
         return [function]
     leaves = list(_leaves(final.value, (), function.__globals__))
     names = [_names(leaf) for _, leaf in leaves]
     assigned = set[str]().union(*(stored for _, stored in names))
     if any(loaded & assigned - stored for loaded, stored in names):
         return [function]
-    plain = [one for one in leaves if not any(isinstance(n, ast.IfExp) for n in ast.walk(one[1]))]
-    groups = [plain, *([one] for one in leaves if one not in plain)]
+    plain = [leaf for leaf in leaves if not any(isinstance(n, ast.IfExp) for n in ast.walk(leaf[1]))]
+    groups = [plain, *([leaf] for leaf in leaves if leaf not in plain)]
     made: list[types.FunctionType] = []
     for group in groups:
         pairs: list[ast.expr] = [
@@ -157,7 +157,7 @@ def parts_of_function(function: types.FunctionType) -> list[types.FunctionType]:
         body = [*node.body[:-1], ast.Return(value)]
         part = ast.Module([ast.FunctionDef(node.name, node.args, body, [], lineno=1, col_offset=0)], [])
         code = compile(ast.fix_missing_locations(part), function.__code__.co_filename, "exec")
-        inner = next(one for one in code.co_consts if isinstance(one, types.CodeType))
+        inner = next(constant for constant in code.co_consts if isinstance(constant, types.CodeType))
         made.append(types.FunctionType(inner, function.__globals__, function.__name__, function.__defaults__))
     return made
 
@@ -183,9 +183,9 @@ def _leaves(
 
 def _names(node: ast.expr) -> tuple[set[str], set[str]]:
     """Return the names that an expression uses, and those that it assigns."""
-    named = [one for one in ast.walk(node) if isinstance(one, ast.Name)]
-    loaded = {one.id for one in named if isinstance(one.ctx, ast.Load)}
-    return loaded, {one.id for one in named if isinstance(one.ctx, ast.Store)}
+    named = [part for part in ast.walk(node) if isinstance(part, ast.Name)]
+    loaded = {part.id for part in named if isinstance(part.ctx, ast.Load)}
+    return loaded, {part.id for part in named if isinstance(part.ctx, ast.Store)}
 
 
 class Piece:

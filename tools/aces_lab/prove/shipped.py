@@ -41,13 +41,13 @@ def prove_shipped(names: Sequence[str]) -> int:
         protocol = load_protocol(name)
         variants, begun = protocol.variants(), time.monotonic()
         outcomes = list(prove_all(jobs_of(variants), 2, SECONDS))
-        relations = [one for variant in variants for one in prove_apart(variant, SECONDS)]
+        relations = [outcome for variant in variants for outcome in prove_apart(variant, SECONDS)]
         used = f"{time.monotonic() - begun:.0f} s"
         print(
             f"{name}: {summary(outcomes)}\n{name}, apart and reachable: {summary(relations)}; {used}",
             flush=True,
         )
-        refuted |= any(one.status == "refuted" for one in [*outcomes, *relations])
+        refuted |= any(outcome.status == "refuted" for outcome in [*outcomes, *relations])
         badges[name] = {
             "summary": count_text(outcomes),
             "apart": count_text(relations),

@@ -151,7 +151,7 @@ class SymbolicDict:
 
     def __contains__(self, key: Any) -> bool:
         if type(key) is SymbolicInt:
-            return bool(one_of_values(key, [one for one in self.table if isinstance(one, int)]))
+            return bool(one_of_values(key, [number for number in self.table if isinstance(number, int)]))
         if type(key) is SymbolicReal:
             raise NotProvable("a float that has names")
         return key in self.table
@@ -163,8 +163,8 @@ class SymbolicDict:
         if type(key) is SymbolicInt:
             if default is key or all(isinstance(value, str) for value in self.table.values()):
                 return SymbolicName(key, self.table)
-            for one, value in self.table.items():  # masks and lengths: one path for each
-                if key == one:
+            for known, value in self.table.items():  # masks and lengths: one path for each
+                if key == known:
                     return value
             return default
         if type(key) is SymbolicName:
@@ -260,7 +260,7 @@ class StandIns:
         if isinstance(value, OnDemand):
             return _SymbolicFlagTable(vars(value)["_make"].bits)
         if isinstance(value, dict):
-            return SymbolicDict({key: self._inside(one) for key, one in value.items()})
+            return SymbolicDict({key: self._inside(item) for key, item in value.items()})
         if isinstance(value, list):
             return SymbolicList(value)
         if isinstance(value, range | tuple):
@@ -286,9 +286,10 @@ class StandIns:
 
     def _inside(self, value: Any) -> Any:
         """Return a table's value: the functions of a list's kinds are generated, too."""
-        if isinstance(value, tuple) and any(isinstance(one, types.FunctionType) for one in value):
+        if isinstance(value, tuple) and any(isinstance(item, types.FunctionType) for item in value):
             return tuple(
-                self.of(one.__name__, one) if isinstance(one, types.FunctionType) else one for one in value
+                self.of(item.__name__, item) if isinstance(item, types.FunctionType) else item
+                for item in value
             )
         return value
 
@@ -397,7 +398,11 @@ class _Missing:
 
 def constant(value: Any) -> Any:
     """Return a constant of a code object: sets of numbers in which a symbolic one may be."""
-    if isinstance(value, tuple | frozenset) and value and all(isinstance(one, int | float) for one in value):
+    if (
+        isinstance(value, tuple | frozenset)
+        and value
+        and all(isinstance(item, int | float) for item in value)
+    ):
         return Among(value)
     return value
 

@@ -84,12 +84,14 @@ def run(arguments: argparse.Namespace) -> int:
         if outcome.status == "refuted" and outcome.witness is not None:
             _show(job, outcome, page, Path(arguments.witnesses))
     relations = (
-        [] if arguments.message else [one for v in variants for one in prove_apart(v, arguments.seconds)]
+        []
+        if arguments.message
+        else [outcome for v in variants for outcome in prove_apart(v, arguments.seconds)]
     )
-    columns = [one.columns for one in outcomes if one.columns is not None]
-    in_c = [one for v in variants for one in check_c(v)] if arguments.c else []
+    columns = [outcome.columns for outcome in outcomes if outcome.columns is not None]
+    in_c = [outcome for v in variants for outcome in check_c(v)] if arguments.c else []
     if arguments.json:
-        print_json([_as_dict(one) for one in [*outcomes, *relations, *columns, *in_c]])
+        print_json([_as_dict(outcome) for outcome in [*outcomes, *relations, *columns, *in_c]])
     else:
         functions = sum(outcome.status == "proved" for outcome in outcomes)
         print(f"{arguments.protocol}: {summary(outcomes)}")

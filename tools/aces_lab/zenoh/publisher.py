@@ -113,8 +113,8 @@ def subscribe(declare: Callable[..., Any], key: str, take: Callable[[Any], None]
 
     def run() -> None:
         with suppress(Exception):  # the library's own kind: the session is closed
-            for one in channel:
-                take(one)
+            for setter in channel:
+                take(setter)
 
     thread = threading.Thread(target=run, name=f"zenoh {key}", daemon=True)
     thread.start()

@@ -295,15 +295,15 @@ class RemoteStates(Mapping[str, State]):
         before = self._about
         if before is not None and before.session == about.session:
             return
-        for name, one in about.states.items():
+        for name, state in about.states.items():
             known = self._states.get(name)
             if known is None:
                 self._states[name] = RemoteState(
-                    name, self, one.unit, one.writable, one.stale_after_s, self.history
+                    name, self, state.unit, state.writable, state.stale_after_s, self.history
                 )
             else:
                 known.clear()
-                known.is_writable = one.writable
+                known.is_writable = state.writable
         for name in self._states.keys() - about.states.keys():
             self._states[name].clear()
             self._states[name].is_writable = False

@@ -160,12 +160,12 @@ def run(arguments: argparse.Namespace) -> int:
         if result.complaint:
             say(result.complaint)
         if result.scenes is not None:
-            is_held = not any(one.rule == "law" for one in result.findings)
+            is_held = not any(finding.rule == "law" for finding in result.findings)
             held = "held" if is_held else "were asked, and do not all hold,"
             say_note(f"{result.name}: the nine laws {held} on {counted(result.scenes, 'scene')}")
     if any(result.complaint for result in results):
         return 2
-    return int(any(one.level != "note" for result in results for one in result.findings))
+    return int(any(finding.level != "note" for result in results for finding in result.findings))
 
 
 # ---------------------------------------------------------------------- from names to findings
@@ -273,7 +273,7 @@ def _check_robot(name: str, result: Checked) -> None:
 
 
 def _unallowed(findings: Iterable[Finding]) -> list[Finding]:
-    return [one for one in findings if not one.is_allowed]
+    return [finding for finding in findings if not finding.is_allowed]
 
 
 def _of_database(protocol: Protocol) -> list[Finding]:
@@ -371,18 +371,20 @@ def _suggest(names: Sequence[str], arguments: argparse.Namespace) -> int:
         print_json(
             [
                 {
-                    "message": one.message.name,
-                    "count": one.count,
-                    "source": one.source,
-                    "line": one.message.place.line,
+                    "message": finding.message.name,
+                    "count": finding.count,
+                    "source": finding.source,
+                    "line": finding.message.place.line,
                 }
-                for one in found
+                for finding in found
             ]
         )
         return 0
-    for one in found:
-        print(f"# {one.message.place}: {one.message.name}, 1 of {one.count}; confirm it by the sheet")
-        print(printable_lines(f"examples=[\n    {one.source}\n],"))
+    for example in found:
+        print(
+            f"# {example.message.place}: {example.message.name}, 1 of {example.count}; confirm it by the sheet"
+        )
+        print(printable_lines(f"examples=[\n    {example.source}\n],"))
     if not found:
         say("the recordings have no message that an example could be made of")
     return 0
@@ -394,7 +396,7 @@ def _suggest(names: Sequence[str], arguments: argparse.Namespace) -> int:
 def _print_results(results: Sequence[Checked]) -> None:
     found: list[dict[str, Any]] = []
     for result in results:
-        levels = [one.level for one in result.findings]
+        levels = [finding.level for finding in result.findings]
         found.append(
             {
                 "name": result.name,
@@ -403,7 +405,7 @@ def _print_results(results: Sequence[Checked]) -> None:
                 "counts": {level: levels.count(level) for level in LEVELS},
                 "complaint": result.complaint or None,
                 "scenes": result.scenes,
-                "findings": [one.as_dict() for one in result.findings],
+                "findings": [finding.as_dict() for finding in result.findings],
             }
         )
     print_json(found)
@@ -416,20 +418,22 @@ def _print_text(results: Sequence[Checked], arguments: argparse.Namespace) -> No
     paint = Page(arguments.color).paint
     for result in results:
         hidden = 0
-        for one in result.findings:
-            if one.level == "note" and not arguments.notes:
+        for finding in result.findings:
+            if finding.level == "note" and not arguments.notes:
                 hidden += 1
                 continue
-            level = paint(_STYLES[one.level], f"{one.level}:")
-            place, text = printable(str(one.place)), printable(one.text)
-            print(f"{place}: {level} {text} {paint('place', f'[{one.rule}]')}")
-            if isinstance(one, Observation) and one.remedy:
-                print(f"    → {printable(one.remedy)}")
-            if one in result.drawings:
-                print(textwrap.indent(printable_lines(result.drawings[one]), "    "))
-            if one.witness is not None and one.rule == "collision":
-                spoken = " ".join(name for label, name in result.labels.items() if f"{label} " in one.text)
-                print(f"    to see it: aces spec explain {spoken or result.name} '{one.witness}'")
+            level = paint(_STYLES[finding.level], f"{finding.level}:")
+            place, text = printable(str(finding.place)), printable(finding.text)
+            print(f"{place}: {level} {text} {paint('place', f'[{finding.rule}]')}")
+            if isinstance(finding, Observation) and finding.remedy:
+                print(f"    → {printable(finding.remedy)}")
+            if finding in result.drawings:
+                print(textwrap.indent(printable_lines(result.drawings[finding]), "    "))
+            if finding.witness is not None and finding.rule == "collision":
+                spoken = " ".join(
+                    name for label, name in result.labels.items() if f"{label} " in finding.text
+                )
+                print(f"    to see it: aces spec explain {spoken or result.name} '{finding.witness}'")
         if not result.complaint:
             print(f"{printable(result.name)}: {_summary(result, hidden)}")
 
@@ -437,7 +441,7 @@ def _print_text(results: Sequence[Checked], arguments: argparse.Namespace) -> No
 def _summary(result: Checked, hidden: int) -> str:
     messages = sum(len(protocol.declared) for protocol in result.protocols)
     parts = [counted(messages, "message")] if messages else []
-    levels = [one.level for one in result.findings]
+    levels = [finding.level for finding in result.findings]
     parts += [counted(levels.count(level), level) for level in LEVELS if level in levels]
     is_clean = all(level == "note" for level in levels)
     text = ("ok: " if is_clean else "") + (", ".join(parts) or result.nothing)
@@ -532,7 +536,7 @@ def finding_of_error(error: BaseException, protocol: Protocol, what: str) -> Fin
             place = value.place.of_field(name) if name and value.place.file.endswith(".py") else value.place
         elif isinstance(value, Construct) and value.name and not (owner or name):
             name = str(value.name)
-    path = ".".join(one for one in (owner, name) if one)
+    path = ".".join(part for part in (owner, name) if part)
     said = " ".join(str(error).split())[:300]
     return Finding(
         "error",

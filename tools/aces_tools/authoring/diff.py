@@ -66,12 +66,12 @@ class Difference:
             "added": self.added,
             "changed": [
                 {
-                    "message": one.new,
-                    "was": one.old,
-                    "template": [vars(c) for c in one.template],
-                    "fields": {name: [vars(c) for c in changes] for name, changes in one.fields.items()},
+                    "message": message.new,
+                    "was": message.old,
+                    "template": [vars(c) for c in message.template],
+                    "fields": {name: [vars(c) for c in changes] for name, changes in message.fields.items()},
                 }
-                for one in self.changed
+                for message in self.changed
             ],
             "same": self.same,
         }
@@ -82,12 +82,12 @@ def spec_difference(old: Mapping[str, Message], new: Mapping[str, Message]) -> D
     removed = [name for name in old if name not in new]
     added = [name for name in new if name not in old]
     pairs = [(name, name) for name in old if name in new]
-    for one, other in _renamed([old[n] for n in removed], [new[n] for n in added]):
-        removed.remove(one)
+    for before, other in _renamed([old[n] for n in removed], [new[n] for n in added]):
+        removed.remove(before)
         added.remove(other)
-        pairs.append((one, other))
-    changed = [_compared(old[one], new[other]) for one, other in pairs]
-    different = [one for one in changed if not one.is_same]
+        pairs.append((before, other))
+    changed = [_compared(old[before], new[other]) for before, other in pairs]
+    different = [message for message in changed if not message.is_same]
     return Difference(removed, added, different, len(changed) - len(different))
 
 
@@ -95,13 +95,15 @@ def _renamed(removed: Sequence[Message], added: Sequence[Message]) -> list[tuple
     """Pairs with one template, where it is clear which goes with which; same fields before same template alone."""
     found: list[tuple[str, str]] = []
     for key in (_exactly, _template_key):
-        mine = [m for m in removed if m.name not in {one for one, _ in found}]
+        mine = [m for m in removed if m.name not in {before for before, _ in found}]
         theirs = [m for m in added if m.name not in {other for _, other in found}]
         by_key: dict[Any, tuple[list[str], list[str]]] = {}
         for side, messages in enumerate((mine, theirs)):
             for message in messages:
                 by_key.setdefault(key(message), ([], []))[side].append(message.name)
-        found += [(one[0], other[0]) for one, other in by_key.values() if len(one) == len(other) == 1]
+        found += [
+            (before[0], other[0]) for before, other in by_key.values() if len(before) == len(other) == 1
+        ]
     return found
 
 
@@ -208,7 +210,9 @@ def _facts(message: Message) -> dict[str, str]:
         "identifier": message.identifier.describe(8 if message.extended else 3) if framing is None else "",
         "kind": ", ".join(kind for kind, given in kinds if given),
         "sync": framing.sync.hex(" ").upper() if framing is not None else "",
-        "constants": ", ".join(_constant(one.offset, one.mask, one.value) for one in plan.constants),
+        "constants": ", ".join(
+            _constant(constant.offset, constant.mask, constant.value) for constant in plan.constants
+        ),
         "length": message.describe_lengths
         or ("" if plan.lengths is None else f"{', '.join(map(str, plan.lengths))} bytes")
         or f"{plan.least} bytes or more",
@@ -232,11 +236,11 @@ def difference_lines(found: Difference) -> list[tuple[str, str]]:
     lines: list[tuple[str, str]] = []
     lines += [("malformed", f"- {name}") for name in found.removed]
     lines += [("from device", f"+ {name}") for name in found.added]
-    for one in found.changed:
-        name = one.new if one.old == one.new else f"{one.old} → {one.new}"
+    for message in found.changed:
+        name = message.new if message.old == message.new else f"{message.old} → {message.new}"
         lines.append(("message", f"~ {name}"))
-        lines += [("value", f"    {c.what}: {_arrow(c)}") for c in one.template]
-        for field_name, changes in one.fields.items():
+        lines += [("value", f"    {c.what}: {_arrow(c)}") for c in message.template]
+        for field_name, changes in message.fields.items():
             first = changes[0]
             if first.what == "field":
                 sign, style, text = (

@@ -64,11 +64,11 @@ def run(arguments: argparse.Namespace) -> int:
     check_suffix("--svg", arguments.svg, ".svg")
     inputs: list[FrameInput | StreamInput] = []
     groups: list[tuple[str, list[Attempt]]] = []
-    for one in inputs_of(arguments.capture, variants, arguments.direction):
-        inputs.append(one)  # the capture is open until the next one
-        groups.append((one.label, one.attempts(arguments.at, count)))
+    for given in inputs_of(arguments.capture, variants, arguments.direction):
+        inputs.append(given)  # the capture is open until the next one
+        groups.append((given.label, given.attempts(arguments.at, count)))
     if arguments.at is not None and not any(attempts for _, attempts in groups):
-        there = " and ".join(one.counted for one in inputs) or "nothing in it"
+        there = " and ".join(given.counted for given in inputs) or "nothing in it"
         raise CallerError(f"--at {arguments.at}: {arguments.capture} has {there}")
     attempts = [attempt for _, found in groups for attempt in found]
     if arguments.svg:
@@ -81,8 +81,8 @@ def run(arguments: argparse.Namespace) -> int:
         print_json(json_value(objects))
     else:
         _print(groups, arguments)
-    for one in inputs:
-        if one.is_cut:
+    for given in inputs:
+        if given.is_cut:
             say(
                 f"{arguments.capture}: only the first {LARGEST >> 20} MiB were read; cut it with 'aces convert --from'"
             )

@@ -87,9 +87,9 @@ def _read(canvas: Canvas, steps: Sequence[Step], lefts: Sequence[float], top: fl
     ends: list[float] = []
     marks: list[tuple[int, float]] = []
     for index, step in enumerate(steps):
-        for one in step.read:
-            unit = f" {one.unit}" if one.unit and isinstance(one.value, (int, float)) else ""
-            text = f"{one.name} = {show_value(plain_value(one.value))}{unit}"
+        for reading in step.read:
+            unit = f" {reading.unit}" if reading.unit and isinstance(reading.value, (int, float)) else ""
+            text = f"{reading.name} = {show_value(plain_value(reading.value))}{unit}"
             if len(text) > 48:
                 text = text[:47] + "…"
             x = lefts[index] + 4
@@ -156,7 +156,7 @@ def _chosen(rows: Sequence[TemplateTrace]) -> list[TemplateTrace]:
     )
     chosen: list[TemplateTrace] = []
     for _, row in ordered:
-        if row.dies_at != 0 or sum(one.dies_at == 0 for one in chosen) < FIRST:
+        if row.dies_at != 0 or sum(chosen_row.dies_at == 0 for chosen_row in chosen) < FIRST:
             chosen.append(row)
     return chosen[:TEMPLATES]
 

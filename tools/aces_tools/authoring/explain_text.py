@@ -64,11 +64,11 @@ def _grouped(steps: Sequence[Step]) -> Iterator[list[Step]]:
         if run and is_quiet and step.what == run[0].what:
             run.append(step)
             continue
-        yield from [run] if len(run) >= LONG else [[one] for one in run]
+        yield from [run] if len(run) >= LONG else [[single] for single in run]
         run = [step] if is_quiet else []
         if not is_quiet:
             yield [step]
-    yield from [run] if len(run) >= LONG else [[one] for one in run]
+    yield from [run] if len(run) >= LONG else [[single] for single in run]
 
 
 def _step(
@@ -80,9 +80,9 @@ def _step(
     is_narrow = width is not None and width - len(plain_front) - what < NARROW
     label = step.what if is_narrow else f"{step.what:<{what}}"
     text = paint("name", front) + paint("message", f"{step.part:<{part}}") + "  " + label
-    read = ", ".join(_reading(one) for one in step.read)
+    read = ", ".join(_reading(reading) for reading in step.read)
     notes: list[tuple[str, str]] = [("from device", read)] if read else []
-    notes += [("skipped", f"✗ {one}") for one in _deaths(step.died)]
+    notes += [("skipped", f"✗ {death}") for death in _deaths(step.died)]
     if step.died and step.alive:
         notes.append(("value", _alive(step.alive)))
     elif is_first and every > 1:
@@ -96,12 +96,12 @@ def _step(
     return [text.rstrip(), *lines]
 
 
-def _reading(one: FieldRead) -> str:
-    unit = f" {one.unit}" if one.unit and isinstance(one.value, (int, float)) else ""
-    owner = f"{one.template}." if one.template else ""
-    value = plain_value(one.value)
+def _reading(reading: FieldRead) -> str:
+    unit = f" {reading.unit}" if reading.unit and isinstance(reading.value, (int, float)) else ""
+    owner = f"{reading.template}." if reading.template else ""
+    value = plain_value(reading.value)
     shown = _hex(value) if isinstance(value, bytes) and value else show_value(value)
-    return f"{owner}{one.name} = {shown}{unit}"
+    return f"{owner}{reading.name} = {shown}{unit}"
 
 
 def _alive(names: Sequence[str]) -> str:
@@ -117,17 +117,17 @@ def _deaths(died: Sequence[Death]) -> Iterable[str]:
         return
     if len(died) <= NAMED:
         by_detail: dict[tuple[str, str], list[str]] = {}
-        for one in died:
-            by_detail.setdefault((one.why, one.detail), []).append(one.template)
+        for death in died:
+            by_detail.setdefault((death.why, death.detail), []).append(death.template)
         for (why, detail), names in by_detail.items():
             yield f"{', '.join(names)}: {_because(why, detail)}"
         return
     by_why: dict[str, list[Death]] = {}
-    for one in died:
-        by_why.setdefault(one.why, []).append(one)
+    for death in died:
+        by_why.setdefault(death.why, []).append(death)
     for why, deaths in by_why.items():
-        details = list(dict.fromkeys(one.detail for one in deaths))
-        names = [one.template for one in deaths]
+        details = list(dict.fromkeys(death.detail for death in deaths))
+        names = [death.template for death in deaths]
         listed = ", ".join(names) if len(names) <= 6 else f"{', '.join(names[:4])} and {len(names) - 4} more"
         if len(details) == 1:
             yield f"{listed}: {_because(why, details[0])}"

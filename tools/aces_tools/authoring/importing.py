@@ -58,13 +58,13 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         listed = [
             {
-                "line": one.line or None,
-                "column": one.column or None,
-                "reason": one.reason,
-                "excerpt": one.excerpt,
-                "is_note": one.is_note,
+                "line": problem.line or None,
+                "column": problem.column or None,
+                "reason": problem.reason,
+                "excerpt": problem.excerpt,
+                "is_note": problem.is_note,
             }
-            for one in problems
+            for problem in problems
         ]
         about = {
             "file": path,
@@ -110,16 +110,16 @@ _KINDS = (
 def dbc_losses(path: str) -> list[ImportProblem]:
     """Remarks about a DBC file. Raises `CallerError` when it cannot be read."""
     found: dict[str, list[int]] = {}
-    for one in split_statements(read_text(path, "dbc")):
+    for statement in split_statements(read_text(path, "dbc")):
         what = ""
-        if one.word == "BA_":
-            attribute = _ATTRIBUTE.match(one.text)
+        if statement.word == "BA_":
+            attribute = _ATTRIBUTE.match(statement.text)
             if attribute is not None and attribute[1] not in _TAKEN:
                 what = f"the attribute {excerpt(attribute[1])}"
         else:
-            what = next((kind for pattern, kind in _KINDS if pattern.match(one.text)), "")
+            what = next((kind for pattern, kind in _KINDS if pattern.match(statement.text)), "")
         if what:
-            found.setdefault(what, []).append(one.line)
+            found.setdefault(what, []).append(statement.line)
     return [
         ImportProblem(
             where[0],

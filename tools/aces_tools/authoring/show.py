@@ -126,13 +126,13 @@ def _facts(plan: p.MessagePlan) -> Iterator[tuple[str, str]]:
     for constant in plan.constants:
         mask = "" if constant.mask == 0xFF else f" & {constant.mask:#04x}"
         yield "constant", f"byte {constant.offset}{mask} = {constant.value:#04x}"
-    for one in plan.one_of:
-        values = one.values
+    for choice in plan.one_of:
+        values = choice.values
         listed = (
             f"{values[0]}…{values[-1]}" if isinstance(values, range) else ", ".join(map(str, values[:16]))
         )
         more = "" if isinstance(values, range) or len(values) <= 16 else ", …"
-        yield "one of", f"{draw.bits_place(one.number.bits)}: {listed}{more}"
+        yield "one of", f"{draw.bits_place(choice.number.bits)}: {listed}{more}"
     if plan.lengths_by is not None:
         selector, table, other = plan.lengths_by
         yield (
@@ -149,7 +149,7 @@ def _facts(plan: p.MessagePlan) -> Iterator[tuple[str, str]]:
 
 def _with_nodes(plan: p.MessagePlan) -> Iterator[tuple[draw.FieldRow, p.Node]]:
     """Yield the lines of the field table, each with the node that it comes from."""
-    nodes = {one.path: one.node for one in (*plan.walk(), *plan.columns)}
+    nodes = {node.path: node.node for node in (*plan.walk(), *plan.columns)}
     for row in draw.field_table(plan):
         yield row, nodes.get(row.name, p.Opaque(""))
 
@@ -190,14 +190,16 @@ def _paths(arguments: argparse.Namespace) -> None:
         return
     page = Page(arguments.color)
     if arguments.message is not None:
-        for one in found:
-            page.beside(str(one["message"]), [f"{one['path']}; in columns {one['columns']}"], "message")
-            fields: list[dict[str, str]] = one["fields"]
+        for path in found:
+            page.beside(str(path["message"]), [f"{path['path']}; in columns {path['columns']}"], "message")
+            fields: list[dict[str, str]] = path["fields"]
             page.table(("", "", ""), [(f"  {f['field']}", f["path"], f["how"]) for f in fields])
         return
-    rows = [(str(one["message"]), str(one["path"]), str(one["columns"]), str(one["why"])) for one in found]
+    rows = [
+        (str(path["message"]), str(path["path"]), str(path["columns"]), str(path["why"])) for path in found
+    ]
     page.table(("message", "live", "in columns", ""), rows)
-    generated = sum(one["path"] == "generated" for one in found)
+    generated = sum(path["path"] == "generated" for path in found)
     page.lines(
         ["", f"{generated} of {len(found)} messages are decoded by generated code, the others by construct"]
     )

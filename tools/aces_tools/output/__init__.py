@@ -142,7 +142,7 @@ def live_kind(path: str | None, chosen: Format | None, link: Link, *, is_decoded
     from aces_bus.recordings.write import writer_formats
 
     frames = dict.fromkeys(
-        one for form in writer_formats().values() if form.link == link for one in form.suffixes
+        ending for form in writer_formats().values() if form.link == link for ending in form.suffixes
     )
     raise CallerError(
         f"-o {path}: no format has the suffix {suffix!r}; there are {' '.join((*frames, *_LINES))}, and with -p"

@@ -137,5 +137,5 @@ class FieldsPrinter(LinePrinter):
         if node.is_plain and (number is None or not number.is_inexact):
             return [Read(f"json({value})")]
         plain = plain_of(node)
-        show = lambda one: msgspec.json.format(json_bytes(plain(one)), indent=0)  # noqa: E731
+        show = lambda item: msgspec.json.format(json_bytes(plain(item)), indent=0)  # noqa: E731
         return [self.shown(name, node, show, value)]

@@ -53,7 +53,7 @@ class BitImage:
         if longest > self.length:
             more = ((0, 0), (0, 8 * (longest - self.length)))
             self.ones, self.flips, self.there = (
-                np.pad(one, more) for one in (self.ones, self.flips, self.there)
+                np.pad(array, more) for array in (self.ones, self.flips, self.there)
             )
             self.length = longest
         width = self.length

@@ -55,10 +55,10 @@ class BitPicture:
 
     def names(self) -> list[str]:
         """Of each image: the identifier, behind its channel where there are several."""
-        several = len({one.identifier.channel for one in self.images.images.values()}) > 1
+        several = len({image.identifier.channel for image in self.images.images.values()}) > 1
         return [
-            f"{one.identifier.channel} {one.identifier}" if several else str(one.identifier)
-            for one in self.chosen
+            f"{image.identifier.channel} {image.identifier}" if several else str(image.identifier)
+            for image in self.chosen
         ]
 
 
@@ -83,7 +83,7 @@ def draw_bits(picture: BitPicture, figure: Any) -> None:
     rows = -(-count // columns)
     bit = LARGE_ROW if count == 1 else ROW
     lines = [chosen[n * columns : (n + 1) * columns] for n in range(rows)]
-    heights = [max(_height(one, bit) for one in line) for line in lines]
+    heights = [max(_height(image, bit) for image in line) for line in lines]
     above = ABOVE + (0.3 if picture.title else 0)
     tall = sum(heights) + BETWEEN * (rows - 1) + above + BELOW
     scale = min(1.0, TALLEST / tall)

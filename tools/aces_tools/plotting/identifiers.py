@@ -26,13 +26,13 @@ class IdentifierPattern(NamedTuple):
     channel: str | None
     digits: str
 
-    def fits(self, one: BusIdentifier) -> bool:
+    def fits(self, identifier: BusIdentifier) -> bool:
         """Return whether it may mean this one."""
-        if self.channel is not None and str(one.channel) != self.channel:
+        if self.channel is not None and str(identifier.channel) != self.channel:
             return False
         if self.is_wild:
-            return fnmatchcase(one.digits, self.digits)
-        return one.number == int(self.digits, 16) and (one.is_extended or len(self.digits) < 8)
+            return fnmatchcase(identifier.digits, self.digits)
+        return identifier.number == int(self.digits, 16) and (identifier.is_extended or len(self.digits) < 8)
 
     @property
     def is_wild(self) -> bool:
@@ -57,12 +57,18 @@ def choose_identifiers(
     """Return those of `there` that are meant, in the order of the patterns. Raises `CallerError` for one that means none."""
     found: dict[BusIdentifier, None] = {}
     for pattern in patterns:
-        fitting = [one for one in there if pattern.fits(one)]
+        fitting = [identifier for identifier in there if pattern.fits(identifier)]
         if not pattern.is_wild:
-            usual = [one for one in fitting if one.is_extended == (len(pattern.digits) > 3)]
+            usual = [
+                identifier for identifier in fitting if identifier.is_extended == (len(pattern.digits) > 3)
+            ]
             fitting = usual or fitting
         if not fitting:
-            names = list(dict.fromkeys(one.digits for one in sorted(there, key=lambda one: one[1:])))
+            names = list(
+                dict.fromkeys(
+                    identifier.digits for identifier in sorted(there, key=lambda identifier: identifier[1:])
+                )
+            )
             shown = (
                 f" (there are: {', '.join(names[:NAMED])}{', …' if len(names) > NAMED else ''})"
                 if names

@@ -140,20 +140,20 @@ def panels_of(
     for group in groups:
         found: dict[Any, PlotPanel] = {}
         for place, patterns in enumerate(group):
-            for one, pattern in _lines_of(patterns, series):
-                if one.others:
+            for curve, pattern in _lines_of(patterns, series):
+                if curve.others:
                     continue
-                x, y = one.points()
+                x, y = curve.points()
                 x, y = broken(x, y, longest_period(x) if longest_gap is None else longest_gap)
-                kind = one.signal.kind
-                if (one.signal.bit is not None or kind.names is not None) and not pattern.format.marker:
+                kind = curve.signal.kind
+                if (curve.signal.bit is not None or kind.names is not None) and not pattern.format.marker:
                     x, y = value_changes(x, y)
-                line = PlotLine(one, pattern.format, x, y)
-                if one.signal.bit is not None:
+                line = PlotLine(curve, pattern.format, x, y)
+                if curve.signal.bit is not None:
                     panel = found.setdefault("flags", PlotPanel("flags", [[]]))
                     panel.axes[0].append(line)
                 elif kind.names is not None and is_enumeration(y, kind.names):
-                    panel = found.setdefault((one.signal, one.key), PlotPanel("names", [[line]]))
+                    panel = found.setdefault((curve.signal, curve.key), PlotPanel("names", [[line]]))
                 else:
                     panel = found.setdefault((line.unit if by_unit else "numbers",), PlotPanel("numbers", []))
                     while len(panel.axes) <= place:
@@ -179,8 +179,8 @@ def _lines_of(
 ) -> list[tuple[Series, SignalPattern]]:
     found: dict[tuple[PlotSignal, Key], tuple[Series, SignalPattern]] = {}
     for pattern in patterns:
-        for one in matching(pattern, series):
-            found.setdefault((one.signal, one.key), (one, pattern))
+        for curve in matching(pattern, series):
+            found.setdefault((curve.signal, curve.key), (curve, pattern))
     return list(found.values())
 
 
@@ -191,29 +191,31 @@ class LineNames:
         self, series: Sequence[Series], asked: Collection[str] = (), *, always: bool = False
     ) -> None:
         values: dict[tuple[tuple[str, str], str], set[str]] = {}
-        for one in series:
-            for name, value in one.key:
-                values.setdefault((one.signal.owner, name), set()).add(value)
+        for curve in series:
+            for name, value in curve.key:
+                values.setdefault((curve.signal.owner, name), set()).add(value)
         self._telling = {
             place
             for place, some in values.items()
             if len(some) > 1 or place[1] in asked or (always and place[1] != CHANNEL)
         }
         # Where each device speaks on one bus only, its number says enough.
-        seen = Counter((one.signal, tuple(part for part in one.key if part[0] != CHANNEL)) for one in series)
-        for owner in {one.signal.owner for one in series} if CHANNEL not in asked else ():
+        seen = Counter(
+            (curve.signal, tuple(part for part in curve.key if part[0] != CHANNEL)) for curve in series
+        )
+        for owner in {curve.signal.owner for curve in series} if CHANNEL not in asked else ():
             if all(count == 1 for (signal, _), count in seen.items() if signal.owner == owner):
                 self._telling.discard((owner, CHANNEL))
 
-    def key(self, one: Series) -> str:
+    def key(self, curve: Series) -> str:
         """`[board=3]`, or nothing."""
-        owner = one.signal.owner
-        parts = [f"{name}={value}" for name, value in one.key if (owner, name) in self._telling]
+        owner = curve.signal.owner
+        parts = [f"{name}={value}" for name, value in curve.key if (owner, name) in self._telling]
         return f"[{','.join(parts)}]" if parts else ""
 
-    def full(self, one: Series) -> str:
+    def full(self, curve: Series) -> str:
         """`Encoder[board=3].position.0`."""
-        return f"{one.signal.message}{self.key(one)}.{one.signal.path}"
+        return f"{curve.signal.message}{self.key(curve)}.{curve.signal.path}"
 
 
 def _label(panel: PlotPanel, names: LineNames) -> None:

@@ -260,12 +260,12 @@ class Collector:
     def _take_lists(self, signal: PlotSignal, key: Key, x: Array, column: Column, at: Any) -> None:
         """Every value of every list is a point at the time of its message."""
         lists = column.values[at].tolist()
-        values = [value for one in lists for value in one]
+        values = [value for row in lists for value in row]
         if not all(value is None or isinstance(value, (int, float)) for value in values):
             self._strange(signal, key, column, at)
             return
         points = Column(column.kind, np.array(values, np.float64))
-        x = np.repeat(x, [len(one) for one in lists])
+        x = np.repeat(x, [len(row) for row in lists])
         self._take(signal, key, x, points.values, points.values, points, slice(None))
 
     def _strange(self, signal: PlotSignal, key: Key, column: Column, at: Any) -> None:
@@ -348,13 +348,13 @@ def _numbers(column: Column, signal: PlotSignal) -> tuple[Array, Array | None]:
 
 def matching(pattern: SignalPattern, series: Sequence[Series]) -> list[Series]:
     """Return the series that a pattern means, in declared order."""
-    return [one for one in series if pattern.takes(one.signal) and pattern.holds(one.key)]
+    return [curve for curve in series if pattern.takes(curve.signal) and pattern.holds(curve.key)]
 
 
-def too_many(one: Series) -> CallerError:
+def too_many(curve: Series) -> CallerError:
     """Return what is said of more lines than a picture can show."""
-    where = ",".join(f"{name}={value}" for name, value in one.key if name != CHANNEL)
-    example = f"{one.signal.message}{f'[{where}]' if where else ''}.{one.signal.path}"
+    where = ",".join(f"{name}={value}" for name, value in curve.key if name != CHANNEL)
+    example = f"{curve.signal.message}{f'[{where}]' if where else ''}.{curve.signal.path}"
     return CallerError(
         f"more than {MOST_LINES} lines are too many for one picture: name fewer signals or one device,"
         f" such as '{example}'; --list shows all"

@@ -17,32 +17,32 @@ ALL, PANELS, LINES = 24, 4, 6
 
 def telling_signals(series: Sequence[Series]) -> list[str]:
     """SIGNALs as they are typed, with `-` between subplots; none where there are few enough to draw all of them."""
-    drawn = [one for one in series if one.count and not one.others]
+    drawn = [curve for curve in series if curve.count and not curve.others]
     if len(drawn) <= ALL:
         return []
-    changing = [one for one in drawn if _is_quantity(one) and one.low != one.high] or drawn
-    with_unit = [one for one in changing if one.signal.kind.unit]
+    changing = [curve for curve in drawn if _is_quantity(curve) and curve.low != curve.high] or drawn
+    with_unit = [curve for curve in changing if curve.signal.kind.unit]
     by_unit: dict[str, list[Series]] = {}
-    for one in with_unit or changing:
-        by_unit.setdefault(one.signal.kind.unit, []).append(one)
-    panels = sorted(by_unit.values(), key=lambda some: -sum(one.count for one in some))[:PANELS]
+    for curve in with_unit or changing:
+        by_unit.setdefault(curve.signal.kind.unit, []).append(curve)
+    panels = sorted(by_unit.values(), key=lambda some: -sum(curve.count for curve in some))[:PANELS]
     names = LineNames(drawn, always=True)
     texts: list[str] = []
     for panel in panels:
-        texts += ["-"] * bool(texts) + [names.full(one) for one in _spread(panel)]
+        texts += ["-"] * bool(texts) + [names.full(curve) for curve in _spread(panel)]
     return texts
 
 
-def _is_quantity(one: Series) -> bool:
-    return one.signal.bit is None and one.signal.kind.names is None
+def _is_quantity(curve: Series) -> bool:
+    return curve.signal.bit is None and curve.signal.kind.names is None
 
 
 def _spread(panel: Sequence[Series]) -> list[Series]:
     """Return the lines of a subplot: the first of each message, then the second of each, those with most samples first."""
     rounds: dict[str, int] = {}
     ranked: list[tuple[int, int, Series]] = []
-    for one in sorted(panel, key=lambda one: -one.count):
-        turn = rounds[one.signal.name] = rounds.get(one.signal.name, 0) + 1
-        ranked.append((turn, -one.count, one))
+    for curve in sorted(panel, key=lambda curve: -curve.count):
+        turn = rounds[curve.signal.name] = rounds.get(curve.signal.name, 0) + 1
+        ranked.append((turn, -curve.count, curve))
     ranked.sort(key=lambda entry: entry[:2])
-    return [one for _, _, one in ranked[:LINES]]
+    return [curve for _, _, curve in ranked[:LINES]]

@@ -198,16 +198,16 @@ class _Drawing:
     def _legend(self, lines: Sequence[PlotLine]) -> list[str]:
         out: list[str] = []
         line, at = "", 0
-        for number, one in enumerate(lines):
+        for number, entry in enumerate(lines):
             mark = ("━━" if self.is_rich else "--") if self.is_coloured else str(number + 1)
-            label = self._cut(printable(one.label), self.width - len(mark) - 2)
+            label = self._cut(printable(entry.label), self.width - len(mark) - 2)
             size = len(mark) + 1 + len(label)
             if at and at + 3 + size > self.width:
                 out.append(line)
                 line, at = "", 0
             if at:
                 line, at = line + "   ", at + 3
-            line += f"{self.paint(_colour(one, number), mark)} {label}"
+            line += f"{self.paint(_colour(entry, number), mark)} {label}"
             at += size
         return [*out, line]
 
@@ -376,9 +376,9 @@ class _Drawing:
                 _segment(bits, columns[n], rows[n], columns[n + 1], rows[n + 1])
 
 
-def _vertical(bits: Array, column: int, one: float, other: float) -> None:
+def _vertical(bits: Array, column: int, low: float, other: float) -> None:
     tall = bits.shape[0]
-    top, bottom = max(0, int(min(one, other))), min(tall - 1, int(max(one, other)))
+    top, bottom = max(0, int(min(low, other))), min(tall - 1, int(max(low, other)))
     if top <= bottom:
         bits[top : bottom + 1, column] = True
 

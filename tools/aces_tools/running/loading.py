@@ -122,7 +122,7 @@ def reactions_of(
             words[kind] = word
         else:
             words["*"] = kind
-    sources = (*robot.buses, *robot.devices, *(one.name for one in controllers))
+    sources = (*robot.buses, *robot.devices, *(controller.name for controller in controllers))
     return action, parse_reactions(words, kinds=KINDS_OF_FAULTS, sources=sources, own=own)
 
 
@@ -226,7 +226,7 @@ def make_loggers(
             raise CallerError(f"--log {path}: there is no folder {folder!r}")
         names = _states_of(states, robot) if states else default_states(controllers, robot)
         made.append(Logger(path, names, rate_hz=rate_hz, robot=robot.name))
-    paths = [os.path.realpath(one.path) for one in made]
+    paths = [os.path.realpath(logger.path) for logger in made]
     if len(set(paths)) < len(paths):
         raise CallerError("--log: two logs go to one file; say all states behind one colon")
     return made
@@ -264,8 +264,8 @@ def _states_of(patterns: Sequence[str], robot: Robot) -> list[str]:
 
 def default_states(controllers: Sequence[ControllerLike], robot: Robot) -> list[str]:
     """Return what controllers read and write, beside what they wanted; without any, all joints."""
-    written = [name for one in controllers for name in getattr(one, "writes", ())]
-    read = [name for one in controllers for name in one.states]
+    written = [name for controller in controllers for name in getattr(controller, "writes", ())]
+    read = [name for controller in controllers for name in controller.states]
     if not written and not read:
         return [joint.name for joint in robot.joints.values() if joint.active]
     driven = [state for name in written for state in (name, f"{name}.setpoint")]

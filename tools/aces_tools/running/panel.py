@@ -67,10 +67,10 @@ def panel(figures: Figures, title: str, width: int, height: int) -> list[Line]:
 def plain_line(figures: Figures) -> str:
     """One line that says how it is."""
     parts = [f"{figures.seconds:9.2f} s"]
-    for one in figures.components:
-        late = f" late {_ms(one.median_ns)}/{_ms(one.most_ns)} ms" if one.most_ns else ""
-        says = f" {one.says}" if one.says else ""
-        parts.append(f"{one.name} {one.rate_hz:.1f} Hz{late} missed {one.missed}{says}")
+    for component in figures.components:
+        late = f" late {_ms(component.median_ns)}/{_ms(component.most_ns)} ms" if component.most_ns else ""
+        says = f" {component.says}" if component.says else ""
+        parts.append(f"{component.name} {component.rate_hz:.1f} Hz{late} missed {component.missed}{says}")
     for bus in figures.buses:
         load = f" {_load(bus)}" if bus.load is not None else ""
         parts.append(f"{bus.name}{load} unanswered {bus.missed}" + (f" {bus.state}" if bus.state else ""))
@@ -92,53 +92,55 @@ def _head(figures: Figures, title: str, width: int) -> Line:
 def _components(components: Sequence[Component], width: int) -> list[Line]:
     rows = [
         [
-            one.name,
-            f"{one.wanted_hz:g}",
-            f"{one.rate_hz:.1f}",
-            _ms(one.median_ns) if one.most_ns else "",
-            _ms(one.most_ns) if one.most_ns else "",
-            str(one.missed),
-            str(one.overruns),
-            one.says,
+            component.name,
+            f"{component.wanted_hz:g}",
+            f"{component.rate_hz:.1f}",
+            _ms(component.median_ns) if component.most_ns else "",
+            _ms(component.most_ns) if component.most_ns else "",
+            str(component.missed),
+            str(component.overruns),
+            component.says,
         ]
-        for one in components
+        for component in components
     ]
-    styles = ["bold red" if one.is_bad else "yellow" if one.missed else "" for one in components]
+    styles = [
+        "bold red" if component.is_bad else "yellow" if component.missed else "" for component in components
+    ]
     return _table(COMPONENTS, rows, styles, width)
 
 
 def _buses(buses: Sequence[BusLine], width: int) -> list[Line]:
     rows = [
         [
-            one.name,
-            "" if one.load is None else _load(one),
-            f"{one.sent_hz:.0f}",
-            f"{one.received_hz:.0f}",
-            str(one.missed),
-            str(one.ticks_missed),
-            _ms(one.latency_ns),
-            one.state,
+            bus.name,
+            "" if bus.load is None else _load(bus),
+            f"{bus.sent_hz:.0f}",
+            f"{bus.received_hz:.0f}",
+            str(bus.missed),
+            str(bus.ticks_missed),
+            _ms(bus.latency_ns),
+            bus.state,
         ]
-        for one in buses
+        for bus in buses
     ]
-    return _table(BUSES, rows, ["bold red" if one.state else "" for one in buses], width)
+    return _table(BUSES, rows, ["bold red" if bus.state else "" for bus in buses], width)
 
 
 def _states(figures: Figures, width: int, room: int) -> list[Line]:
     """Return those without a fresh value first, then as the controllers name them."""
-    states = sorted(figures.states, key=lambda one: one.is_fresh)
+    states = sorted(figures.states, key=lambda state: state.is_fresh)
     shown = states if len(states) < room else states[: max(1, room - 2)]
     rows = [
         [
-            one.name,
-            _value(one),
-            "" if one.set_point is None else f"{one.set_point:.4f}",
-            one.unit,
-            "" if one.age_ns is None else _ms(one.age_ns),
+            state.name,
+            _value(state),
+            "" if state.set_point is None else f"{state.set_point:.4f}",
+            state.unit,
+            "" if state.age_ns is None else _ms(state.age_ns),
         ]
-        for one in shown
+        for state in shown
     ]
-    lines = _table(STATES, rows, ["" if one.is_fresh else "bold yellow" for one in shown], width)
+    lines = _table(STATES, rows, ["" if state.is_fresh else "bold yellow" for state in shown], width)
     if len(shown) < len(states):
         oldest = figures.oldest
         text = f"and {len(states) - len(shown)} more"
@@ -158,10 +160,10 @@ def _feet(figures: Figures, width: int) -> list[Line]:
     return lines
 
 
-def _value(one: StateLine) -> str:
-    if one.age_ns is None:
+def _value(state: StateLine) -> str:
+    if state.age_ns is None:
         return "unknown"
-    return f"{one.value:.4f}" if isinstance(one.value, float) else str(one.value)
+    return f"{state.value:.4f}" if isinstance(state.value, float) else str(state.value)
 
 
 def _ms(ns: int) -> str:

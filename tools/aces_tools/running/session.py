@@ -102,7 +102,9 @@ class Session:
             )
         if asked.replay:
             frames = stack.enter_context(_frames(asked.replay))
-            placed = {bus: one["channel"] for bus, one in bus_options(self.robot, asked).items() if one}
+            placed = {
+                bus: chosen["channel"] for bus, chosen in bus_options(self.robot, asked).items() if chosen
+            }
             channels = {channel: bus for bus, channel in placed.items()}
             return run_replay(self.robot, frames, self.controllers, channels=channels, **options)
         return run_real(
@@ -233,7 +235,9 @@ class Session:
             say(f"no answer from {', '.join(missing)}: powered, on this bus, and of this number?")
         if not runner.drives:
             return True
-        driven = {device.name: device for one in runner.supervisors for device in runner.driven(one)}
+        driven = {
+            device.name: device for supervisor in runner.supervisors for device in runner.driven(supervisor)
+        }
         if any(name in driven for name in missing):
             say("nothing was moved: what is to be driven has to be there")
             return False
@@ -289,13 +293,13 @@ class Session:
             return True
         if self.duration is not None or runner.held:
             return False
-        modes = [getattr(one, "mode", None) for one in self._bare]
+        modes = [getattr(controller, "mode", None) for controller in self._bare]
         finite = [mode for mode in modes if isinstance(mode, str)]
         return bool(finite) and all(mode in ENDED for mode in finite)
 
     @property
     def _bare(self) -> Iterator[Any]:
-        return (getattr(one, "controller", one) for one in self.controllers)
+        return (getattr(controller, "controller", controller) for controller in self.controllers)
 
     # ------------------------------------------------------------------ showing
 
@@ -374,7 +378,7 @@ class Session:
                 say(f"{source}: {kind}: {number - FEW} more times")
         for name, reason in ended.tripped.items():
             say(f"{name} was {'held' if name in runner.held else 'stopped'}: {reason}")
-        waiting = {one.name: getattr(one, "waiting", "") for one in self._bare}
+        waiting = {controller.name: getattr(controller, "waiting", "") for controller in self._bare}
         idle = [name for name, what in waiting.items() if what and not runner.set_points]
         for name in idle:
             say(f"{name} gave no set-point: it waited for {waiting[name]}")

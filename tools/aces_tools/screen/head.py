@@ -60,7 +60,7 @@ class Status:
 def head(model: Model, status: Status, view: View, shown: int, now_ns: int, width: int) -> list[Line]:
     """Return all lines of the head."""
     lines = [_title(status, view, now_ns, width)]
-    channels = sorted(model.channels.values(), key=lambda one: one.name)
+    channels = sorted(model.channels.values(), key=lambda channel: channel.name)
     if not channels:
         lines.append([StyledText(" nothing received yet", "dim")])
     widest = max([len(channel.name) for channel in channels], default=4)
@@ -68,7 +68,7 @@ def head(model: Model, status: Status, view: View, shown: int, now_ns: int, widt
         lines.append(_channel(model, channel, min(widest, 12), now_ns, width))
     if len(channels) > MOST_CHANNELS:
         more = channels[MOST_CHANNELS:]
-        total = sum(one.frame_meter.per_second(now_ns) for one in more)
+        total = sum(channel.frame_meter.per_second(now_ns) for channel in more)
         lines.append([StyledText(f" and {len(more)} more channels: {rate(total)} frames/s", "dim")])
     lines.append(_losses(model, status, view, shown, now_ns))
     return [fit(line, width) for line in lines]
@@ -255,12 +255,12 @@ def _bits(row: RepeatedFrame, now_ns: int, width: int, *, is_marking: bool) -> l
     for start in range(0, len(data), each):
         line: Line = []
         for number in range(start, min(start + each, len(data))):
-            one = row.data[number : number + 1]
-            digits = [StyledText(one.hex().upper(), "data")]
+            byte = row.data[number : number + 1]
+            digits = [StyledText(byte.hex().upper(), "data")]
             if marks:
                 digits = _digits(row, number, marks)
             line += [StyledText(f"{number:>2} ", "dim"), *digits, StyledText(" ", "plain")]
-            line += [*binary(one[0], number, marks), StyledText("  ", "plain")]
+            line += [*binary(byte[0], number, marks), StyledText("  ", "plain")]
         lines.append(line)
     if len(row.data) > len(data):
         lines.append([StyledText(f"and {len(row.data) - len(data)} more bytes", "dim")])

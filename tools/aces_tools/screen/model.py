@@ -194,9 +194,9 @@ class RepeatedFrame:
 
     def frozen(self) -> RepeatedFrame:
         """Return a copy that stays as it is."""
-        one = copy(self)
-        one.changes, one.history, one._meter = copy(self.changes), copy(self.history), copy(self._meter)
-        return one
+        row = copy(self)
+        row.changes, row.history, row._meter = copy(self.changes), copy(self.history), copy(self._meter)
+        return row
 
 
 def changed_bits(before: bytes, after: bytes) -> int:
@@ -258,7 +258,9 @@ class Model:
         self._data_share = 1.0 if not (bitrate and data_bitrate) else bitrate / data_bitrate
         self.fields = fields = FieldsOfKinds(getattr(scanner, "variants", ()))
         self._pages: OfKind[Callable[[Any], Hashable] | None] = OfKind(
-            lambda kind: attrgetter(*one.page) if (one := fields[kind]) is not None and one.page else None
+            lambda kind: (
+                attrgetter(*known.page) if (known := fields[kind]) is not None and known.page else None
+            )
         )
         if self.scanner is not None and not getattr(scanner, "include_unknown", True):
             raise CallerError("the screen's scanner has to be made with include_unknown=True")
@@ -486,7 +488,8 @@ class Model:
     def folded(self) -> FoldedRows:
         """Number of rows and frames that are folded away, over all channels."""
         return FoldedRows(
-            sum(one.rows for one in self.others.values()), sum(one.count for one in self.others.values())
+            sum(other.rows for other in self.others.values()),
+            sum(other.count for other in self.others.values()),
         )
 
 

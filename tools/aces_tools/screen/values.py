@@ -49,14 +49,15 @@ class FieldFormat:
         self._message = message
         plan = self._plan = message.plan
         self.doc = plan.doc
-        self.names = tuple(one.name for one in plan.fields)
+        self.names = tuple(field.name for field in plan.fields)
         decide = dict.fromkeys(
             [head.name for head in message.heads] + [selector.name for selector in plan.selectors]
         )
         #: The fields that say what the rest means, or whom it is about.
         self.page = tuple(name for name in decide if name in self.names)
         self._short: list[tuple[p.PlanField, Callable[[Any], Any], Callable[[Any], str], str]] = [
-            (one, getter((one.name,)), value_printer(one.node), one.node.unit) for one in plan.fields
+            (field, getter((field.name,)), value_printer(field.node), field.node.unit)
+            for field in plan.fields
         ]
         self._leaves: list[tuple[RecordLeaf, Callable[[Any], str], str]] | None = None
         self._rows: dict[str, draw.FieldRow] = {}
@@ -68,7 +69,7 @@ class FieldFormat:
 
     def tokens(self, record: Record) -> Iterator[FieldText]:
         """Yield the fields, each as a whole; those that are not there are left out."""
-        for one, get, shown, unit in self._short:
+        for field, get, shown, unit in self._short:
             value = get(record)
             if value is None:
                 if one.when is None and not one.node.is_of_request:
@@ -92,7 +93,7 @@ class FieldFormat:
             row = self._rows.get(leaf.path)
             curve = ""
             if isinstance(value, (int, float)) and len(history) > 1:
-                curve = sparkline([leaf.get(one) for one in history][-width:])
+                curve = sparkline([leaf.get(sample) for sample in history][-width:])
             found.append(
                 Value(
                     leaf.path,

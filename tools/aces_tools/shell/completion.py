@@ -74,7 +74,12 @@ def _typed(words: str) -> list[str]:
 def _placed(words: str, verb: str) -> list[str]:
     """Return what stands in a verb's places so far, without options, their values, and the word that is being typed."""
     typed = iter(_typed(words if words[-1:].isspace() else words.rpartition(" ")[0])[1 + len(verb.split()) :])
-    valued = {name for one in parser_of(verb).arguments if one.nargs != 0 for name in one.option_strings}
+    valued = {
+        name
+        for argument in parser_of(verb).arguments
+        if argument.nargs != 0
+        for name in argument.option_strings
+    }
     found: list[str] = []
     for word in typed:
         if word in valued:
@@ -139,18 +144,19 @@ def _values(words: str) -> Iterable[str]:
     if found is None or len(placed) < 2:
         return []
     (device, part), action = found, placed[1]
-    signals = {one.name.partition(".")[2]: one for one in signals_of(device, part)}
+    signals = {signal.name.partition(".")[2]: signal for signal in signals_of(device, part)}
     if action in ("get", "watch"):
-        return [name for name, one in signals.items() if one.name in device.readable]
+        return [name for name, signal in signals.items() if signal.name in device.readable]
     if action == "set":
-        return [f"{name}=" for name, one in signals.items() if one.is_writable]
+        return [f"{name}=" for name, signal in signals.items() if signal.is_writable]
     if action not in device.actions:
         return []
     parameters = signature(getattr(device, action)).parameters.values()
     return [
-        f"{one.name}="
-        for one in parameters
-        if one.kind in (one.POSITIONAL_OR_KEYWORD, one.KEYWORD_ONLY) and not (one.name == "joint" and part)
+        f"{parameter.name}="
+        for parameter in parameters
+        if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
+        and not (parameter.name == "joint" and part)
     ]
 
 

@@ -153,14 +153,14 @@ def _page(verb: str, parser: Parser) -> str:
         ".SH SYNOPSIS",
         f".B {_escaped(parser.prog)}",
     ]
-    positional = [one for one in parser.arguments if not one.option_strings]
+    positional = [argument for argument in parser.arguments if not argument.option_strings]
     lines += [_escaped(" ".join(["[options]", *map(_placed, positional)])), ".SH DESCRIPTION"]
     lines += _prose(parser.description or "")
     lines.append(".SH ARGUMENTS")
-    for one in parser.arguments:
-        names = ", ".join(one.option_strings) or str(one.metavar or one.dest)
-        value = "" if not one.option_strings or one.nargs == 0 else f" {_value(one)}"
-        lines += [".TP", f".B {_escaped(names + value)}", _escaped(_help(one, parser))]
+    for argument in parser.arguments:
+        names = ", ".join(argument.option_strings) or str(argument.metavar or argument.dest)
+        value = "" if not argument.option_strings or argument.nargs == 0 else f" {_value(argument)}"
+        lines += [".TP", f".B {_escaped(names + value)}", _escaped(_help(argument, parser))]
     if parser.epilog:
         lines += [".SH NOTES", ".nf", *map(_escaped, parser.epilog.rstrip().splitlines()), ".fi"]
     return "\n".join([*lines, ".SH SEE ALSO", ".BR aces (1)"])
@@ -174,25 +174,27 @@ def _head(name: str, purpose: str) -> list[str]:
     ]
 
 
-def _placed(one: argparse.Action) -> str:
+def _placed(argument: argparse.Action) -> str:
     """Return a positional argument as a synopsis has it."""
     name = (
-        one.metavar
-        if isinstance(one.metavar, str)
-        else "{" + ",".join(map(str, one.choices or [one.dest])) + "}"
+        argument.metavar
+        if isinstance(argument.metavar, str)
+        else "{" + ",".join(map(str, argument.choices or [argument.dest])) + "}"
     )
-    return {"?": f"[{name}]", "*": f"[{name} …]", "+": f"{name} …"}.get(str(one.nargs), name)
+    return {"?": f"[{name}]", "*": f"[{name} …]", "+": f"{name} …"}.get(str(argument.nargs), name)
 
 
-def _value(one: argparse.Action) -> str:
-    if isinstance(one.metavar, tuple):
-        return " ".join(one.metavar)
-    name = one.metavar or ("{" + ",".join(map(str, one.choices)) + "}" if one.choices else one.dest.upper())
-    return f"[{name}]" if one.nargs == "?" else name
+def _value(argument: argparse.Action) -> str:
+    if isinstance(argument.metavar, tuple):
+        return " ".join(argument.metavar)
+    name = argument.metavar or (
+        "{" + ",".join(map(str, argument.choices)) + "}" if argument.choices else argument.dest.upper()
+    )
+    return f"[{name}]" if argument.nargs == "?" else name
 
 
-def _help(one: argparse.Action, parser: Parser) -> str:
-    return (one.help or "") % {**vars(one), "prog": parser.prog}
+def _help(argument: argparse.Action, parser: Parser) -> str:
+    return (argument.help or "") % {**vars(argument), "prog": parser.prog}
 
 
 def _prose(text: str) -> Iterator[str]:

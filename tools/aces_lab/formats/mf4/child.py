@@ -118,8 +118,10 @@ class _Copy:
     def _signal_data(self, group: Any, at: int) -> None:
         """Write a channel's bytes of variable length, block by block."""
         for block in group.get_signal_data_blocks(at):
-            one = SimpleNamespace(signal_data=[True], get_signal_data_blocks=lambda _, block=block: [block])
-            self.out.write(self.mdf._load_signal_data(group=one, index=0))
+            single = SimpleNamespace(
+                signal_data=[True], get_signal_data_blocks=lambda _, block=block: [block]
+            )
+            self.out.write(self.mdf._load_signal_data(group=single, index=0))
 
 
 def described_tree(said: dict[str, Any], blocks: Blocks) -> MdfTree:
@@ -129,12 +131,12 @@ def described_tree(said: dict[str, Any], blocks: Blocks) -> MdfTree:
     streams: list[DataGroup] = []
     for each in said["groups"]:
         channels: list[MdfChannel] = []
-        for one in each["channels"]:
-            at, size, fault = one.get("data", (0, 0, ""))
-            at_conversion = one["conversion"]
+        for channel in each["channels"]:
+            at, size, fault = channel.get("data", (0, 0, ""))
+            at_conversion = channel["conversion"]
             conversion = blocks.conversion(at_conversion) if at_conversion else ChannelConversion()
             segments = (Segment(at, size, size),) if size else ()
-            channels.append(MdfChannel._make((*one["channel"], conversion, 0, segments, fault)))
+            channels.append(MdfChannel._make((*channel["channel"], conversion, 0, segments, fault)))
         group = ChannelGroup._make((0, 0, *each["group"], *each["bus"], channels))
         at, size, fault = each.get("records", (0, 0, ""))
         streams.append(DataGroup(0, [group], [Segment(at, size, size)], fault))
