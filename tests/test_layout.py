@@ -315,6 +315,21 @@ def test_nothing_else_stands_at_the_top() -> None:
     assert {path.relative_to(ROOT).parts[0] for path in tracked_files() if path.exists()} == TOP
 
 
+#: A function's docstring whose first word makes the sentence a riddle. `tests/house.py` counts them by the syntax tree.
+RIDDLE = re.compile(r"(?:\bdef\b[^\n]*|\n *\) ->[^\n]*):\n +\"\"\"((?:What|Whether|How|Where)\b[^\n]*)")
+
+
+def test_no_docstring_of_a_function_is_a_riddle() -> None:
+    """A function's docstring says what it does or returns: it does not begin with What, Whether, How or Where."""
+    riddles = [
+        f"{path.relative_to(ROOT).as_posix()}: {found[1]}"
+        for folder, _ in PACKAGES.values()
+        for path in folder.rglob("*.py")
+        for found in RIDDLE.finditer(path.read_text(encoding="utf-8"))
+    ]
+    assert not riddles, "\n".join(riddles)
+
+
 # ---- what no file may say -----------------------------------------------------------------------------------------
 
 #: The first folder of a checkout's path is nobody's business either, unless every system has one of that name.

@@ -32,7 +32,7 @@ class EventLike(Protocol):
 
     @property
     def source(self) -> str:
-        """Where: a bus, a device, a controller."""
+        """Source: a bus, a device, a controller."""
         ...
 
     @property

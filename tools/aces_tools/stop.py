@@ -161,9 +161,9 @@ def _drivers_of(name: str) -> list[Driver]:
     if name in installed:
         return [load_driver(name)]
     drivers: list[Driver] = []
-    for one in installed:
+    for driver_name in installed:
         try:
-            drivers.append(load_driver(one))
+            drivers.append(load_driver(driver_name))
         except AcesError as error:  # a broken driver stops nothing, and keeps no other from it
             say(str(error))
     found = [

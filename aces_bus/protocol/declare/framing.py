@@ -308,13 +308,13 @@ class Framing:
 
     @property
     def check_at(self) -> int:
-        """Where the check begins in a packet: from its first byte, or negative, from its end."""
+        """Start of the check in a packet: from its first byte, or negative, from its end."""
         assert self.check is not None
         return -self.check.size - len(self.end) if self.check_head is None else self.check_head.offset
 
     @property
     def check_over(self) -> tuple[Covered, ...]:
-        """What the check covers, of a whole packet; by default all behind the sync bytes but check and end."""
+        """Bytes of a whole packet that the check covers; by default all behind the sync bytes but check and end."""
         assert self.check is not None
         if self.check.over is not None:
             return self.check.over

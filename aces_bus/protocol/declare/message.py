@@ -416,8 +416,8 @@ class Message:
 
     @cached_property
     def check_over(self) -> tuple[Covered, ...]:
-        """What this message's own check covers, of a frame's data or of a packet (without stuffing) up to its framing's
-        check and end; by default all behind the sync bytes but checks.
+        """Bytes that this message's own check covers, of a frame's data or of a packet (without stuffing) up
+        to its framing's check and end; by default all behind the sync bytes but checks.
         """
         assert self.check is not None
         if self.check.over is not None:
