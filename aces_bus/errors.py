@@ -68,9 +68,13 @@ class UnknownNameError(CallerError):
         names = sorted(known)
         near = get_close_matches(name, names, n=NAMED)
         if not near:  # the same in another case, or a part of it
-            near = [one for one in names if name and name.lower() in one.lower()][:NAMED]
+            near = [candidate for candidate in names if name and name.lower() in candidate.lower()][:NAMED]
         hint = f"; did you mean {near[0]!r}?" if near else ""
-        shown = [*near, *(one for one in names if one not in near)] if len(names) > NAMED else names
+        shown = (
+            [*near, *(candidate for candidate in names if candidate not in near)]
+            if len(names) > NAMED
+            else names
+        )
         super().__init__(f"no {kind} named {name!r}{hint} (there are: {first_names(shown)})")
         self.kind, self.name, self.known = kind, name, tuple(names)
 

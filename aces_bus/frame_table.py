@@ -105,8 +105,6 @@ class FrameTable:
         capture.
 
         Seconds become the nanoseconds that their decimal digits say, without a rounding in between.
-
-        Seconds become the nanoseconds that their decimal digits say, without a rounding in between.
         """
         rows = frames if isinstance(frames, Sequence) else list(frames)
         channels = channels if channels is not None else Channels()

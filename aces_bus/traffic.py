@@ -114,7 +114,7 @@ class GapCounts:
         if self.count < 2:
             return None
         if self._bins is None:
-            return [float(one) for one in np.quantile(np.frombuffer(self._gaps, np.int64), shares)]
+            return [float(gap) for gap in np.quantile(np.frombuffer(self._gaps, np.int64), shares)]
         counts, sums = self._bins
         ranks = np.ceil(np.array(shares) * self.count).clip(1)
         places = np.searchsorted(np.cumsum(counts), ranks)
@@ -130,7 +130,7 @@ class GapCounts:
         """Return the largest difference of the two distributions' cumulative shares; 0 where it may be chance."""
         if not self.count or not other.count:
             return 0.0
-        mine, theirs = (np.cumsum(one._counts) / one.count for one in (self, other))
+        mine, theirs = (np.cumsum(side._counts) / side.count for side in (self, other))
         found = float(np.abs(mine - theirs).max())
         return found if found > SMIRNOV * math.sqrt(1 / self.count + 1 / other.count) else 0.0
 

@@ -79,7 +79,7 @@ class UdpStates:
     @property
     def ports(self) -> dict[str, int]:
         """The port of each state, once it is open."""
-        return {name: one.getsockname()[1] for name, one in self._sockets.items()} or dict(self._asked)
+        return {name: sock.getsockname()[1] for name, sock in self._sockets.items()} or dict(self._asked)
 
     @property
     def refused(self) -> int:
@@ -123,8 +123,8 @@ class UdpStates:
         if self._wake is not None:
             self._wake[0].close()
             self._wake = None
-        for one in self._sockets.values():
-            one.close()
+        for sock in self._sockets.values():
+            sock.close()
         self._sockets = {}
         self._inlet.give_up()
 
@@ -138,7 +138,7 @@ class UdpStates:
 
     def poll(self) -> int:
         """Answer what waits at the ports now; how many datagrams that were."""
-        return sum(self._take(name, one) for name, one in self._sockets.items())
+        return sum(self._take(name, sock) for name, sock in self._sockets.items())
 
     def _look(self) -> None:
         self.poll()
@@ -150,18 +150,18 @@ class UdpStates:
         ended = self._wake[0]
         with selectors.DefaultSelector() as selector:
             selector.register(ended, selectors.EVENT_READ)
-            for name, one in self._sockets.items():
-                selector.register(one, selectors.EVENT_READ, name)
+            for name, sock in self._sockets.items():
+                selector.register(sock, selectors.EVENT_READ, name)
             while True:
                 for key, _ in selector.select():
                     if key.fileobj is ended:
                         return
                     self._take(key.data, key.fileobj)  # type: ignore[arg-type]
 
-    def _take(self, name: str, one: socket.socket) -> int:
+    def _take(self, name: str, sock: socket.socket) -> int:
         for count in range(AT_ONCE):
             try:
-                data, asker = one.recvfrom(LONGEST + 1)
+                data, asker = sock.recvfrom(LONGEST + 1)
             except (BlockingIOError, InterruptedError):
                 return count
             except (
@@ -172,7 +172,7 @@ class UdpStates:
             answer = self._answer(name, data)
             if answer is not None:
                 try:
-                    one.sendto(answer, asker)
+                    sock.sendto(answer, asker)
                 except OSError:
                     self.unanswered += 1
         return AT_ONCE

@@ -55,7 +55,7 @@ class FunctionController(LawController):
                         f"state of controller {name!r}", parameter.name, (*given, *SPECIAL)
                     )
                 self._names.append(parameter.name)
-        inferred = tuple(one for one in self._names if one not in SPECIAL)
+        inferred = tuple(argument for argument in self._names if argument not in SPECIAL)
         super().__init__(
             name,
             rate_hz=rate_hz,
@@ -67,7 +67,7 @@ class FunctionController(LawController):
         self.law = law
         self.memory = self.values
         self._arguments: list[Any] = []
-        self._timed = [(i, one) for i, one in enumerate(self._names) if one in ("t", "dt")]
+        self._timed = [(i, argument) for i, argument in enumerate(self._names) if argument in ("t", "dt")]
         self.__doc__ = law.__doc__
 
     def __call__(self, *arguments: Any, **gains: Any) -> Mapping[str, float] | None:
@@ -85,7 +85,9 @@ class FunctionController(LawController):
         """Take the states it reads."""
         super().bind(states)
         special = {"states": self.bound, "memory": self.memory, "t": 0.0, "dt": 0.0}
-        self._arguments = [special[one] if one in special else self.bound[one] for one in self._names]
+        self._arguments = [
+            special[argument] if argument in special else self.bound[argument] for argument in self._names
+        ]
 
     def start(self, now: int) -> None:
         """Begin a run with empty memory."""

@@ -272,7 +272,7 @@ class Guard:
         self.fault: Callable[[ControlEvent], None] | None = None
         self._dead_man = None if dead_man_s is None else round(dead_man_s * 1e9)
         self._unnamed = None if unnamed_s is None else round(unnamed_s * 1e9)
-        self._lines = {one: _Line(one, limit) for one, limit in bounds.items()}
+        self._lines = {state: _Line(state, limit) for state, limit in bounds.items()}
         self._states: Mapping[str, StateLike] = {}
         self._door: SetpointDoor | None = None
         #: The lines by all names that they were given set-points by, and by the whole names of their signals.
@@ -516,4 +516,4 @@ def bounds_of(robot: Robot, *, nominal: bool = False, acceleration: bool = False
 
 def _first(*known: float | None) -> float:
     """Return the first that is known; infinity when none is."""
-    return next((one for one in known if one is not None), math.inf)
+    return next((number for number in known if number is not None), math.inf)

@@ -47,10 +47,10 @@ def quantize(x: float, step: float, base: float = 0.0) -> float:
 
 FUNCTIONS: dict[str, Callable[..., Any]] = {
     **{
-        one: getattr(math, one)
-        for one in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sqrt", "exp")
+        function: getattr(math, function)
+        for function in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sqrt", "exp")
     },
-    **{one: getattr(math, one) for one in ("log", "log10", "ceil", "floor", "fmod", "hypot")},
+    **{function: getattr(math, function) for function in ("log", "log10", "ceil", "floor", "fmod", "hypot")},
     "abs": abs,
     "min": min,
     "max": max,
@@ -181,11 +181,11 @@ class _Printer:
                 return f"({self.expression(left)} {BINARY[type(op)]} {self.expression(right)})"
             case ast.BoolOp(op=op, values=values):
                 word = " and " if isinstance(op, ast.And) else " or "
-                return f"({word.join(self.expression(one) for one in values)})"
+                return f"({word.join(self.expression(part) for part in values)})"
             case ast.Compare(left=left, ops=ops, comparators=rest) if all(type(op) in COMPARE for op in ops):
                 text = self.expression(left)
-                for sign, one in zip(ops, rest, strict=True):
-                    text += f" {COMPARE[type(sign)]} {self.expression(one)}"
+                for sign, next_part in zip(ops, rest, strict=True):
+                    text += f" {COMPARE[type(sign)]} {self.expression(next_part)}"
                 return f"({text})"
             case ast.IfExp(test=test, body=body, orelse=orelse):
                 return f"({self.expression(body)} if {self.expression(test)} else {self.expression(orelse)})"
@@ -240,7 +240,7 @@ class _Printer:
             raise self.fail(
                 node, f"there is no function {name!r}", f"there are: {', '.join([*OF_A_STATE, *FUNCTIONS])}"
             )
-        return f"f_{name}({', '.join(self.expression(one) for one in arguments)})"
+        return f"f_{name}({', '.join(self.expression(argument) for argument in arguments)})"
 
     # ---- lines ----------------------------------------------------------------------------------------------------
 

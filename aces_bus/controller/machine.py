@@ -369,8 +369,10 @@ def _expanded(phases: Sequence[Phase], table: Sequence[Transition]) -> list[tupl
     """Rows with "*" written out."""
     rows: list[tuple[str, str, str]] = []
     for row in table:
-        sources = [one.name for one in phases if not one.final and one.name != row.target]
-        rows += [(one, row.target, row.label) for one in (sources if row.source == "*" else [row.source])]
+        sources = [phase.name for phase in phases if not phase.final and phase.name != row.target]
+        rows += [
+            (source, row.target, row.label) for source in (sources if row.source == "*" else [row.source])
+        ]
     return rows
 
 

@@ -81,7 +81,7 @@ class Trajectory:
         self.interpolation = interpolation
         self.source = source
         where = source or "trajectory"
-        double = [one for one in dict.fromkeys(self.names) if self.names.count(one) > 1]
+        double = [name for name in dict.fromkeys(self.names) if self.names.count(name) > 1]
         raise_first(
             CallerError,
             (not 0 < self.rate_hz <= 1e6, f"{where}: rate_hz = {rate_hz!r} is not a rate"),
@@ -92,7 +92,7 @@ class Trajectory:
             (bool(double), f"{where}: {', '.join(double)} named twice"),
         )
         if not np.isfinite(self.rows).all():
-            row, column = (int(one) for one in np.argwhere(~np.isfinite(self.rows))[0])
+            row, column = (int(index) for index in np.argwhere(~np.isfinite(self.rows))[0])
             raise CallerError(f"{where}: row {row + 1} of {self.names[column]} is not finite")
         ways: dict[str, Callable[[float], list[float]]] = {
             "hold": self._hold,
@@ -183,35 +183,35 @@ class Trajectory:
 
     def renamed(self, names: Mapping[str, str]) -> Trajectory:
         """Columns under other names (`{"LEB": "LEP"}`); names that it has not are passed over: one table for many files."""
-        return self._with(names=[names.get(one, one) for one in self.names])
+        return self._with(names=[names.get(name, name) for name in self.names])
 
     def only(self, names: Iterable[str]) -> Trajectory:
         """Return the trajectory of some columns, in the order asked for."""
         wanted = self._known(names)
-        return self._with(names=wanted, rows=self.rows[:, [self.names.index(one) for one in wanted]])
+        return self._with(names=wanted, rows=self.rows[:, [self.names.index(name) for name in wanted]])
 
     def _known(self, names: Iterable[str]) -> list[str]:
         """Return the names as a list; raises `UnknownNameError` for one that is no column."""
         wanted = list(names)
-        for one in wanted:
-            if one not in self.names:
-                raise UnknownNameError("column", one, self.names)
+        for name in wanted:
+            if name not in self.names:
+                raise UnknownNameError("column", name, self.names)
         return wanted
 
     def without(self, names: Iterable[str]) -> Trajectory:
         """Return all columns but these."""
         gone = set(names)
-        return self.only([one for one in self.names if one not in gone])
+        return self.only([name for name in self.names if name not in gone])
 
     def scaled(self, factors: Mapping[str, float]) -> Trajectory:
         """Columns times a factor; -1 for a joint that turns the other way."""
         self._known(factors)
-        return self._with(rows=self.rows * [factors.get(one, 1.0) for one in self.names])
+        return self._with(rows=self.rows * [factors.get(name, 1.0) for name in self.names])
 
     def shifted(self, offsets: Mapping[str, float]) -> Trajectory:
         """Columns plus an offset."""
         self._known(offsets)
-        return self._with(rows=self.rows + [offsets.get(one, 0.0) for one in self.names])
+        return self._with(rows=self.rows + [offsets.get(name, 0.0) for name in self.names])
 
     def mirrored(self, pairs: Mapping[str, str], flipped: Iterable[str] = ()) -> Trajectory:
         """Left and right exchanged: each column goes to its pair; columns in `flipped` (by their new name) change sign.
@@ -219,9 +219,9 @@ class Trajectory:
         Which joints change sign is a property of a robot's conventions, so it is said, not guessed.
         """
         both = {**{right: left for left, right in pairs.items()}, **pairs}
-        names = [both.get(one, one) for one in self.names]
+        names = [both.get(name, name) for name in self.names]
         signs = set(flipped)
-        return self._with(names=names, rows=self.rows * [-1.0 if one in signs else 1.0 for one in names])
+        return self._with(names=names, rows=self.rows * [-1.0 if name in signs else 1.0 for name in names])
 
     def resampled(self, rate_hz: float) -> Trajectory:
         """Return the motion at another rate, by its own interpolation; the last row is kept if it falls on the new grid."""

@@ -121,7 +121,7 @@ class PID:
         kp, ki, kd = (
             old if new is None else new for old, new in ((self.kp, kp), (self.ki, ki), (self.kd, kd))
         )
-        if not all(math.isfinite(one) for one in (kp, ki, kd)):
+        if not all(math.isfinite(gain) for gain in (kp, ki, kd)):
             raise CallerError(f"PID: gains must be finite, not {(kp, ki, kd)}")
         if self._measured is not None:
             self._integral += (self.kp - kp) * (self.setpoint_weight * self.setpoint - self._measured)

@@ -98,8 +98,8 @@ class Player(Controller):
         self._rewind()
 
     def _checked(self, name: str, motion: Motion) -> tuple[str, ...]:
-        names = tuple(self._rename.get(one, one) for one in motion.names)
-        double = [one for one in dict.fromkeys(names) if names.count(one) > 1]
+        names = tuple(self._rename.get(column, column) for column in motion.names)
+        double = [column for column in dict.fromkeys(names) if names.count(column) > 1]
         if double:
             raise CallerError(f"player {name!r}: {', '.join(double)} would be set twice; see rename")
         rows = getattr(motion, "rows", None)
@@ -244,13 +244,13 @@ class Player(Controller):
         first = self.motion.at(0.0)
         present = self._values
         if present is None and self.approach is not None:
-            found = [known_value(self.bound.get(one)) for one in self.names]
-            if any(one is None for one in found):
+            found = [known_value(self.bound.get(name)) for name in self.names]
+            if any(value is None for value in found):
                 if now - self._began > self._patience_ns:
-                    missing = [one for one, value in zip(self.names, found, strict=True) if value is None]
+                    missing = [name for name, value in zip(self.names, found, strict=True) if value is None]
                     self._fail(now, f"the present position of {', '.join(missing)} is unknown")
                 return None
-            present = [one for one in found if one is not None]
+            present = [value for value in found if value is not None]
         self._began, self._base_s, self._base_ns, self._ramp = now, 0.0, now, 0
         self._offsets, self._fade_s, self._fresh, self._at_s = None, 0.0, False, 0.0
         self._begun = False

@@ -78,7 +78,7 @@ DEFAULT_REACTIONS: Mapping[str, Reaction | tuple[Reaction, ...]] = {
 #: Kinds of faults of controllers and logs; those of devices and buses are `aces_bus.device.events.Kind`.
 CONTROL_KINDS = ("raised", "failed", "dead-man", "unnamed", "not finite", "log-failed", "log-dropped")
 #: The ways to stop motion, by their words.
-ACTION_OF: Mapping[str, Action] = {one: one for one in ACTIONS}
+ACTION_OF: Mapping[str, Action] = {action: action for action in ACTIONS}
 #: Words for reactions.
 WORDS = ("ignore", "degrade", *ACTIONS)
 
@@ -101,12 +101,12 @@ def parse_reactions(
     found: dict[str, list[Reaction]] = {}
     for key, word in texts.items():
         kind, _, named = key.partition("@")
-        among = [one.strip() for one in named.split(",") if one.strip()] or None
+        among = [name.strip() for name in named.split(",") if name.strip()] or None
         if kind not in (*kinds, "*"):
             raise UnknownNameError("kind of fault", kind, (*kinds, "*"))
-        for one in among or ():
-            if sources is not None and one not in sources:
-                raise UnknownNameError(f"source of {kind!r} (bus, device or controller)", one, sources)
+        for name in among or ():
+            if sources is not None and name not in sources:
+                raise UnknownNameError(f"source of {kind!r} (bus, device or controller)", name, sources)
         made = _reaction(word, kind, among, own or {})
         # Who is named goes before all others.
         found.setdefault(kind, []).insert(len(found.get(kind, ())) if among is None else 0, made)

@@ -237,7 +237,7 @@ class Supervisor:
     def _reaction(self, kind: str, source: str) -> Reaction:
         for key in (kind, "*"):
             found = self.reactions.get(key, ())
-            for one in (found,) if isinstance(found, Reaction) else found:
-                if one.sources is None or source in one.sources:
-                    return one
+            for reaction in (found,) if isinstance(found, Reaction) else found:
+                if reaction.sources is None or source in reaction.sources:
+                    return reaction
         return stop()

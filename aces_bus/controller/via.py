@@ -39,7 +39,7 @@ class Limits:
     jerk: float = math.inf
 
     def __post_init__(self) -> None:
-        if not all(one > 0 for one in (self.velocity, self.acceleration, self.jerk)):
+        if not all(number > 0 for number in (self.velocity, self.acceleration, self.jerk)):
             raise CallerError(f"limits must be above 0, not {self}")
 
 
@@ -82,16 +82,16 @@ class ViaPath:
                 f"shape is 'trapezoidal', 'quintic' or 'through', not {shape!r}",
             ),
             (
-                is_trapezoid and any(math.isfinite(one.jerk) for one in self.limits),
+                is_trapezoid and any(math.isfinite(limit.jerk) for limit in self.limits),
                 "a trapezoid has unlimited jerk: use shape='quintic' (or 'through') to limit it",
             ),
             (
-                is_trapezoid and not all(math.isfinite(one.acceleration) for one in self.limits),
+                is_trapezoid and not all(math.isfinite(limit.acceleration) for limit in self.limits),
                 "a trapezoid needs a limit of acceleration",
             ),
         )
         if times is not None:
-            self.times = [float(one) for one in times]
+            self.times = [float(time) for time in times]
             raise_first(
                 CallerError,
                 (
@@ -125,8 +125,8 @@ class ViaPath:
         least = [math.inf, math.inf, math.inf]
         for delta, limit in zip((self.points[i + 1] - self.points[i]).tolist(), self.limits, strict=True):
             if delta:
-                for k, one in enumerate((limit.velocity, limit.acceleration, limit.jerk)):
-                    least[k] = min(least[k], one / abs(delta))
+                for k, number in enumerate((limit.velocity, limit.acceleration, limit.jerk)):
+                    least[k] = min(least[k], number / abs(delta))
         return least[0], least[1], least[2]
 
     def _segment(self, i: int) -> float:
@@ -191,13 +191,13 @@ class ViaPath:
                 f"the times of the path are too short for its limits: {stretch:.4g} times as long would do"
             )
         # Stretching divides exactly, so one pass is enough; it may also shorten what the straight estimate made long.
-        self.times = [one * stretch for one in self.times]
+        self.times = [time * stretch for time in self.times]
         self._print()
 
     def _print(self) -> float:
         """Compute the polynomials for the present times; return the factor by which the times must grow."""
         velocities, self._polynomials, stretch = self._velocities(), [], 0.0
-        limits = np.array([(one.velocity, one.acceleration, one.jerk) for one in self.limits]).T
+        limits = np.array([(limit.velocity, limit.acceleration, limit.jerk) for limit in self.limits]).T
         for i in range(len(self.points) - 1):
             duration = self.times[i + 1] - self.times[i]
             p, w = self.points[i + 1] - self.points[i], velocities[i] * duration

@@ -79,8 +79,6 @@ class HalfDuplexLine:
 
         A stop that waits already is not queued again: a device whose stop is repeated would hold up the stops
         of others.
-
-        One that waits already is not sent twice: a device whose stop is repeated would hold up the stops of others.
         """
         overtaken = [one for one in self._waiting if one is not None and _is_overtaken(one, ticket)]
         self._waiting = deque(one for one in self._waiting if one not in overtaken)
@@ -117,8 +115,6 @@ class HalfDuplexLine:
 
         A stop is repeated at once if the request before it was not answered either: that answer may have come
         late, in place of the stop's.
-
-        A stop's is at once, where the one before was not answered either: its answer may have come late, into this one's.
         """
         if ticket.urgent or ticket.confirms:
             if self._is_behind_a_miss:

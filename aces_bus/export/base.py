@@ -152,7 +152,7 @@ class Datasets:
             names = self.sources.names if slot.role == "source" else self.labels.names
             return [None if code < 0 else names[code] for code in plain]
         if absent is not None:
-            plain = [None if gone else one for one, gone in zip(plain, absent.tolist(), strict=True)]
+            plain = [None if gone else value for value, gone in zip(plain, absent.tolist(), strict=True)]
         return plain
 
     def _all(self) -> list[Dataset]:
@@ -351,7 +351,7 @@ class Buffered(Export):
                 self._flush(dataset)
         if self._size > self.budget:
             # The largest until half is free: many small flushes would give many small row groups.
-            for dataset in sorted(self._all(), key=lambda one: one.size, reverse=True):
+            for dataset in sorted(self._all(), key=lambda largest: largest.size, reverse=True):
                 if self._size <= self.budget // 2:
                     break
                 self._flush(dataset)

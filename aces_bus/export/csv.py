@@ -70,7 +70,7 @@ class CsvExport(Folder):
                 column = pa.array(seconds(values), pa.string(), mask=absent)
             elif slot.holds == "bytes":
                 column = pa.array(
-                    [None if one is None else one.hex() for one in values.tolist()], pa.string()
+                    [None if value is None else value.hex() for value in values.tolist()], pa.string()
                 )
             elif pa.types.is_dictionary(column.type):
                 column = _guarded(column.dictionary.cast(pa.string())).take(column.indices)
@@ -115,8 +115,8 @@ def seconds(time: Any) -> list[str]:
     whole, rest = np.divmod(np.abs(time), 1_000_000_000)
     signs = ["-" if early else "" for early in (time < 0).tolist()]
     return [
-        f"{sign}{one}.{other:09d}"
-        for sign, one, other in zip(signs, whole.tolist(), rest.tolist(), strict=True)
+        f"{sign}{whole_seconds}.{other:09d}"
+        for sign, whole_seconds, other in zip(signs, whole.tolist(), rest.tolist(), strict=True)
     ]
 
 

@@ -163,7 +163,7 @@ class InPlace:
 def size_on_disk(path: str) -> int:
     """Bytes of a file and of what stands beside it under its name (`-wal`), or of all files of a folder."""
     if not os.path.isdir(path):
-        return sum(os.path.getsize(one) for one in (path, f"{path}-wal") if os.path.exists(one))
+        return sum(os.path.getsize(name) for name in (path, f"{path}-wal") if os.path.exists(name))
     return sum(
         os.path.getsize(os.path.join(folder, name)) for folder, _, names in os.walk(path) for name in names
     )

@@ -146,8 +146,10 @@ def parquet_of_journal(journal: str, path: str) -> int:
     try:
         with opened_journal(journal) as reader:
             schema = reader.schema
-            labels = [one.name for one in schema if pa.types.is_dictionary(one.type)]
-            encodings = {one.name: "BYTE_STREAM_SPLIT" for one in schema if pa.types.is_floating(one.type)}
+            labels = [field.name for field in schema if pa.types.is_dictionary(field.type)]
+            encodings = {
+                field.name: "BYTE_STREAM_SPLIT" for field in schema if pa.types.is_floating(field.type)
+            }
             with pa.parquet.ParquetWriter(
                 made, schema, compression="zstd", use_dictionary=labels or False, column_encoding=encodings
             ) as writer:

@@ -131,7 +131,7 @@ class SqliteExport(Buffered):
             values = np.array(names.labels.names, object)[names.codes(values)]
         plain = self.plain(slot, values, absent)
         if names is None and values.dtype.kind == "u" and values.dtype.itemsize == 8:
-            plain = [str(one) if one is not None and one >= 1 << 63 else one for one in plain]
+            plain = [str(value) if value is not None and value >= 1 << 63 else value for value in plain]
         return plain
 
     def _end(self, dataset: Dataset) -> None:

@@ -93,7 +93,7 @@ def rotation_of(roll: float, pitch: float, yaw: float) -> Floats:
         raise CallerError(
             f"a rotation by roll {roll}, pitch {pitch}, yaw {yaw}: angles are finite numbers, rad"
         )
-    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(one), math.cos(one)) for one in (roll, pitch, yaw))
+    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(angle), math.cos(angle)) for angle in (roll, pitch, yaw))
     return np.array(
         (
             (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),

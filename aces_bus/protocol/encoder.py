@@ -50,9 +50,6 @@ class Encoder:
 
         Raises `UnknownNameError` for a message or field that does not exist, `FieldError` for a value that
         does not fit or is missing.
-
-        Raises `UnknownNameError` for a message or field that does not exist, `FieldError` for a value that does not fit
-        or is missing.
         """
         return self.build(self.variant[message], fields)
 

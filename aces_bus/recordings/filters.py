@@ -103,7 +103,7 @@ class CanFilter(msgspec.Struct, frozen=True):
 
     def matches(self, frame: FilteredFrame) -> bool:
         """Return whether the frame passes."""
-        return any(one.matches(frame) for one in self.sets)
+        return any(interface_filter.matches(frame) for interface_filter in self.sets)
 
 
 def parse_filter(*texts: str) -> CanFilter:
@@ -168,18 +168,20 @@ def passing(wanted: CanFilter, table: FrameTable) -> Mask:
     word |= (table.flags & EXTENDED != 0) * np.uint32(EFF)
     word |= (table.flags & REMOTE != 0) * np.uint32(RTR)
     passed = np.zeros(len(table), np.bool_)
-    for one in wanted.sets:
-        data = np.full(len(table), not one.rules or one.join)
-        for rule_id, mask, inverted in one.rules:
+    for interface_filter in wanted.sets:
+        data = np.full(len(table), not interface_filter.rules or interface_filter.join)
+        for rule_id, mask, inverted in interface_filter.rules:
             hit = (word & np.uint32(mask) == np.uint32(rule_id)) != inverted
-            data = data & hit if one.join else data | hit
-        if one.error_mask is None:
-            errors = np.full(len(table), not one.rules)
+            data = data & hit if interface_filter.join else data | hit
+        if interface_filter.error_mask is None:
+            errors = np.full(len(table), not interface_filter.rules)
         else:
-            errors = (table.id | np.uint32(ERR)) & np.uint32(one.error_mask) != 0
+            errors = (table.id | np.uint32(ERR)) & np.uint32(interface_filter.error_mask) != 0
         found = np.where(is_error, errors, data)
-        if one.interface is not None:
-            is_there = np.array([str(name) == one.interface for name in table.channels.names], np.bool_)
+        if interface_filter.interface is not None:
+            is_there = np.array(
+                [str(name) == interface_filter.interface for name in table.channels.names], np.bool_
+            )
             found &= is_there[table.channel]
         passed |= found
     return passed

@@ -136,8 +136,8 @@ class SerialWays:
     def feed(self, chunk: Chunk) -> Iterator[Any]:
         """Yield what a chunk gives; an empty one says that nothing that is incomplete will go on."""
         if not chunk.data:
-            for one in self._used.values():
-                yield one.idle()
+            for used in self._used.values():
+                yield used.idle()
             return
         direction: Direction | None = self._direction or chunk.direction
         scanner = self._of(direction)

@@ -127,13 +127,13 @@ class AdoptedPieces:
     def adopt(self, handover: Any, totals: Totals) -> list[MessageTable]:
         """Go on behind a piece (`CanColumns.hand_over`): the tables of the frames that it left and that pass."""
         handovers = list(handover.values()) if isinstance(handover, dict) else [handover]
-        count = max((one.frames for one in handovers), default=0)
+        count = max((piece.frames for piece in handovers), default=0)
         selection = self._selection
         if selection.window is not None:  # frames without a time were counted where they were read
             selection = replace(selection, window=copy(selection.window))
         if selection.filter is not None or selection.window is not None:
             kept = np.ones(count, bool)
-            for table, rows in (left for one in handovers for left in one.deferred):
+            for table, rows in (left for piece in handovers for left in piece.deferred):
                 kept[rows] = selection.kept(table)
             self._kept.add(self.frames, kept)
         self.frames += count

@@ -116,7 +116,9 @@ def parse_where(texts: Sequence[str]) -> Joined:
 def parse_condition(text: str) -> Joined:
     """Parse `field=value`, with sets, ranges, `and` and `or`; raises `CallerError` with what can be written."""
     either = (
-        Joined(tuple(_compared(text, one) for one in _split(part, r"\s+and(?:\s+|$)")), is_any=False)
+        Joined(
+            tuple(_compared(text, compared) for compared in _split(part, r"\s+and(?:\s+|$)")), is_any=False
+        )
         for part in _split(text, r"\s+or(?:\s+|$)")
     )
     return Joined(tuple(either), is_any=True)
@@ -180,7 +182,9 @@ class Where:
         for condition in where.conditions:
             _check(condition, plans)
         self._tests = OfKind(
-            lambda kind: where.joined(lambda one: _test(one, plans[kind]), _either, _both) or _never
+            lambda kind: (
+                where.joined(lambda condition: _test(condition, plans[kind]), _either, _both) or _never
+            )
         )
 
     def holds(self, record: Any) -> bool:
@@ -268,26 +272,26 @@ def _is_meant(path: Sequence[str | int], leaf: p.NodePath) -> bool:
 
 def _test(condition: WhereCondition, plan: p.MessagePlan) -> Test | None:
     """Return the condition for one message; None when it lacks the field."""
-    one, is_not = comparison(condition, {}), condition.sign == "!="
+    test, is_not = comparison(condition, {}), condition.sign == "!="
     if condition.is_meta:
         name = str(condition.path[1])
-        return lambda record: one(getattr(record.meta, name)) is not is_not
+        return lambda record: test(getattr(record.meta, name)) is not is_not
     leaves = _meant(condition.path, plan)
     nodes = [leaf.node for leaf in leaves]
     if not nodes:
         return None
-    one = comparison(condition, {name: raw for node in nodes for name, raw in node.numbers.items()})
+    test = comparison(condition, {name: raw for node in nodes for name, raw in node.numbers.items()})
     path = condition.path
     if leaves[0].kind is not None:
         gets = [getter(leaf.way) for leaf in leaves]
         return lambda record: any(one(get(record)) for get in gets) is not is_not
     if len(nodes) == 1 and not nodes[0].leads_inside(1):
         get = getter(path)
-        return lambda record: one(get(record)) is not is_not
+        return lambda record: test(get(record)) is not is_not
 
     def of_several(record: Any) -> bool:
         values = list(values_of(record, path))
-        return bool(values) and any(map(one, values)) is not is_not
+        return bool(values) and any(map(test, values)) is not is_not
 
     return of_several
 
@@ -384,7 +388,9 @@ class WhereColumns:
     def holds(self, table: MessageTable) -> Rows:
         """Return which rows of a table fulfil all conditions."""
         return self._where.joined(
-            lambda one: _meta(one, table) if one.is_meta else _field(one, table), or_, and_
+            lambda condition: _meta(condition, table) if condition.is_meta else _field(condition, table),
+            or_,
+            and_,
         )
 
 
@@ -394,12 +400,14 @@ def _field(condition: WhereCondition, table: MessageTable) -> Rows:
     has: Rows = np.zeros(len(table), bool)
     for kind, rest in found:
         column = table[kind.name]
-        if kind.is_object and (rest or any(isinstance(one, (list, dict)) for one in column.values.tolist())):
-            one = comparison(condition, {})
+        if kind.is_object and (
+            rest or any(isinstance(value, (list, dict)) for value in column.values.tolist())
+        ):
+            test = comparison(condition, {})
             for row, value in enumerate(column.values.tolist()):
                 values = list(values_of(value, rest))
                 has[row] |= bool(values)
-                any_of[row] |= any(map(one, values))
+                any_of[row] |= any(map(test, values))
         else:
             has[:] = True
             any_of |= _equal(condition, column)
@@ -426,25 +434,25 @@ def _equal(condition: WhereCondition, column: Column) -> Rows:
     """Return where a column's values are as the condition says (`!=` as `=`)."""
     kind = column.kind
     names = kind.names or {}
-    one = comparison(condition, {name: number for number, name in names.items()})
+    test = comparison(condition, {name: number for number, name in names.items()})
     values = column.values
     if kind.is_object:
-        found = np.fromiter((one(value) for value in values.tolist()), bool, len(values))
+        found = np.fromiter((test(value) for value in values.tolist()), bool, len(values))
     elif names or kind.flags or (values.dtype.kind in "iu" and values.dtype.itemsize <= NARROW):
         show: Callable[[Any], Any] = lambda number: names.get(number, number)  # noqa: E731
         if kind.flags:
             show = type("Flags", (FlagSet,), {"bits": dict(kind.flags)})
-        found = _by_distinct(values, lambda number: one(show(number)))
+        found = _by_distinct(values, lambda number: test(show(number)))
     else:
         found = _numbers(condition, values)
     if column.absent is not None:
-        found = np.where(column.absent, one(None), found)
+        found = np.where(column.absent, test(None), found)
     return found
 
 
-def _by_distinct(values: Any, one: Callable[[Any], bool]) -> Rows:
+def _by_distinct(values: Any, test: Callable[[Any], bool]) -> Rows:
     distinct, places = np.unique(values, return_inverse=True)
-    found: Rows = np.fromiter((one(value) for value in distinct.tolist()), bool, len(distinct))
+    found: Rows = np.fromiter((test(value) for value in distinct.tolist()), bool, len(distinct))
     return found[places]
 
 
@@ -492,7 +500,7 @@ def _same_times(times: Any, bound: int) -> Rows:
 
 def _meta(condition: WhereCondition, table: MessageTable) -> Rows:
     """Return a condition on what belongs to the transport."""
-    n, one = len(table), comparison(condition, {})
+    n, test = len(table), comparison(condition, {})
     name = str(condition.path[1])
     found: Rows
     match name:
@@ -510,13 +518,13 @@ def _meta(condition: WhereCondition, table: MessageTable) -> Rows:
                     )
                 else:
                     found = _ordered(condition.sign, table.time, bound, near)
-            found = np.where(known, found, one(None))
+            found = np.where(known, found, test(None))
         case "channel":
             names = table.channels.names
-            found = np.fromiter((one(channel) for channel in names), bool, len(names))[table.channel]
+            found = np.fromiter((test(channel) for channel in names), bool, len(names))[table.channel]
         case "identifier" | "offset" | "size":
             if (name == "identifier") is table.is_stream:
-                found = np.full(n, one(None))
+                found = np.full(n, test(None))
             elif name == "identifier":
                 found = _numbers(condition, table.key & np.uint32(0x1FFF_FFFF))
             else:
@@ -524,12 +532,12 @@ def _meta(condition: WhereCondition, table: MessageTable) -> Rows:
                     condition, table.key if name == "offset" or table.size is None else table.size
                 )
         case "is_rx":
-            found = np.array([one(False), one(True), one(None)])[table.rx]
+            found = np.array([test(False), test(True), test(None)])[table.rx]
         case "direction":
-            found = np.full(n, one(table.direction))
+            found = np.full(n, test(table.direction))
         case _:
             flag = {"extended": KEY_EXTENDED, "fd": KEY_FD, "remote": KEY_REMOTE}[name]
             is_set = np.zeros(n, bool) if table.is_stream else (table.key & np.uint32(flag)) != 0
-            found = np.where(is_set, one(True), one(False))
+            found = np.where(is_set, test(True), test(False))
     kept: Rows = found != (condition.sign == "!=")
     return kept

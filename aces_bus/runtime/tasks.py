@@ -142,7 +142,7 @@ class VirtualTasks(Tasks):
         """Plan the first ticks, the highest priority first."""
         self._is_running = True
         now = self.clock.now()
-        for number, task in sorted(enumerate(self.tasks), key=lambda one: (-one[1].priority, one[0])):
+        for number, task in sorted(enumerate(self.tasks), key=lambda entry: (-entry[1].priority, entry[0])):
             self._plan(number, task, now)
         return self
 

@@ -35,9 +35,10 @@ class Derived(TimeSeries):
         super().__init__(name, unit, _common_clock(name, inputs))
         self.function, self.inputs = function, tuple(inputs)
         self._sources = tuple(dict.fromkeys(inputs))
-        self.history = min(one.history for one in inputs)
+        self.history = min(quantity.history for quantity in inputs)
         self.stale_after_s = min(
-            (one.stale_after_s for one in inputs if one.stale_after_s is not None), default=None
+            (quantity.stale_after_s for quantity in inputs if quantity.stale_after_s is not None),
+            default=None,
         )
         self._listeners: list[Listener] = []
         self._emitted, self._emitted_epoch = _NEVER, 0
@@ -63,23 +64,23 @@ class Derived(TimeSeries):
     @property
     def value(self) -> Any:
         """The function of the inputs' newest values; `UNKNOWN` where one is unknown or stale."""
-        return self._computed([one[0] for one in self.inputs])
+        return self._computed([quantity[0] for quantity in self.inputs])
 
     @property
     def last(self) -> Any:
         """The same with stale values, too."""
-        return self._computed([one.last for one in self.inputs])
+        return self._computed([quantity.last for quantity in self.inputs])
 
     def at(self, instant: int) -> Any:
         """Return the function of the inputs at an instant (ns)."""
-        return self._computed([one.at(instant) for one in self.inputs])
+        return self._computed([quantity.at(instant) for quantity in self.inputs])
 
     @property
     def span(self) -> tuple[int, int] | None:
         """Time in which all inputs have values of their own; None if there is none."""
         start, end = _NEVER, 1 << 63
-        for one in self._sources:
-            span = one.span
+        for source in self._sources:
+            span = source.span
             if span is None:
                 return None
             start, end = max(start, span[0]), min(end, span[1])
@@ -87,8 +88,8 @@ class Derived(TimeSeries):
 
     def _oldest(self, which: str) -> int | None:
         oldest: int | None = None
-        for one in self._sources:
-            instant: int | None = getattr(one, which)
+        for source in self._sources:
+            instant: int | None = getattr(source, which)
             if instant is None:
                 return None
             if oldest is None or instant < oldest:
@@ -108,25 +109,27 @@ class Derived(TimeSeries):
     @property
     def is_stale(self) -> bool:
         """True if an input is stale."""
-        return any(one.is_stale for one in self._sources)
+        return any(source.is_stale for source in self._sources)
 
     @property
     def epoch(self) -> int:
         """Grows with each of the inputs'."""
-        return sum(one.epoch for one in self._sources)
+        return sum(source.epoch for source in self._sources)
 
     @property
     def forgotten(self) -> int | None:
         """The latest of the inputs' instants before which samples are gone."""
-        return max((one.forgotten for one in self._sources if one.forgotten is not None), default=None)
+        return max(
+            (source.forgotten for source in self._sources if source.forgotten is not None), default=None
+        )
 
     def samples_up_to(self, instant: int, most: int) -> list[int]:
         """Instants of the inputs' samples together, up to the first that is not before `instant`."""
-        found = [one.samples_up_to(instant, most) for one in self._sources]
+        found = [source.samples_up_to(instant, most) for source in self._sources]
         if not all(found):
             return []
-        last = min(one[-1] for one in found)
-        return sorted({at for one in found for at in one if at <= last})[-most:]
+        last = min(instants[-1] for instants in found)
+        return sorted({at for instants in found for at in instants if at <= last})[-most:]
 
     def samples_between(self, start: int, end: int) -> list[int]:
         """Instants of all the inputs' samples there, as far as all of them reach."""
@@ -136,7 +139,7 @@ class Derived(TimeSeries):
         start, end = max(start, span[0]), min(end, span[1])
         if len(self._sources) == 1:
             return self._sources[0].samples_between(start, end)
-        return sorted({at for one in self._sources for at in one.samples_between(start, end)})
+        return sorted({at for source in self._sources for at in source.samples_between(start, end)})
 
     def subscribe(self, listener: Listener) -> None:
         """Call `listener(value, instant)` with each new sample (rule 3)."""
@@ -144,8 +147,8 @@ class Derived(TimeSeries):
             newest = self.instant
             self._emitted = _NEVER if newest is None else newest
             self._emitted_epoch = self.epoch
-            for one in self._sources:
-                one.subscribe(self._advanced)
+            for source in self._sources:
+                source.subscribe(self._advanced)
         self._listeners.append(listener)
 
     def _advanced(self, _value: Any, _instant: int) -> None:
@@ -191,17 +194,17 @@ def derived(name: str, function: Callable[..., Any], *inputs: TimeSeries, unit: 
     0.0
     """
     given: tuple[Any, ...] = inputs
-    if not given or not all(isinstance(one, TimeSeries) for one in given):
+    if not given or not all(isinstance(quantity, TimeSeries) for quantity in given):
         raise StateError(f"state {name!r}: give the quantities that it is computed from")
     return Derived(name, function, inputs, unit)
 
 
 def combined(symbol: str, function: Callable[..., Any], left: Any, right: Any) -> Derived:
     """Return what an operator between two quantities, or one and a number, gives; a number is in the quantity's unit."""
-    for one in (left, right):
-        if not isinstance(one, TimeSeries | numbers.Real):
-            raise StateError(f"{one!r} is neither a state nor a number: states are combined with those")
-    names = [one.name if isinstance(one, TimeSeries) else f"{one:g}" for one in (left, right)]
+    for operand in (left, right):
+        if not isinstance(operand, TimeSeries | numbers.Real):
+            raise StateError(f"{operand!r} is neither a state nor a number: states are combined with those")
+    names = [operand.name if isinstance(operand, TimeSeries) else f"{operand:g}" for operand in (left, right)]
     name = f"({names[0]} {symbol} {names[1]})"
     if isinstance(left, TimeSeries) and isinstance(right, TimeSeries):
         return Derived(name, function, (left, right), _unit(name, symbol, left.unit, right.unit))
@@ -230,7 +233,7 @@ def _common_clock(name: str, inputs: Sequence[TimeSeries]) -> Clock:
         both_real = one.clock.name == first.name == RealClock.name
         if one.clock is not first and not both_real:
             raise StateError(
-                f"{name}: {inputs[0].name!r} and {one.name!r} have different clocks, and their instants cannot be "
+                f"{name}: {inputs[0].name!r} and {quantity.name!r} have different clocks, and their instants cannot be "
                 "compared; give both states the same clock=…"
             )
     return first

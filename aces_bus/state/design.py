@@ -32,7 +32,7 @@ def _checked(cutoff_hz: float | tuple[float, float], rate_hz: float) -> None:
     each = cutoff_hz if isinstance(cutoff_hz, tuple) else (cutoff_hz,)
     if (
         not 0 < rate_hz < math.inf
-        or not all(0 < one < rate_hz / 2 for one in each)
+        or not all(0 < frequency < rate_hz / 2 for frequency in each)
         or list(each) != sorted(set(each))
     ):
         raise StateError(

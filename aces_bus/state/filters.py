@@ -65,7 +65,7 @@ class MovingAverage(AnyRate):
 
     def __post_init__(self) -> None:
         lengths = self.lengths if isinstance(self.lengths, tuple) else (self.lengths,)
-        if not lengths or not all(_is_length(one) for one in lengths):
+        if not lengths or not all(_is_length(length) for length in lengths):
             raise StateError(f"{self}: give one or more lengths of 1 … {MOST_LENGTH} samples")
 
     def start_filter(self, first: float) -> Step:
@@ -208,7 +208,7 @@ class Sos:
     initial: Initial = "steady"
 
     def __post_init__(self) -> None:
-        rows = tuple(tuple(float(one) for one in row) for row in self.sections)
+        rows = tuple(tuple(float(number) for number in row) for row in self.sections)
         raise_first(
             StateError,
             (

@@ -75,8 +75,8 @@ class Kalman(AnyRate):
                 return track.at(instant)[0]
             backwards = self.track()
             instants, values = state.known_samples(PAST_SAMPLES, newest=False)
-            for one, value in zip(reversed(instants), reversed(values), strict=True):
-                backwards.observe(value, -one)
+            for sampled, value in zip(reversed(instants), reversed(values), strict=True):
+                backwards.observe(value, -sampled)
             return backwards.at(-instant)[0]
 
         return Estimation(track.observe, estimate)

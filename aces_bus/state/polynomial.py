@@ -23,7 +23,7 @@ def value_at(instants: Sequence[int], values: Sequence[float], instant: int) -> 
         p, q, r = (b * p - a * q) / (b - a), (c * q - b * r) / (c - b), (d * r - c * s) / (d - c)
         p, q = (c * p - a * q) / (c - a), (d * q - b * r) / (d - b)
         return (d * p - a * q) / (d - a)
-    ahead = [one - instant for one in instants]
+    ahead = [sampled - instant for sampled in instants]
     column = list(values)
     for step in range(1, size):
         for i in range(size - step):
@@ -38,7 +38,7 @@ def slope_at(instants: Sequence[int], values: Sequence[float], instant: int) -> 
     >>> slope_at([0, 10**9, 3 * 10**9], [0.0, 1.0, 9.0], 2 * 10**9)
     4.0
     """
-    ahead = [(one - instant) / 1e9 for one in instants]
+    ahead = [(sampled - instant) / 1e9 for sampled in instants]
     column = list(values)
     slopes = [0.0] * len(column)
     size = len(column)

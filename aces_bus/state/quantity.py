@@ -244,9 +244,6 @@ class TimeSeries(ABC):
 
         `rate_hz` interpolates onto an even grid that ends at `t1`. Raises `StateError` when samples of that
         time were dropped.
-
-        `rate_hz` interpolates onto an even grid that ends at `t1`. Raises `StateError` when samples of that time
-        were dropped.
         """
         from .window import window_of
 

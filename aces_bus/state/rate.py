@@ -69,7 +69,7 @@ class Rate(TimeSeries):
                 return UNKNOWN
             instants = source.samples_up_to(instants[0] + 1, 2)
         try:
-            values = [source.at(one) for one in instants]
+            values = [source.at(sampled) for sampled in instants]
         except StateError:  # gone meanwhile, or not all inputs reach that far
             return UNKNOWN
         if len(values) < 2 or UNKNOWN in values:

@@ -70,7 +70,9 @@ def _values_at(quantity: TimeSeries, instants: list[int]) -> Any:
     import numpy as np
 
     at = quantity.at
-    return np.array([np.nan if (value := at(one)) is UNKNOWN else value for one in instants], np.float64)
+    return np.array(
+        [np.nan if (value := at(instant)) is UNKNOWN else value for instant in instants], np.float64
+    )
 
 
 def _grid(quantity: TimeSeries, start: int, end: int, rate_hz: float) -> list[int]:

@@ -207,7 +207,7 @@ def _losses(
         return "has a table of losses, without include_unknown" if given else ""
     # Of a packet that is given up, the frames came before others that are known already: rows say which is which.
     wanted = sorted(
-        ((row, item) for row, item in numbered if isinstance(item, Unknown)), key=lambda one: one[0]
+        ((row, item) for row, item in numbered if isinstance(item, Unknown)), key=lambda pair: pair[0]
     )
     got: list[ScannedItem] = []
     pieces: dict[int, bytes] = {}

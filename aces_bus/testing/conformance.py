@@ -71,7 +71,7 @@ class TestBench:
 
 def known_signals(device: Device) -> list[Signal]:
     """Return the signals of a device that have been received at all."""
-    return [one for one in device.signals.values() if one.instant is not None]
+    return [signal for signal in device.signals.values() if signal.instant is not None]
 
 
 def enable(robot: VirtualRobot) -> None:
@@ -99,12 +99,12 @@ def check_declared(stand: TestBench) -> None:
     assert driver.source, f"{driver.name} has no source"
     robot = stand.made()
     for device, _ in stand.mine(robot):
-        for one in device.signals.values():
-            owner, _, name = one.name.partition(".")
-            assert owner, f"{one.name} is not OWNER.name"
-            assert name, f"{one.name} is not OWNER.name"
-            if one.lower is not None and one.upper is not None:
-                assert one.lower < one.upper, f"{one.name} has limits {one.lower}…{one.upper}"
+        for signal in device.signals.values():
+            owner, _, name = signal.name.partition(".")
+            assert owner, f"{signal.name} is not OWNER.name"
+            assert name, f"{signal.name} is not OWNER.name"
+            if signal.lower is not None and signal.upper is not None:
+                assert signal.lower < signal.upper, f"{signal.name} has limits {signal.lower}…{signal.upper}"
         for action, doc in device.actions.items():
             assert callable(getattr(device, action, None)), f"{device.name} has no method {action}"
             assert doc, f"action {action} has no doc"
@@ -127,18 +127,18 @@ def check_received(stand: TestBench) -> None:
     with stand.made() as robot:
         robot.advance(SETTLE_S)
         for device, _ in stand.mine(robot):
-            for one in device.signals.values():
-                if one.name not in device.readable or stand.is_excused("received", one.name):
+            for signal in device.signals.values():
+                if signal.name not in device.readable or stand.is_excused("received", signal.name):
                     continue
-                assert one.instant is not None, (
-                    f"{one.name} was never received: does an answer to a poll have it?"
+                assert signal.instant is not None, (
+                    f"{signal.name} was never received: does an answer to a poll have it?"
                 )
-                assert one.value is not UNKNOWN, (
-                    f"{one.name} is {one.last!r} and stale: {(one.age_ns or 0) / 1e9:.3f} s old, fresh for"
-                    f" {(one.stale_after_ns or 0) / 1e9:g} s; poll it more often, or say stale_s="
+                assert signal.value is not UNKNOWN, (
+                    f"{signal.name} is {signal.last!r} and stale: {(signal.age_ns or 0) / 1e9:.3f} s old, fresh for"
+                    f" {(signal.stale_after_ns or 0) / 1e9:g} s; poll it more often, or say stale_s="
                 )
-                if isinstance(one.value, float):
-                    assert math.isfinite(one.value), one
+                if isinstance(signal.value, float):
+                    assert math.isfinite(signal.value), signal
         kinds = {event.kind for event in robot.events.last}
         assert not kinds & {
             "silent",
@@ -161,10 +161,10 @@ def check_set(stand: TestBench) -> None:
         for device, twin in stand.mine(robot):
             goals: dict[str, tuple[Any, Any]] = {}
             requests = twin.requests
-            for one in device.signals.values():
-                if one.is_writable and not stand.is_excused("set", one.name):
-                    goals[one.name] = _goal(one)
-                    one.set(goals[one.name][1])
+            for signal in device.signals.values():
+                if signal.is_writable and not stand.is_excused("set", signal.name):
+                    goals[signal.name] = _goal(signal)
+                    signal.set(goals[signal.name][1])
             _until(
                 robot,
                 lambda goals=goals, device=device: all(  # type: ignore[misc]
@@ -193,7 +193,7 @@ def _hold_off(robot: VirtualRobot, stand: TestBench) -> None:
     devices = [device for device, _ in stand.mine(robot)]
     _until(
         robot,
-        lambda: all(d.takes(one) for d in devices for one in d.signals.values() if one.is_writable),
+        lambda: all(d.takes(signal) for d in devices for signal in d.signals.values() if signal.is_writable),
         4.0,
     )
 
@@ -208,23 +208,25 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _goal(one: Signal) -> tuple[Any, Any]:
+def _goal(signal: Signal) -> tuple[Any, Any]:
     """Return what it is, and another value: a number well inside the limits, not far away; yes for no; a name again."""
-    value = one.value
+    value = signal.value
     if isinstance(value, bool):
         return value, not value
     if value is not UNKNOWN and not _is_number(value):
         return value, value
     if isinstance(value, int):  # a register may have whole numbers only
-        steps = (1, -1) if one.upper is None or value + 1 <= one.upper else (-1,)
-        return value, next((value + n for n in steps if one.lower is None or value + n >= one.lower), value)
+        steps = (1, -1) if signal.upper is None or value + 1 <= signal.upper else (-1,)
+        return value, next(
+            (value + n for n in steps if signal.lower is None or value + n >= signal.lower), value
+        )
     start = float(value) if value is not UNKNOWN else 0.0
-    return start, _near(one, start)
+    return start, _near(signal, start)
 
 
-def _near(one: Signal, start: float) -> float:
-    low = one.lower if one.lower is not None else start - 1.0
-    high = one.upper if one.upper is not None else start + 1.0
+def _near(signal: Signal, start: float) -> float:
+    low = signal.lower if signal.lower is not None else start - 1.0
+    high = signal.upper if signal.upper is not None else start + 1.0
     middle = (max(low, start - 0.5) + min(high, start + 0.5)) / 2
     return (
         middle if abs(middle - start) > 0.02 * (high - low) else start + 0.1 * (high - start or low - start)
@@ -243,7 +245,9 @@ def check_limits(stand: TestBench) -> None:
             enable(robot)
             _hold_off(robot, stand)
             for device, _ in stand.mine(robot):
-                _go_beyond(robot, device, [one for one in _limited(stand, device) if one.unit == unit])
+                _go_beyond(
+                    robot, device, [signal for signal in _limited(stand, device) if signal.unit == unit]
+                )
 
 
 def _limited(stand: TestBench, device: Device) -> list[Signal]:
@@ -258,19 +262,19 @@ def _limited(stand: TestBench, device: Device) -> list[Signal]:
 def _go_beyond(robot: VirtualRobot, device: Device, signals: Sequence[Signal]) -> None:
     """Set signals beyond their upper limits: each is limited by name, and stays below."""
     most: dict[str, float] = {}
-    for one in signals:
-        assert one.upper is not None
+    for signal in signals:
+        assert signal.upper is not None
         before = robot.events.count("limited", device.name)
-        one.set(one.upper + 1.0 + abs(one.upper))
-        assert robot.events.count("limited", device.name) > before, f"{one.name} takes anything"
-        if one.name in device.readable:
-            span = one.upper - (one.lower if one.lower is not None else 0)
-            most[one.name] = one.upper + 0.02 * abs(span)
+        signal.set(signal.upper + 1.0 + abs(signal.upper))
+        assert robot.events.count("limited", device.name) > before, f"{signal.name} takes anything"
+        if signal.name in device.readable:
+            span = signal.upper - (signal.lower if signal.lower is not None else 0)
+            most[signal.name] = signal.upper + 0.02 * abs(span)
     for _ in range(4 if most else 0):
         robot.advance(0.5)
         for name, upper in most.items():
-            one = device.signals[name]
-            assert one.value is UNKNOWN or one.value <= upper, one
+            signal = device.signals[name]
+            assert signal.value is UNKNOWN or signal.value <= upper, signal
 
 
 def check_silence(stand: TestBench) -> None:
@@ -286,16 +290,16 @@ def check_silence(stand: TestBench) -> None:
                 assert robot.events.count("silent", device.name) >= 1, (
                     f"no event says that {device.name} is silent"
                 )
-            for one in known_signals(device):
-                if one.stale_after_ns is not None and one.stale_after_ns < SETTLE_S * 1e9:
-                    assert one.value is UNKNOWN, f"{one.name} passes for fresh at {one.age_ns} ns"
+            for signal in known_signals(device):
+                if signal.stale_after_ns is not None and signal.stale_after_ns < SETTLE_S * 1e9:
+                    assert signal.value is UNKNOWN, f"{signal.name} passes for fresh at {signal.age_ns} ns"
             for other, _ in stand.mine(robot):
                 if other is not device and other.polls:
                     assert not other.is_silent, f"{other.name} fell silent with {device.name}"
             twin.fault("silent", on=False)
             _recover(robot, device)
             assert not device.is_silent, f"{device.name} answers and counts as silent"
-            fresh = [one for one in known_signals(device) if one.value is not UNKNOWN]
+            fresh = [signal for signal in known_signals(device) if signal.value is not UNKNOWN]
             assert fresh, f"nothing of {device.name} is fresh again"
 
 
@@ -332,7 +336,7 @@ def check_misbehaviour(stand: TestBench) -> None:
                 twin.fault(fault, on=False)
                 _recover(robot, device)
                 assert not device.is_silent, f"{device.name} is silent after having been {fault}"
-                assert any(one.value is not UNKNOWN for one in known_signals(device)), (
+                assert any(signal.value is not UNKNOWN for signal in known_signals(device)), (
                     f"{device.name} after {fault}"
                 )
         _no_bug(robot)
@@ -373,7 +377,7 @@ def _recover(robot: VirtualRobot, device: Device) -> None:
     since = robot.clock.now()
 
     def is_back() -> bool:
-        instants = [one.instant for one in known_signals(device) if one.instant is not None]
+        instants = [signal.instant for signal in known_signals(device) if signal.instant is not None]
         return not device.is_silent and max(instants, default=0) > since
 
     _until(robot, is_back)
@@ -472,9 +476,9 @@ def _run_actions(
 
 def _needs_arguments(method: Callable[..., Any]) -> bool:
     return any(
-        one.default is inspect.Parameter.empty
-        and one.kind not in (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-        for one in inspect.signature(method).parameters.values()
+        parameter.default is inspect.Parameter.empty
+        and parameter.kind not in (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+        for parameter in inspect.signature(method).parameters.values()
     )
 
 

@@ -192,10 +192,10 @@ class _Walk:
         for item in con.subcons:
             body = item.subcon if isinstance(item, c.Renamed) else item
             low, high = sizes(item)
-            one = self.of(item)
+            draw_inner = self.of(item)
             if is_integer(body) and (item.name in self.hints.values or item.name in self.hints.small):
-                one = self._hinted(item.name, one)
-            items.append((item.name, body, one, low, high, isinstance(body, c.Rebuild)))
+                draw_inner = self._hinted(item.name, draw_inner)
+            items.append((item.name, body, draw_inner, low, high, isinstance(body, c.Rebuild)))
         least = sum(item[3] for item in items)
 
         def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
@@ -204,10 +204,10 @@ class _Walk:
             )
             values = c.Container()
             left = room.left - least
-            for name, body, one, low, high, is_rebuilt in items:
+            for name, body, item, low, high, is_rebuilt in items:
                 if is_rebuilt:
                     continue
-                value = one(source, inner, Room(left + low, room.is_exact))
+                value = item(source, inner, Room(left + low, room.is_exact))
                 if low != high:
                     left -= _measure(body, value, inner) - low
                 if name is not None:
@@ -217,7 +217,7 @@ class _Walk:
         return draw
 
     def _array(self, con: Any) -> Draw:
-        one, (low, _) = self.of(con.subcon), sizes(con.subcon)
+        draw_inner, (low, _) = self.of(con.subcon), sizes(con.subcon)
 
         def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
             try:
@@ -227,12 +227,12 @@ class _Walk:
             if callable(con.count) and low * count > max(0, room.left) + 256:
                 raise FieldError(f"{count} items do not fit into {room.left} bytes")
             space = Room(room.left // max(1, count), False)
-            return c.ListContainer(one(source, ctx, space) for _ in range(count))
+            return c.ListContainer(draw_inner(source, ctx, space) for _ in range(count))
 
         return draw
 
     def _range(self, con: Any) -> Draw:
-        one, (low, high) = self.of(con.subcon), sizes(con.subcon)
+        draw_inner, (low, high) = self.of(con.subcon), sizes(con.subcon)
 
         def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
             items = c.ListContainer()
@@ -243,11 +243,11 @@ class _Walk:
                     if room.is_exact
                     else source.integer(0, min(most, 4) if source.integer(0, 3) else most)
                 )
-                items.extend(one(source, ctx, Room(low, True)) for _ in range(count))
+                items.extend(draw_inner(source, ctx, Room(low, True)) for _ in range(count))
                 return items
             left = room.left
             for _ in range(source.integer(0, 4)):
-                item = one(source, ctx, Room(left, False))
+                item = draw_inner(source, ctx, Room(left, False))
                 left -= max(1, _measure(con.subcon, item, ctx))
                 if left < 0:
                     break
@@ -257,8 +257,8 @@ class _Walk:
         return draw
 
     def _multiplexed(self, con: Multiplexed) -> Draw:
-        one = self.of(con.body)
-        return lambda source, ctx, room: one(source, ctx, room) if con.is_present(ctx) else None
+        draw_inner = self.of(con.body)
+        return lambda source, ctx, room: draw_inner(source, ctx, room) if con.is_present(ctx) else None
 
     def _branch(self, con: Any) -> Draw:
         yes, no = self.of(con.thensubcon), self.of(con.elsesubcon)
@@ -280,8 +280,8 @@ class _Walk:
         return draw
 
     def _prefixed(self, con: Any) -> Draw:
-        one = self.of(con.subcon)
-        return lambda source, ctx, room: one(source, ctx, Room(max(0, min(room.left - 1, 24)), False))
+        draw_inner = self.of(con.subcon)
+        return lambda source, ctx, room: draw_inner(source, ctx, Room(max(0, min(room.left - 1, 24)), False))
 
     def _terminated(self, con: Any) -> Draw:
         mark: bytes = con.term
@@ -299,13 +299,13 @@ class _Walk:
         inner = inner.subcon if isinstance(inner, c.Renamed) else inner
         if not isinstance(inner, c.Array):
             return self._parsed(con)
-        one, (low, _) = self.of(inner.subcon), sizes(inner.subcon)
+        draw_inner, (low, _) = self.of(inner.subcon), sizes(inner.subcon)
 
         def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
             most = max(0, room.left - 1) // max(1, low)
             count = source.integer(0, min(4, most))
             return c.ListContainer(
-                one(source, ctx, Room(room.left // max(1, count), False)) for _ in range(count)
+                draw_inner(source, ctx, Room(room.left // max(1, count), False)) for _ in range(count)
             )
 
         return draw
@@ -317,8 +317,8 @@ class _Walk:
         def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
             data, left = b"", max(0, room.left)
             for _ in range(source.integer(0, 5)):
-                number, one = source.choice(kinds)
-                value = one(source, ctx, Room(max(0, min(left - con.head, 24)), False))
+                number, draw_inner = source.choice(kinds)
+                value = draw_inner(source, ctx, Room(max(0, min(left - con.head, 24)), False))
                 if con.size is not None and source.integer(0, 7) == 7:
                     number, value = source.integer(0, con.tag.limits[1]), source.bytes(source.integer(0, 4))
                 out = io.BytesIO()
@@ -347,11 +347,11 @@ class _Walk:
             values = c.Container()
             raws: dict[str, int | None] = {}
             word = claimed = 0
-            for slot, one in draws:
+            for slot, draw in draws:
                 if not slot.is_present(raws):
                     values[slot.name] = inner[slot.name] = raws[slot.name] = None
                     continue
-                value = one(source, inner, room)
+                value = draw(source, inner, room)
                 if layout.overlapping or slot.name in layout.selectors:
                     bits = _number_of(slot, value, inner)
                     raws[slot.name] = slot.inner.raw_of(bits)
@@ -389,8 +389,8 @@ class _Walk:
             count = len(draws)
             if con.least < count and source.integer(0, 1):
                 count = source.integer(con.least, count)
-            for index, (name, one) in enumerate(draws):
-                values[name] = one(source) if index < count else None
+            for index, (name, draw) in enumerate(draws):
+                values[name] = draw(source) if index < count else None
             if con.more:
                 values["more"] = c.ListContainer(
                     "X" * source.integer(0, 3) for _ in range(source.integer(0, 2))

@@ -87,7 +87,11 @@ def _fields(message: Message) -> dict[str, bool]:
 def _named(message: Message) -> dict[str, Mapping[int, str]]:
     """Return the named values of top-level fields."""
     found = {name: enumeration_of(con) for name, con, _ in _declared(message) if name in message.fields}
-    return {name: one.values for name, one in found.items() if one is not None and len(one.values) <= 64}
+    return {
+        name: found_part.values
+        for name, found_part in found.items()
+        if found_part is not None and len(found_part.values) <= 64
+    }
 
 
 class Coverage:
@@ -139,8 +143,8 @@ class Coverage:
             self.reached[protocol, "field", what] += 1
             if field in named:
                 values: Any = value if isinstance(value, (list, tuple)) else (value,)
-                for one in values:
-                    if (text := named[field].get(one)) is not None:
+                for single in values:
+                    if (text := named[field].get(single)) is not None:
                         self.reached[protocol, "value", f"{message.name}.{field}={text}"] += 1
 
     def _refused(self, trial: Trial, number: int, item: Unknown) -> None:

@@ -95,8 +95,8 @@ class Fuzzer:
         laws: Sequence[Law] = LAWS,
     ) -> None:
         places: list[tuple[Wire, Way]] = []
-        for one in wanted:
-            places += wires(one) if isinstance(one, Protocol) else [one]
+        for wanted_name in wanted:
+            places += wires(wanted_name) if isinstance(wanted_name, Protocol) else [wanted_name]
         self.benches = [
             Bench(wire, direction, remembers=True)
             for wire, direction in places

@@ -292,9 +292,6 @@ def _no_packet_overlooked(trial: Trial) -> None:
 
     The frames are those that its transport makes of the drawn packet. A packet that is also a message which
     overrides its own is found as that one.
-
-    Looked for by the frames that its transport makes of what was drawn. Where it is also a message that overrides its own,
-    it is found as that one.
     """
     overriding: dict[str, set[str]] = {}
     for _, message in cast(trial.bench.wire, trial.direction).messages:
@@ -519,8 +516,8 @@ def unambiguous(trial: Trial) -> None:
 def conflicts(variant: Variant, direction: Way) -> tuple[Conflict, ...]:
     """Return every pair of messages that neither the bytes nor anything else in the spec tells apart."""
     messages = variant.messages_for(direction)
-    pairs = ((one, other) for i, one in enumerate(messages) for other in messages[:i])
-    return tuple(found for one, other in pairs if (found := unresolved(one, other)) is not None)
+    pairs = ((message, other) for i, message in enumerate(messages) for other in messages[:i])
+    return tuple(found for pair, other in pairs if (found := unresolved(pair, other)) is not None)
 
 
 @lru_cache(maxsize=1024)
@@ -528,11 +525,11 @@ def _apart(variant: Variant, direction: Way) -> dict[str, tuple[Message, ...]]:
     """Return for each message those that its bytes alone tell it from."""
     messages = variant.messages_for(direction)
     found: dict[str, list[Message]] = {m.name: [] for m in messages}
-    for i, one in enumerate(messages):
+    for i, message in enumerate(messages):
         for other in messages[:i]:
-            if conflict(one, other) is None:
-                found[one.name].append(other)
-                found[other.name].append(one)
+            if conflict(message, other) is None:
+                found[message.name].append(other)
+                found[other.name].append(message)
     return {name: tuple(others) for name, others in found.items()}
 
 

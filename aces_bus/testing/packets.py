@@ -51,8 +51,14 @@ class DrawnPacket:
             return [image_frame(self.image, **more)]
         key = int.from_bytes(self.image[:4], "big")
         return [
-            Frame(one & 0x1FFF_FFFF, data, is_extended_id=bool(one & EXTENDED), is_fd=transport.fd, **more)
-            for one, data in transport.split(key, self.image[5:], sequence, self.message.check_extra)
+            Frame(
+                identifier & 0x1FFF_FFFF,
+                data,
+                is_extended_id=bool(identifier & EXTENDED),
+                is_fd=transport.fd,
+                **more,
+            )
+            for identifier, data in transport.split(key, self.image[5:], sequence, self.message.check_extra)
         ]
 
 

@@ -67,7 +67,7 @@ class Loaded:
 
     def scene(self, bench: Bench) -> Scene:
         """Return the scene for a wire of that protocol; packets of messages that it no longer has are left out."""
-        packets = tuple(p for one in self.packets if (p := _packet(bench, one)) is not None)
+        packets = tuple(p for packet in self.packets if (p := _packet(bench, packet)) is not None)
         return Scene(self.traffic, self.idle_at, self.sent_at, packets)
 
 

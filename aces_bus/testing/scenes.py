@@ -303,7 +303,7 @@ def draw_frames(wire: Wire, direction: Way, source: ChoiceSource, *, size: int =
             if direction in (None, "both") and part.integer(0, 3):
                 frames += asked
             elif who.can_send:
-                sent_at += [(len(frames), one) for one in asked]
+                sent_at += [(len(frames), request) for request in asked]
         if packet.message.transport is not None:
             carried = packet.carried(part.integer(0, 3), **about)
             if how < 20:

@@ -220,7 +220,7 @@ def test_error_values_of_analog_outputs_that_are_open() -> None:
                 robot.rig.stop_motion().wait(3)
                 assert twin.take("heater") == 1.0
             else:
-                assert "say what stops it" in robot.events.of("not sent")[0].detail
+                assert "a value that stops it" in robot.events.of("not sent")[0].detail
 
 
 def test_what_a_file_may_not_say(tmp_path: Path) -> None:

@@ -96,12 +96,12 @@ class Logger:
         self.robot, self.digits, self.replace = robot, digits, replace
         self._given: dict[str, TimeSeries] = {}
         columns: list[LogColumn] = []
-        for one in states:
-            if isinstance(one, str):
-                columns.append(parse_column(one))
+        for state in states:
+            if isinstance(state, str):
+                columns.append(parse_column(state))
             else:
-                self._given[one.name] = one
-                columns.append(LogColumn(one.name))
+                self._given[state.name] = state
+                columns.append(LogColumn(state.name))
         self.columns = tuple(columns)
         check_log_columns(self.path, [column.name for column in columns])
         if self.format == "text":

@@ -412,8 +412,6 @@ class Protocol:
         """Return a frame (a python-can message) or a packet (bytes) from field values in the sheet's units.
 
         Raises `UnknownNameError` for names that do not exist and `FieldError` for values that do not fit.
-
-        Raises `UnknownNameError` for names that do not exist and `FieldError` for values that do not fit.
         """
         return self.variant(dialect, configuration).encoder.encode(message, **fields)
 

@@ -267,8 +267,6 @@ class Transport:
 
         Of blocks before the last one parts may be left out. Of a lost session `so_far` is one part that is
         *ready*.
-
-        Of blocks before the last one parts may be left out. Of a lost session `so_far` is one part that is *ready*.
         """
         return None
 

@@ -158,8 +158,6 @@ class StreamScanner:
         bytes.
 
         `time` (seconds) becomes the time of the records. Raises nothing, for any bytes.
-
-        `time` (seconds) becomes the time of the records. Raises nothing, whatever the bytes.
         """
         self._counts.total += len(data)
         return self.advance(bytes(data), time if time is not None else self.time, silent=False)
@@ -169,9 +167,6 @@ class StreamScanner:
 
         With the `time` of now (seconds) nothing happens before the longest declared `gap` has passed since
         the last bytes that came with a time.
-
-        With the `time` of now (seconds) nothing happens before the longest declared `gap` has passed since the last bytes
-        that came with a time.
         """
         if time is not None and self.time is not None and time - self.time <= self.gap:
             return []

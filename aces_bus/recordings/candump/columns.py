@@ -218,7 +218,7 @@ class CandumpColumns:
             if layout_or_none is not None and layout_or_none not in used:
                 attempt(layout_or_none)
         kept = {**dict.fromkeys(self._layouts, 0), **used}
-        self._layouts = sorted(kept, key=lambda one: -kept[one])[:_LAYOUTS]
+        self._layouts = sorted(kept, key=lambda known: -kept[known])[:_LAYOUTS]
         if not found:
             return usual, FrameTable.empty(self._channels)
         return usual, merge_in_order(lines, [places for places, _ in found], [table for _, table in found])

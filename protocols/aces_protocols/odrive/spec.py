@@ -83,8 +83,6 @@ def tells(name: str, command: int, payload: Construct, **more: Any) -> None:
     a data frame without data.
 
     The first example's identifier is that of the requests' examples, too.
-
-    The first example's identifier is that of the requests' examples, too.
     """
     shared: dict[str, Any] = {"dialect": more.get("dialect"), "source": more["source"]}
     answer, values = more["examples"][0]

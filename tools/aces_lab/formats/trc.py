@@ -288,9 +288,9 @@ class TrcCapture(LineCapture):
             is_type = np.zeros(n, np.bool_)
             for text, bits in _DATA.items():
                 if not is_type.all():
-                    one = words.is_text(found["T"], text)
-                    is_type |= one
-                    flags |= one * np.uint8(bits)
+                    is_text = words.is_text(found["T"], text)
+                    is_type |= is_text
+                    flags |= is_text * np.uint8(bits)
             good &= is_type
         if "d" in found:
             received, sent = words.is_text(found["d"], b"Rx"), words.is_text(found["d"], b"Tx")

@@ -132,7 +132,7 @@ class McapWriter:
         total, number = sum(self._counts.values()), len(self._counts)
         counts = struct.pack("<QHIIII", total, number, number, 0, 0, len(self._chunks))
         times = struct.pack("<QQ", self._first if total else 0, self._last)
-        each = b"".join(struct.pack("<HQ", *one) for one in self._counts.items())
+        each = b"".join(struct.pack("<HQ", *count) for count in self._counts.items())
         statistics = _record(STATISTICS, counts + times + _text(each))
         summary, offsets = b"", b""
         for opcode, group in (

@@ -65,7 +65,7 @@ class NpzExport(Buffered):
         for slot, (values, absent) in zip(dataset.layout.slots, block, strict=True):
             name = f"{dataset.name}/{slot.name}"
             if values.dtype == object:
-                self._bytes(name, [_encoded(one) for one in values.tolist()])
+                self._bytes(name, [_encoded(value) for value in values.tolist()])
             else:
                 if absent is not None and slot.holds != "time" and slot.holds != "label":
                     values = np.where(absent, np.zeros(1, values.dtype), values)

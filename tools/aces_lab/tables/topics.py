@@ -104,7 +104,7 @@ class TableTopics:
                 _plant(tree, slot.kind.name, self._values(slot, table[slot.kind.name]))
         fields = _joined(tree, len(table))
         meta = self._meta(table, layout, source)
-        return [{**one, "meta": other} for one, other in zip(fields, meta, strict=True)]
+        return [{**branch, "meta": other} for branch, other in zip(fields, meta, strict=True)]
 
     def _values(self, slot: DatasetColumn, column: Column) -> list[Any]:
         if column.kind.is_object:
@@ -138,7 +138,7 @@ def _joined(tree: Tree, n: int) -> list[Any]:
     """Return the columns of a tree as one value a row: dicts, and lists where the steps are numbers."""
     if not tree:
         return [{} for _ in range(n)]
-    columns = [_joined(one, n) if isinstance(one, dict) else one for one in tree.values()]
+    columns = [_joined(branch, n) if isinstance(branch, dict) else branch for branch in tree.values()]
     if _is_list(tree):
         return [list(row) for row in zip(*columns, strict=True)]
     return [dict(zip(tree, row, strict=True)) for row in zip(*columns, strict=True)]
@@ -170,16 +170,16 @@ class _Leaf(dict[str, Any]):
 
 
 def _object(tree: Tree) -> dict[str, Any]:
-    return {"type": "object", "properties": {name: _branch(one) for name, one in tree.items()}}
+    return {"type": "object", "properties": {name: _branch(branch) for name, branch in tree.items()}}
 
 
-def _branch(one: Any) -> dict[str, Any]:
-    if isinstance(one, _Leaf):
-        return dict(one)
-    if _is_list(one):
-        items = [_branch(item) for item in one.values()]
+def _branch(branch: Any) -> dict[str, Any]:
+    if isinstance(branch, _Leaf):
+        return dict(branch)
+    if _is_list(branch):
+        items = [_branch(item) for item in branch.values()]
         return {"type": "array", "items": items[0], "minItems": len(items), "maxItems": len(items)}
-    return _object(one)
+    return _object(branch)
 
 
 def _leaf(slot: DatasetColumn, *, names: bool) -> _Leaf:

@@ -256,16 +256,16 @@ class PcapngCapture(PacketCapture):
         ticks = (head[:, 3].astype(np.uint64) << np.uint64(32)) | head[:, 4].astype(np.uint64)
         time = np.full(len(starts), NO_TIME, np.int64)
         channel = np.zeros(len(starts), np.uint16)
-        for one in np.unique(number).tolist():
-            rows = np.flatnonzero(number == one)
-            time[rows] = self._interfaces[one].nanoseconds(ticks[rows])
-            channel[rows] = self._interfaces[one].channel
+        for interface in np.unique(number).tolist():
+            rows = np.flatnonzero(number == interface)
+            time[rows] = self._interfaces[interface].nanoseconds(ticks[rows])
+            channel[rows] = self._interfaces[interface].channel
         time[is_simple] = NO_TIME
 
         packets, is_good = self._frames(view, at, size, links[number], self._order == "<")
         is_cooked_number = packets.interface >= 0
-        for one in np.unique(packets.interface[is_cooked_number]).tolist():
-            channel[packets.interface == one] = self.channels.number(f"if{one}")
+        for interface in np.unique(packets.interface[is_cooked_number]).tolist():
+            channel[packets.interface == interface] = self.channels.number(f"if{interface}")
         ways = self._ways(buffer, view, at, size, starts + total - 4, is_simple)
         np.bitwise_or(packets.flags, np.where(packets.flags & (RX | TX) == 0, ways, 0), out=packets.flags)
         return as_tables(packets, is_good, time, channel[is_good], self)
