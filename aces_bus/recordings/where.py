@@ -196,17 +196,17 @@ def _never(record: Any) -> bool:
     return False
 
 
-def _either(one: Test | None, other: Test | None) -> Test | None:
+def _either(first: Test | None, other: Test | None) -> Test | None:
     """Return a test of two, of which None is one that never holds."""
-    if one is None or other is None:
-        return one or other
-    return lambda record: one(record) or other(record)
+    if first is None or other is None:
+        return first or other
+    return lambda record: first(record) or other(record)
 
 
-def _both(one: Test | None, other: Test | None) -> Test | None:
-    if one is None or other is None:
+def _both(first: Test | None, other: Test | None) -> Test | None:
+    if first is None or other is None:
         return None
-    return lambda record: one(record) and other(record)
+    return lambda record: first(record) and other(record)
 
 
 # ---------------------------------------------------------------------- before any record is seen
@@ -284,7 +284,7 @@ def _test(condition: WhereCondition, plan: p.MessagePlan) -> Test | None:
     path = condition.path
     if leaves[0].kind is not None:
         gets = [getter(leaf.way) for leaf in leaves]
-        return lambda record: any(one(get(record)) for get in gets) is not is_not
+        return lambda record: any(test(get(record)) for get in gets) is not is_not
     if len(nodes) == 1 and not nodes[0].leads_inside(1):
         get = getter(path)
         return lambda record: test(get(record)) is not is_not

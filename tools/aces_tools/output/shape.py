@@ -200,9 +200,9 @@ def record_leaves(plan: p.MessagePlan, *, is_split: bool = True) -> list[RecordL
     one value. A list of items is one too, with what is inside it behind it."""
     nodes = plan.columns
     if not is_split:
-        named = (one for one in plan.walk() if all(isinstance(step, str) for step in one.way))
-        nodes = tuple(one for one in named if not one.node.is_record)
+        named = (path for path in plan.walk() if all(isinstance(step, str) for step in path.way))
+        nodes = tuple(path for path in named if not path.node.is_record)
     return [
-        RecordLeaf(one.path, one.way, one.node, getter(one.way), bool(one.whens), one.is_inside)
-        for one in nodes
+        RecordLeaf(path.path, path.way, path.node, getter(path.way), bool(path.whens), path.is_inside)
+        for path in nodes
     ]

@@ -72,10 +72,10 @@ class FieldFormat:
         for field, get, shown, unit in self._short:
             value = get(record)
             if value is None:
-                if one.when is None and not one.node.is_of_request:
-                    yield FieldText(one.name, "unknown", "")
-            elif value or not one.node.is_quiet:
-                yield FieldText(one.name, shown(value), unit)
+                if field.when is None and not field.node.is_of_request:
+                    yield FieldText(field.name, "unknown", "")
+            elif value or not field.node.is_quiet:
+                yield FieldText(field.name, shown(value), unit)
 
     def values(self, record: Record, history: Sequence[Record] = (), width: int = 24) -> list[Value]:
         """Return every single value, lists and nested records taken apart, with its curve over `history`."""
