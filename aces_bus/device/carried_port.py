@@ -171,7 +171,7 @@ class CarriedPort(UpperPort):
         def over() -> None:
             self._in.pop((id(transport), session), None)
 
-        if sum(one == id(transport) for one, _ in self._in) >= transport.senders:
+        if sum(identity == id(transport) for identity, _ in self._in) >= transport.senders:
             if (abort := transport.abort(key, data, "busy", by_sender=False)) is not None:
                 self.port.send(transport.frame(*abort))
             return

@@ -84,8 +84,12 @@ class Client:
         known = self.variant.messages
         answers = {
             name
-            for name, one in known.items()
-            if (name == reply if reply is not None else any(r.message.name == message for r in one.reply_to))
+            for name, known_field in known.items()
+            if (
+                name == reply
+                if reply is not None
+                else any(r.message.name == message for r in known_field.reply_to)
+            )
         }
         if not answers:
             which = (

@@ -393,7 +393,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def inputs(self) -> dict[tuple[str, ...], Input]:
         """All inputs that allow motion, by their place in the file: of e-stops, brakes and the reduced speed."""
-        found: dict[tuple[str, ...], Input] = {("estop", name): one for name, one in self.estop.items()}
+        found: dict[tuple[str, ...], Input] = {("estop", name): entry for name, entry in self.estop.items()}
         for name, joint in self.joints.items():
             if joint.brake is not None and joint.active:
                 found["joints", name, "brake"] = joint.brake
@@ -433,12 +433,16 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         replace = msgspec.structs.replace
         return replace(
             self,
-            devices={k: replace(one, active=one.active and k in there) for k, one in self.devices.items()},
+            devices={
+                k: replace(device, active=device.active and k in there) for k, device in self.devices.items()
+            },
             joints={
-                k: replace(one, active=one.active and one.device in there) for k, one in self.joints.items()
+                k: replace(joint, active=joint.active and joint.device in there)
+                for k, joint in self.joints.items()
             },
             sensors={
-                k: replace(one, active=one.active and one.device in there) for k, one in self.sensors.items()
+                k: replace(sensor, active=sensor.active and sensor.device in there)
+                for k, sensor in self.sensors.items()
             },
         )
 
@@ -503,13 +507,13 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
 def _watched(robot: Robot, devices: Collection[str]) -> set[str]:
     """Return the devices that give the inputs without which these devices are not enabled."""
     found: set[str] = set()
-    for (section, name, *_), one in robot.inputs.items():
+    for (section, name, *_), entry in robot.inputs.items():
         if section == "joints" and robot.joints[name].device not in devices:
             continue
-        if one.signal is not None:
-            found.add(robot.input_device(one.signal))
-        elif one.bus is not None:  # its bus is there as long as one of its devices is
-            on_bus = [device.name for device in robot.devices_on(one.bus) if device.active]
+        if entry.signal is not None:
+            found.add(robot.input_device(entry.signal))
+        elif entry.bus is not None:  # its bus is there as long as one of its devices is
+            on_bus = [device.name for device in robot.devices_on(entry.bus) if device.active]
             found.update(on_bus[:0] if found.union(devices).intersection(on_bus) else on_bus[:1])
     return found - {""}
 

@@ -312,15 +312,15 @@ class Device(EndpointMember):
         if setter is not None:
             made.limit = self._limited
         sources = (of,) if isinstance(of, str) else of or ()
-        messages = {*read_from, *(one.partition(".")[0] for one in sources)}
+        messages = {*read_from, *(field.partition(".")[0] for field in sources)}
         if messages:
             self.readable.add(whole)
             self._sources[whole] = messages
         made.request = lambda: self.refresh(whole)
         if stale_s is None:
             self._usual_age.append((made, messages))
-        for one in sources:
-            message, path = self._field(one)
+        for field in sources:
+            message, path = self._field(field)
             self._updates.setdefault(message, []).append((field_reader(path, to_si), made))
         self.signals[whole] = made
         return made
@@ -353,7 +353,7 @@ class Device(EndpointMember):
 
     def names_of(self, signal: Signal) -> list[str]:
         """Return the names that a signal may read, of values and flags of its messages; none where it has no such names."""
-        messages = [name for name, reads in self._updates.items() if any(one is signal for _, one in reads)]
+        messages = [name for name, reads in self._updates.items() if any(read is signal for _, read in reads)]
         fields = [field for name in messages for field in self.variant[name].plan.fields]
         return [name for field in fields for name in field.node.known_names or ()]
 
@@ -403,18 +403,18 @@ class Device(EndpointMember):
     def _retime(self, poll: Poll, every_s: float) -> None:
         """Poll so often; what it gives may be as old as five such periods."""
         slower = replace(poll, every_s=every_s)
-        for name, one in self.signals.items():
-            if one.stale_after_ns is not None and poll in self.polls_of(name):
-                one.stale_after_ns = max(one.stale_after_ns, round(5e9 * every_s))
+        for name, signal in self.signals.items():
+            if signal.stale_after_ns is not None and poll in self.polls_of(name):
+                signal.stale_after_ns = max(signal.stale_after_ns, round(5e9 * every_s))
         device: Any = self
-        device.polls = [slower if one is poll else one for one in self.all_polls]
+        device.polls = [slower if known is poll else known for known in self.all_polls]
         self.host.retime(self, poll, slower)
 
     def __getitem__(self, name: str) -> Signal:
         """Return the signal of this name, with or without its owner where that is clear; raises `UnknownNameError`."""
         found = self.signals.get(name) or self.signals.get(f"{self.name}.{name}")
         if found is None:
-            near = [one for whole, one in self.signals.items() if whole.partition(".")[2] == name]
+            near = [signal for whole, signal in self.signals.items() if whole.partition(".")[2] == name]
             if len(near) != 1:
                 raise UnknownNameError(f"signal of {self.name}", name, self.signals)
             found = near[0]
@@ -434,8 +434,8 @@ class Device(EndpointMember):
 
     def forget(self) -> None:
         """Forget all values and set-points: nothing that was known is true any more."""
-        for one in self.signals.values():
-            one.forget()
+        for signal in self.signals.values():
+            signal.forget()
         self._given.clear()
         self._dirty.clear()
         self.epoch += 1
@@ -513,7 +513,7 @@ class Device(EndpointMember):
 
     def wants(self, now: int) -> list[Setpoint]:
         """Return the same, set-point by set-point, for rules; a driver that overrides it has more than it was given."""
-        return [one for message in self.due_messages(now) for one in self.setpoints_of(message)]
+        return [signal for message in self.due_messages(now) for signal in self.setpoints_of(message)]
 
     def setpoints_of(self, message: str) -> list[Setpoint]:
         """Return all that was given of a message."""

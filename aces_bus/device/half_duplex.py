@@ -80,26 +80,30 @@ class HalfDuplexLine:
         A stop that waits already is not queued again: a device whose stop is repeated would hold up the stops
         of others.
         """
-        overtaken = [one for one in self._waiting if one is not None and _is_overtaken(one, ticket)]
-        self._waiting = deque(one for one in self._waiting if one not in overtaken)
+        overtaken = [
+            queued for queued in self._waiting if queued is not None and _is_overtaken(queued, ticket)
+        ]
+        self._waiting = deque(queued for queued in self._waiting if queued not in overtaken)
         self._set_points = deque(self._without(ticket.device))
         if (
             self.host.port.link == "can"
         ):  # the bus itself is free: only the devices take one request at a time
             self.host.send(ticket, self.host.clock.now())
         else:
-            same = (one for one in self._stops if one.device is ticket.device and one.packet == ticket.packet)
+            same = (
+                stop for stop in self._stops if stop.device is ticket.device and stop.packet == ticket.packet
+            )
             if (waiting := next(same, None)) is not None:
                 waiting.then(ticket.follow)
             else:
                 self._stops.append(ticket)
-        for one in overtaken:  # only now: who hears of it may ask for something else
-            _fail_overtaken(one)
+        for dropped in overtaken:  # only now: who hears of it may ask for something else
+            _fail_overtaken(dropped)
 
     def _without(self, device: Device) -> Iterator[OutgoingMessage]:
         """Yield what set-points have still to say, but for those of a device."""
         for out in self._set_points:
-            left = [one for one in out.carries if one.device is not device]
+            left = [ticket for ticket in out.carries if ticket.device is not device]
             if out.device is not device and len(left) == len(out.carries):
                 yield out
             elif left:
@@ -206,15 +210,15 @@ class HalfDuplexLine:
             self._speak(ticket)
             return
         order = {name: number for number, name in enumerate(host.members)}
-        tickets.sort(key=lambda one: order[one.device.name])  # the same packet each time
-        packet = first.device.packet_together([one.device for one in tickets], poll)
+        tickets.sort(key=lambda asked: order[asked.device.name])  # the same packet each time
+        packet = first.device.packet_together([asked.device for asked in tickets], poll)
         self._speaking, self._together = ticket, tickets[:]
         self.spoke_last = first.device
         host.transmit(packet, first.device, poll.together, ticket.timeout_ns)
         answers_ns = 2 * first.wire_ns * len(tickets)
-        for one in tickets:
-            one.tries += 1
-            host.unanswered.wait_for(one, now, answers_ns)
+        for asked in tickets:
+            asked.tries += 1
+            host.unanswered.wait_for(asked, now, answers_ns)
 
     def answered(self, ticket: Ticket) -> None:
         """Who spoke has been answered."""

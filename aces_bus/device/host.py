@@ -355,8 +355,8 @@ class Host(BusEndpoint[Device]):
             return None
         self.counts.set_points += 1
         device.is_driven = not self.passive
-        for one in out.carries:
-            one.device.is_driven = not self.passive
+        for carried in out.carries:
+            carried.device.is_driven = not self.passive
         return packet
 
     def _send_set_point(self, out: OutgoingMessage, now: int) -> int:

@@ -99,15 +99,15 @@ class MotorDevice(Device, Generic[A]):
 
     def _look_again(self) -> None:
         waiting, self._until_so = self._until_so, []
-        for one in waiting:
-            holds, awaited, timer = one
+        for wait in waiting:
+            holds, awaited, timer = wait
             if awaited.is_over:
                 continue
             if holds():
                 timer.cancel()
                 awaited.finish()
             else:
-                self._until_so.append(one)
+                self._until_so.append(wait)
 
     @staticmethod
     def in_turn(job: Job, axes: Sequence[A]) -> Iterator[A]:

@@ -61,7 +61,7 @@ class PacketSender:
         Raises what the gate raises; `CallerError` for frames that are no packet; `NoReplyError` where the receiver gives no
         go-ahead or acknowledgement in time, `DeviceError` where it cannot take the packet.
         """
-        packet = tuple(one if isinstance(one, Frame) else message_to_frame(one) for one in frames)
+        packet = tuple(frame if isinstance(frame, Frame) else message_to_frame(frame) for frame in frames)
         if not packet or not self._port.may_begin(packet):
             raise CallerError("no packet: give all frames that encode gave, in their order")
         over = threading.Event()

@@ -88,7 +88,9 @@ class Polling:
     def remove(self, device: Device | None) -> None:
         """Ask a device no more."""
         self.slots = deque(slot for slot in self.slots if slot.device is not device)
-        self.stand_ins = {key: one for key, one in self.stand_ins.items() if one[0].device is not device}
+        self.stand_ins = {
+            key: stand_in for key, stand_in in self.stand_ins.items() if stand_in[0].device is not device
+        }
 
     def renew(self, device: Device) -> None:
         """Build a device's polls anew after its credentials have changed."""

@@ -312,7 +312,7 @@ class RegisterDevice(Device):
         its own.
         """
         taken = {poll.fields.get("count") for poll in self.polls}
-        begins = {one.address: one for one in self.codecs.values()}
+        begins = {other.address: other for other in self.codecs.values()}
         count = codec.size
         while count in taken and (beside := begins.get(codec.address + count)) is not None:
             count += beside.size
@@ -486,11 +486,11 @@ class RegisterDevice(Device):
         yield self.host.port.wire_ns(ticket.packet)
 
     def _span(self, first: str, last: str) -> tuple[RegisterSpan, dict[str, int]]:
-        one, other = self.codec(first), self.codec(last)
-        count = other.address + other.size - one.address
+        low, other = self.codec(first), self.codec(last)
+        count = other.address + other.size - low.address
         if count <= 0:
             raise CallerError(f"{self.name}: register {last} comes before {first}")
-        return RegisterSpan(one.address, count, self.codecs.values()), {"start": one.address, "count": count}
+        return RegisterSpan(low.address, count, self.codecs.values()), {"start": low.address, "count": count}
 
     def _must_answer(self, doing: str) -> None:
         if not self.answers:

@@ -265,8 +265,8 @@ class BusEndpoint(Generic[M]):
         def received(frame: Any, instant: int) -> None:
             record = take(frame)
             if record is None:
-                for one in feed((frame,)):
-                    deliver(one, instant)
+                for received in feed((frame,)):
+                    deliver(received, instant)
                 return
             route = routes.get(record.__class__)
             if route is not None and route[0] is not None:

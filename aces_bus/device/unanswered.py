@@ -105,7 +105,7 @@ class Unanswered:
         deadlines = self._deadlines
         while deadlines:
             deadline = deadlines[0]
-            waiting = [one for one in self._waiting[deadline] if self._is_waiting(one, deadline)]
+            waiting = [ticket for ticket in self._waiting[deadline] if self._is_waiting(ticket, deadline)]
             if deadline > now and waiting:
                 break
             heappop(deadlines)

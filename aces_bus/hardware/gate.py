@@ -309,7 +309,7 @@ class Gate(ABC, Generic[Item, Packet, Bus]):
 
     def _leave(self, inbox: Inbox[Received[Item]]) -> None:
         with self._lock:
-            self._inboxes = tuple(one for one in self._inboxes if one is not inbox)
+            self._inboxes = tuple(known for known in self._inboxes if known is not inbox)
 
     def _overflowed(self, count: int) -> None:
         self.counters.dropped += count
@@ -444,7 +444,9 @@ class Gate(ABC, Generic[Item, Packet, Bus]):
             if is_taken:
                 if urgent:
                     if topic is not None and self._outbox:
-                        overtaken = self._outbox.take(lambda one: one.topic is topic and not one.urgent)
+                        overtaken = self._outbox.take(
+                            lambda queued: queued.topic is topic and not queued.urgent
+                        )
                 elif self._outbox.size + size > self.most:
                     raise CallerError(
                         f"{self.name}: {self._outbox.size} {self.unit} wait to be sent; is anybody on the bus?"
@@ -592,7 +594,7 @@ class Gate(ABC, Generic[Item, Packet, Bus]):
         taken, error = self._put_together(packets)
         if taken < len(packets):
             # What it took has left; the rest waits, and is refused again if it is refused.
-            waiting = sorted(given, key=lambda one: self._priority_of(one[0]))
+            waiting = sorted(given, key=lambda item: self._priority_of(item[0]))
             given.clear()
             given.extend(waiting[taken:])
         else:

@@ -72,7 +72,7 @@ class BusEvents:
     def remove(self, handler: Handler) -> None:
         """Do not call it any more."""
         with self._lock:
-            self._handlers = tuple(one for one in self._handlers if one is not handler)
+            self._handlers = tuple(known for known in self._handlers if known is not handler)
 
     def emit(self, event: BusEvent) -> None:
         """Call all handlers, whatever they do."""

@@ -118,7 +118,8 @@ class Encoder:
         except FieldError as error:
             raise FieldError(f"{message.name}: {error}") from None
         return [
-            (one & 0x1FFF_FFFF, piece, bool(one & EXTENDED), False, transport.fd) for one, piece in frames
+            (identifier & 0x1FFF_FFFF, piece, bool(identifier & EXTENDED), False, transport.fd)
+            for identifier, piece in frames
         ]
 
     def writer(

@@ -53,10 +53,10 @@ def fitting_protocols(piece: FrameTable | bytes) -> list[FittingProtocol]:
 
     Where the check of one holds, none that has no check is named: any bytes behind its sync bytes are its packets.
     """
-    found = sorted(_fitting(piece), key=lambda one: -one.share)
+    found = sorted(_fitting(piece), key=lambda fit: -fit.share)
     if isinstance(piece, FrameTable):
         return found
-    return [one for one in found if _has_checks(one.variant)] or found
+    return [fit for fit in found if _has_checks(fit.variant)] or found
 
 
 def _has_checks(variant: Variant) -> bool:
@@ -80,7 +80,7 @@ def _fitting(piece: FrameTable | bytes) -> Iterator[FittingProtocol]:
             found += [
                 FittingProtocol(_share(variant, piece, way), text, variant, way) for way in _ways(variant)
             ]
-        best = max(found, key=lambda one: (one.share, one.name, one.direction == "both"))
+        best = max(found, key=lambda fit: (fit.share, fit.name, fit.direction == "both"))
         if best.share >= FITS:
             yield best
 

@@ -211,8 +211,10 @@ def _walker(way: Sequence[WayStep]) -> Callable[[Any], Any]:
                 value = next((item for item in good if _part(item, "kind") in step), None)
             elif isinstance(step, Held):
                 data = (_part(item, "data") for item in value if _part(item, "reason") is None)
-                held = (_part(one, step.name) for one in data if isinstance(one, (Mapping, msgspec.Struct)))
-                value = next((one for one in held if one is not None), None)
+                held = (
+                    _part(part, step.name) for part in data if isinstance(part, (Mapping, msgspec.Struct))
+                )
+                value = next((part for part in held if part is not None), None)
             elif isinstance(step, int):
                 value = value[step] if isinstance(value, (tuple, list)) and step < len(value) else None
             else:

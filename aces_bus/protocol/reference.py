@@ -80,11 +80,11 @@ class RequestRule:
         #: By message, what it may hang on: the request, whether it is a mode, and the fields that both have.
         self.links: dict[str, list[tuple[Request, bool, list[str]]]] = {}
         for message in messages:
-            modes = [(one, True) for one in message.after] if message.name in contextual else []
+            modes = [(request, True) for request in message.after] if message.name in contextual else []
             self.links[message.name] = [
-                (one, is_mode, sorted(message.outer_names & one.message.outer_names))
-                for one, is_mode in [*((one, False) for one in message.reply_to), *modes]
-                if one.message.name in self.requests
+                (request, is_mode, sorted(message.outer_names & request.message.outer_names))
+                for request, is_mode in [*((request, False) for request in message.reply_to), *modes]
+                if request.message.name in self.requests
             ]
 
     def note(self, past: PastRequest) -> None:
@@ -148,11 +148,11 @@ class RequestRule:
             return True
         asked = _those(shared, past.values)
         return all(
-            one.time is None or time - one.time <= message.within
-            for one in self.passed[self.passed.index(past) :]
-            if (one.name, one.channel) == (past.name, past.channel)
-            and _those(shared, one.values) == asked
-            and (is_mode or not (one.is_answered or own in one.answered))
+            later.time is None or time - later.time <= message.within
+            for later in self.passed[self.passed.index(past) :]
+            if (later.name, later.channel) == (past.name, past.channel)
+            and _those(shared, later.values) == asked
+            and (is_mode or not (later.is_answered or own in later.answered))
         )
 
     def is_remembered(self, past: PastRequest, shared: Sequence[str]) -> bool:
@@ -160,15 +160,19 @@ class RequestRule:
         fields.
         """
         asked, later = _those(shared, past.values), 0
-        for one in reversed(self.passed):
-            if one is past or later >= REQUESTS:
+        for request in reversed(self.passed):
+            if request is past or later >= REQUESTS:
                 break
-            later += (one.name, one.channel, _those(shared, one.values)) == (past.name, past.channel, asked)
+            later += (request.name, request.channel, _those(shared, request.values)) == (
+                past.name,
+                past.channel,
+                asked,
+            )
         return later < REQUESTS
 
     def needs(self, messages: Sequence[Message]) -> str:
         """Return the reason for messages whose request was not there."""
-        names = dict.fromkeys(one.message.name for m in messages for one, *_ in self.links[m.name])
+        names = dict.fromkeys(link.message.name for m in messages for link, *_ in self.links[m.name])
         return f"unknown: needs request {'|'.join(names)}"
 
 
@@ -357,10 +361,10 @@ class Reference:
     def end(self) -> list[ReferenceItem]:
         """End the input; return the frames that are pending."""
         return [
-            ReferenceItem(one.number, 1, None, None, "pending", transport=transport, frame=one.frame)
+            ReferenceItem(frame.number, 1, None, None, "pending", transport=transport, frame=frame.frame)
             for transport, rule, _ in self.transports
             for decided in rule.end()
-            for one in decided.frames
+            for frame in decided.frames
         ]
 
     def _transport_of(self, frame: Any) -> tuple[Transport, PacketRule, PacketRule] | None:
@@ -378,7 +382,7 @@ class Reference:
                     for m in messages
                 )
                 if named or transport.is_own(key):
-                    known = next(one for one in self.transports if one[0] == transport)
+                    known = next(entry for entry in self.transports if entry[0] == transport)
                     return known if transport.fd or not frame.is_fd else None
         return None
 
@@ -422,16 +426,16 @@ class Reference:
             ]
         return [
             ReferenceItem(
-                one.number,
+                frame.number,
                 1,
                 None,
                 None,
                 reason,
-                packet=image if one is last else b"",
+                packet=image if frame is last else b"",
                 transport=transport,
-                frame=one.frame,
+                frame=frame.frame,
             )
-            for one in decided.frames
+            for frame in decided.frames
         ]
 
     # ------------------------------------------------------------------ bytes

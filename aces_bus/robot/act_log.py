@@ -96,7 +96,11 @@ class ActLog:
             "pid": os.getpid(),
             "user": self._user,
         }
-        data = self._begin + json.dumps({key: one for key, one in line.items() if one != ""}).encode() + b"\n"
+        data = (
+            self._begin
+            + json.dumps({key: value for key, value in line.items() if value != ""}).encode()
+            + b"\n"
+        )
         try:
             if os.write(self._file, data) != len(data):
                 raise OSError(0, "the line was cut: no room")

@@ -62,8 +62,8 @@ def check(robot: Robot, written: Mapping[str, set[str]], complain: Complain) -> 
     _check_states(robot, complain)
     _check_rates(robot, complain)
     _check_body(robot, complain)
-    for path, one in robot.inputs.items():
-        _check_input(path, one, robot, protocols, complain)
+    for path, entry in robot.inputs.items():
+        _check_input(path, entry, robot, protocols, complain)
     _check_reduced(robot, complain)
     _check_park(robot, complain)
     if robot.rate_hz is not None and robot.rate_hz > 20_000:
@@ -133,10 +133,10 @@ def _check_reactions(robot: Robot, complain: Complain) -> None:
                 path, "the file names no pose to park in: park = { pose = { JOINT = 0.0 }, speed = 0.2 }"
             )
         known = (*robot.buses, *robot.devices)
-        for one in sources.split(",") if sources else ():
-            slip = "" if one.strip() in known else near(one.strip(), known, NEAR)
+        for source in sources.split(",") if sources else ():
+            slip = "" if source.strip() in known else near(source.strip(), known, NEAR)
             if slip:
-                complain(path, f"no bus or device named {one.strip()!r}{slip}")
+                complain(path, f"no bus or device named {source.strip()!r}{slip}")
         if word not in WORDS and not word.startswith("degrade:") and not word.isidentifier():
             complain(
                 path,
@@ -234,8 +234,8 @@ def _check_allowed(path: tuple[str, ...], bus: Bus, complain: Complain) -> None:
     except CallerError as error:
         complain(path, str(error))
         return
-    for text, one in zip(allowed.texts, allowed.sets, strict=True):
-        if one.interface is not None:
+    for text, entry in zip(allowed.texts, allowed.sets, strict=True):
+        if entry.interface is not None:
             complain(path, f'{text!r}: expected id:mask, such as "010:7F0", without an interface in front')
 
 
@@ -283,7 +283,7 @@ def _check_devices(
             if (other := claimed.setdefault((device.bus, spoken, key, number), device)) is not device:
                 # Credentials may refine one another, as the axis of a node does.
                 shared = device.credentials.keys() & other.credentials.keys()
-                is_other = any(device.credentials[one] != other.credentials[one] for one in shared)
+                is_other = any(device.credentials[name] != other.credentials[name] for name in shared)
                 complain(
                     (*path, "credentials", key),
                     f"{key} {number:#04x} on bus {device.bus} is device {other.name} already: two devices would answer",
@@ -481,39 +481,41 @@ def _check_states(robot: Robot, complain: Complain) -> None:
         whole = f"{owners.get(owner, owner)}.{rest or 'position'}"
         if (other := declared.setdefault(whole, name)) != name:
             complain(path, f"is the state {other}, which is declared already")
-        for one, two in (("estimator", "kalman"), ("history", "history_s")):
-            if getattr(state, one) is not None and getattr(state, two) is not None:
-                complain((*path, two), f"{one} says it already; a state has one of both")
+        for first, second in (("estimator", "kalman"), ("history", "history_s")):
+            if getattr(state, first) is not None and getattr(state, second) is not None:
+                complain((*path, second), f"the state has {first} too; give {first} or {second}")
 
 
 def _check_input(
-    path: tuple[str, ...], one: Input, robot: Robot, protocols: _Spoken, complain: Complain
+    path: tuple[str, ...], entry: Input, robot: Robot, protocols: _Spoken, complain: Complain
 ) -> None:
     """Check that an input is of one of three kinds, exists, is in use, and says which value is clear."""
-    kinds = [name for name in ("signal", "message", "key") if getattr(one, name) is not None]
+    kinds = [name for name in ("signal", "message", "key") if getattr(entry, name) is not None]
     if len(kinds) != 1:
         complain(path, f"expected one of signal, message and key, not {' and '.join(kinds) or 'none'}")
         return
-    if one.key is not None:
-        _check_key(path, one, complain)
+    if entry.key is not None:
+        _check_key(path, entry, complain)
         return
-    if (one.clear is None) == (one.pressed is None):
+    if (entry.clear is None) == (entry.pressed is None):
         complain(
             path, "expected clear (the value at which nothing stands in the way) or pressed, one of both"
         )
-    stated = one.pressed if one.clear is None else one.clear
-    if one.bit is not None and stated not in (None, 0, 1):
-        complain((*path, "clear" if one.pressed is None else "pressed"), f"a bit is 0 or 1, not {stated!r}")
+    stated = entry.pressed if entry.clear is None else entry.clear
+    if entry.bit is not None and stated not in (None, 0, 1):
+        complain((*path, "clear" if entry.pressed is None else "pressed"), f"a bit is 0 or 1, not {stated!r}")
     if isinstance(stated, float) and not stated.is_integer():
         complain(path, f"{stated!r}: a number that is measured is seldom equal to one that is written", True)
-    if one.stale_after_s > 1:
-        complain((*path, "stale_after_s"), f"{one.stale_after_s:g} s: so late a lost input is noticed", True)
-    if one.signal is not None:
+    if entry.stale_after_s > 1:
+        complain(
+            (*path, "stale_after_s"), f"{entry.stale_after_s:g} s: so late a lost input is noticed", True
+        )
+    if entry.signal is not None:
         for key in ("bus", "protocol"):
-            if getattr(one, key) is not None:
+            if getattr(entry, key) is not None:
                 complain((*path, key), "belongs to message; a signal's device is on a bus")
-        name = robot.input_device(one.signal)
-        owner, _, rest = one.signal.partition(".")
+        name = robot.input_device(entry.signal)
+        owner, _, rest = entry.signal.partition(".")
         known = (*robot.devices, *robot.joints, *robot.sensors)
         if not name:
             _check_reference((*path, "signal"), "device, joint or sensor", owner, known, complain)
@@ -521,48 +523,48 @@ def _check_input(
             complain((*path, "signal"), f"{name} is inactive: this input would always count as pressed")
         if not rest and owner not in robot.joints:
             complain(
-                (*path, "signal"), f"{one.signal!r} is a device; expected one of its signals, DEVICE.SIGNAL"
+                (*path, "signal"), f"{entry.signal!r} is a device; expected one of its signals, DEVICE.SIGNAL"
             )
     else:
-        _check_input_message(path, one, robot, protocols, complain)
+        _check_input_message(path, entry, robot, protocols, complain)
 
 
-def _check_key(path: tuple[str, ...], one: Input, complain: Complain) -> None:
+def _check_key(path: tuple[str, ...], entry: Input, complain: Complain) -> None:
     for name in ("bus", "protocol", "bit", "pressed"):
-        if getattr(one, name) is not None:
+        if getattr(entry, name) is not None:
             complain((*path, name), "belongs to a signal or message; a key has key and clear")
     known = f"a character, {', '.join(KEYS)}"
-    if character_of(one.key or "") is None:
-        complain((*path, "key"), f"no key {one.key!r} (there are: {known})")
-    if not isinstance(one.clear, str) or character_of(one.clear) is None:
+    if character_of(entry.key or "") is None:
+        complain((*path, "key"), f"no key {entry.key!r} (there are: {known})")
+    if not isinstance(entry.clear, str) or character_of(entry.clear) is None:
         complain((*path, "clear"), f"expected the key that clears it again: {known}")
-    elif character_of(one.clear) == character_of(one.key or ""):
-        complain((*path, "clear"), f"{one.clear!r} is the key that is pressed already")
+    elif character_of(entry.clear) == character_of(entry.key or ""):
+        complain((*path, "clear"), f"{entry.clear!r} is the key that is pressed already")
 
 
 def _check_input_message(
-    path: tuple[str, ...], one: Input, robot: Robot, protocols: _Spoken, complain: Complain
+    path: tuple[str, ...], entry: Input, robot: Robot, protocols: _Spoken, complain: Complain
 ) -> None:
     """Check that message and field are the protocol's, and that credentials name the sender where several
     could send.
     """
-    if one.bus is None:
+    if entry.bus is None:
         complain((*path, "bus"), "is missing: expected the name of the bus that the message is on")
         return
-    _check_reference((*path, "bus"), "bus", one.bus, robot.buses, complain)
-    if one.bus not in robot.buses:
+    _check_reference((*path, "bus"), "bus", entry.bus, robot.buses, complain)
+    if entry.bus not in robot.buses:
         return
-    spoken = one.protocol or robot.buses[one.bus].protocol
+    spoken = entry.protocol or robot.buses[entry.bus].protocol
     if not any(
-        device.active and robot.protocol_of(device)[0] == spoken for device in robot.devices_on(one.bus)
+        device.active and robot.protocol_of(device)[0] == spoken for device in robot.devices_on(entry.bus)
     ):
         complain(
-            (*path, "bus"), f"no active device of bus {one.bus} speaks {spoken}: nothing would be received"
+            (*path, "bus"), f"no active device of bus {entry.bus} speaks {spoken}: nothing would be received"
         )
-    protocol = protocols.get(spoken, (*path, "protocol" if one.protocol else "bus"))
+    protocol = protocols.get(spoken, (*path, "protocol" if entry.protocol else "bus"))
     if protocol is None:
         return
-    name, _, field = str(one.message).partition(".")
+    name, _, field = str(entry.message).partition(".")
     messages = {message.name: message for message in protocol.declared}
     _check_reference((*path, "message"), f"message of {spoken}", name, messages, complain)
     if name not in messages:
@@ -570,9 +572,9 @@ def _check_input_message(
     if not field:
         complain((*path, "message"), f"{name!r} is a message; expected one of its fields, {name}.FIELD")
     captured = {capture.name for capture in messages[name].identifier.captures}
-    for key in sorted(captured - one.credentials.keys()):
+    for key in sorted(captured - entry.credentials.keys()):
         complain((*path, "credentials"), f"expected whose message it is: {{ {key} = 0x01 }}")
-    _check_numbers_of(path, one.credentials, spoken, protocols.addresses[spoken], complain)
+    _check_numbers_of(path, entry.credentials, spoken, protocols.addresses[spoken], complain)
 
 
 def _check_park(robot: Robot, complain: Complain) -> None:

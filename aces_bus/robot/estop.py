@@ -37,23 +37,23 @@ LOOK_NS, LEAST_NS, LOOKS = 20_000_000, 2_000_000, 4
 NOT_YET: Final = "nothing was received of it yet"
 
 
-def objection(one: Input, value: Any) -> str:
+def objection(entry: Input, value: Any) -> str:
     """Return why a value that was read does not count as clear; "" where it does.
 
     >>> objection(Input(signal="IO.panel", clear=True), False), objection(Input(signal="IO.word", bit=2, pressed=1), 0b011)
     ('reads False', '')
     """
-    if one.bit is not None:
+    if entry.bit is not None:
         if not isinstance(value, int):
             return f"reads {value!r}, which has no bits"
-        value = value >> one.bit & 1
-    if one.clear is not None:
-        return "" if _kind(value) == _kind(one.clear) and value == one.clear else f"reads {value!r}"
+        value = value >> entry.bit & 1
+    if entry.clear is not None:
+        return "" if _kind(value) == _kind(entry.clear) and value == entry.clear else f"reads {value!r}"
     if isinstance(value, (tuple, list, set, frozenset)):
-        return f"reads {one.pressed!r}" if one.pressed in value else ""
-    if _kind(value) != _kind(one.pressed):
-        return f"reads {value!r}, which cannot be compared with {one.pressed!r}"
-    return f"reads {value!r}" if value == one.pressed else ""
+        return f"reads {entry.pressed!r}" if entry.pressed in value else ""
+    if _kind(value) != _kind(entry.pressed):
+        return f"reads {value!r}, which cannot be compared with {entry.pressed!r}"
+    return f"reads {value!r}" if value == entry.pressed else ""
 
 
 def _kind(value: Any) -> str:
@@ -74,9 +74,9 @@ class _Listener(Device):
 class _SignalInput:
     """An input that is a signal of a device."""
 
-    def __init__(self, name: str, one: Input, device: Device, signal: Signal) -> None:
-        self.name, self.one, self.device, self.signal = name, one, device, signal
-        self.stale_ns = round(one.stale_after_s * 1e9)
+    def __init__(self, name: str, entry: Input, device: Device, signal: Signal) -> None:
+        self.name, self.one, self.device, self.signal = name, entry, device, signal
+        self.stale_ns = round(entry.stale_after_s * 1e9)
 
     @property
     def is_unread(self) -> bool:
@@ -103,8 +103,8 @@ class _KeyInput:
     is_unread = False
     stale_ns = LOOKS * LOOK_NS
 
-    def __init__(self, name: str, one: Input, keyboard: Keyboard) -> None:
-        self.name, self.one, self.keyboard = name, one, keyboard
+    def __init__(self, name: str, entry: Input, keyboard: Keyboard) -> None:
+        self.name, self.one, self.keyboard = name, entry, keyboard
         self._is_pressed = False
         keyboard.takers.append(self._take)
 
@@ -131,13 +131,13 @@ class EnableChain:
         self.rig, self.clock = rig, rig.clock
         self._keyboard = Keyboard()
         made = {
-            path: self._input(path, one) for path, one in rig.robot.inputs.items() if self._is_there(path)
+            path: self._input(path, entry) for path, entry in rig.robot.inputs.items() if self._is_there(path)
         }
-        self._estops = [one for path, one in made.items() if path[0] == "estop"]
-        self._brakes = {path[1]: one for path, one in made.items() if path[0] == "joints"}
+        self._estops = [entry for path, entry in made.items() if path[0] == "estop"]
+        self._brakes = {path[1]: entry for path, entry in made.items() if path[0] == "joints"}
         self._reduces = made.get(("reduced", "input"))
         #: Input → why it counts as pressed; before the opening all do.
-        self.pressed: dict[str, str] = {one.name: NOT_YET for one in self._estops}
+        self.pressed: dict[str, str] = {estop.name: NOT_YET for estop in self._estops}
         #: Inputs of which nothing was received yet, within their time.
         self.waits_for = set(self.pressed)
         #: Called with why, when an input trips or another program stops: what a run does beside stopping its devices.
@@ -147,7 +147,7 @@ class EnableChain:
         self._stopping: Job | None = None
         self._is_looking = False
         self._next: Timer | None = None
-        self._period = max(LEAST_NS, min([LOOK_NS, *(one.stale_ns // LOOKS for one in made.values())]))
+        self._period = max(LEAST_NS, min([LOOK_NS, *(entry.stale_ns // LOOKS for entry in made.values())]))
         if made:
             for host in rig.hosts.values():
                 host.when_open.append(self._opened)
@@ -163,25 +163,25 @@ class EnableChain:
         joint = self.rig.robot.joints[path[1]] if path[0] == "joints" else None
         return joint is None or joint.device in self.rig.devices
 
-    def _input(self, path: tuple[str, ...], one: Input) -> AnyInput:
+    def _input(self, path: tuple[str, ...], entry: Input) -> AnyInput:
         name = path[1] if path[0] != "reduced" else "reduced"
-        if one.key is not None:
-            return _KeyInput(name, one, self._keyboard)
-        device, signal = self._signal(" ".join(path), one)
-        names, stated = device.names_of(signal), one.pressed if one.clear is None else one.clear
+        if entry.key is not None:
+            return _KeyInput(name, entry, self._keyboard)
+        device, signal = self._signal(" ".join(path), entry)
+        names, stated = device.names_of(signal), entry.pressed if entry.clear is None else entry.clear
         if names and isinstance(stated, str) and stated not in names:
             unknown = UnknownNameError(f"value of {signal.name}", stated, names)
             raise CallerError(f"{self.rig.robot.name}: {' '.join(path)}: {unknown}")
         if path[0] != "joints":
             signal.listeners.append(lambda value, instant: self.look())
-        return _SignalInput(name, one, device, signal)
+        return _SignalInput(name, entry, device, signal)
 
-    def _signal(self, name: str, one: Input) -> tuple[Device, Signal]:
+    def _signal(self, name: str, entry: Input) -> tuple[Device, Signal]:
         """Return the signal of an input, asked for often enough; raises `CallerError` for what this robot has not."""
         rig = self.rig
-        if one.signal is not None:
+        if entry.signal is not None:
             try:
-                whole = rig.whole(one.signal)
+                whole = rig.whole(entry.signal)
             except UnknownNameError as error:
                 raise CallerError(f"{rig.robot.name}: {name}: {error}") from None
             device = next(device for device in rig.devices.values() if whole in device.signals)
@@ -189,18 +189,18 @@ class EnableChain:
                 raise CallerError(f"{name}: {whole} can only be set: {device.name} does not report it")
             tick = 1 / device.host.rate_hz if device.host.rate_hz else 0.0
             periods = [poll.every_s or tick for poll in device.polls_of(whole)]
-            wanted = max(tick, one.stale_after_s / LOOKS)
+            wanted = max(tick, entry.stale_after_s / LOOKS)
             if periods and min(periods) > wanted:
                 device.refresh_every(whole, wanted)
             return device, device.signals[whole]
-        host = rig.hosts.get(one.bus or "")
-        protocol = one.protocol or rig.robot.buses[one.bus or ""].protocol
+        host = rig.hosts.get(entry.bus or "")
+        protocol = entry.protocol or rig.robot.buses[entry.bus or ""].protocol
         if host is None or protocol not in host.variants:
             raise CallerError(
-                f"{name}: no active device of bus {one.bus} speaks {protocol}, so that {one.message} is not received"
+                f"{name}: no active device of bus {entry.bus} speaks {protocol}, so that {entry.message} is not received"
             )
         config = DeviceConfig(
-            name=name, driver="", bus=host.name, credentials=one.credentials, settings={"of": one.message}
+            name=name, driver="", bus=host.name, credentials=entry.credentials, settings={"of": entry.message}
         )
         listener = _Listener(host, config, PROBED, host.variants[protocol])
         BusEndpoint.add(host, listener)
@@ -213,7 +213,7 @@ class EnableChain:
         if not self._is_looking:
             self._is_looking = True
             self._opened_at = self.clock.now()
-            self.waits_for = {one.name for one in self._estops}
+            self.waits_for = {estop.name for estop in self._estops}
             if self._keyboard.takers:
                 self._keyboard.open()
             self._next = self.clock.call_in(self._period, self._again)
@@ -236,10 +236,10 @@ class EnableChain:
         if self._keyboard.takers:
             self._keyboard.look()
         new: list[str] = []
-        for one in self._estops:
-            name, why = one.name, one.why(now)
+        for estop in self._estops:
+            name, why = estop.name, estop.why(now)
             is_waiting = name in self.waits_for
-            if is_waiting and why and one.is_unread and now - self._opened_at <= one.stale_ns:
+            if is_waiting and why and estop.is_unread and now - self._opened_at <= estop.stale_ns:
                 continue
             self.waits_for.discard(name)
             was_clear = is_waiting or name not in self.pressed

@@ -344,10 +344,10 @@ def _is_shallow(value: Any) -> bool:
     level = [value]
     for _ in range(DEEPEST):
         level = [
-            one
+            inner
             for part in level
             if isinstance(part, (dict, list))
-            for one in (part.values() if isinstance(part, dict) else part)
+            for inner in (part.values() if isinstance(part, dict) else part)
         ]
         if not level:
             return True
@@ -365,7 +365,7 @@ def _is_finite(value: Any) -> bool:
 def _parts(annotation: Any) -> list[Any]:
     """Return the alternatives of an annotation, None left out."""
     if get_origin(annotation) in (types.UnionType, Union):
-        return [part for one in get_args(annotation) if one is not type(None) for part in _parts(one)]
+        return [part for arg in get_args(annotation) if arg is not type(None) for part in _parts(arg)]
     return [annotation]
 
 
@@ -417,12 +417,15 @@ def _stated(struct: msgspec.Struct) -> dict[str, Any]:
 def _toml(value: Any, without: tuple[str, ...] = ()) -> str:
     match value:
         case msgspec.Struct():
-            value = {name: one for name, one in _stated(value).items() if name not in without}
+            value = {name: inner for name, inner in _stated(value).items() if name not in without}
             return _toml_table(
-                {name: _hex(one) if name == "credentials" else _toml(one) for name, one in value.items()}
+                {
+                    name: _hex(inner) if name == "credentials" else _toml(inner)
+                    for name, inner in value.items()
+                }
             )
         case Mapping():
-            return _toml_table({name: _toml(one) for name, one in value.items()})
+            return _toml_table({name: _toml(inner) for name, inner in value.items()})
         case bool():
             return "true" if value else "false"
         case str():

@@ -180,12 +180,12 @@ class Rig:
                 who=program_name(),
                 devices=[
                     {
-                        "protocol": one.variant.name,
-                        "credentials": one.credentials,
-                        "why": failed.get(one.name, ""),
+                        "protocol": device.variant.name,
+                        "credentials": device.credentials,
+                        "why": failed.get(device.name, ""),
                     }
-                    for one in devices
-                    if one.host is self.hosts[bus] and one.last_received is not None
+                    for device in devices
+                    if device.host is self.hosts[bus] and device.last_received is not None
                 ],
             )
 
@@ -263,13 +263,13 @@ def connect(
             passive=passive,
         )
         for name, variants in sorted(
-            _variants(robot, ports, load).items(), key=lambda one: -priority_of(robot.buses[one[0]])
+            _variants(robot, ports, load).items(), key=lambda item: -priority_of(robot.buses[item[0]])
         )
     }
     if not hosts:
         raise CallerError(f"robot {robot.name} has no active device")
     rig = Rig(robot, next(iter(hosts.values())).clock, hosts, events)
-    for config, driver in sorted(_driven(robot, load), key=lambda one: -priority_of(one[0])):
+    for config, driver in sorted(_driven(robot, load), key=lambda item: -priority_of(item[0])):
         host = hosts[config.bus]
         device = driver.device(host, config, robot, host.variants[driver.protocol])
         if config.rate_hz is not None:

@@ -103,13 +103,15 @@ class RunEnd:
                 self.left.append(("stop", partial(in_time, self.run.clock, self._begin_stop)))
             if was == "running":
                 self.left.append(("tasks", self.tasks.stop))
-                self.left += [(one.name, partial(one.stop, now)) for one in self.run.supervisors]
+                self.left += [
+                    (supervisor.name, partial(supervisor.stop, now)) for supervisor in self.run.supervisors
+                ]
             if drove:
                 self.left.append(("stop", self._await_stopped))
             for name, host in self.run.rig.hosts.items():
                 self.left.append((f"bus {name}", partial(in_time, self.run.clock, host.close)))
             self.left += [("end", end) for end in self.after]
-            self.left += [(one.name, partial(self._close_log, one)) for one in self.logs]
+            self.left += [(log.name, partial(self._close_log, log)) for log in self.logs]
         interrupted: BaseException | None = None
         while self.left:
             source, action = self.left[0]
@@ -144,8 +146,12 @@ class RunEnd:
         """The driven devices that an end with "hold" stops all the same, as they would not stay: name → why."""
         if self.at_end != "hold":
             return {}
-        driven = {one.name: one for supervisor in self.run.supervisors for one in self.run.driven(supervisor)}
-        return {name: one.lets_go for name, one in driven.items() if one.lets_go}
+        driven = {
+            device.name: device
+            for supervisor in self.run.supervisors
+            for device in self.run.driven(supervisor)
+        }
+        return {name: device.lets_go for name, device in driven.items() if device.lets_go}
 
     @property
     def _reasons(self) -> dict[str, str]:

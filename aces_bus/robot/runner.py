@@ -99,7 +99,7 @@ class Runner:
         self._faults = RunFaults(run, [logger.name for logger in loggers], hold_s)
         rig.door.takes_unhomed = unhomed
         self.tasks.failed = self._faults.task_failed
-        names = [*(one.name for one in controllers), *(one.name for one in loggers)]
+        names = [*(controller.name for controller in controllers), *(logger.name for logger in loggers)]
         double = {name for name in names if names.count(name) > 1}
         if double:
             raise CallerError(f"two controllers or loggers have one name: {', '.join(sorted(double))}")
@@ -351,7 +351,10 @@ class Runner:
     def unhomed(self) -> list[str]:
         """The driven joints that take no set-points, as they are not homed or it is not known yet whether they are."""
         driven = {
-            joint.name for one in self.supervisors for device in self.driven(one) for joint in device.joints
+            joint.name
+            for supervisor in self.supervisors
+            for device in self.driven(supervisor)
+            for joint in device.joints
         }
         return (
             [] if self.rig.door.takes_unhomed else [name for name in self.rig.door.unhomed if name in driven]
@@ -370,7 +373,9 @@ class Runner:
                 f"{action!r} changes devices, and this run sends nothing that does (transmit=True)"
             )
         some = self.rig.devices.values() if devices is None else devices
-        found = dict.fromkeys(self.rig.device(one) if isinstance(one, str) else one for one in some)
+        found = dict.fromkeys(
+            self.rig.device(device) if isinstance(device, str) else device for device in some
+        )
         able = [device for device in found if action in device.actions]
 
         self.clock.call(lambda: self.rig.each(action, able)).wait(timeout_s)
@@ -482,8 +487,8 @@ class Runner:
 def _may_park(supervisor: Supervisor) -> bool:
     """Return whether a trip of this controller may ask for the way to the robot's pose."""
     found = supervisor.reactions.values()
-    reactions = [one for some in found for one in ((some,) if isinstance(some, Reaction) else some)]
-    return "park" in (supervisor.guard.action, *(one.action for one in reactions))
+    reactions = [reaction for some in found for reaction in ((some,) if isinstance(some, Reaction) else some)]
+    return "park" in (supervisor.guard.action, *(reaction.action for reaction in reactions))
 
 
 __all__ = ["Ended", "RunLogger", "Runner"]

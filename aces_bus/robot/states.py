@@ -127,7 +127,7 @@ class States(Mapping[str, State]):
 
     def _period_s(self, whole: str) -> float | None:
         """Return how often a signal is asked for."""
-        device = next(one for one in self.rig.devices.values() if whole in one.signals)
+        device = next(owner for owner in self.rig.devices.values() if whole in owner.signals)
         tick = 1 / device.host.rate_hz if device.host.rate_hz else None
         return min((poll.every_s or tick or 0.0 for poll in device.polls_of(whole)), default=None) or tick
 

@@ -89,7 +89,7 @@ class _RobotStop:
     @staticmethod
     def moving(host: Host) -> list[Device]:
         """Return the devices that a stop is for."""
-        return [one for one in host.devices.values() if can_be_stopped(one)]
+        return [device for device in host.devices.values() if can_be_stopped(device)]
 
     def begin(self, host: Host, devices: list[Device]) -> None:
         """Open a bus, and have the stops of these devices leave first."""
@@ -143,9 +143,9 @@ class _RobotStop:
         """Note what a driving program has reported; the devices that have stopped."""
         reported = answer.get("devices")
         found = [
-            (one.get("protocol"), one.get("credentials"))
-            for one in (reported if isinstance(reported, list) else ())
-            if isinstance(one, dict) and one.get("why") == ""
+            (report.get("protocol"), report.get("credentials"))
+            for report in (reported if isinstance(reported, list) else ())
+            if isinstance(report, dict) and report.get("why") == ""
         ]
         done: dict[str, Outcome] = {
             device.name: device.stop_leaves

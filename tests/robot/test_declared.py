@@ -337,7 +337,7 @@ walk = {{ priority = 100 }}
         "devices.B.rate_hz: 500 Hz is more often than its bus ticks (100 Hz)",
         'states.A.left.estimator: expected "hold", "velocity" or "acceleration"',
         "states.C: no joint, sensor or device named 'C'",
-        "states.A.right.history_s: history says it already",
+        "states.A.right.history_s: the state has history too; give history or history_s",
         "states.B.left.kalman.process_density: is missing",
         'states.B.left.interpolation: expected "hold", "linear", "cubic" or an order from 0 to 9',
         "controllers.walk.priority: expected a whole number from 1 to 99",

@@ -68,13 +68,13 @@ class BusClient:
         self.is_woken = False
         self.sent = self.received = self.dropped = self.rejected = 0
 
-    def deliver(self, one: bytes) -> None:
+    def deliver(self, record: bytes) -> None:
         """Put a frame into the queue."""
         queue = self.queue
         if len(queue) >= QUEUE:
             queue.popleft()
             self.dropped += 1
-        queue.append(one)
+        queue.append(record)
         self.received += 1
         if not self.is_woken:
             self.is_woken = True
@@ -215,10 +215,10 @@ class ServedChannel:
                 return False
             return True
         now = self._clock.now() + self._epoch_ns
-        one = pack_record(now, identifier, flags, length, data)
+        record = pack_record(now, identifier, flags, length, data)
         for other in self.members:
             if other is not member and (other.fd or not flags & FD):
-                other.deliver(one)
+                other.deliver(record)
         self.frames += 1
         member.sent += 1
         if member.own:
@@ -226,11 +226,11 @@ class ServedChannel:
         return True
 
     def _received(self, member: BusClient, frame: Frame, instant: int) -> None:
-        last, when, one = self._last
+        last, when, record = self._last
         if last is not frame or when != instant:  # packed once for all receivers
-            one = frame_record(frame, instant + self._epoch_ns)
-            self._last = (frame, instant, one)
-        member.deliver(one)
+            record = frame_record(frame, instant + self._epoch_ns)
+            self._last = (frame, instant, record)
+        member.deliver(record)
 
     def _happened(self, member: BusClient, event: SimulatedBusEvent) -> None:
         if event.kind == "sent":

@@ -127,11 +127,11 @@ def pack_record(time_ns: int, identifier: int, flags: int, length: int, data: by
     return form.pack(time_ns, identifier, flags, length, data)
 
 
-def unpacked(one: bytes) -> tuple[int, int, int, int, bytes]:
+def unpacked(record: bytes) -> tuple[int, int, int, int, bytes]:
     """(time, identifier, flags, length, padded data) of a record of our own."""
     found: tuple[int, int, int, int, bytes] = (
-        CLASSIC_RECORD if len(one) == CLASSIC_RECORD.size else LONG_RECORD
-    ).unpack(one)
+        CLASSIC_RECORD if len(record) == CLASSIC_RECORD.size else LONG_RECORD
+    ).unpack(record)
     return found
 
 
@@ -191,12 +191,12 @@ def packed(many: Iterable[bytes]) -> Iterator[bytes]:
     """Yield records as packets; consecutive records of one size share a packet, as far as they fit."""
     run: list[bytes] = []
     size = total = 0
-    for one in many:
-        if len(one) != size or total + size > MOST:
+    for record in many:
+        if len(record) != size or total + size > MOST:
             if run:
                 yield HEAD.pack(total, CLASSIC if size == CLASSIC_RECORD.size else LONG) + b"".join(run)
-            run, size, total = [], len(one), 0
-        run.append(one)
+            run, size, total = [], len(record), 0
+        run.append(record)
         total += size
     if run:
         yield HEAD.pack(total, CLASSIC if size == CLASSIC_RECORD.size else LONG) + b"".join(run)
@@ -235,8 +235,8 @@ def message_packet(message: Message, time_ns: int = 0) -> bytes:
     frame = message_to_frame(message)  # refuses what cannot exist
     if not 0 <= frame.length <= (64 if frame.is_fd else 8):
         raise CallerError(f"a frame of {frame.length} bytes cannot be sent")
-    one = frame_record(frame, time_ns)
-    return HEAD.pack(len(one), CLASSIC if len(one) == CLASSIC_RECORD.size else LONG) + one
+    record = frame_record(frame, time_ns)
+    return HEAD.pack(len(record), CLASSIC if len(record) == CLASSIC_RECORD.size else LONG) + record
 
 
 # ---------------------------------------------------------------------- the rest

@@ -171,8 +171,8 @@ class SocketcandLink(ServerLink):
                 return text
         return b""
 
-    def _frame(self, one: bytes) -> bytes:
-        time_ns, identifier, flags, length, data = unpacked(one)
+    def _frame(self, record: bytes) -> bytes:
+        time_ns, identifier, flags, length, data = unpacked(record)
         is_extended = bool(flags & EXTENDED)
         if not self._is_raw and (identifier, is_extended) not in self._subscribed:
             return b""

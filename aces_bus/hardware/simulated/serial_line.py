@@ -131,9 +131,9 @@ class _Chunk:
         return byte
 
 
-def _collide(one: _Chunk, other: _Chunk) -> None:
+def _collide(first: _Chunk, other: _Chunk) -> None:
     """Both are on the wire at once: the bytes that meet are garbled."""
-    for mine, theirs in ((one, other), (other, one)):
+    for mine, theirs in ((first, other), (other, first)):
         mine.others.append(theirs)
         fresh = set(mine.meets(theirs)) - mine.garbled
         mine.garbled |= fresh
@@ -254,8 +254,8 @@ class SimulatedSerialLine:
             self._hand_over(chunk.node, data, ends)
             return
         for byte, end in zip(data, ends, strict=False):
-            for one in self._after_noise(byte):
-                self._hand_over(chunk.node, one, (end,))
+            for noisy in self._after_noise(byte):
+                self._hand_over(chunk.node, noisy, (end,))
 
     def _hand_over(self, sender: SerialNode, data: bytes, ends: Sequence[int]) -> None:
         """Bytes, and when each of them ended, to all who hear them."""

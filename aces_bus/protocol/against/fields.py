@@ -291,9 +291,9 @@ class MessageWatch:
         outer = message.outer_names
         #: What tells one device from another, and one quantity from another.
         self._telling = [
-            one.leaf.path
-            for one in self.fields
-            if one.leaf.path in outer or one.leaf.node.is_of_request or one.leaf.node.value_names
+            field.leaf.path
+            for field in self.fields
+            if field.leaf.path in outer or field.leaf.node.is_of_request or field.leaf.node.value_names
         ]
         self._devices: dict[tuple[Any, ...], int] = {}
 
@@ -306,8 +306,8 @@ class MessageWatch:
         self.sent += int((table.rx == 0).sum())
         devices = self._devices_of(table)
         shared = _Followed(devices)
-        for one in self.fields:
-            one.take(table[one.leaf.path], table, devices, locate, shared)
+        for field in self.fields:
+            field.take(table[field.leaf.path], table, devices, locate, shared)
 
     def _devices_of(self, table: MessageTable) -> Array:
         """Return the device of each row, numbered; −1 beyond `DEVICES`."""
@@ -333,17 +333,17 @@ class MessageWatch:
 
     def observations(self) -> Iterator[Observation]:
         """Yield what the recording says of this message's fields."""
-        for one in self.fields:
-            yield from one.observations()
+        for field in self.fields:
+            yield from field.observations()
         outer = self.message.outer_names
         still = [
-            one
-            for one in self.fields
-            if one.never_changes and not one.leaf.node.is_quiet and one.leaf.path not in outer
+            field
+            for field in self.fields
+            if field.never_changes and not field.leaf.node.is_quiet and field.leaf.path not in outer
         ]
-        never = [one for one in self.fields if self.total >= ENOUGH and not one.total]
+        never = [field for field in self.fields if self.total >= ENOUGH and not field.total]
         if still:
-            shown = ", ".join(f"{one.leaf.path} ({_shown(one.value)})" for one in still[:8])
+            shown = ", ".join(f"{field.leaf.path} ({_shown(field.value)})" for field in still[:8])
             more = f" and {len(still) - 8} more" if len(still) > 8 else ""
             yield self._note(
                 "constant",
@@ -351,7 +351,7 @@ class MessageWatch:
                 "record longer, or move the device",
             )
         if never:
-            shown = ", ".join(one.leaf.path for one in never[:8]) + (", …" if len(never) > 8 else "")
+            shown = ", ".join(field.leaf.path for field in never[:8]) + (", …" if len(never) > 8 else "")
             yield self._note(
                 "unseen", f"never there in {self.total} messages: {shown}", "check what selects them"
             )

@@ -38,7 +38,7 @@ def hidden_check(samples: Sequence[PacketSample]) -> HiddenCheck | None:
     by_length: dict[int, list[PacketSample]] = {}
     for sample in samples:
         by_length.setdefault(len(sample.data), []).append(sample)
-    for length, some in sorted(by_length.items(), key=lambda one: -len(one[1])):
+    for length, some in sorted(by_length.items(), key=lambda item: -len(item[1])):
         if len(some) < ENOUGH or length < 2 + VARYING - 1:
             continue
         columns = list(zip(*(sample.data for sample in some), strict=True))

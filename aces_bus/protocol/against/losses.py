@@ -312,8 +312,10 @@ class Opcodes:
 
     def framing_of(self, data: bytes) -> Framing | None:
         """Return the framing whose sync bytes a packet has, the longest ones."""
-        fitting = [one for one in self._places if data.startswith(one.sync) and len(data) >= one.head_end]
-        return max(fitting, key=lambda one: len(one.sync), default=None)
+        fitting = [
+            place for place in self._places if data.startswith(place.sync) and len(data) >= place.head_end
+        ]
+        return max(fitting, key=lambda place: len(place.sync), default=None)
 
     def of(self, data: bytes) -> dict[str, bytes]:
         """Return what of a packet says which message it is."""
@@ -442,7 +444,7 @@ def lost_bytes(
     variants: Sequence[Variant], skipped: int, size: int, framings: Sequence[Framing]
 ) -> Iterator[Observation]:
     """Yield what it says that `skipped` of `size` bytes of a stream begin no packet."""
-    if size and skipped > max(LOST * size, max((one.max_size for one in framings), default=0)):
+    if size and skipped > max(LOST * size, max((framing.max_size for framing in framings), default=0)):
         yield Observation(
             "warning",
             "skipped",

@@ -213,9 +213,9 @@ class IntegerSteps:
                 continue
             read = _READ[right]
             small = np.abs(read(new, self.width) - read(old, self.width)) < 2.0 ** (self.width - 3)
-            for one, other in ((low, high), (high, low)):
-                number = int((small & (come_from == one) & (to == other)).sum())
-                self._jumps[one, other] = self._jumps.get((one, other), 0) + number
+            for quarter, other in ((low, high), (high, low)):
+                number = int((small & (come_from == quarter) & (to == other)).sum())
+                self._jumps[quarter, other] = self._jumps.get((quarter, other), 0) + number
 
     @property
     def counts_up(self) -> bool:
@@ -270,7 +270,7 @@ class IntegerSteps:
                 and there + back >= EXPLAINED * self._long
                 and len(self._sides[low]) >= SIDES
                 and len(self._sides[high]) >= SIDES
-                and not any(self._quarters[one] for one in empty)
+                and not any(self._quarters[quarter] for quarter in empty)
                 and self._may_be_signed
                 and (right != "sign and magnitude" or self.node.scale is not None)
             ):

@@ -183,7 +183,9 @@ class RecordingCheck:
 
     def observations(self) -> list[Observation]:
         """Return what the recordings say, by file and line; what comments in the spec allow is left out."""
-        return sorted((one for one in self._every() if not one.is_allowed), key=sort_key)
+        return sorted(
+            (observation for observation in self._every() if not observation.is_allowed), key=sort_key
+        )
 
     def _every(self) -> Iterator[Observation]:
         seen = {who: watch.total for who, watch in self._watches.items()}

@@ -121,7 +121,7 @@ def _take(
     candidates = found.setdefault((meta.protocol, name), _Candidates())
     candidates.count += 1
     asked.setdefault((meta.channel, name), deque(maxlen=REQUESTS)).append(packet)
-    fields = {one: _plain(getattr(record, one)) for one in field_names(type(record))}
+    fields = {field_name: _plain(getattr(record, field_name)) for field_name in field_names(type(record))}
     worth = len({repr(value) for value in _values(fields) if value not in (0, None, b"", "")})
     if len(candidates.best) == CANDIDATES and worth <= candidates.best[-1][0]:
         return
@@ -129,14 +129,14 @@ def _take(
         reversed(
             [
                 packet
-                for one in (*message.reply_to, *message.after)
-                for packet in asked.get((meta.channel, one.message.name), ())
+                for request in (*message.reply_to, *message.after)
+                for packet in asked.get((meta.channel, request.message.name), ())
             ]
         )
     )
-    shown = {one: value for one, value in fields.items() if _is_literal(value)}
+    shown = {field_name: value for field_name, value in fields.items() if _is_literal(value)}
     candidates.best.append((worth, packet, shown, requests, _frames(message, meta)))
-    candidates.best.sort(key=lambda one: -one[0])
+    candidates.best.sort(key=lambda candidate: -candidate[0])
     del candidates.best[CANDIDATES:]
 
 
@@ -162,7 +162,9 @@ def _holding(variant: Variant, message: Message, candidates: _Candidates) -> Ite
         # A request is only in the way where the reply is recognised without.
         is_clear = not requests or read_example(variant, message, alone).message == message.name
         for example in (
-            [alone] if is_clear else [*(Example(packet, fields, one, frames) for one in requests), alone]
+            [alone]
+            if is_clear
+            else [*(Example(packet, fields, request, frames) for request in requests), alone]
         ):
             if failure(message, example) is None:
                 yield SuggestedExample(message, example, candidates.count)
@@ -175,9 +177,9 @@ def _plain(value: Any) -> Any:
         return int(value) if value.unknown else list(value)
     value = plain_value(value)
     if isinstance(value, list):
-        return [_plain(one) for one in value]
+        return [_plain(inner) for inner in value]
     if isinstance(value, dict):
-        return {name: _plain(one) for name, one in value.items()}
+        return {name: _plain(inner) for name, inner in value.items()}
     if isinstance(value, float) and math.isfinite(value):
         return float(f"{value:.{DIGITS}g}")
     return value
@@ -186,28 +188,28 @@ def _plain(value: Any) -> Any:
 def _values(value: Any) -> Iterator[Any]:
     """Yield the single values of nested ones."""
     if isinstance(value, Mapping):
-        for one in value.values():
-            yield from _values(one)
+        for inner in value.values():
+            yield from _values(inner)
     elif isinstance(value, list):
-        for one in value:
-            yield from _values(one)
+        for inner in value:
+            yield from _values(inner)
     else:
         yield value
 
 
 def _is_literal(value: Any) -> bool:
     return all(
-        one is None
-        or isinstance(one, (bool, int, str, bytes))
-        or (isinstance(one, float) and math.isfinite(one))
-        for one in _values(value)
+        inner is None
+        or isinstance(inner, (bool, int, str, bytes))
+        or (isinstance(inner, float) and math.isfinite(inner))
+        for inner in _values(value)
     )
 
 
 def _literal(value: Any) -> str:
     """Python source of a value."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{_literal(name)}: {_literal(one)}" for name, one in value.items()) + "}"
+        return "{" + ", ".join(f"{_literal(name)}: {_literal(inner)}" for name, inner in value.items()) + "}"
     if isinstance(value, list):
         return f"[{', '.join(map(_literal, value))}]"
     if isinstance(value, str):

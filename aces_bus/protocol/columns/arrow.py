@@ -162,10 +162,10 @@ def _texts(pa: Any, type_: Any, values: list[Any]) -> Any:
     """Texts or bytes, None where there is none."""
     present = None
     if None in values:
-        present = pa.py_buffer(_bits(np.array([one is not None for one in values])))
+        present = pa.py_buffer(_bits(np.array([value is not None for value in values])))
     if type_ == pa.string():
-        values = [None if one is None else one.encode() for one in values]
-    data = values if present is None else [one or b"" for one in values]
+        values = [None if value is None else value.encode() for value in values]
+    data = values if present is None else [value or b"" for value in values]
     ends = np.zeros(len(data) + 1, np.int64)
     np.cumsum(np.fromiter(map(len, data), np.int64, len(data)), out=ends[1:])
     if ends[-1] > np.iinfo(np.int32).max:  # more than an array can hold

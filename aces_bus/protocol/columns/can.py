@@ -153,7 +153,9 @@ class CanColumns:
     def _carrier_slot(self, transport: Transport) -> int:
         """Return the slot of a transport's frames. Where one of its messages is decided by the live scanner, so are
         all of them: in which order packets are whole, frames say."""
-        known = next((slot for slot, one in self._carriers.items() if one.transport == transport), None)
+        known = next(
+            (slot for slot, carrier in self._carriers.items() if carrier.transport == transport), None
+        )
         if known is not None:
             return known
         for number, wire in enumerate(self._wires):
@@ -266,8 +268,8 @@ class CanColumns:
                 self._decode(batch, start, end, self._candidates[slot], tables, lost)
         return [
             (carried.frames_of(place), [reason] * int(carried.counts[place]))
-            for one in lost
-            for place, reason in zip(one.places.tolist(), one.reasons, strict=True)
+            for loss in lost
+            for place, reason in zip(loss.places.tolist(), loss.reasons, strict=True)
         ]
 
     def close(self) -> list[MessageTable]:
@@ -387,9 +389,9 @@ class CanColumns:
         return out
 
     def _lost_table(self, batch: SlotBatch, lost: Sequence[_Lost]) -> MessageTable:
-        places = np.concatenate([one.places for one in lost])
+        places = np.concatenate([loss.places for loss in lost])
         return table_of_lost(
-            batch.table, batch.numbers, places, [reason for one in lost for reason in one.reasons]
+            batch.table, batch.numbers, places, [reason for loss in lost for reason in loss.reasons]
         )
 
     # ------------------------------------------------------------------ rolling counters
@@ -402,11 +404,11 @@ class CanColumns:
         who = table.channel.astype(np.uint64) << np.uint64(32) | table.key.astype(np.uint64)
         for name, modulo in message.counters.items():
             values = raw.column(kinds[name], rows).values.astype(np.int64)
-            for one in np.unique(who).tolist():
-                mine = values[who == one]
+            for party in np.unique(who).tolist():
+                mine = values[who == party]
                 self._counts.missed += int(((mine[1:] - mine[:-1] - 1) % modulo).sum())
-                channel = table.channels.names[one >> 32]
-                place = (candidate.wire, message.name, name, channel, one & 0xFFFF_FFFF)
+                channel = table.channels.names[party >> 32]
+                place = (candidate.wire, message.name, name, channel, party & 0xFFFF_FFFF)
                 self._go_on(place, int(mine[0]), int(mine[-1]), modulo)
 
     def _go_on(self, place: _Who, first: int, last: int, modulo: int) -> None:

@@ -40,15 +40,15 @@ class ChannelColumns(ChannelScanners[CanColumns]):
         """Return what has been seen since the last call, by channel; see `CanColumns.hand_over`."""
         given = {channel: scanner.hand_over() for channel, scanner in self._scanners.items()}
         frames, self._fed = self._fed, 0
-        return {channel: replace(one, frames=frames) for channel, one in given.items()}
+        return {channel: replace(handover, frames=frames) for channel, handover in given.items()}
 
     def adopt(self, given: Mapping[str | None, Handover]) -> list[MessageTable]:
         """Go on behind a piece that another process has decoded: the tables of the frames that it left."""
         tables: list[MessageTable] = []
-        for channel, one in given.items():
+        for channel, handover in given.items():
             scanner = self.of(channel)
-            tables += scanner.adopt(one, self._fed)
-        self._fed += max((one.frames for one in given.values()), default=0)
+            tables += scanner.adopt(handover, self._fed)
+        self._fed += max((handover.frames for handover in given.values()), default=0)
         return merge_tables(tables)
 
     def feed(self, table: FrameTable, /) -> list[MessageTable]:

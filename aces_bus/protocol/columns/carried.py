@@ -66,7 +66,7 @@ class FrameParts:
     def lose(self, lost: Sequence[tuple[Array, str]], party: Array | None = None) -> None:
         """Take frames away that are no parts of packets after all (places in `frames`, no place twice), and of the others
         those that are tied: `party` (n) is the number of their party, −1 of all that are free."""
-        lost = [one for one in lost if len(one[0])]
+        lost = [run for run in lost if len(run[0])]
         if not lost and party is None:
             return
         order = self.frames.order
@@ -77,7 +77,9 @@ class FrameParts:
         if party is not None:
             is_tied = kept & (party >= 0)
             kept &= ~is_tied
-            self.tied = [np.sort(order[is_tied & (party == one)]) for one in np.unique(party[is_tied])]
+            self.tied = [
+                np.sort(order[is_tied & (party == session)]) for session in np.unique(party[is_tied])
+            ]
             self.tied_sessions = len(np.unique(self.frames.session[is_tied]))
         places = np.flatnonzero(kept)
         which = np.flatnonzero(kept.take(self.heads))
@@ -106,18 +108,18 @@ class PartReader(Protocol):
 def can_table(transport: Transport) -> bool:
     """Return whether frames of a transport can be told apart in columns by the table of their kinds."""
     kind = type(transport)
-    parts = [one for one in transport.kinds if one.role in ("single", "first", "next")]
+    parts = [form for form in transport.kinds if form.role in ("single", "first", "next")]
     # First frames say the size, or last ones that they are the last.
-    sized = {one.size is not None for one in parts if one.role == "first"}
+    sized = {part.size is not None for part in parts if part.role == "first"}
     return (
         all(getattr(kind, name) is getattr(Transport, name) for name in ("part", "room", "lengths"))
-        and all(one.role in _ROLES for one in transport.kinds)
-        and sum(one.role == "next" for one in parts) == 1
-        and sized == {one.last is None for one in parts if one.role == "next"}
-        and all(one.last is None for one in parts if one.role != "next")
-        and len({one.sequence for one in parts}) == 1
-        and all(n is None or n.width <= 8 for one in parts for n in (one.sequence, one.number, one.last))
-        and all(_reach(n) <= _needs(one) for one in parts for n in (one.sequence, one.last))
+        and all(form.role in _ROLES for form in transport.kinds)
+        and sum(part.role == "next" for part in parts) == 1
+        and sized == {part.last is None for part in parts if part.role == "next"}
+        and all(part.last is None for part in parts if part.role != "next")
+        and len({part.sequence for part in parts}) == 1
+        and all(n is None or n.width <= 8 for part in parts for n in (part.sequence, part.number, part.last))
+        and all(_reach(n) <= _needs(part) for part in parts for n in (part.sequence, part.last))
         and transport.modulo <= 256
         and transport.address <= 1
         and len(transport.kinds) < _OPEN
@@ -245,9 +247,9 @@ class KindReader:
             if number == self._none:
                 lost.append((places, f"malformed: no frame of {transport.title}"))
                 continue
-            one = transport.kinds[number]
-            if one.role == "control":
-                lost.append((places, f"control: {one.name}"))
+            form = transport.kinds[number]
+            if form.role == "control":
+                lost.append((places, f"control: {form.name}"))
                 continue
             some = rows.at(places)
             if rows.shortest < self._most_needed:
@@ -255,13 +257,13 @@ class KindReader:
                 lost.append((places[is_short], "malformed: length"))
             else:
                 is_short = np.False_
-            piece = some.length.astype(np.int32) - np.int32(one.head + one.tail)
-            if one.size is None:
-                size[which] = piece + transport.address if one.role == "single" else UNSIZED
+            piece = some.length.astype(np.int32) - np.int32(form.head + form.tail)
+            if form.size is None:
+                size[which] = piece + transport.address if form.role == "single" else UNSIZED
                 continue
-            given = some.number(one.size)
-            good = (given >= one.least) & (given <= one.most)
-            if one.role == "single":
+            given = some.number(form.size)
+            good = (given >= form.least) & (given <= form.most)
+            if form.role == "single":
                 good &= given <= piece
                 most = transport.frame_size
             else:

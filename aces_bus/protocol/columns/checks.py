@@ -396,10 +396,10 @@ _TURN = np.array([_turned(n, 8) for n in range(256)], np.uint8)
 def _tables(width: int, poly: int, size: int) -> tuple[Array, Array]:
     """Return what 8 and what 16 bits of a register become, as numbers of `size` bytes."""
     kind = np.dtype(f"u{size}").type
-    reflected, one = kind(_turned(poly, width)), kind(1)
+    reflected, unit = kind(_turned(poly, width)), kind(1)
     octets = np.arange(256, dtype=kind)
     for _ in range(8):
-        octets = np.where(octets & one, octets >> one ^ reflected, octets >> one)
+        octets = np.where(octets & unit, octets >> unit ^ reflected, octets >> unit)
     words = np.arange(65536, dtype=kind)
     for _ in range(2):
         words = octets.take(words & kind(0xFF)) ^ words >> kind(8)

@@ -207,7 +207,7 @@ class DatasetLayout:
     def _objects(self, slot: DatasetColumn, values: list[Any], absent: Array | None) -> ColumnValues:
         gone = [value is None for value in values]
         if absent is not None:
-            gone = [one or other for one, other in zip(gone, absent.tolist(), strict=True)]
+            gone = [is_gone or other for is_gone, other in zip(gone, absent.tolist(), strict=True)]
         if slot.holds == "integer":
             for index, value in enumerate(values):
                 if gone[index]:
@@ -344,7 +344,7 @@ def objects_by_values(table: MessageTable) -> dict[str, Holds]:
                 found[kind.name] = "bytes" if types else "json"
             elif types <= {str}:
                 found[kind.name] = "text"
-            elif all(issubclass(one, int) for one in types):
+            elif all(issubclass(kind, int) for kind in types):
                 found[kind.name] = "integer"
     return found
 

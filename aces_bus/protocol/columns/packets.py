@@ -83,14 +83,14 @@ class Batch:
             classes = [which]
         else:
             scale = np.ceil(np.log2(np.maximum(sizes, 8))).astype(np.int64)
-            classes = [which[scale == one] for one in np.unique(scale).tolist()]
+            classes = [which[scale == size_class] for size_class in np.unique(scale).tolist()]
         found = []
-        for one in classes:
-            width = -(-max(int(self.sizes[one].max()), least) // 8) * 8
+        for members in classes:
+            width = -(-max(int(self.sizes[members].max()), least) // 8) * 8
             step = max(1, ROWS // width)
             found += [
                 (some, self._rows(some, width))
-                for some in (one[a : a + step] for a in range(0, len(one), step))
+                for some in (members[a : a + step] for a in range(0, len(members), step))
             ]
         return found
 

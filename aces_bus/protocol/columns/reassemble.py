@@ -149,13 +149,18 @@ class _Piece:
     def _joined(self, some: list[_Alike]) -> CarriedTable:
         """Packets of one table, in the order of their last frames."""
         table = self.table
-        sizes = [len(one.starts) for one in some]
+        sizes = [len(part.starts) for part in some]
         first, last, keys, length = (
-            getattr(some[0], name) if len(some) == 1 else np.concatenate([getattr(one, name) for one in some])
+            getattr(some[0], name)
+            if len(some) == 1
+            else np.concatenate([getattr(part, name) for part in some])
             for name in ("first", "last", "keys", "length")
         )
-        data = _stacked([one.data for one in some])
-        shape, counts = np.repeat(np.arange(len(some)), sizes), np.repeat([one.frames for one in some], sizes)
+        data = _stacked([part.data for part in some])
+        shape, counts = (
+            np.repeat(np.arange(len(some)), sizes),
+            np.repeat([part.frames for part in some], sizes),
+        )
         row = np.concatenate([np.arange(n) for n in sizes])
         if (last[1:] < last[:-1]).any():
             order = sorted_places(last, len(table))
@@ -172,7 +177,7 @@ class _Piece:
         packets = FrameTable(
             table.time[last], table.channel[last], number, flags, length, data, table.channels
         )
-        shapes = [(one.order, one.starts) for one in some]
+        shapes = [(part.order, part.starts) for part in some]
         return CarriedTable(packets, self.rows[last], table.time[first], counts, shapes, (shape, row))
 
     def _lose(self, places: Sequence[int] | Array, reason: str) -> None:
@@ -204,10 +209,12 @@ class _Piece:
             unwrapped(raw[at : at + size], self._extra_of(key))
             for key, at, size in zip(keys.tolist(), range(0, len(raw), width), length.tolist(), strict=True)
         ]
-        kept = [one for one in found if one is not None]
-        rows = np.frombuffer(b"".join(one.ljust(width, b"\0") for one in kept), np.uint8).reshape(-1, width)
-        good = np.array([one is not None for one in found], bool)
-        return good, np.array([len(one) for one in kept], np.int64), rows
+        kept = [payload for payload in found if payload is not None]
+        rows = np.frombuffer(b"".join(payload.ljust(width, b"\0") for payload in kept), np.uint8).reshape(
+            -1, width
+        )
+        good = np.array([payload is not None for payload in found], bool)
+        return good, np.array([len(payload) for payload in kept], np.int64), rows
 
     # ------------------------------------------------------------------ by the live reassembler
 
@@ -227,13 +234,13 @@ class _Piece:
             made += reassembler.take(None, int(self.rows[place]), *item)
         whole: list[tuple[int, bytes, list[int]]] = []
         for packet in made:
-            places = [place_of[one.number] for one in packet.frames]
+            places = [place_of[frame.number] for frame in packet.frames]
             if packet.reason:
                 self._lose(places, packet.reason)
             else:
                 whole.append((packet.key, packet.data, places))
         self._gather_whole(whole)
-        return np.array(sorted(place_of[one.number] for one in reassembler.under_way()), np.int64)
+        return np.array(sorted(place_of[frame.number] for frame in reassembler.under_way()), np.int64)
 
     def _by_rule(self, runs: Sequence[tuple[Sequence[int], int | None]], places: Array | None) -> Array:
         """Decide runs of frames, each by itself. A run's second part is the frame that begins the session's next packet: it
@@ -245,7 +252,7 @@ class _Piece:
             reassembler = Reassembler(self.transport)
             for place in [*run, after] if after is not None else run:
                 for packet in reassembler.take(None, place, *items[place]):
-                    numbers = [one.number for one in packet.frames]
+                    numbers = [frame.number for frame in packet.frames]
                     if numbers == [after]:
                         continue
                     if packet.reason:
@@ -253,7 +260,10 @@ class _Piece:
                     else:
                         made.append((packet.key, packet.data, numbers))
             left += (
-                one.number for packet in reassembler.close() for one in packet.frames if one.number != after
+                frame.number
+                for packet in reassembler.close()
+                for frame in packet.frames
+                if frame.number != after
             )
         self._gather_whole(made)
         return np.array(sorted(left), np.int64)
@@ -261,11 +271,11 @@ class _Piece:
     def _gather_whole(self, made: Sequence[tuple[int, bytes, list[int]]]) -> None:
         """Packets that the rule has made, as key, bytes and places: all of one width and so many frames at once."""
         shapes: dict[tuple[int, int], list[tuple[int, bytes, list[int]]]] = {}
-        for one in made:
-            shapes.setdefault((_class_of(len(one[1])), len(one[2])), []).append(one)
+        for packet in made:
+            shapes.setdefault((_class_of(len(packet[1])), len(packet[2])), []).append(packet)
         for (width, _), some in shapes.items():
-            data = np.frombuffer(b"".join(one[1].ljust(width, b"\0") for one in some), np.uint8)
-            frames = np.array([one[2] for one in some], np.int64)
+            data = np.frombuffer(b"".join(packet[1].ljust(width, b"\0") for packet in some), np.uint8)
+            frames = np.array([packet[2] for packet in some], np.int64)
             self._add(
                 _Alike(
                     frames.ravel(),
@@ -273,8 +283,8 @@ class _Piece:
                     np.arange(len(frames)) * frames.shape[1],
                     frames[:, 0],
                     frames[:, -1],
-                    np.array([one[0] for one in some], np.uint32),
-                    np.array([len(one[1]) for one in some], np.int64),
+                    np.array([packet[0] for packet in some], np.uint32),
+                    np.array([len(packet[1]) for packet in some], np.int64),
                     data.reshape(-1, width),
                 )
             )

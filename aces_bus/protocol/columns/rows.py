@@ -166,8 +166,8 @@ class RowDecoder:
             if constant.mask != 0xFF:
                 cell = cell & np.uint8(constant.mask)
             tests.append(cell == constant.value)
-        for one in plan.one_of:
-            tests.append(among(number_reader(one.number)(rows), one.values))
+        for choice in plan.one_of:
+            tests.append(among(number_reader(choice.number)(rows), choice.values))
         for _, node in plan.lists:
             if isinstance(node, p.Repeated):
                 left = lengths.astype(np.int64) - (node.offset + plan.tail)

@@ -125,9 +125,9 @@ class RecordColumns:
         frames = table.frames()
         if not getattr(scanner, "has_transports", False):
             tables = self.tables(scanner.feed(frames), rows)
-            return [replace(one, time=table.time[np.searchsorted(rows, one.row)]) for one in tables]
+            return [replace(made, time=table.time[np.searchsorted(rows, made.row)]) for made in tables]
         items, origins = scanner.feed_numbered(frames, rows.tolist())
-        return [_timed(one, table, rows) for one in self.tables(items, np.array(origins, np.int64))]
+        return [_timed(made, table, rows) for made in self.tables(items, np.array(origins, np.int64))]
 
     def tables(self, items: Sequence[Any], rows: Array | None) -> list[MessageTable]:
         """Return records and `Unknown`s as tables; `rows` are their numbers, None for a stream's (their offsets)."""
@@ -221,7 +221,7 @@ def _numbers_of_flags(value: Any) -> Any:
     """Return the flags of groups as plain numbers, as those of a column of one value are."""
     if not isinstance(value, list):
         return value
-    return [int(one) if isinstance(one, FlagSet) else one for one in value]
+    return [int(flags) if isinstance(flags, FlagSet) else flags for flags in value]
 
 
 def _filler(way: tuple[WayStep, ...], dtype: Any) -> Callable[[ColumnKind, Sequence[Any]], Column]:

@@ -200,8 +200,8 @@ class SdoReader:
         """Return what each frame is; None where there are block transfers."""
         keys, data = frames.keys, frames.data
         kinds = self._kinds.of(keys >> np.uint32(self._NODE_BITS))
-        for one in range(len(self._said) // 256, len(self._kinds)):
-            self._learn(int(keys[np.argmax(kinds == one)]))
+        for place in range(len(self._said) // 256, len(self._kinds)):
+            self._learn(int(keys[np.argmax(kinds == place)]))
         which = kinds * 256 + data[:, 0]
         if np.array(self._acknowledged).take(which).any():
             return None
@@ -211,8 +211,8 @@ class SdoReader:
         is_short = frames.length != self._FRAME
         lost = [(np.flatnonzero(is_short), "malformed: length")]
         other = np.flatnonzero((role == NO_PART) & ~is_end & ~is_short)
-        for one in np.unique(which[other]).tolist():
-            lost.append((other[which[other] == one], self._reasons[one]))
+        for place in np.unique(which[other]).tolist():
+            lost.append((other[which[other] == place], self._reasons[place]))
         heads = np.flatnonzero((role == SINGLE) | (role == FIRST))
         size = np.full(len(heads), self._FRAME, np.int32)
         firsts = np.flatnonzero(role[heads] == FIRST)

@@ -114,7 +114,7 @@ def join_pieces(pieces: Sequence[_Piece]) -> tuple[Array, Array | None]:
     absent: Array | None = None
     if any(piece.absent is not None for piece in pieces):
         absent = np.concatenate(
-            [np.zeros(len(one.values), bool) if one.absent is None else one.absent for one in pieces]
+            [np.zeros(len(piece.values), bool) if piece.absent is None else piece.absent for piece in pieces]
         )
     return np.concatenate([piece.values for piece in pieces]), absent
 

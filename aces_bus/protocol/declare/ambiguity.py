@@ -70,11 +70,11 @@ class Neighbours:
             shared = mask & pattern.fixed
             if shared not in tables:
                 table: dict[int, list[tuple[int, Message]]] = {}
-                for numbered in (one for some in tables[mask].values() for one in some):
+                for numbered in (message for some in tables[mask].values() for message in some):
                     table.setdefault(numbered[1].identifier.constant & shared, []).append(numbered)
                 tables[shared] = table
             found += tables[shared].get(pattern.constant & shared, ())
-        return [message for _, message in sorted(found, key=lambda one: one[0])]
+        return [message for _, message in sorted(found, key=lambda pair: pair[0])]
 
 
 _BITS = 0x1FFF_FFFF
@@ -157,7 +157,8 @@ def _check_apart(made: Message, other: Message) -> None:
         return
     if (number := meet(made.identifier, other.identifier, 29 if made.extended else 11)) is not None:
         named = [
-            f"{one.transport.title}" if one.transport is not None else "a frame" for one in (made, other)
+            f"{message.transport.title}" if message.transport is not None else "a frame"
+            for message in (made, other)
         ]
         raise SpecError(
             f"{made.place}: identifier {number:#x} of {made.name!r} is {named[0]}, and of {other.name!r} ({other.place})"
@@ -271,8 +272,11 @@ def demands(message: Message, length: int | None) -> Demands | None:
             if constant.mask >> bit & 1:
                 fixed[8 * constant.offset + bit] = constant.value >> bit & 1
     choices = [
-        _Choice(one.number.bits, one.values if isinstance(one.values, range) else frozenset(one.values))
-        for one in plan.one_of
+        _Choice(
+            choice.number.bits,
+            choice.values if isinstance(choice.values, range) else frozenset(choice.values),
+        )
+        for choice in plan.one_of
     ]
     if plan.lengths_by is not None and length is not None:
         selector, table, other = plan.lengths_by

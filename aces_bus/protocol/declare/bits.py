@@ -321,9 +321,9 @@ class BitLayout(Construct):
     def _check_overlap(self) -> None:
         muxes = {slot.name: slot.mux for slot in self.slots}
         conditions = [self._conditions(slot, muxes) for slot in self.slots]
-        for index, one in enumerate(self.slots):
+        for index, slot in enumerate(self.slots):
             for before, other in enumerate(self.slots[:index]):
-                shared = one.mask & other.mask
+                shared = slot.mask & other.mask
                 if not shared:
                     continue
                 mine, theirs = conditions[index], conditions[before]
@@ -331,7 +331,7 @@ class BitLayout(Construct):
                     continue
                 bit = (shared & -shared).bit_length() - 1
                 raise SpecError(
-                    f"{self.place.of_field(one.name)}: field {one.name!r} overlaps {other.name!r}"
+                    f"{self.place.of_field(slot.name)}: field {slot.name!r} overlaps {other.name!r}"
                     f" ({self.place.of_field(other.name)}) at byte {bit // 8} bit {bit % 8}"
                     "; if that is meant: overlapping=True"
                 )

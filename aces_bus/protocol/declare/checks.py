@@ -340,11 +340,11 @@ def _catalogued(name: str) -> tuple[int, int, int, bool, bool, int]:
         import difflib
 
         plain = _plain(name)
-        meant = {_plain(one): one for one in known} | ALSO_CALLED
-        for one in (plain, f"CRC16{plain.removeprefix('CRC')}"):
-            if one in meant:
+        meant = {_plain(known_name): known_name for known_name in known} | ALSO_CALLED
+        for written in (plain, f"CRC16{plain.removeprefix('CRC')}"):
+            if written in meant:
                 raise SpecError(
-                    f"{caller()}: no CRC named {name!r} in the catalogue; there it is {meant[one]}"
+                    f"{caller()}: no CRC named {name!r} in the catalogue; there it is {meant[written]}"
                 )
         near = difflib.get_close_matches(name.upper(), known, n=5, cutoff=0.4)
         raise SpecError(

@@ -146,7 +146,11 @@ class Affine(msgspec.Struct, frozen=True):
     @property
     def reach(self) -> int:
         """Number of bytes of a packet that say its size, at most."""
-        return max(one.offset + one.size for one in (self.length, self.wide, self.flags) if one is not None)
+        return max(
+            number.offset + number.size
+            for number in (self.length, self.wide, self.flags)
+            if number is not None
+        )
 
     @property
     def largest(self) -> int:
@@ -384,7 +388,7 @@ class Framing:
             if not chosen or not chosen <= frozenset(range(256)):
                 raise SpecError(f"{self.place}: match= of {name!r} is numbers from 0 to 255")
             found.append((heads[name], chosen))
-        return tuple(sorted(found, key=lambda one: one[0].offset))
+        return tuple(sorted(found, key=lambda pair: pair[0].offset))
 
     def _escaped(self, size: Escaped) -> Affine:
         affine = self._affine(size.size)

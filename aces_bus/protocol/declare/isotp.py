@@ -104,13 +104,13 @@ class IsoTp(Transport):
 
     @property
     def patterns(self) -> tuple[tuple[IdPattern, bool], ...]:
-        return tuple((one, self.extended) for one in (self.to_device, self.from_device) if one is not None)
+        return tuple((way, self.extended) for way in (self.to_device, self.from_device) if way is not None)
 
     def answered_by(self, key: int, address: bytes = b"") -> tuple[int, bytes] | None:
         """Return the key and the address of frames that go the other way; None where the transport does not say both."""
         ways = (self.to_device, self.device_address), (self.from_device, self.tester_address)
-        for (one, its), (other, others) in (ways, ways[::-1]):
-            captures = one.match(key & 0x1FFF_FFFF) if one is not None else None
+        for (way, its), (other, others) in (ways, ways[::-1]):
+            captures = way.match(key & 0x1FFF_FFFF) if way is not None else None
             inside = self._within(its, address)
             if captures is None or inside is None or other is None:
                 continue
@@ -134,8 +134,8 @@ class IsoTp(Transport):
     def addressed(self, key: int, data: bytes) -> dict[str, int] | None:
         """Return what the address byte of a frame captures, where that is declared; None where it is not for this way."""
         ways = (self.to_device, self.device_address), (self.from_device, self.tester_address)
-        for one, its in ways:
-            if one is not None and one.match(key & 0x1FFF_FFFF) is not None:
+        for way, its in ways:
+            if way is not None and way.match(key & 0x1FFF_FFFF) is not None:
                 return self._within(its, data[: self.address])
         return {}
 

@@ -203,7 +203,9 @@ class J1939Transport(Transport):
         if not super().is_for(key, data, message, known, sent):
             return False
         own = {
-            _byte_of(one.identifier, 0, known) for one in sent if one.extended and one.direction is not None
+            _byte_of(carried.identifier, 0, known)
+            for carried in sent
+            if carried.extended and carried.direction is not None
         }
         if message.direction is not None and message.identifier.constant >> 16 & 0xFF < BROADCAST:
             own.add(_byte_of(message.identifier, 8, known))
@@ -246,12 +248,12 @@ def _back(key: int) -> int:
 def _byte_of(pattern: IdPattern, shift: int, known: Mapping[str, object]) -> int | None:
     """Return the byte of an identifier from bit `shift` on; None where a field in it is not known."""
     number, mask = pattern.constant, 0xFF << shift
-    for one in pattern.captures:
-        if one.bits << one.shift & mask:
-            value = known.get(one.name)
+    for capture in pattern.captures:
+        if capture.bits << capture.shift & mask:
+            value = known.get(capture.name)
             if not isinstance(value, int):
                 return None
-            number += value << one.shift
+            number += value << capture.shift
     return (number & mask) >> shift
 
 

@@ -55,16 +55,16 @@ def lengths_of(message: Message, length: int | Collection[int] | None) -> Collec
             range(possible[0], possible[-1] + 1) if not message.fd and len(possible) > 1 else tuple(possible)
         )
     wanted = (length,) if isinstance(length, int) else tuple(sorted(length))
-    for one in wanted:
-        if not low <= one <= high:
+    for number in wanted:
+        if not low <= number <= high:
             raise SpecError(
-                f"{message.place}: length {one} does not go with the fields of {message.name}, which take {low}"
+                f"{message.place}: length {number} does not go with the fields of {message.name}, which take {low}"
                 + (f"…{high}" if high > low else "")
                 + " bytes"
             )
-        if one not in (FD_LENGTHS if message.fd else range(9)):
+        if number not in (FD_LENGTHS if message.fd else range(9)):
             raise SpecError(
-                f"{message.place}: no {'CAN FD' if message.fd else 'classic CAN'} frame has {one} bytes"
+                f"{message.place}: no {'CAN FD' if message.fd else 'classic CAN'} frame has {number} bytes"
             )
     return wanted
 
@@ -122,7 +122,10 @@ def check_room(message: Message) -> None:
             continue
         beside = [o for _, o in items if isinstance(o, Multiplexed) and o.selector == body.selector]
         least = min(
-            (always + sum(sizes(one.body)[0] for one in beside if value in one.when) for value in body.when),
+            (
+                always + sum(sizes(field.body)[0] for field in beside if value in field.when)
+                for value in body.when
+            ),
             default=always,
         )
         if least > most:

@@ -244,7 +244,7 @@ class Message:
     def _request_fields(self) -> tuple[str, ...]:
         """Return the request's constrained fields that the message does not carry itself: its record has them too."""
         own = self.outer_names
-        asked = (name for one in (*self.reply_to, *self.after) for name, _ in one.values)
+        asked = (name for request in (*self.reply_to, *self.after) for name, _ in request.values)
         return tuple(dict.fromkeys(name for name in asked if name not in own))
 
     def _check_fields(self) -> None:
@@ -555,18 +555,18 @@ def as_requests(given: Any, protocol: Protocol, place: SourceLine) -> tuple[Requ
             f"{place}: a request is a message, message.where(…) or a message's name, not {given!r}"
         )
     found = []
-    for one in given:
-        if isinstance(one, str):
-            if one not in protocol.messages:
+    for request in given:
+        if isinstance(request, str):
+            if request not in protocol.messages:
                 raise SpecError(
-                    f"{place}: no message named {one!r} before this line (there are: {', '.join(protocol.messages)})"
+                    f"{place}: no message named {request!r} before this line (there are: {', '.join(protocol.messages)})"
                 )
-            one = protocol.messages[one]
-        if isinstance(one, Message):
-            one = Request(one)
-        if not isinstance(one, Request):
+            request = protocol.messages[request]
+        if isinstance(request, Message):
+            request = Request(request)
+        if not isinstance(request, Request):
             raise SpecError(
-                f"{place}: a request is a message, message.where(…) or a message's name, not {one!r}"
+                f"{place}: a request is a message, message.where(…) or a message's name, not {request!r}"
             )
-        found.append(one)
+        found.append(request)
     return tuple(found)

@@ -181,7 +181,9 @@ class _Walk:
             case c.LazyBound():
                 return self._late(con, path, known)
             case c.IfThenElse():
-                then, otherwise = (self.of(one, path, known) for one in (con.thensubcon, con.elsesubcon))
+                then, otherwise = (
+                    self.of(branch, path, known) for branch in (con.thensubcon, con.elsesubcon)
+                )
                 return c.IfThenElse(equal_in_both(con.condfunc, known), then, otherwise)
             case c.Switch():
                 con = switch_by_both(con, known)
@@ -477,8 +479,8 @@ def check_selectors(con: c.Construct, place: SourceLine, path: str = "payload") 
                 body = body.body
             check_selectors(body, place, f"{path}.{item.name}" if item.name else path)
         return
-    for one in inner_constructs(con):
-        check_selectors(one, place, path)
+    for construct in inner_constructs(con):
+        check_selectors(construct, place, path)
 
 
 def _check_selector(field: c.Construct, name: str, place: SourceLine) -> None:

@@ -58,8 +58,8 @@ def judge_frames(transport: Transport, given: Sequence[GivenFrame]) -> Judged:
     if len(given[0].data) not in transport.lengths():
         return Judged("broken", "malformed: first frame is short")
     pieces: dict[int, FramePart] = {}
-    for step, one in enumerate(given[1:], 1):
-        number = one.part.number
+    for step, frame in enumerate(given[1:], 1):
+        number = frame.part.number
         place = step
         if _is_any_order(transport, first):
             place = next(k for k in range(1, transport.modulo + 1) if _number(transport, k) == number)
@@ -69,16 +69,16 @@ def judge_frames(transport: Transport, given: Sequence[GivenFrame]) -> Judged:
                 return Judged("broken", f"malformed: {_named(place, count)} beyond its end")
         elif _number(transport, place) != number:
             return Judged("broken", f"malformed: {_named(place, count)} missing")
-        pieces[place] = one.part
-        ends = one.part.is_last or place + 1 == count
-        if not ends and len(one.part.data) != full:
+        pieces[place] = frame.part
+        ends = frame.part.is_last or place + 1 == count
+        if not ends and len(frame.part.data) != full:
             return Judged("broken", f"malformed: {_named(place, count)} is short")
         if ends and first.size is not None:
             left = first.size - len(first.data) - (place - 1) * full
-            if len(one.part.data) < left:
+            if len(frame.part.data) < left:
                 return Judged("broken", f"malformed: {_named(place, count)} is short")
-            goes_on = transport.following.last is not None and not one.part.is_last
-            if goes_on and len(one.part.data) > left:
+            goes_on = transport.following.last is not None and not frame.part.is_last
+            if goes_on and len(frame.part.data) > left:
                 return Judged("broken", f"malformed: {_named(place, count)} is too long")
         if (
             first.size is None
@@ -95,12 +95,12 @@ def judge_frames(transport: Transport, given: Sequence[GivenFrame]) -> Judged:
 
 def judge_conversation(transport: Transport, given: Sequence[GivenFrame]) -> Judged:
     """Return what the frames of an acknowledged packet are, of which the first one is a first frame."""
-    parts = [one.part for one in given]
+    parts = [frame.part for frame in given]
     first, size = parts[0], parts[0].size
     taken: list[bytes] = []
     begin = 1  # where the present block begins
     for place, part in enumerate(parts):
-        block = {one.number: one for one in parts[begin:place] if one.role == "next"}
+        block = {earlier.number: earlier for earlier in parts[begin:place] if earlier.role == "next"}
 
         if part.role == "ready" and (block or taken):
             return Judged("broken", "malformed: restarted")
@@ -130,15 +130,15 @@ def judge_conversation(transport: Transport, given: Sequence[GivenFrame]) -> Jud
 
 def conversation_given_up(transport: Transport, given: Sequence[GivenFrame]) -> str:
     """Why an acknowledged packet is given up whose receiver says that it is over."""
-    roles = [one.part.role for one in given]
+    roles = [frame.part.role for frame in given]
     if roles[-1] == "next" or "next" in roles[_last_place(roles, "taken") :]:
         return "malformed: acknowledgement missing"
-    taken = sum(one.part.number for one in given if one.part.role == "taken")
+    taken = sum(frame.part.number for frame in given if frame.part.role == "taken")
     return f"malformed: {_named_data(transport, given[0].part, taken + 1)} missing"
 
 
 def _last_place(roles: Sequence[str], role: str) -> int:
-    return max((place for place, one in enumerate(roles) if one == role), default=0)
+    return max((place for place, known in enumerate(roles) if known == role), default=0)
 
 
 def _named_data(transport: Transport, first: FramePart, number: int) -> str:
@@ -154,7 +154,7 @@ def is_repeated(transport: Transport, given: Sequence[GivenFrame], more: GivenFr
     if given[0].part.is_acknowledged:
         return (given[-1].part.role, given[-1].data) == (more.part.role, more.data)
     if _is_any_order(transport, given[0].part):
-        known = [one.part for one in given[1:] if one.part.number == more.part.number]
+        known = [frame.part for frame in given[1:] if frame.part.number == more.part.number]
         return any(part.data == more.part.data for part in known)
     return len(given) > 1 and given[-1].part.number == more.part.number and given[-1].data == more.data
 
@@ -165,7 +165,7 @@ def given_up(transport: Transport, given: Sequence[GivenFrame], reason: str) -> 
     if _is_any_order(transport, first):
         full = transport.room(len(given[0].data))
         count = None if first.size is None else 1 + -(-(first.size - len(first.data)) // full)
-        there = {one.part.number for one in given[1:]}
+        there = {frame.part.number for frame in given[1:]}
         for place in range(1, len(there) + 1):
             if _number(transport, place) not in there:
                 return f"malformed: {_named(place, count)} missing"
@@ -258,14 +258,14 @@ class PacketRule:
         return [*decided, DecidedFrames((mine,), part.reason, part.key, part.data)]
 
     def _open(self, who: Hashable) -> tuple[Hashable, list[GivenFrame]] | None:
-        return next((one for one in self.open if one[0] == who), None)
+        return next((talk for talk in self.open if talk[0] == who), None)
 
     def _within(self, channel: Any, key: int, data: bytes) -> FramePart | None:
         """Return what a frame is to an acknowledged packet that is under way, or lost."""
         for session in self.transport.conversations(key):
             talk = self._open((channel, session))
             if talk is not None and talk[1][0].part.is_acknowledged:
-                part = self.transport.within([one.part for one in talk[1]], key, data)
+                part = self.transport.within([frame.part for frame in talk[1]], key, data)
                 if part is not None:
                     return part
         return None
@@ -290,37 +290,37 @@ class PacketRule:
         before[1].append(mine)
         return self._ended(before)
 
-    def _ended(self, one: tuple[Hashable, list[GivenFrame]]) -> list[DecidedFrames]:
+    def _ended(self, talk: tuple[Hashable, list[GivenFrame]]) -> list[DecidedFrames]:
         """Return what frames are, if they are anything yet."""
-        given = one[1]
+        given = talk[1]
         is_acknowledged = given[0].part.is_acknowledged
         found = (judge_conversation if is_acknowledged else judge_frames)(self.transport, given)
         if found.state == "under way":
-            return self._enter(one) if len(given) == 1 else []
+            return self._enter(talk) if len(given) == 1 else []
         decided = DecidedFrames(tuple(given), found.reason, given[0].part.key, found.data)
         if is_acknowledged and found.state == "broken":
             given[:] = [_silent(given[-1])]
         else:
-            self.open = [other for other in self.open if other is not one]
+            self.open = [other for other in self.open if other is not talk]
         return [decided]
 
-    def _enter(self, one: tuple[Hashable, list[GivenFrame]]) -> list[DecidedFrames]:
+    def _enter(self, talk: tuple[Hashable, list[GivenFrame]]) -> list[DecidedFrames]:
         """One more session: where there are too many, the oldest is given up."""
         full = len(self.open) == self.transport.senders
         decided = self._lost(self.open[0], "too many senders at once", whole=True) if full else []
-        self.open.append(one)
+        self.open.append(talk)
         return decided
 
     def _lost(
-        self, one: tuple[Hashable, list[GivenFrame]], reason: str, whole: bool = False
+        self, talk: tuple[Hashable, list[GivenFrame]], reason: str, whole: bool = False
     ) -> list[DecidedFrames]:
         """Return the frames of a packet that is given up; none of one that is lost already."""
-        self.open.remove(one)
-        if one[1][0].part.role != "first":
+        self.open.remove(talk)
+        if talk[1][0].part.role != "first":
             return []
-        is_acknowledged = whole or one[1][0].part.is_acknowledged
-        why = f"malformed: {reason}" if is_acknowledged else given_up(self.transport, one[1], reason)
-        return [DecidedFrames(tuple(one[1]), why)]
+        is_acknowledged = whole or talk[1][0].part.is_acknowledged
+        why = f"malformed: {reason}" if is_acknowledged else given_up(self.transport, talk[1], reason)
+        return [DecidedFrames(tuple(talk[1]), why)]
 
     def _is_late(self, given: Sequence[GivenFrame], time: float | None) -> bool:
         last = given[-1].frame.timestamp

@@ -185,7 +185,7 @@ class IdPattern(Arithmetic, msgspec.Struct, frozen=True, eq=False):
     @cached_property
     def fixed(self) -> int:
         """The bits that are those of `constant` in every number that matches, as a mask (negative: all higher ones)."""
-        varying = reduce(or_, (((1 << one.width) - 1) << one.shift for one in self.captures), 0)
+        varying = reduce(or_, (((1 << capture.width) - 1) << capture.shift for capture in self.captures), 0)
         if varying & self.constant:  # adding may carry
             return (1 << min(capture.shift for capture in self.captures)) - 1
         return ~varying
@@ -249,7 +249,7 @@ def as_pattern(value: int | IdField | IdPattern | Collection[int], name: str = "
         pattern = value.as_pattern()
         pattern.check()
         return pattern
-    if not isinstance(value, Collection) or not value or not all(isinstance(one, int) for one in value):  # pyright: ignore[reportUnnecessaryIsInstance]
+    if not isinstance(value, Collection) or not value or not all(isinstance(number, int) for number in value):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise SpecError(f"{caller()}: {value!r} is no number, set of numbers or pattern of captures")
     return IdPattern(0, (IdField(name, tuple(sorted(value))),))
 

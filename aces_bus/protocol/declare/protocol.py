@@ -169,15 +169,15 @@ class Protocol:
             raise SpecError(f"{place}: a message on CAN needs id=…, one on a stream a framing")
         if self.link != "can" and framing is None:
             raise SpecError(f"{place}: {name} needs a framing; declare it by calling one")
-        if not isinstance(overrides, str) and not all(isinstance(one, str) for one in _listed(overrides)):
+        if not isinstance(overrides, str) and not all(isinstance(other, str) for other in _listed(overrides)):
             raise SpecError(f"{place}: overrides= names messages, as text; {overrides!r} does not")
         if direction is not None and direction not in DIRECTIONS:
             raise SpecError(f"{place}: direction is {' or '.join(map(repr, DIRECTIONS))}, not {direction!r}")
         dialects = None if dialect is None else frozenset([dialect] if isinstance(dialect, str) else dialect)
-        for one in dialects or ():
-            if one not in self.dialects:
+        for known in dialects or ():
+            if known not in self.dialects:
                 raise SpecError(
-                    f"{place}: no dialect {one!r} (there are: {', '.join(self.dialects) or 'none'})"
+                    f"{place}: no dialect {known!r} (there are: {', '.join(self.dialects) or 'none'})"
                 )
         made = Message(
             self,
@@ -243,9 +243,9 @@ class Protocol:
         if made.name in made.overrides:
             raise SpecError(f"{made.place}: message {made.name!r} cannot override itself")
         while left:
-            one = left.pop()
-            for other in self.declared if one.overrides else ():
-                if other.name not in one.overrides or not share_dialect(made, other):
+            inner = left.pop()
+            for other in self.declared if inner.overrides else ():
+                if other.name not in inner.overrides or not share_dialect(made, other):
                     continue
                 if made.name in other.overrides:
                     raise SpecError(

@@ -291,11 +291,11 @@ class Transport:
         """By that byte of a frame, the kinds that it may be, and whether that byte says all."""
         found: list[list[tuple[FrameKind, bool]]] = []
         for byte in range(256):
-            one = bytes([byte])
+            data = bytes([byte])
             kinds = [
                 (kind, [bits for bits, _ in kind.match if self._asks_more(bits)])
                 for kind in self.kinds
-                if all(self._asks_more(bits) or bits.of(one) == value for bits, value in kind.match)
+                if all(self._asks_more(bits) or bits.of(data) == value for bits, value in kind.match)
             ]
             found.append([(kind, not others) for kind, others in kinds])
         return found

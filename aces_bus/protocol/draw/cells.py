@@ -78,10 +78,10 @@ def panels(plan: p.MessagePlan, marks: Iterable[Mark] = ()) -> list[LayoutPanel]
     always: list[_Cells] = [base]
     variants: dict[p.When, list[_Cells]] = {}
     is_brief = plan.least > LONGEST
-    for one in p.walk(plan.fields, is_long):
-        if one.node.is_leaf or is_long(one.node):
-            layers = variants.setdefault(one.whens[-1], [_Cells()]) if one.whens else always
-            _claim(_free(layers, one.node), one.path, one.node, is_brief=is_brief)
+    for path in p.walk(plan.fields, is_long):
+        if path.node.is_leaf or is_long(path.node):
+            layers = variants.setdefault(path.whens[-1], [_Cells()]) if path.whens else always
+            _claim(_free(layers, path.node), path.path, path.node, is_brief=is_brief)
     for when, layers in variants.items():
         selector = when.selector.name
         for position in layers[0].bits:
@@ -121,7 +121,8 @@ def _list_panels(path: str, node: p.ListNode) -> list[LayoutPanel]:
         inside = panels(kind.plan)
         title = f"data of {path}.{kind.name}, tag {kind.number}"
         found += [
-            LayoutPanel(f"{title}:" if not one.title else f"{title}, {one.title}", one.rows) for one in inside
+            LayoutPanel(f"{title}:" if not panel.title else f"{title}, {panel.title}", panel.rows)
+            for panel in inside
         ]
     return found
 

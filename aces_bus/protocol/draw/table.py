@@ -30,15 +30,15 @@ class FieldRow:
 def field_table(plan: p.MessagePlan, captured: Mapping[str, str] | None = None) -> list[FieldRow]:
     """Return the fields of a message; `captured` says what captured parts can be."""
     rows: list[FieldRow] = []
-    for one in p.walk(plan.fields, is_long):
-        if one.node.is_leaf or is_long(one.node):
-            doc = one.doc
-            if one.whens:
-                when = one.whens[-1]
+    for path in p.walk(plan.fields, is_long):
+        if path.node.is_leaf or is_long(path.node):
+            doc = path.doc
+            if path.whens:
+                when = path.whens[-1]
                 only = f"only while {when.selector.name} is {listed(when.values)}"
                 doc = f"{only}; {doc}" if doc else only
-            rows.append(_field_row(one.path, one.node, doc, captured or {}))
-        rows += [_inner_row(inner) for inner in one.node.inside(one)]
+            rows.append(_field_row(path.path, path.node, doc, captured or {}))
+        rows += [_inner_row(inner) for inner in path.node.inside(path)]
     return rows
 
 

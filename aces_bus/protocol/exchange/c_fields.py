@@ -22,19 +22,21 @@ class CField:
     can_encode: bool = False
 
 
-def held_bits(one: CField) -> int:
+def held_bits(field: CField) -> int:
     """Return the bits of an unsigned member."""
-    return int(one.type.removeprefix("uint").removesuffix("_t"))
+    return int(field.type.removeprefix("uint").removesuffix("_t"))
 
 
-def shifted(one: CField, node: p.FromIdentifier) -> str:
+def shifted(field: CField, node: p.FromIdentifier) -> str:
     """Return a member where it is in its number."""
-    return f"((uint32_t)from->{one.name} << {node.shift})" if node.shift else f"(uint32_t)from->{one.name}"
+    return (
+        f"((uint32_t)from->{field.name} << {node.shift})" if node.shift else f"(uint32_t)from->{field.name}"
+    )
 
 
-def captured(one: IdField) -> str:
+def captured(capture: IdField) -> str:
     """Return a part of the identifier."""
-    return f"({f'id >> {one.shift}' if one.shift else 'id'} & {c_hex((1 << one.width) - 1)})"
+    return f"({f'id >> {capture.shift}' if capture.shift else 'id'} & {c_hex((1 << capture.width) - 1)})"
 
 
 def place_of(node: p.Node) -> tuple[int, ...]:
@@ -52,7 +54,7 @@ def rest_mask(node: p.Rest) -> int:
 
 def under_conditions(leaf: p.NodePath, lines: Sequence[str]) -> list[str]:
     """Statements under the conditions of a field."""
-    conditions = [f"({one})" for when in leaf.whens for one in _conditions(when)]
+    conditions = [f"({test})" for when in leaf.whens for test in _conditions(when)]
     if not conditions or not lines:
         return [f"    {line}" if line else "" for line in lines]
     inside = [f"        {line}" if line else "" for line in lines]
@@ -82,26 +84,26 @@ def c_type(node: p.Node) -> str:
     return f"uint{unsigned_bits(max(1, high.bit_length()))}_t"
 
 
-def taken_out(one: CField) -> list[str]:
+def taken_out(field: CField) -> list[str]:
     """Statements that take a number out of `data`."""
-    node, target, bits = one.leaf.node, f"to->{one.name}", place_of(one.leaf.node)
+    node, target, bits = field.leaf.node, f"to->{field.name}", place_of(field.leaf.node)
     word, terms, half = word_of(bits), terms_of(bits), 1 << len(bits) - 1
-    if one.type.startswith("uint"):
-        return [f"{target} = ({one.type})({terms});"]
+    if field.type.startswith("uint"):
+        return [f"{target} = ({field.type})({terms});"]
     if node.is_magnitude:
         sign = c_hex(half)
-        copied = f"{target} = ({one.type})(raw < {sign} ? (int64_t)raw : -(int64_t)(raw - {sign}));"
-    elif one.type in ("float", "double") or len(bits) == 64:
+        copied = f"{target} = ({field.type})(raw < {sign} ? (int64_t)raw : -(int64_t)(raw - {sign}));"
+    elif field.type in ("float", "double") or len(bits) == 64:
         copied = f"memcpy(&{target}, &raw, sizeof raw);"
     else:
         raised = f"(int64_t)(({terms}) ^ {c_hex(half)})"
-        return [f"{target} = ({one.type})({raised} - {half}{'ll' if half > 1 << 30 else ''});"]
+        return [f"{target} = ({field.type})({raised} - {half}{'ll' if half > 1 << 30 else ''});"]
     return ["{", f"    const {word} raw = {terms};", f"    {copied}", "}"]
 
 
-def put_in(one: CField) -> list[str]:
+def put_in(field: CField) -> list[str]:
     """Statements that put a member into `data`, which is 0 there; what is in a number of several, goes there with these."""
-    node, value = one.leaf.node, f"from->{one.name}"
+    node, value = field.leaf.node, f"from->{field.name}"
     if isinstance(node, p.Rest):
         free = (1 << unsigned_bits(8 * node.size)) - 1 & ~rest_mask(node)
         cells = [
@@ -112,30 +114,30 @@ def put_in(one: CField) -> list[str]:
     if isinstance(node, p.FromIdentifier):
         return []
     assert isinstance(node, p.Scalar)
-    if one.type == "rest":
+    if field.type == "rest":
         copied = f"    memcpy(data + {node.offset}, {value}, {value}_size);"
         return [f"if ({value}_size != 0) {{", copied, "}"]
-    if one.type == "bytes":
+    if field.type == "bytes":
         return [f"memcpy(data + {node.offset}, {value}, {node.size});"]
     bits = place_of(node)
     word = word_of(bits)
-    if one.type in ("float", "double"):
+    if field.type in ("float", "double"):
         return _block([f"{word} raw;", "", f"memcpy(&raw, &{value}, sizeof raw);", *written(bits)])
     number = f"({word}){value}"
     if node.is_magnitude:
         number = f"{value} < 0 ? {c_hex(1 << len(bits) - 1)} + ({word})(-(int64_t){value}) : {number}"
-    tests = _too_large(one, value)
+    tests = _too_large(field, value)
     return [
         *(refuse_if(" || ".join(tests), 0) if tests else []),
         *_block([f"const {word} raw = {number};", "", *written(bits)]),
     ]
 
 
-def _too_large(one: CField, value: str) -> list[str]:
+def _too_large(field: CField, value: str) -> list[str]:
     """Return tests for values that fit the member and do not fit the bits."""
-    low, high = one.leaf.node.raw_range or (0, 0)
-    width = int(one.type.removeprefix("u").removeprefix("int").removesuffix("_t"))
-    if one.type.startswith("u"):
+    low, high = field.leaf.node.raw_range or (0, 0)
+    width = int(field.type.removeprefix("u").removeprefix("int").removesuffix("_t"))
+    if field.type.startswith("u"):
         return [f"{value} > {c_hex(high)}"] if high != (1 << width) - 1 else []
     half = 1 << width - 1
     return [f"{value} < {low}"] * (low != -half) + [f"{value} > {high}"] * (high != half - 1)

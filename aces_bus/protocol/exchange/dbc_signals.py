@@ -396,8 +396,8 @@ class _Group:
             case _:
                 self._lose(name, leaf.path, "no fixed place: left out")
         if len(self.found) > before:
-            for one in names:
-                self.named[one, leaf.path] = self.found[before].name
+            for member in names:
+                self.named[member, leaf.path] = self.found[before].name
 
     def _captured(self, leaf: p.NodePath, node: p.FromIdentifier, base: DbcSignal) -> None:
         bits = node.place

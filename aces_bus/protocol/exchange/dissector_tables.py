@@ -63,7 +63,9 @@ def is_a_table(transport: Transport) -> bool:
 def _numbers(transport: Transport) -> Iterable[FrameNumber]:
     for kind in transport.kinds:
         yield from (bits for bits, _ in kind.match)
-        yield from (one for one in (kind.size, kind.number, kind.sequence, kind.last) if one is not None)
+        yield from (
+            number for number in (kind.size, kind.number, kind.sequence, kind.last) if number is not None
+        )
 
 
 def _has_gaps(number: FrameNumber) -> bool:
@@ -86,7 +88,7 @@ def transport_table(transport: Transport, number: int) -> dict[str, Any]:
         "any_order": transport.any_order,
         "full": dict.fromkeys(transport.lengths(), True),
         "following": {"head": transport.following.head, "tail": transport.following.tail},
-        "patterns": [{**id_pattern(one), "extended": is_long} for one, is_long in transport.patterns],
+        "patterns": [{**id_pattern(pattern), "extended": is_long} for pattern, is_long in transport.patterns],
         "kinds": [_kind(kind) for kind in transport.kinds],
     }
     if (added := transport.added_check) is not None:

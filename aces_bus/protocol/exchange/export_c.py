@@ -346,15 +346,15 @@ class _MessagePrinter:
             body += refuse_if(test)
         body += self._length_test() + (self.check.test() if self.check is not None else [])
         body.append("    memset(to, 0, sizeof *to);")
-        for one in self.fields:
-            body += under_conditions(one.leaf, self._get(one))
+        for member in self.fields:
+            body += under_conditions(member.leaf, self._get(member))
         if not any("data[" in line or "data +" in line for line in body):
             body.append("    (void)data;")
         return [*body, "    return 0;", "}"]
 
     def _one_of(self) -> list[str]:
         """Return tests of numbers that must be among some values."""
-        numbers = [(one.number.place, one.values) for one in self.plan.one_of]
+        numbers = [(choice.number.place, choice.values) for choice in self.plan.one_of]
         tests = [is_among(f"({terms_of(bits)})", values, (1 << len(bits)) - 1) for bits, values in numbers]
         return [f"!({test})" for test in tests if test]
 
@@ -372,18 +372,18 @@ class _MessagePrinter:
             return [f"id != {self.macro}_ID"]
         tests: list[str] = []
         if len(pattern.captures) == 1:
-            (one,) = pattern.captures
+            (capture,) = pattern.captures
             if pattern.constant:
                 tests.append(f"id < {self.macro}_ID")
             rest = f"(id - {self.macro}_ID)"
-            if one.shift:
-                tests.append(f"({rest} & {c_hex((1 << one.shift) - 1)}) != 0")
-                rest = f"({rest} >> {one.shift})"
-            return [*tests, f"!({is_among(rest, one.values)})"]
+            if capture.shift:
+                tests.append(f"({rest} & {c_hex((1 << capture.shift) - 1)}) != 0")
+                rest = f"({rest} >> {capture.shift})"
+            return [*tests, f"!({is_among(rest, capture.values)})"]
         mask = 0
-        for one in pattern.captures:
-            mask |= ((1 << one.width) - 1) << one.shift
-            tests.append(f"!({is_among(captured(one), one.values)})")
+        for capture in pattern.captures:
+            mask |= ((1 << capture.width) - 1) << capture.shift
+            tests.append(f"!({is_among(captured(capture), capture.values)})")
         return [f"(id & {c_hex(~mask & 0xFFFF_FFFF)}) != {self.macro}_ID", *tests]
 
     def _length_test(self) -> list[str]:
@@ -395,34 +395,36 @@ class _MessagePrinter:
         factor = f" * {affine.factor}u" if affine.factor != 1 else ""
         return refuse_if(f"({number}){factor} + {affine.constant}u != size")
 
-    def _get(self, one: CField) -> list[str]:
-        node, target = one.leaf.node, f"to->{one.name}"
+    def _get(self, member: CField) -> list[str]:
+        node, target = member.leaf.node, f"to->{member.name}"
         if isinstance(node, p.Rest):
             mask = rest_mask(node)
             terms = terms_of(whole_bits(node.offset, node.size, "little"))
-            return [f"{target} = ({one.type})(({terms}) & {c_hex(mask)});"]
-        if one.type == "rest":
+            return [f"{target} = ({member.type})(({terms}) & {c_hex(mask)});"]
+        if member.type == "rest":
             assert isinstance(node, p.Scalar)
             tail = node.offset + self.plan.tail
             return [f"{target} = data + {node.offset};", f"{target}_size = size - {tail}u;"]
-        if one.type == "bytes":
+        if member.type == "bytes":
             assert isinstance(node, p.Scalar)
             return [f"memcpy({target}, data + {node.offset}, {node.size});"]
         if isinstance(node, p.FromIdentifier) and node.number is None:
-            capture = self._capture(one)
+            capture = self._capture(member)
             if len(self.message.identifier.captures) == 1:
                 shift = f" >> {capture.shift}" if capture.shift else ""
-                return [f"{target} = ({one.type})((id - {self.macro}_ID){shift});"]
-            return [f"{target} = ({one.type})({captured(capture)});"]
+                return [f"{target} = ({member.type})((id - {self.macro}_ID){shift});"]
+            return [f"{target} = ({member.type})({captured(capture)});"]
         if isinstance(node, p.FromIdentifier) and node.number is not None and node.is_alone and node.constant:
             shift = f" >> {node.shift}" if node.shift else ""
-            return [f"{target} = ({one.type})((({terms_of(node.number.place)}) - {node.constant}u){shift});"]
-        return taken_out(one)
+            return [
+                f"{target} = ({member.type})((({terms_of(node.number.place)}) - {node.constant}u){shift});"
+            ]
+        return taken_out(member)
 
-    def _capture(self, one: CField) -> IdField:
-        found = next((c for c in self.message.identifier.captures if c.name == one.leaf.path), None)
+    def _capture(self, member: CField) -> IdField:
+        found = next((c for c in self.message.identifier.captures if c.name == member.leaf.path), None)
         if found is None:
-            raise NotInC(f"{one.leaf.path}: a part of the identifier with another name")
+            raise NotInC(f"{member.leaf.path}: a part of the identifier with another name")
         return found
 
     # ------------------------------------------------------------------ pack
@@ -433,7 +435,7 @@ class _MessagePrinter:
         arguments = (
             f"uint8_t *data, size_t size, {'uint32_t *id, ' if is_can else ''}const struct {self.name} *from"
         )
-        rest = next((one for one in self.fields if one.type == "rest"), None)
+        rest = next((member for member in self.fields if member.type == "rest"), None)
         body = [f"int {self.name}_pack({arguments})", "{"]
         length = f"{plan.least}u" + (f" + from->{rest.name}_size" if rest is not None else "")
         if rest is None and plan.lengths is not None and len(plan.lengths) > 1:
@@ -447,23 +449,23 @@ class _MessagePrinter:
                 body += refuse_if(f"length > {message.framing.max_size}u")
         body += [*refuse_if("size < length"), "    memset(data, 0, length);"]
         body += [f"    data[{fixed.offset}] |= {fixed.value:#04x};" for fixed in plan.constants]
-        for one in sorted(self.fields, key=lambda field: len(field.leaf.whens)):
-            body += under_conditions(one.leaf, put_in(one))
+        for member in sorted(self.fields, key=lambda member: len(member.leaf.whens)):
+            body += under_conditions(member.leaf, put_in(member))
         numbers = self._numbers()
         for number, parts in numbers.items():
-            for one, node in parts:
-                capture = None if number is not None else self._capture(one)
+            for member, node in parts:
+                capture = None if number is not None else self._capture(member)
                 values = range(1 << node.width) if capture is None else capture.values
-                if test := is_among(f"(uint32_t)from->{one.name}", values, (1 << held_bits(one)) - 1):
+                if test := is_among(f"(uint32_t)from->{member.name}", values, (1 << held_bits(member)) - 1):
                     body += refuse_if(f"!({test})")
             if number is not None:
-                whole = [c_hex(parts[0][1].constant), *(shifted(one, node) for one, node in parts)]
+                whole = [c_hex(parts[0][1].constant), *(shifted(member, node) for member, node in parts)]
                 body += ["    {", f"        const uint32_t raw = {' + '.join(whole)};", ""]
                 body += [*(f"        {line}" for line in written(number.place)), "    }"]
         for test in self._one_of():
             body += refuse_if(test)
         if is_can:
-            whole = [f"{self.macro}_ID", *(shifted(one, node) for one, node in numbers.get(None, ()))]
+            whole = [f"{self.macro}_ID", *(shifted(member, node) for member, node in numbers.get(None, ()))]
             body.append(f"    *id = {' + '.join(whole)};")
         else:
             body += self._finish()
@@ -474,9 +476,9 @@ class _MessagePrinter:
     def _numbers(self) -> dict[p.Scalar | None, list[tuple[CField, p.FromIdentifier]]]:
         """Return the members that are parts of a number of the head, or of the identifier (None)."""
         found: dict[p.Scalar | None, list[tuple[CField, p.FromIdentifier]]] = {}
-        for one in self.fields:
-            if isinstance(one.leaf.node, p.FromIdentifier):
-                found.setdefault(one.leaf.node.number, []).append((one, one.leaf.node))
+        for member in self.fields:
+            if isinstance(member.leaf.node, p.FromIdentifier):
+                found.setdefault(member.leaf.node.number, []).append((member, member.leaf.node))
         return found
 
     def _finish(self) -> list[str]:

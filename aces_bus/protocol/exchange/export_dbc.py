@@ -47,17 +47,17 @@ def print_dbc(
         raise CallerError(f"{variant.label}: nothing of it can be said in a DBC{why}")
     specifics: Any = DbcSpecifics()
     definition: Any = None
-    if any(one.is_fd or one.is_j1939 for one in messages):
+    if any(message.is_fd or message.is_j1939 for message in messages):
         definition = DbcAttributeDefinition(
             "VFrameFormat", default_value=_FORMATS[0], kind="BO_", type_name="ENUM", choices=_FORMATS
         )
         specifics.attribute_definitions["VFrameFormat"] = definition
     lengths: Any = None
-    if any(one.lengths for one in messages):
+    if any(message.lengths for message in messages):
         lengths = DbcAttributeDefinition(LENGTHS, default_value="", kind="BO_", type_name="STRING")
         specifics.attribute_definitions[LENGTHS] = lengths
-    made = [_message(one, losses, definition, lengths) for one in messages]
-    there = {name for one in messages for name in one.members}
+    made = [_message(message, losses, definition, lengths) for message in messages]
+    there = {name for message in messages for name in message.members}
     about = [f"Made from {variant.label}.", *_not_said(loss for loss in losses if loss.message not in there)]
     bitrate = variant.protocol.bitrate
     database: Any = Database(
@@ -71,30 +71,30 @@ def print_dbc(
     return str(database.as_dbc_string()).replace("\r\n", "\n"), losses
 
 
-def _message(one: Identified, losses: Sequence[Loss], definition: Any, lengths: Any) -> Any:
+def _message(message: Identified, losses: Sequence[Loss], definition: Any, lengths: Any) -> Any:
     from cantools.database.can import Message
     from cantools.database.can.formats.dbc import DbcAttribute, DbcSpecifics
 
     specifics: Any = DbcSpecifics()
-    kind = 3 if one.is_j1939 else _FORMAT[one.is_extended, one.is_fd]
+    kind = 3 if message.is_j1939 else _FORMAT[message.is_extended, message.is_fd]
     if definition is not None:
         specifics.attributes["VFrameFormat"] = DbcAttribute(kind, definition)
-    if one.lengths:
-        specifics.attributes[LENGTHS] = DbcAttribute(" ".join(map(str, one.lengths)), lengths)
-    mine = [loss for loss in losses if loss.message in one.members]
-    if len(one.members) == 1:
+    if message.lengths:
+        specifics.attributes[LENGTHS] = DbcAttribute(" ".join(map(str, message.lengths)), lengths)
+    mine = [loss for loss in losses if loss.message in message.members]
+    if len(message.members) == 1:
         mine = [Loss("", loss.field, loss.reason) for loss in mine]
     return Message(
-        one.id,
-        one.name,
-        one.size,
-        [_signal(signal, one) for signal in one.signals],
-        comment=_text("\n".join(filter(None, [one.comment, *_not_said(mine)]))) or None,
-        senders=[one.sender] if one.sender else None,
+        message.id,
+        message.name,
+        message.size,
+        [_signal(signal, message) for signal in message.signals],
+        comment=_text("\n".join(filter(None, [message.comment, *_not_said(mine)]))) or None,
+        senders=[message.sender] if message.sender else None,
         dbc_specifics=specifics,
-        is_extended_frame=one.is_extended,
-        is_fd=one.is_fd,
-        protocol="j1939" if one.is_j1939 else None,
+        is_extended_frame=message.is_extended,
+        is_fd=message.is_fd,
+        protocol="j1939" if message.is_j1939 else None,
         strict=False,
     )
 

@@ -174,10 +174,10 @@ class _Page:
         for what, requests in (("answers", message.reply_to), ("after", message.after)):
             if requests:
                 linked = [
-                    f"[{_escaped(str(one))}](#{self.anchors[one.message.name]})"
-                    if one.message.name in self.anchors
-                    else _escaped(str(one))
-                    for one in requests
+                    f"[{_escaped(str(request))}](#{self.anchors[request.message.name]})"
+                    if request.message.name in self.anchors
+                    else _escaped(str(request))
+                    for request in requests
                 ]
                 facts.append(f"{what} {', '.join(linked)}")
         if message.check is not None:
@@ -193,14 +193,14 @@ class _Page:
         assert table is not None
         rows = [
             (
-                f"`{one.address:#04x}`",
-                f"`{one.name}`",
-                str(one.size),
-                one.access,
-                _escaped(one.unit),
-                _escaped(one.doc),
+                f"`{entry.address:#04x}`",
+                f"`{entry.name}`",
+                str(entry.size),
+                entry.access,
+                _escaped(entry.unit),
+                _escaped(entry.doc),
             )
-            for one in sorted(table.values(), key=lambda register: register.address)
+            for entry in sorted(table.values(), key=lambda register: register.address)
         ]
         return _table(("address", "register", "bytes", "access", "unit", "meaning"), rows)
 

@@ -125,10 +125,10 @@ class _Printer:
     def _transport(self, transport: Transport) -> Expression:
         """Return a transport by its settings; identifiers are those of the messages."""
         settings = tuple(
-            (one.name, python_literal(getattr(transport, one.name)))
-            for one in fields(transport)
-            if one.init and one.name not in ("kinds", "to_device", "from_device")
-            if getattr(transport, one.name) != one.default
+            (field.name, python_literal(getattr(transport, field.name)))
+            for field in fields(transport)
+            if field.init and field.name not in ("kinds", "to_device", "from_device")
+            if getattr(transport, field.name) != field.default
         )
         name = type(transport).__name__
         self.words["aces_bus.protocol"].add(name)
@@ -374,7 +374,7 @@ def python_literal(value: Any) -> Expression:
         case range():
             first = (value.start,) if value.start or value.step != 1 else ()
             step = (value.step,) if value.step != 1 else ()
-            return Call("range", tuple(Code(str(one)) for one in (*first, value.stop, *step)))
+            return Call("range", tuple(Code(str(number)) for number in (*first, value.stop, *step)))
         case Mapping():
             return Sequenced(
                 tuple(map(python_literal, value.values())), "{}", tuple(map(python_literal, value))
@@ -402,46 +402,52 @@ def python_string(text: str) -> str:
     return quote + "".join(parts) + quote
 
 
-def flat(one: Expression) -> str:
+def flat(expression: Expression) -> str:
     """Return an expression on one line."""
-    match one:
+    match expression:
         case Code():
-            return one.text
+            return expression.text
         case Operation():
-            return flat(one.first) + "".join(f" {operator} {flat(part)}" for operator, part in one.rest)
+            return flat(expression.first) + "".join(
+                f" {operator} {flat(part)}" for operator, part in expression.rest
+            )
         case Call():
-            parts = [flat(part) for part in one.arguments]
-            parts += [f"{name}={flat(part)}" for name, part in one.keywords]
-            return f"{one.function}({', '.join(parts)})"
+            parts = [flat(part) for part in expression.arguments]
+            parts += [f"{name}={flat(part)}" for name, part in expression.keywords]
+            return f"{expression.function}({', '.join(parts)})"
         case _:
-            if one.keys:
-                inner = ", ".join(f"{flat(k)}: {flat(v)}" for k, v in zip(one.keys, one.items, strict=True))
+            if expression.keys:
+                inner = ", ".join(
+                    f"{flat(k)}: {flat(v)}" for k, v in zip(expression.keys, expression.items, strict=True)
+                )
             else:
-                inner = ", ".join(map(flat, one.items))
-                if one.brackets == "()" and len(one.items) == 1:
+                inner = ", ".join(map(flat, expression.items))
+                if expression.brackets == "()" and len(expression.items) == 1:
                     inner += ","
-            return one.brackets[0] + inner + one.brackets[1]
+            return expression.brackets[0] + inner + expression.brackets[1]
 
 
-def expression_lines(one: Expression, indent: int = 0, before: str = "", after: str = "") -> list[str]:
+def expression_lines(expression: Expression, indent: int = 0, before: str = "", after: str = "") -> list[str]:
     """Return an expression as lines; `before` and `after` stand on its first and its last line."""
     pad = " " * indent
-    whole = pad + before + flat(one) + after
-    if _columns(whole) <= WIDTH or isinstance(one, Code):
+    whole = pad + before + flat(expression) + after
+    if _columns(whole) <= WIDTH or isinstance(expression, Code):
         return [whole]
-    if isinstance(one, Operation):
-        found = expression_lines(one.first, indent, before)
-        for number, (operator, part) in enumerate(one.rest, 1):
-            found += expression_lines(part, indent, f"{operator} ", after if number == len(one.rest) else "")
+    if isinstance(expression, Operation):
+        found = expression_lines(expression.first, indent, before)
+        for number, (operator, part) in enumerate(expression.rest, 1):
+            found += expression_lines(
+                part, indent, f"{operator} ", after if number == len(expression.rest) else ""
+            )
         return found
-    if isinstance(one, Call):
-        opening, closing = f"{one.function}(", ")"
-        items: Sequence[tuple[str, Expression]] = [("", part) for part in one.arguments]
-        items = [*items, *((f"{name}=", part) for name, part in one.keywords)]
+    if isinstance(expression, Call):
+        opening, closing = f"{expression.function}(", ")"
+        items: Sequence[tuple[str, Expression]] = [("", part) for part in expression.arguments]
+        items = [*items, *((f"{name}=", part) for name, part in expression.keywords)]
     else:
-        opening, closing = one.brackets[0], one.brackets[1]
-        keys = [f"{flat(key)}: " for key in one.keys] or [""] * len(one.items)
-        items = list(zip(keys, one.items, strict=True))
+        opening, closing = expression.brackets[0], expression.brackets[1]
+        keys = [f"{flat(key)}: " for key in expression.keys] or [""] * len(expression.items)
+        items = list(zip(keys, expression.items, strict=True))
     if not items:
         return [whole]
     found = [pad + before + opening]

@@ -97,7 +97,9 @@ class _Printer:
                 for number, extra in (message.extras or {}).items()
             }
         if self.transports:
-            table["transports"] = [transport_table(one, n) for n, one in enumerate(self.transports, 1)]
+            table["transports"] = [
+                transport_table(transport, n) for n, transport in enumerate(self.transports, 1)
+            ]
         table["fields"] = self.fields
         table["messages"] = messages
         head = [
@@ -135,25 +137,25 @@ class _Printer:
             table["framing"] = self.framings.index(message.framing) + 1
         table |= _shape(plan)
         if plan.split is not None:
-            one = plan.split
+            split = plan.split
             table["split"] = {
-                "start": one.start,
-                "stop": one.end,
-                "separator": one.separator,
-                "lead": one.lead,
-                "least": one.least,
-                "most": one.most,
+                "start": split.start,
+                "stop": split.end,
+                "separator": split.separator,
+                "lead": split.lead,
+                "least": split.least,
+                "most": split.most,
             }
-        table["one_of"] = [self._one_of(one) for one in plan.one_of]
+        table["one_of"] = [self._one_of(choice) for choice in plan.one_of]
         if message.check is not None:
             table["check"] = self._own_check(message)
         self._requests(message, table)
         table["fields"] = self._fields(message, plan, own)
         return table
 
-    def _one_of(self, one: p.OneOf) -> dict[str, Any]:
-        bits = one.number.place
-        return {"pieces": bit_pieces(bits), "last": max(bits) // 8, "values": value_set(one.values)}
+    def _one_of(self, choice: p.OneOf) -> dict[str, Any]:
+        bits = choice.number.place
+        return {"pieces": bit_pieces(bits), "last": max(bits) // 8, "values": value_set(choice.values)}
 
     def _requests(self, message: Message, table: dict[str, Any]) -> None:
         """Write the requests that a message answers, and the messages that answer it."""
@@ -166,7 +168,9 @@ class _Printer:
             mode: True for mode, (*_, answers) in self.modes.items() if message.name in answers
         }
         if any(table["bound"].values()) or table["answers"]:
-            links = [(one, False) for one in message.reply_to] + [(one, True) for one in message.after]
+            links = [(request, False) for request in message.reply_to] + [
+                (request, True) for request in message.after
+            ]
             if not any(table["bound"].values()):
                 links = [link for link in links if not link[1]]
             table["links"] = [
@@ -492,7 +496,7 @@ def _shape(plan: p.MessagePlan, inside: str = "") -> dict[str, Any]:
     if plan.lengths_by is not None:
         selector, sizes, otherwise = plan.lengths_by
         table["by"] = {"selector": inside + selector.name, "sizes": dict(sizes), "otherwise": otherwise}
-    table["constants"] = [[one.offset, one.mask, one.value] for one in plan.constants]
+    table["constants"] = [[constant.offset, constant.mask, constant.value] for constant in plan.constants]
     return table
 
 
@@ -541,10 +545,10 @@ def lua_literal(value: Any, indent: int = 0) -> str:
         return flat
     pad = "  " * (indent // 2 + 1)
     if isinstance(value, Mapping):
-        items = [(f"{_key(key)} = ", one) for key, one in value.items() if one is not None]
+        items = [(f"{_key(key)} = ", inner) for key, inner in value.items() if inner is not None]
     else:
-        items = [("", one) for one in value]
-    lines = [f"{pad}{start}{lua_literal(one, indent + 2)}," for start, one in items]
+        items = [("", inner) for inner in value]
+    lines = [f"{pad}{start}{lua_literal(inner, indent + 2)}," for start, inner in items]
     return "\n".join(["{", *lines, "  " * (indent // 2) + "}"])
 
 
@@ -561,7 +565,9 @@ def _flat(value: Any) -> str:
         case str() | bytes():
             return lua_string(value)
         case Mapping():
-            inner = ", ".join(f"{_key(key)} = {_flat(one)}" for key, one in value.items() if one is not None)
+            inner = ", ".join(
+                f"{_key(key)} = {_flat(content)}" for key, content in value.items() if content is not None
+            )
         case _:
             inner = ", ".join(map(_flat, value))
     return f"{{ {inner} }}" if inner else "{}"

@@ -123,13 +123,13 @@ class _Builder:
                 found.append(self._taken(message, line))
             except _LeftOut as left:
                 self._leave_out(message, line, str(left))
-        if any(one.transport is not None for one in found):
+        if any(taken.transport is not None for taken in found):
             found = self._without_carriers(found)
         self._distinguish(found)
-        for one in found:
-            message, line = one.message, one.line
+        for taken in found:
+            message, line = taken.message, taken.line
             try:
-                self._message(one)
+                self._message(taken)
             except _LeftOut as left:
                 self._leave_out(message, line, str(left))
             except (TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as error:
@@ -140,11 +140,19 @@ class _Builder:
 
     def _without_carriers(self, found: Sequence[_Taken]) -> list[_Taken]:
         """Return the messages but for the frames that carry the longer ones, which some databases have as messages."""
-        own = {id(one) for one in found if one.is_j1939 and CARRIER.is_own(one.message.frame_id | EXTENDED)}
-        for one in found:
-            if id(one) in own:
-                self._leave_out(one.message, one.line, "its frames carry the messages of more than 8 bytes")
-        return [one for one in found if id(one) not in own]
+        own = {
+            id(taken)
+            for taken in found
+            if taken.is_j1939 and CARRIER.is_own(taken.message.frame_id | EXTENDED)
+        }
+        for taken in found:
+            if id(taken) in own:
+                self._leave_out(
+                    taken.message,
+                    taken.line,
+                    "its frames carry the messages of more than 8 bytes",
+                )
+        return [taken for taken in found if id(taken) not in own]
 
     def _leave_out(self, message: Any, line: int, reason: str) -> None:
         self.problems.append(ImportProblem(line, f"message {clean_text(message.name)}: {reason}: left out"))
@@ -177,20 +185,20 @@ class _Builder:
         """Decide identifiers, formats and order of trial, each message seen beside the others."""
         alike: dict[tuple[int, bool], list[_Taken]] = {}
         groups: dict[int, list[_Taken]] = {}
-        for one in found:
-            if one.is_j1939:
-                groups.setdefault(_group(one.message.frame_id), []).append(one)
+        for taken in found:
+            if taken.is_j1939:
+                groups.setdefault(_group(taken.message.frame_id), []).append(taken)
             else:
-                alike.setdefault((one.message.frame_id, one.message.is_extended_frame), []).append(one)
+                alike.setdefault((taken.message.frame_id, taken.message.is_extended_frame), []).append(taken)
         for (identifier, is_extended), some in alike.items():
             some[0].any_format = len(some) == 1 and some[0].message.length <= 8
-            for one in some if is_extended else ():
-                one.overrides = tuple(other.name for other in groups.get(_group(identifier), ()))
+            for taken in some if is_extended else ():
+                taken.overrides = tuple(other.name for other in groups.get(_group(identifier), ()))
         for group, some in groups.items():
-            for one, pattern in zip(some, _patterns_of([one.message for one in some]), strict=True):
-                one.identifier = pattern
+            for taken, pattern in zip(some, _patterns_of([taken.message for taken in some]), strict=True):
+                taken.identifier = pattern
             if len(some) > 1:
-                names = ", ".join(clean_text(one.message.name) for one in some)
+                names = ", ".join(clean_text(taken.message.name) for taken in some)
                 text = f"messages of one parameter group ({group >> 8:05X}h): {names}: distinguished by source address"
                 self._note(some[0].line, text)
 
@@ -321,7 +329,7 @@ def _patterns_of(messages: Sequence[Any]) -> list[IdPattern]:
     # As few parts as tell all of them apart: the rest may be anything.
     telling: list[str] = []
     for name in parts:
-        mask = sum(masks[one] for one in telling)
+        mask = sum(masks[bit] for bit in telling)
         if len({identifier & mask for identifier in identifiers}) == len(identifiers):
             break
         telling.append(name)
@@ -348,11 +356,11 @@ def _shape(message: Any) -> tuple[Any, ...]:
     """Return how a message is laid out: equal for messages that give the same values of the same bytes."""
     return message.length, *(
         (
-            *(one.name, one.start, one.length, one.byte_order, one.is_signed, one.unit),
-            *(one.conversion.is_float, one.conversion.scale, one.conversion.offset),
-            *(one.multiplexer_signal, str(one.multiplexer_ids), str(one.conversion.choices)),
+            *(signal.name, signal.start, signal.length, signal.byte_order, signal.is_signed, signal.unit),
+            *(signal.conversion.is_float, signal.conversion.scale, signal.conversion.offset),
+            *(signal.multiplexer_signal, str(signal.multiplexer_ids), str(signal.conversion.choices)),
         )
-        for one in message.signals
+        for signal in message.signals
     )
 
 
@@ -361,7 +369,9 @@ def _doc_of(message: Any) -> str:
     senders = [str(sender) for sender in message.senders or () if sender]
     if senders:
         facts.append(f"sent by {', '.join(senders)}")
-    receivers = sorted({str(one) for signal in message.signals for one in signal.receivers or () if one})
+    receivers = sorted(
+        {str(receiver) for signal in message.signals for receiver in signal.receivers or () if receiver}
+    )
     if receivers:
         facts.append(f"to {', '.join(receivers)}")
     if message.cycle_time:
@@ -421,8 +431,8 @@ def _selectors_first(signals: Sequence[Any], by_name: Mapping[str, Any]) -> list
         while one is not None and id(one) not in done and not any(one is seen for seen in way):
             way.append(one)
             one = by_name.get(one.multiplexer_signal) if one.multiplexer_signal is not None else None
-        for one in reversed(way):
-            done.setdefault(id(one), one)
+        for signal in reversed(way):
+            done.setdefault(id(signal), signal)
     return list(done.values())
 
 

@@ -191,11 +191,13 @@ def _load_dbc(path: str, text: str) -> tuple[Any, list[ImportProblem], int, _Dec
     """Return the database, what is not in it, how many statements and signals there were, and where."""
     text = text.replace("\0", " ")
     statements = split_statements(text)
-    if not any(one.word for one in statements):
+    if not any(statement.word for statement in statements):
         raise CallerError(f"{path}: not a DBC file: no line of it begins a statement")
-    count = sum(1 + len(one.inner) for one in statements)
+    count = sum(1 + len(statement.inner) for statement in statements)
     _check_count(
-        path, sum(one.word == "BO_" for one in statements), sum(len(one.inner) for one in statements)
+        path,
+        sum(statement.word == "BO_" for statement in statements),
+        sum(len(statement.inner) for statement in statements),
     )
     kept, problems = safe_statements(statements)
     try:
@@ -208,7 +210,7 @@ def _load_dbc(path: str, text: str) -> tuple[Any, list[ImportProblem], int, _Dec
         kept, more = check(kept)
         problems += more
     database, kept = _searched(path, kept, problems)
-    count = max(count, len(problems) + sum(1 + len(one.inner) for one in kept))
+    count = max(count, len(problems) + sum(1 + len(statement.inner) for statement in kept))
     return database, problems, count, _Declared(kept)
 
 
@@ -243,19 +245,19 @@ def _parsed(path: str, statements: list[Statement]) -> tuple[list[Statement], li
                 f"{path}: it has statements that cannot be read, and to find them takes more than {MOST_PARSING:g} s;"
                 f" at line {pending[-1].line:,} of it: {len(problems):,} found"
             )
-        one = pending.pop()
-        if not one.word and not one.text.strip():
+        statement = pending.pop()
+        if not statement.word and not statement.text.strip():
             continue
-        found = None if one.word == "NS_" else complaint(one.whole)
+        found = None if statement.word == "NS_" else complaint(statement.whole)
         if found is None:
-            kept.append(one)
+            kept.append(statement)
             continue
-        if one.word == "BO_" and one.inner and not complaint(one.text):
-            behind = _parsed_signals(one, complaint, problems)
-            kept.append(one)
+        if statement.word == "BO_" and statement.inner and not complaint(statement.text):
+            behind = _parsed_signals(statement, complaint, problems)
+            kept.append(statement)
         else:
-            first, *behind = resplit(one)
-            inside = f", and with it its {len(one.inner)} signals" if one.inner else ""
+            first, *behind = resplit(statement)
+            inside = f", and with it its {len(statement.inner)} signals" if statement.inner else ""
             problems.append(first.problem(found.reason + inside, (found.line, found.column)))
         if behind:
             while pending and pending[-1].word == "SG_":
@@ -281,7 +283,9 @@ def _parsed_signals(
         first, *rest = resplit(signal)
         line = found.line - message.text.count("\n")
         problems.append(first.problem(found.reason, (line, found.column)))
-        own = next((n for n, one in enumerate(rest) if one.word not in ("SG_", "?", "")), len(rest))
+        own = next(
+            (n for n, statement in enumerate(rest) if statement.word not in ("SG_", "?", "")), len(rest)
+        )
         if own < len(rest):
             # Another message begins inside: what follows is that one's.
             behind = [*rest[own:], *waiting[::-1]]
@@ -297,7 +301,7 @@ def _searched(
     added to the problems."""
     until = time.monotonic() + MOST_SECONDS
     for _ in range(MOST_SEARCHES):
-        _check_any(path, [one for one in statements if one.word == "BO_"], problems)
+        _check_any(path, [statement for statement in statements if statement.word == "BO_"], problems)
         try:
             return _try(join_statements(statements), "dbc"), statements
         except Exception as error:  # as above
@@ -313,15 +317,19 @@ def _searched(
         if time.monotonic() >= until:
             break
         problems.append(statements[bad - 1].problem(reason))
-        statements = [one for index, one in enumerate(statements) if index != bad - 1]
+        statements = [statement for index, statement in enumerate(statements) if index != bad - 1]
     # Too many to find one by one: the messages alone, with what is said of them at all.
-    essential = [one for one in statements if one.word in ("BO_", "BU_", "SG_MUL_VAL_", "SIG_VALTYPE_")]
+    essential = [
+        statement
+        for statement in statements
+        if statement.word in ("BO_", "BU_", "SG_MUL_VAL_", "SIG_VALTYPE_")
+    ]
     try:
         database = _try(join_statements(essential), "dbc")
     except Exception as error:  # as above
         raise CallerError(f"{path}: not a DBC file that can be read: {_reason(error)}") from error
-    dropped = [one for one in statements if one not in essential and one.word]
-    problems += [one.problem("left out: too much of this file cannot be read") for one in dropped]
+    dropped = [statement for statement in statements if statement not in essential and statement.word]
+    problems += [statement.problem("left out: too much of this file cannot be read") for statement in dropped]
     return database, essential
 
 
@@ -335,17 +343,19 @@ class _Declared:
 
     def __init__(self, statements: Sequence[Statement]) -> None:
         self._messages: dict[int, list[tuple[str, Statement]]] = {}
-        for one in statements:
-            found = MESSAGE.match(one.text) if one.word == "BO_" else None
+        for statement in statements:
+            found = MESSAGE.match(statement.text) if statement.word == "BO_" else None
             if found is not None:
-                self._messages.setdefault(int(found[1]), []).append((found[2], one))
+                self._messages.setdefault(int(found[1]), []).append((found[2], statement))
         #: Of the message asked about last: the lines of its signals by place, with their names.
         self._signals: tuple[Statement | None, dict[tuple[int, int], list[tuple[str, int]]]] = (None, {})
 
     def __call__(self, message: Any, signal: Any) -> int:
         number = message.frame_id | (1 << 31 if message.is_extended_frame else 0)
         blocks = self._messages.get(number, [])
-        named = [one for name, one in blocks if name == message.name] or [one for _, one in blocks]
+        named = [candidate for name, candidate in blocks if name == message.name] or [
+            candidate for _, candidate in blocks
+        ]
         if not named:
             return 0
         block = named[0]
@@ -353,10 +363,10 @@ class _Declared:
             return block.line
         if self._signals[0] is not block:
             places: dict[tuple[int, int], list[tuple[str, int]]] = {}
-            for one in block.inner:
-                found = _PLACED.match(one.text)
+            for statement in block.inner:
+                found = _PLACED.match(statement.text)
                 if found is not None:
-                    places.setdefault((int(found[2]), int(found[3])), []).append((found[1], one.line))
+                    places.setdefault((int(found[2]), int(found[3])), []).append((found[1], statement.line))
             self._signals = block, places
         at_its_place = self._signals[1].get((signal.start, signal.length), ())
         lines = (line for name, line in at_its_place if name == signal.name or len(name) >= _SHORTENED)

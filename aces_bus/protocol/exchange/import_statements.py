@@ -60,7 +60,7 @@ class Statement(msgspec.Struct):
 
     @property
     def whole(self) -> str:
-        return self.text + "".join(one.whole for one in self.inner)
+        return self.text + "".join(statement.whole for statement in self.inner)
 
     def problem(self, reason: str, fault: tuple[int, int] | None = None) -> ImportProblem:
         """Return what is wrong with it; `fault` is the line (from 1) and the column of its text where."""
@@ -153,7 +153,7 @@ def safe_statements(statements: list[Statement]) -> tuple[list[Statement], list[
                     problems.append(signal.problem(f"{reason}: left out"))
             if head := MESSAGE.match(statement.text):
                 known = signals.setdefault(str(int(head[1])), set())
-                known.update(m[1] for one in statement.inner if (m := _SIGNAL.match(one.text)))
+                known.update(m[1] for inner in statement.inner if (m := _SIGNAL.match(inner.text)))
         kept.append(statement)
     crowded = _crowded(kept)
     left: list[Statement] = []
@@ -182,7 +182,9 @@ def _widened(statements: list[Statement]) -> list[ImportProblem]:
     """Set bit 31, which marks an identifier of 29 bits, where it is missing from one of more than 11 bits, there and
     wherever the message is referred to; the notes that say so."""
     heads = [
-        (int(m[1]), m[2], one) for one in statements if one.word == "BO_" and (m := MESSAGE.match(one.text))
+        (int(m[1]), m[2], statement)
+        for statement in statements
+        if statement.word == "BO_" and (m := MESSAGE.match(statement.text))
     ]
     numbers = {number for number, _, _ in heads}
     wide = {number for number in numbers if 0x7FF < number < 1 << 29 and number | 1 << 31 not in numbers}
@@ -193,16 +195,16 @@ def _widened(statements: list[Statement]) -> list[ImportProblem]:
         number = int(found[2])
         return f"{found[1]}{number | 1 << 31}" if number in wide else found[0]
 
-    for one in statements:
-        one.text = _REFERRED.sub(marked, one.text, count=1)
+    for statement in statements:
+        statement.text = _REFERRED.sub(marked, statement.text, count=1)
     return [
         ImportProblem(
-            one.line,
+            head.line,
             f"message {clean_text(name)}: identifier {number:X}h has more than 11 bits: taken for one of 29 bits,"
             " though bit 31 does not say so",
             is_note=True,
         )
-        for number, name, one in heads
+        for number, name, head in heads
         if number in wide
     ]
 
@@ -211,7 +213,7 @@ def usable(statements: list[Statement]) -> tuple[list[Statement], list[ImportPro
     """Without statements that cantools can parse and then refuses the file for, as far as a glance shows."""
     problems: list[ImportProblem] = []
     kept: list[Statement] = []
-    defined = {m[1] for one in statements if (m := _DEFINITION.match(one.text))}
+    defined = {m[1] for statement in statements if (m := _DEFINITION.match(statement.text))}
     for statement in statements:
         reason = ""
         attribute = _ATTRIBUTE.match(statement.text)

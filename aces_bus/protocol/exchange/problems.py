@@ -65,7 +65,7 @@ class ImportedProtocol(msgspec.Struct, frozen=True):
     @property
     def losses(self) -> list[ImportProblem]:
         """Problems that left something out of the protocol."""
-        return [one for one in self.problems if not one.is_note]
+        return [problem for problem in self.problems if not problem.is_note]
 
     @property
     def summary(self) -> str:

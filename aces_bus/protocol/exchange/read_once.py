@@ -34,4 +34,4 @@ def known_database(path: str, report: Callable[[ImportedProtocol], object]) -> P
 
 def problems_of(protocol: Protocol) -> list[ImportProblem]:
     """Return what could not be taken over of the file that a protocol comes from; none when it comes from no such file."""
-    return [p for one in _read.values() if one.protocol is protocol for p in one.problems]
+    return [p for reading in _read.values() if reading.protocol is protocol for p in reading.problems]

@@ -219,9 +219,9 @@ class Template:
             return []
         # What has not come yet is as the template demands, else zero.
         filled = bytearray(max(len(data), self.plan.least))
-        for one in self.plan.one_of:
-            number, size = one.number, one.number.size or 0
-            filled[number.offset : number.offset + size] = one.values[0].to_bytes(size, number.order)
+        for choice in self.plan.one_of:
+            number, size = choice.number, choice.number.size or 0
+            filled[number.offset : number.offset + size] = choice.values[0].to_bytes(size, number.order)
         for constant in self.plan.constants:
             filled[constant.offset] |= constant.value
         filled[: len(data)] = data

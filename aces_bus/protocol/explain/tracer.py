@@ -95,9 +95,12 @@ class Tracer(Reference):
             silent = at == end and found.is_silent
             framings = {t.framing for t in contest.alive if t.framing is not None}
             verdicts: dict[Framing | None, Judgement] = {
-                one: one.judge(prefix, 0, silent=silent, extras=self._extras[one]) for one in framings
+                framing: framing.judge(prefix, 0, silent=silent, extras=self._extras[framing])
+                for framing in framings
             }
-            sizes |= {one: known for one in framings if (known := _size_of(one, prefix)) is not None}
+            sizes |= {
+                framing: known for framing in framings if (known := _size_of(framing, prefix)) is not None
+            }
             contest.part(
                 (t, _death(t, prefix, verdicts[t.framing], sizes.get(t.framing), found, silent, is_last))
                 for t in contest.alive
@@ -236,7 +239,7 @@ class _Contest:
             if living:
                 return living[0]
             if died:
-                return next(one for one in self.templates if one.name == died[0].template)
+                return next(template for template in self.templates if template.name == died[0].template)
         return self.templates[0]
 
     def rows(self, found: ReferenceItem, cell: Callable[[Template, int], str]) -> tuple[TemplateTrace, ...]:
@@ -382,9 +385,9 @@ def captures(lead: Template, living: Sequence[Template], frame: Any) -> tuple[Fi
     raws = lead.message.identifier.match(frame.arbitration_id) or {}
     name = "" if len(living) <= 1 else lead.name
     return tuple(
-        FieldRead(name, one.name, one.to_physical(raws[one.name]), one.unit)
-        for one in lead.message.identifier.captures
-        if one.name in raws
+        FieldRead(name, capture.name, capture.to_physical(raws[capture.name]), capture.unit)
+        for capture in lead.message.identifier.captures
+        if capture.name in raws
     )
 
 

@@ -34,7 +34,7 @@ def why_unknown(item: Unknown, variants: Sequence[Variant], *, direction: GivenW
         attempts = tracer.explain_frames([frame])
     else:
         attempts = tracer.explain_stream(meta.raw)[:1]
-    near = {one.name for one in tracer.templates if _has_head(one.message, meta)}
+    near = {template.name for template in tracer.templates if _has_head(template.message, meta)}
     died = [
         death
         for attempt in attempts

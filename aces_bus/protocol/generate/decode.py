@@ -126,11 +126,11 @@ class Decoder(FunctionSetup):
                 tests.append(f"data[{constant.offset}] != {constant.value:#04x}")
             else:
                 tests.append(f"data[{constant.offset}] & {constant.mask:#04x} != {constant.value:#04x}")
-        for one in self.plan.one_of:
-            values = one.values
+        for choice in self.plan.one_of:
+            values = choice.values
             low, high = bounds(values)
             run = len(values) > 2 and len(values) == high - low + 1
-            number = self.fetch.integer(one.number, fetched=False)  # the test comes before the fetching
+            number = self.fetch.integer(choice.number, fetched=False)  # the test comes before the fetching
             if run and low == 0 and number.startswith("data["):
                 tests.append(f"{number} > {high}")
             else:

@@ -123,14 +123,14 @@ class Fetch(FunctionSetup):
     def _range_with(self, scalar: p.Scalar) -> FetchedBytes | None:
         first, last = min(scalar.bits) // 8, max(scalar.bits) // 8
         order = run_order(scalar)
-        for one in self.ranges:
+        for span in self.ranges:
             if (
-                one.is_unsigned
-                and one.start <= first
-                and last < one.end
-                and (one.order == order or one.end - one.start == 1)
+                span.is_unsigned
+                and span.start <= first
+                and last < span.end
+                and (span.order == order or span.end - span.start == 1)
             ):
-                return one
+                return span
         return None
 
     def _slice(self, start: int, end: int) -> str:

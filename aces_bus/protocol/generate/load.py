@@ -190,7 +190,8 @@ def list_reader(node: p.ListNode, name: str, raw: bool = False) -> Callable[[byt
     printed = ListDecoder(node, name, raw=raw)
     function = printed.print()
     fields = {
-        one.type_name: [f.name for f in one.fields] for one in p.nested_records([p.PlanField("items", node)])
+        record.type_name: [f.name for f in record.fields]
+        for record in p.nested_records([p.PlanField("items", node)])
     }
     names = {**_CALLED, **printed.names.bound}
     names |= {called: partial(_plain_part, fields[kind]) for called, kind in printed.types.items()}

@@ -38,18 +38,18 @@ from .templates import check_templates, check_wire
 
 def check_protocol(protocol: Protocol) -> list[Finding]:
     """Everything that can be said of one protocol, by file and line; what comments allow is left out."""
-    return sorted((one for one in every_finding(protocol) if not one.is_allowed), key=sort_key)
+    return sorted((finding for finding in every_finding(protocol) if not finding.is_allowed), key=sort_key)
 
 
 def every_finding(protocol: Protocol) -> Iterator[Finding]:
     """Yield the findings, also those that comments in the spec allow; each once."""
     seen: set[tuple[object, ...]] = set()
     for rule in (check_templates, check_framings, check_fields, check_examples):
-        for one in rule(protocol):
-            key = (one.rule, one.place, one.text)
+        for finding in rule(protocol):
+            key = (finding.rule, finding.place, finding.text)
             if key not in seen:
                 seen.add(key)
-                yield one
+                yield finding
 
 
 __all__ = ["LEVELS", "Finding", "Level", "check_protocol", "check_wire", "every_finding", "sort_key"]

@@ -185,7 +185,7 @@ def merge_example(found: Any, wanted: Any) -> Any:
     if isinstance(found, Mapping) and isinstance(wanted, Mapping):
         return {**found, **{name: merge_example(found.get(name), value) for name, value in wanted.items()}}
     if isinstance(found, list) and isinstance(wanted, (list, tuple)) and len(found) == len(wanted):
-        return [merge_example(one, other) for one, other in zip(found, wanted, strict=True)]
+        return [merge_example(pair, other) for pair, other in zip(found, wanted, strict=True)]
     return wanted
 
 
@@ -205,7 +205,7 @@ def agree(found: Any, wanted: Any) -> bool:
         return (
             isinstance(found, list)
             and len(found) == len(wanted)
-            and all(agree(one, other) for one, other in zip(found, wanted, strict=True))
+            and all(agree(pair, other) for pair, other in zip(found, wanted, strict=True))
         )
     if isinstance(found, float) or isinstance(wanted, float):
         if not isinstance(found, (int, float)) or not isinstance(wanted, (int, float)):

@@ -391,7 +391,7 @@ def declared_fields(protocol: Protocol) -> Iterator[Written]:
                 continue
             seen.add(key)
             yield item
-    for register in (one for table in protocol.register_maps for one in table.values()):
+    for register in (field for table in protocol.register_maps for field in table.values()):
         yield from _walk(register.field, "register", register.name, register.place)
 
 
@@ -414,8 +414,8 @@ def _walk(con: Any, owner: str, name: str, place: SourceLine) -> Iterator[Writte
         for slot in con.slots:
             yield from _walk(slot.field, owner, f"{name}.{slot.name}" if name else slot.name, place)
     elif isinstance(con, Delimited):
-        for one in con.fields:
-            yield from _walk(one, owner, name, place)
+        for field in con.fields:
+            yield from _walk(field, owner, name, place)
     elif isinstance(con, Items):
         for kind, data in con.data.items():
             yield from _walk(data, owner, f"{name}.{kind}", place)

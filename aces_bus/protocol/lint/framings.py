@@ -211,7 +211,7 @@ def _is_constant(message: Message, spans: dict[int, list[int]], tail: int) -> bo
     plan = message.plan
     if plan.lengths is None or len(plan.lengths) != 1:
         return False
-    fixed = {one.offset for one in plan.constants if one.mask == 0xFF}
+    fixed = {constant.offset for constant in plan.constants if constant.mask == 0xFF}
     size = plan.lengths[0]
     return set(spans.get(size, range(size))) - set(range(size - tail, size)) <= fixed
 
@@ -240,7 +240,7 @@ def _message_check(message: Message, check: Check) -> Iterator[Finding]:
                 "check-range",
                 f"its check leaves out {_listed(left, longest)}: a fault there goes unseen",
             )
-        fixed = {one.offset for one in message.plan.constants if one.mask == 0xFF}
+        fixed = {constant.offset for constant in message.plan.constants if constant.mask == 0xFF}
         if set(covered) <= fixed and not (_elsewhere(check) and len(message.identifier) > 1):
             yield _on(
                 message,

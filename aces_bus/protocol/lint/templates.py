@@ -262,12 +262,12 @@ def _implied(wanted: Demands, given: Demands) -> bool:
             if (number in choice.values) is choice.excluded:
                 return False
         elif not any(
-            one.bits == choice.bits
-            and not one.excluded
+            allowed.bits == choice.bits
+            and not allowed.excluded
             and not choice.excluded
-            and len(one.values) <= 65536
-            and all(value in choice.values for value in one.values)
-            for one in given.choices
+            and len(allowed.values) <= 65536
+            and all(value in choice.values for value in allowed.values)
+            for allowed in given.choices
         ):
             return False
     return True
@@ -333,10 +333,10 @@ def check_wire(variants: Sequence[Variant], level: Level = "error", where: str =
 
 def _collisions(first: Variant, second: Variant, level: Level, where: str) -> Iterator[Finding]:
     clashes: list[Conflict] = []
-    for one in first.messages.values():
+    for message in first.messages.values():
         for other in second.messages.values():
-            if one.framing is not None or not one.identifier.is_apart(other.identifier):
-                clash = conflict(one, other)
+            if message.framing is not None or not message.identifier.is_apart(other.identifier):
+                clash = conflict(message, other)
                 if clash is not None:
                     clashes.append(clash)
     clashes.sort(key=lambda clash: clash.witness is None)  # those with a packet to show first

@@ -98,9 +98,9 @@ class CanScanner:
 
     def _chain(self, found: Sequence[Decode]) -> Decode:
         def decode(*frame: Any) -> Any:
-            for one in found:
+            for decode_message in found:
                 try:
-                    record = one(*frame)
+                    record = decode_message(*frame)
                 except struct.error:
                     continue
                 if record is not None:
@@ -280,7 +280,7 @@ class CanScanner:
     def _find_carrier(self, key: int) -> _Carrier | None:
         """Whose frames have a key, which is remembered: the first protocol that has it in a transport decides."""
         transport = next((t for wire in self.wires if (t := wire.carried_by(key)) is not None), None)
-        found = next((one for one in self._carriers if one.transport == transport), None)
+        found = next((carrier for carrier in self._carriers if carrier.transport == transport), None)
         if len(self._carrier_of) < REMEMBERED:
             self._carrier_of[key] = found
         return found
@@ -301,10 +301,10 @@ class CanScanner:
                 if self._origins is not None:
                     self._origins.append(frames[-1].number)
                 return
-        for one in frames:
-            self._lost(one.frame, reason, out)
+        for frame in frames:
+            self._lost(frame.frame, reason, out)
             if self._origins is not None:
-                self._origins.append(one.number)
+                self._origins.append(frame.number)
 
     def _decoded(self, carrier: _Carrier, packet: Packet) -> tuple[Any, str]:
         """Return a packet's record; where it has none, the reason."""
@@ -321,7 +321,7 @@ class CanScanner:
                 if len(carrier.table) < REMEMBERED:
                     carrier.table[key] = decode
         if decode is not None:
-            raw = CarriedBytes.of(data, [one.data for one in frames], frames[0].time)
+            raw = CarriedBytes.of(data, [frame.data for frame in frames], frames[0].time)
             try:
                 record = decode(data, key, last.time, last.frame.channel, raw, last.frame.is_rx)
             except (KeyError, struct.error):
@@ -476,7 +476,7 @@ class CanScanner:
 
     def idle(self, time: float | None = None) -> list[Record]:
         """Silence: packets of a transport that wait too long at `time`, or for ever, are malformed. Frames are whole."""
-        return self._end([packet for one in self._carriers for packet in one.reassembler.idle(time)])
+        return self._end([packet for carrier in self._carriers for packet in carrier.reassembler.idle(time)])
 
     def close(self) -> list[Record]:
         """End a capture: frames of packets that are not whole are pending, and stay so."""
@@ -484,20 +484,20 @@ class CanScanner:
 
     def close_numbered(self) -> tuple[list[Record], list[int]]:
         """`close`, and for each that is given the number of its frame."""
-        packets = [packet for one in self._carriers for packet in one.reassembler.close()]
-        left = [one for packet in packets for one in packet.frames]
+        packets = [packet for carrier in self._carriers for packet in carrier.reassembler.close()]
+        left = [frame for packet in packets for frame in packet.frames]
         self._left += len(left)
         if not self.include_unknown:
             return [], []
-        out: list[Any] = [self._unknown(one.frame, "pending") for one in left]
+        out: list[Any] = [self._unknown(frame.frame, "pending") for frame in left]
         self._given[0] += len(out)
-        return out, [one.number for one in left]
+        return out, [frame.number for frame in left]
 
     def _end(self, packets: Iterable[Packet]) -> list[Record]:
         out: list[Any] = []
         for packet in packets:
-            for one in packet.frames:
-                self._lost(one.frame, packet.reason, out)
+            for frame in packet.frames:
+                self._lost(frame.frame, packet.reason, out)
         self._given[0] += len(out)
         return out
 

@@ -55,7 +55,7 @@ class _Index:
             if message.identifier.match(identifier) is not None and key & _KINDS in _kinds_of(message)
         ]
         if len(found) > 1:
-            found.sort(key=lambda one: one[0])
+            found.sort(key=lambda entry: entry[0])
         return [message for _, message in found]
 
 

@@ -77,7 +77,7 @@ class Context:
                 self._link(message, message.reply_to, is_sticky=False)
                 self._link(message, message.after, is_sticky=True)
             elif message.name in self.answers:
-                some = tuple(one for one in message.reply_to if one.message.name in self.requests)
+                some = tuple(request for request in message.reply_to if request.message.name in self.requests)
                 self._link(message, some, is_sticky=False)
 
     def _link(self, message: Message, requests: Sequence[Request], *, is_sticky: bool) -> None:

@@ -396,7 +396,7 @@ class StreamScanner:
         """Number of bytes that were unstuffed so far to find packets, both real and false ones."""
         if not self._segments:
             return 0
-        return self._counts.decoded + self._counts.unknown + sum(one.work for one in self._segments)
+        return self._counts.decoded + self._counts.unknown + sum(segment.work for segment in self._segments)
 
 
 def has_size(framing: Framing) -> bool:

@@ -48,7 +48,7 @@ def choose(plans: Sequence[MessagePlan], tried: frozenset[int] = frozenset()) ->
 def _fixed_bytes(plan: MessagePlan) -> dict[int, tuple[int, ...]]:
     """Return the bytes that a message allows only some values, by offset."""
     found: dict[int, tuple[int, ...]] = {c.offset: (c.value,) for c in plan.constants if c.mask == 0xFF}
-    for one in plan.one_of:
-        if one.number.size == 1:
-            found[one.number.offset] = tuple(one.values)
+    for choice in plan.one_of:
+        if choice.number.size == 1:
+            found[choice.number.offset] = tuple(choice.values)
     return found

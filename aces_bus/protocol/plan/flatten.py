@@ -98,7 +98,7 @@ def flatten(message: Message) -> p.MessagePlan:
 
 def _opaque(message: Message, name: str, reason: str) -> p.Opaque:
     """Return a field that construct decodes, with what is known of its inside."""
-    items: Any = next((one for one in getattr(message.payload, "subcons", ()) if one.name == name), None)
+    items: Any = next((item for item in getattr(message.payload, "subcons", ()) if item.name == name), None)
     while isinstance(items, c.Renamed):
         items = items.subcon
     if isinstance(items, Items):
@@ -388,7 +388,7 @@ class _Builder:
         return p.ItemKind(kind, items.numbers[kind], plan, items.fixed_size(kind))
 
     def _tagged(self, items: Items, path: str, kinds: Sequence[p.ItemKind]) -> p.TaggedItems:
-        name = self._group(path, [p.PlanField(one, p.Opaque("")) for one in ITEM]).type_name
+        name = self._group(path, [p.PlanField(part, p.Opaque("")) for part in ITEM]).type_name
         tag, size = (
             None
             if number is None
@@ -414,7 +414,7 @@ class _Builder:
         name = ""
         number: p.Scalar | None = None
         if count is not None:
-            names = {one.path: one.node for one in p.walk(fields)}
+            names = {node_path.path: node_path.node for node_path in p.walk(fields)}
             name = next((name for name in names if repr(count) == repr(_asked(name))), "")
             found = names.get(name)
             if not isinstance(found, p.Scalar) or found.kind != "uint" or found.steps or found.size is None:
@@ -463,7 +463,7 @@ class _Builder:
         else:
             node = inner._node(con, path)
         found = p.walk([p.PlanField("data", node)])
-        if not may_hold_lists and any(isinstance(one.node, p.ListNode) for one in found):
+        if not may_hold_lists and any(isinstance(node_path.node, p.ListNode) for node_path in found):
             raise NotFlat("lists of items inside one another")
         is_fixed = not inner.is_open and inner.lengths_by is None
         return p.MessagePlan(

@@ -619,7 +619,7 @@ class TaggedItems(ListNode, msgspec.Struct, frozen=True):
 
     @property
     def records(self) -> Sequence[NestedRecord]:
-        return [*(one for plan in self.plans for one in nested_records(plan.fields)), self.record]
+        return [*(record for plan in self.plans for record in nested_records(plan.fields)), self.record]
 
     def shaped(self, reader: ShapeReader[T]) -> T:
         return reader.tagged(self, self.type_name, self.kinds)
@@ -627,12 +627,12 @@ class TaggedItems(ListNode, msgspec.Struct, frozen=True):
     def inside(self, leaf: NodePath) -> Iterator[NodePath]:
         """Yield the values of the first good item of each kind."""
         for kind in self.kinds:
-            for one in kind.plan.leaves:
-                path = ".".join([leaf.path, kind.name, *map(str, one.way[1:])])
-                doc = one.doc or leaf.doc
-                way = (*leaf.way, FirstOf(kind.name, kind.number), *one.way)
+            for inner in kind.plan.leaves:
+                path = ".".join([leaf.path, kind.name, *map(str, inner.way[1:])])
+                doc = inner.doc or leaf.doc
+                way = (*leaf.way, FirstOf(kind.name, kind.number), *inner.way)
                 yield NodePath(
-                    path, way, one.node, leaf.field, doc, leaf.whens, leaf.conditions, kind, one.path
+                    path, way, inner.node, leaf.field, doc, leaf.whens, leaf.conditions, kind, inner.path
                 )
 
 
@@ -665,13 +665,21 @@ class Repeated(ListNode, msgspec.Struct, frozen=True):
 
     def inside(self, leaf: NodePath) -> Iterator[NodePath]:
         """Return for each value of a group the list of all groups' values."""
-        for one in self.plan.leaves:
-            if len(one.way) == 1:
+        for inner in self.plan.leaves:
+            if len(inner.way) == 1:
                 continue  # a group of one number is the list itself
-            path = ".".join([leaf.path, *map(str, one.way[1:])])
-            way = (*leaf.way, EACH, *one.way[1:])
+            path = ".".join([leaf.path, *map(str, inner.way[1:])])
+            way = (*leaf.way, EACH, *inner.way[1:])
             yield NodePath(
-                path, way, Each(one.node), leaf.field, one.doc, leaf.whens, leaf.conditions, None, one.path
+                path,
+                way,
+                Each(inner.node),
+                leaf.field,
+                inner.doc,
+                leaf.whens,
+                leaf.conditions,
+                None,
+                inner.path,
             )
 
 
@@ -858,12 +866,12 @@ class DescribedItems(Opaque, frozen=True):
     def inside(self, leaf: NodePath) -> Iterator[NodePath]:
         """Yield what is in the first good item of each kind; of lists in its data every value."""
         for kind in self.items.kinds:
-            for one in kind.plan.columns:
-                path = f"{leaf.path}.{kind.name}{one.path.removeprefix('data')}"
-                way = (*leaf.way, FirstOf(kind.name, kind.number), *one.way)
-                doc = one.doc or leaf.doc
+            for column in kind.plan.columns:
+                path = f"{leaf.path}.{kind.name}{column.path.removeprefix('data')}"
+                way = (*leaf.way, FirstOf(kind.name, kind.number), *column.way)
+                doc = column.doc or leaf.doc
                 yield NodePath(
-                    path, way, one.node, leaf.field, doc, leaf.whens, leaf.conditions, kind, one.path
+                    path, way, column.node, leaf.field, doc, leaf.whens, leaf.conditions, kind, column.path
                 )
 
 
@@ -1031,7 +1039,7 @@ class MessagePlan(msgspec.Struct, frozen=True, dict=True, weakref=True):
     @cached_property
     def leaves(self) -> tuple[NodePath, ...]:
         """The single values of a record, in order; a list of items is one."""
-        return tuple(one for one in self.walk() if one.node.is_leaf)
+        return tuple(path for path in self.walk() if path.node.is_leaf)
 
     @cached_property
     def columns(self) -> tuple[NodePath, ...]:

@@ -197,7 +197,7 @@ class _Builder:
     def build(self) -> Protocol:
         if len(self.pgns) > MOST_PGNS:
             raise CallerError(f"{self.path}: {len(self.pgns):,} PGNs; at most {MOST_PGNS:,} are read")
-        if sum(len(one.get("Fields") or ()) for one in self.pgns if isinstance(one, dict)) > MOST_FIELDS:
+        if sum(len(pgn.get("Fields") or ()) for pgn in self.pgns if isinstance(pgn, dict)) > MOST_FIELDS:
             raise CallerError(f"{self.path}: more than {MOST_FIELDS:,} fields")
         if sum(map(len, [*self.names.values(), *self.flags.values()])) > MOST_NAMES:
             raise CallerError(f"{self.path}: more than {MOST_NAMES:,} names of values")
@@ -232,7 +232,7 @@ class _Builder:
                 f"of the type {one_line(str(kind))[:20]}, sent in a way that is neither one frame nor a fast packet"
             )
         return _Form(
-            given, line, str(given.get("Id") or f"pgn{number}"), number, [_field(one) for one in fields]
+            given, line, str(given.get("Id") or f"pgn{number}"), number, [_field(field) for field in fields]
         )
 
     def _declare_all(self, forms: Sequence[_Form]) -> None:
@@ -241,7 +241,9 @@ class _Builder:
         for form in sorted(forms, key=lambda form: form.fixed):
             name, known = unused(form.id, self.taken), len(self.problems)
             try:
-                made = self._declare(form, name, tuple(one for fixed, one in declared if fixed < form.fixed))
+                made = self._declare(
+                    form, name, tuple(entry for fixed, entry in declared if fixed < form.fixed)
+                )
             except (_LeftOut, AcesError) as reason:
                 del self.problems[known:]
                 said = re.sub(r" \([^()]*:\d+\)", "", without_place(reason)).partition("; say what")[0]
@@ -288,8 +290,8 @@ class _Builder:
             if self.named > MOST_NAMES:
                 raise _LeftOut(f"more than {MOST_NAMES:,} names of values in all")
         sentinels = (_whole(get(key)) for key in ("UnknownValue", "OutOfRangeValue", "ReservedValue"))
-        unknown = [one for one in sentinels if one is not None and low <= one <= high]
-        unknown = [one for one in dict.fromkeys(unknown) if one not in names.values()]
+        unknown = [special for special in sentinels if special is not None and low <= special <= high]
+        unknown = [special for special in dict.fromkeys(unknown) if special not in names.values()]
         scale, offset = _factor(get("Resolution"), 1), _factor(get("Offset"), 0)
         if names and scale == 1 and not offset and not unknown:
             return Enumeration(place, names)
@@ -305,10 +307,10 @@ class _Shape:
     def __init__(self, builder: _Builder, form: _Form) -> None:
         self.builder, self.form = builder, form
         self.taken = {"reserved", TRAILING, *TAKEN_BY_RECORDS, "priority", "source", "destination"}
-        for one in form.fields:
-            if one.kind in _SHAPED:
-                raise _LeftOut(_SHAPED[one.kind])
-            if "Condition" in one.given:
+        for field in form.fields:
+            if field.kind in _SHAPED:
+                raise _LeftOut(_SHAPED[field.kind])
+            if "Condition" in field.given:
                 raise _LeftOut("a field that is there on a condition")
         self.groups = _groups(form)
         self.places = {field: place for place, field in enumerate(form.fields)}
@@ -319,7 +321,7 @@ class _Shape:
         """Return the prefix, what it must be, and the payload behind it."""
         fields = self.form.fields
         end = self.groups[0][0] if self.groups else len(fields)
-        if any(one.match is not None for one in fields[end:]):
+        if any(field.match is not None for field in fields[end:]):
             raise _LeftOut("a fixed value in a list")
         cells = list(_cells(fields[:end]))
         heads = max(
@@ -550,17 +552,17 @@ def _tables(table: Mapping[str, Any], key: str, values: str, number: str) -> dic
     behind it.
     """
     found: dict[str, dict[str, int]] = {}
-    for one in table.get(key) or ():
+    for listed in table.get(key) or ():
         names: dict[str, int] = {}
         seen: set[int] = set()
-        for entry in (one.get(values) if isinstance(one, dict) else None) or ():
+        for entry in (listed.get(values) if isinstance(listed, dict) else None) or ():
             value = _whole(entry.get(number)) if isinstance(entry, dict) else None
             name = clean_text(str(entry.get("Name") or "")) if value is not None else ""
             if value is not None and name and value not in seen:
                 seen.add(value)
                 names[name if name not in names else f"{name} {value}"] = value
-        if isinstance(one, dict):
-            found[str(one.get("Name"))] = names
+        if isinstance(listed, dict):
+            found[str(listed.get("Name"))] = names
     return found
 
 

@@ -50,12 +50,12 @@ def load_eds(path: str) -> ImportedProtocol:
     """Return the PDOs of a file as a protocol. Raises `CallerError` when nothing of it can be read."""
     text = read_text(path, path.rpartition(".")[2])
     sections, problems = _sections(text)
-    if not any(_INDEX.match(one.name) for one in sections):
+    if not any(_INDEX.match(section.name) for section in sections):
         raise CallerError(
             f"{path}: not an EDS or DCF file: no section of it is an object ([1000], [1A00sub1], …)"
         )
     dictionary, more = _dictionary(sections)
-    built = _Builder(dictionary, path, {one.name.lower(): one.line for one in reversed(sections)})
+    built = _Builder(dictionary, path, {section.name.lower(): section.line for section in reversed(sections)})
     protocol = built.build()
     return ImportedProtocol(protocol, tuple(sorted([*problems, *more, *built.problems])), len(sections), path)
 
@@ -118,17 +118,17 @@ def _sections(text: str) -> tuple[list[_Section], list[ImportProblem]]:
 
 def _dictionary(sections: Sequence[_Section]) -> tuple[Any, list[ImportProblem]]:
     """canopen's object dictionary; objects that it cannot read are left out."""
-    general = [one for one in sections if one.name.lower() == "devicecomissioning"]
+    general = [section for section in sections if section.name.lower() == "devicecomissioning"]
     objects: dict[int, list[_Section]] = {}
-    for one in sections:
-        found = _INDEX.match(one.name)
+    for section in sections:
+        found = _INDEX.match(section.name)
         if found is not None:
-            objects.setdefault(int(found[1], 16), []).append(one)
-    types = [one for index, some in objects.items() if index < 0x1000 for one in some]
+            objects.setdefault(int(found[1], 16), []).append(section)
+    types = [section for index, some in objects.items() if index < 0x1000 for section in some]
     groups = [some for index, some in objects.items() if index >= 0x1000]
     problems: list[ImportProblem] = []
     try:
-        return _read([*general, *types, *(one for some in groups for one in some)]), problems
+        return _read([*general, *types, *(section for some in groups for section in some)]), problems
     except Exception:  # whatever a parser of a damaged file may raise
         pass
     for part in (general, types):
@@ -136,8 +136,8 @@ def _dictionary(sections: Sequence[_Section]) -> tuple[Any, list[ImportProblem]]
             _read(part)
         except Exception as error:  # as above
             problems += [
-                ImportProblem(one.line, f"cannot be read: {excerpt(str(error))}", f"[{one.name}]")
-                for one in part
+                ImportProblem(section.line, f"cannot be read: {excerpt(str(error))}", f"[{section.name}]")
+                for section in part
             ]
             part.clear()
     kept: list[_Section] = []
@@ -156,7 +156,7 @@ def _read(sections: Sequence[_Section]) -> Any:
         from canopen.objectdictionary.eds import import_eds
     except ImportError:
         raise CallerError("EDS and DCF files need canopen: pip install canopen") from None
-    text = "[DeviceInfo]\n" + "".join(one.text for one in sections)
+    text = "[DeviceInfo]\n" + "".join(section.text for section in sections)
     # With a node's number canopen resolves $NODEID; 0 leaves what is added to it.
     is_known = re.search(r"(?im)^NodeID=", text) is not None
     read: Any = import_eds  # has no types

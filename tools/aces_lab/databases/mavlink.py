@@ -93,7 +93,7 @@ class _Builder:
     def __init__(self, dialect: Dialect) -> None:
         self.dialect = dialect
         path = dialect.path
-        has_v1 = any(one.number <= MOST_V1 for one in dialect.messages)
+        has_v1 = any(message.number <= MOST_V1 for message in dialect.messages)
         self.protocol = Protocol(
             protocol_name(path),
             link="serial",
@@ -144,17 +144,17 @@ class _Builder:
 
     def build(self) -> Protocol:
         numbers: dict[int, str] = {}
-        for one in self.dialect.messages:
+        for message in self.dialect.messages:
             try:
-                if one.reason:
-                    raise _LeftOut(one.reason)
-                if one.number in numbers:
-                    raise _LeftOut(f"{numbers[one.number]} has its number {one.number}")
-                self._message(one)
-                numbers[one.number] = one.name
+                if message.reason:
+                    raise _LeftOut(message.reason)
+                if message.number in numbers:
+                    raise _LeftOut(f"{numbers[message.number]} has its number {message.number}")
+                self._message(message)
+                numbers[message.number] = message.name
             except (_LeftOut, AcesError) as reason:
-                said = f"message {one_line(one.name)[:60]}: {without_place(reason)}: left out"
-                self.dialect.problem(one.file, one.line, said)
+                said = f"message {one_line(message.name)[:60]}: {without_place(reason)}: left out"
+                self.dialect.problem(message.file, message.line, said)
         return self.protocol
 
     def _message(self, one: DialectMessage) -> None:

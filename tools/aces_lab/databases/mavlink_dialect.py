@@ -75,17 +75,19 @@ class DialectMessage:
     @property
     def base(self) -> list[DialectField]:
         """The fields that both versions have, as on the wire."""
-        return sorted((one for one in self.fields if not one.is_extension), key=lambda one: -one.size)
+        return sorted(
+            (field for field in self.fields if not field.is_extension), key=lambda field: -field.size
+        )
 
     @property
     def extensions(self) -> list[DialectField]:
-        return [one for one in self.fields if one.is_extension]
+        return [field for field in self.fields if field.is_extension]
 
     def extra(self, crc: Crc) -> bytes:
         """Return the byte that ends what the check covers."""
         data = f"{self.name} ".encode()
-        for one in self.base:
-            data += f"{one.type} {one.name} ".encode() + bytes([one.count] * bool(one.count))
+        for member in self.base:
+            data += f"{member.type} {member.name} ".encode() + bytes([member.count] * bool(member.count))
         number = crc.compute(data)
         return bytes([number & 0xFF ^ number >> 8])
 
@@ -100,7 +102,7 @@ class DialectEnum:
     def add(self, other: DialectEnum) -> None:
         """Take over what another file has of the same enumeration."""
         self.is_bitmask = self.is_bitmask or other.is_bitmask
-        highest = max((one for one in self.entries.values() if one is not None), default=0)
+        highest = max((entry for entry in self.entries.values() if entry is not None), default=0)
         for name, value in other.entries.items():
             value = highest + 1 if value is None else value
             highest = max(highest, value)
