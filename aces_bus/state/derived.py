@@ -229,9 +229,9 @@ def _unit(name: str, symbol: str, left: str | None, right: str | None) -> str | 
 
 def _common_clock(name: str, inputs: Sequence[TimeSeries]) -> Clock:
     first = inputs[0].clock
-    for one in inputs[1:]:
-        both_real = one.clock.name == first.name == RealClock.name
-        if one.clock is not first and not both_real:
+    for quantity in inputs[1:]:
+        both_real = quantity.clock.name == first.name == RealClock.name
+        if quantity.clock is not first and not both_real:
             raise StateError(
                 f"{name}: {inputs[0].name!r} and {quantity.name!r} have different clocks, and their instants cannot be "
                 "compared; give both states the same clock=…"

@@ -263,4 +263,7 @@ class CanopenNode(Device):
 
 def _printable(data: bytes) -> str:
     """Text of a device, without what a terminal would take for a command."""
-    return "".join(one if one.isprintable() else "?" for one in data.decode("ascii", "replace").rstrip("\0"))
+    return "".join(
+        character if character.isprintable() else "?"
+        for character in data.decode("ascii", "replace").rstrip("\0")
+    )

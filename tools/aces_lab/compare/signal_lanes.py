@@ -50,9 +50,11 @@ class LaneSignals:
 
     def find(self, subject: DeviceMessage, path: str, any_channel: bool) -> Series | None:
         """Return a signal of a message; None where nothing is kept of it."""
-        for one in self.collector.series.values():
-            if one.signal.path == path and is_of(_subject(one.signal.owner, one.key), subject, any_channel):
-                return None if one.others or not one.points()[0].size else one
+        for series in self.collector.series.values():
+            if series.signal.path == path and is_of(
+                _subject(series.signal.owner, series.key), subject, any_channel
+            ):
+                return None if series.others or not series.points()[0].size else series
         return None
 
 
