@@ -47,7 +47,8 @@ MODULES = (
     "aces_bus/controller/guard.py",
     "devices/aces_devices/hubo_motor/channel.py",
     "devices/aces_devices/joint_model.py",
-    "devices/aces_devices/hubo_motor/board.py",
+    "devices/aces_devices/hubo_motor/axis.py",
+    "devices/aces_devices/hubo_motor/driver.py",
     "devices/aces_devices/hubo_sensors/body.py",
 )
 

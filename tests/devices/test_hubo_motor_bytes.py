@@ -22,9 +22,9 @@ from aces_bus.protocol import Message
 from aces_bus.protocol.declare.examples import Example
 from aces_bus.robot import VirtualRobot, load_robot, parse_robot
 from aces_devices.hubo_motor import driver
+from aces_devices.hubo_motor.axis import compliant_duty
 from aces_devices.hubo_motor.driver import HuboMotor
 from aces_devices.hubo_motor.shapes import SHAPES
-from aces_devices.hubo_motor.switching import compliant_duty
 from aces_protocols.hubo.spec import hubo
 
 

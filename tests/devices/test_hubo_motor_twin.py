@@ -14,6 +14,7 @@ from aces_bus.frames import Frame
 from aces_bus.protocol import make_scanner
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_devices.hubo_motor import D08, D12, driver
+from aces_devices.hubo_motor.axis import home_fields
 from aces_devices.hubo_motor.twin import HuboMotorTwin
 from aces_protocols.hubo.spec import hubo
 
@@ -294,7 +295,7 @@ def test_nothing_malformed_is_ever_answered() -> None:
         assert kept == [0, 0]
         assert twin.replies - before <= 3  # what the polls asked for meanwhile
         with pytest.raises(CallerError):
-            board.home_fields(board.axes[0])
+            home_fields(board.name, board.axes[0], 2)
 
 
 def test_an_old_board_tells_its_index() -> None:

@@ -35,7 +35,7 @@ from aces_protocols.hubo.d15 import NUMBERS, POWER
 
 from ..joint_model import AMBIENT, MotorJoint, MotorModel
 from ..scanning import scan_numbers
-from .board import MotorAxis
+from .axis import MotorAxis
 
 REPLIES = ("StatusD15", "StatusShortD15")
 STATUS_S, TEMPERATURE_S = 0.1, 1.0
