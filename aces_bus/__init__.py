@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from .recordings import open_recording
     from .recordings.decode import decode
     from .robot import load_robot
+    from .testing.twin import twin
 
 __version__ = "0.1.0"
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "load_robot",
     "make_scanner",
     "open_recording",
+    "twin",
 ]
 
 __getattr__, __dir__ = lazy_names(
@@ -47,5 +49,6 @@ __getattr__, __dir__ = lazy_names(
         ".recordings": "open_recording",
         ".recordings.decode": "decode",
         ".robot": "load_robot",
+        ".testing.twin": "twin",
     },
 )

@@ -146,6 +146,9 @@ class Twin(EndpointMember):
     def setup(self) -> None:
         """Make the state of a device that was just powered."""
 
+    def draw(self, dice: random.Random, share: float = 1.0) -> None:
+        """Draw what it measures and holds anew, from the middle `share` of its range; this kind has nothing to draw."""
+
     def received(self, record: Any, instant: int) -> None:
         """Take a request that has no handler."""
 

@@ -12,6 +12,7 @@ import tomllib
 from collections.abc import Mapping
 from importlib.resources.abc import Traversable
 from pathlib import Path
+from random import Random
 from typing import Any
 
 from aces_bus.errors import CallerError, UnknownNameError
@@ -51,6 +52,23 @@ def data_of(what: str, value: Any, type: str, size: int, scale: float, offset: f
     except (struct.error, OverflowError, ValueError, TypeError):
         raise CallerError(f"{what}: {value!r} {unit} does not fit into {type}") from None
     return data
+
+
+def drawn(dice: Random, type: str, size: int, share: float = 1.0) -> bytes:
+    """Return the bytes of a drawn number, from the middle `share` of its type's range; of a text, letters.
+
+    A float is within a million.
+    """
+    code = NUMBERS.get(type)
+    if code is None:
+        return bytes(dice.choice(b"abcdefghijklmnopqrstuvwxyz") for _ in range(size))
+    if code in "fd":
+        return struct.pack(f">{code}", dice.uniform(-1e6, 1e6) * share)
+    whole = 1 << 8 * struct.calcsize(code)
+    middle = 0 if code.islower() else whole // 2
+    number = middle + int(dice.uniform(-0.5, 0.5) * share * whole)
+    low = -(whole // 2) if code.islower() else 0
+    return struct.pack(f">{code}", max(low, min(low + whole - 1, number)))
 
 
 def entries_of(

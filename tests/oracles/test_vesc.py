@@ -1,16 +1,10 @@
-"""PyVESC, unmodified, with our twin of a VESC at a pseudo-terminal.
-
-The package `pyvesc` cannot be imported any more. pyvesc-fix has it as `pyvesc_fix`, where it still looks for itself as
-`pyvesc`, and brings a package `tests`: so it is installed in a folder of its own (Makefile), and imported as `pyvesc`.
-"""
+"""PyVESC, unmodified, with our twin of a VESC at a pseudo-terminal."""
 
 from __future__ import annotations
 
-import importlib.util
-import sys
+import importlib
 from collections.abc import Generator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -19,25 +13,11 @@ from aces_bus.device import Robot
 from aces_bus.robot import parse_robot
 from aces_devices.vesc.twin import VescUartTwin
 from aces_protocols.vesc_uart.spec import vesc_uart
+from tests.oracles.pyvesc import pyvesc_module
 from tests.oracles.served import PATIENCE_S, wait_until
 from tests.oracles.terminals import Terminal, twins_at_a_terminal
 
-
-def _pyvesc() -> Any:
-    package = Path(sys.prefix) / "pyvesc" / "pyvesc_fix"
-    if not package.is_dir():
-        pytest.skip("needs pyvesc-fix in a folder of its own: make test-oracles", allow_module_level=True)
-    spec = importlib.util.spec_from_file_location(
-        "pyvesc", package / "__init__.py", submodule_search_locations=[str(package)]
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    made = sys.modules["pyvesc"] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(made)
-    return made
-
-
-pyvesc: Any = _pyvesc()
+pyvesc: Any = pyvesc_module()
 messages: Any = importlib.import_module("pyvesc.VESC.messages")
 pytestmark = pytest.mark.filterwarnings("ignore:isSet:DeprecationWarning")
 

@@ -22,9 +22,9 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, TypeVar
 
 from can import CanInitializationError, CanOperationError, Message
 
@@ -35,6 +35,8 @@ from ..python_can import QUEUE, VirtualBus, copy_message, frame_to_message
 from ..served.address import is_served
 from .bus import NO_FAULTS, BusNode, Faults, SimulatedBus
 from .bus_event import SimulatedBusEvent
+
+T = TypeVar("T")
 
 
 class Medium:
@@ -85,7 +87,8 @@ def virtual_clock(*channels: str, clock: VirtualClock | None = None) -> Generato
 class AcesBus(VirtualBus):
     """A node on a virtual bus.
 
-    `channel`: its name. `bitrate`, `data_bitrate`: bit/s. `fd`: whether the node takes CAN FD. `physics`: see the module.
+    `channel`: its name. `bitrate`, `data_bitrate`: bit/s; None: those of the open channel, else 500,000 and no other.
+    `fd`: whether the node takes CAN FD. `physics`: see the module.
     `listen_only`: never sends, not even an acknowledgement. `faults`: a `Faults`, of whoever opens the channel first.
     `restart_ms`: comes back from bus-off by itself after so long. `rx_queue_size`: frames kept unread.
 
@@ -104,7 +107,7 @@ class AcesBus(VirtualBus):
         channel: Any = "can0",
         can_filters: Any = None,
         *,
-        bitrate: int = 500_000,
+        bitrate: int | None = None,
         data_bitrate: int | None = None,
         fd: bool = False,
         physics: bool = True,
@@ -116,9 +119,14 @@ class AcesBus(VirtualBus):
         **more: Any,
     ) -> None:
         name = str(channel)
-        settings = (int(bitrate), None if data_bitrate is None else int(data_bitrate), faults, bool(physics))
         with _media_lock:
             medium = _media.get(name)
+            usual = (500_000, None) if medium is None else medium.settings[:2]
+            rates = (None if rate is None else int(rate) for rate in (bitrate, data_bitrate))
+            settings = (
+                *(known if rate is None else rate for rate, known in zip(rates, usual, strict=True)),
+                *(faults, bool(physics)),
+            )
             if medium is None:
                 medium = Medium(name, settings, _clocks.get(name), physics=bool(physics))
                 _media[name] = medium
@@ -236,6 +244,14 @@ class AcesBus(VirtualBus):
             found = self._next()
             if found is not None:
                 return found
+
+    def call(self, action: Callable[[], T]) -> T:
+        """Return what `action()` returns, called while no other thread moves the wire, which has been moved up to now."""
+        with self._medium.changed:
+            self._medium.move_on()
+            result = action()
+            self._medium.changed.notify_all()
+        return result
 
     def flush_tx_buffer(self) -> None:
         """Drop what waits to be sent."""

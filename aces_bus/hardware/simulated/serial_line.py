@@ -11,13 +11,15 @@ node that echoes hears itself.
 **Not modelled**: clock tolerance, receivers that lose step inside a byte, drivers that are slow to let go of the wire.
 
 `PtyPort` is a pseudo-terminal onto a line, which foreign programs open like any port. They block in real time, so the line
-is paced: virtual time follows this machine's clock, on one thread that ends with `close`."""
+is paced: virtual time follows this machine's clock, on one thread that ends with `close`. At another speed than the line's
+they are not understood, and counted."""
 
 from __future__ import annotations
 
 import os
 import random
 import select
+import struct
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -289,6 +291,20 @@ class SimulatedSerialLine:
 
 #: Seconds after which time is moved on though nothing came and nothing was to happen.
 STEP_S = 0.002
+#: How far a receiver's speed may be off: ten bits, of which the last is sampled in its middle.
+TUNED = 0.03
+#: Linux's TCGETS2, and the size of what it fills: four words, a line discipline, 19 characters, both speeds (asm-generic).
+_TCGETS2, _TERMIOS2 = 0x802C542A, struct.Struct("=4I20x2I")
+
+
+def terminal_speed(file: int) -> int | None:
+    """Return the speed that a program has given a terminal (bit/s); None where the system does not say."""
+    try:
+        import fcntl
+
+        return int(_TERMIOS2.unpack(fcntl.ioctl(file, _TCGETS2, bytes(_TERMIOS2.size)))[-1])
+    except (ImportError, OSError):
+        return None
 
 
 class PtyPort:
@@ -302,6 +318,7 @@ class PtyPort:
 
     def __init__(self, wire: SimulatedSerialLine, name: str = "pty", *, whole: bool = False) -> None:
         try:
+            import termios
             import tty
         except ImportError as error:  # Windows
             raise CallerError("pseudo-terminals are not to be had on this system") from error
@@ -309,10 +326,14 @@ class PtyPort:
         self.lock = threading.RLock()
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
+        settings = termios.tcgetattr(self._slave)
+        settings[4:6] = [termios.B50] * 2  # of who never sets a speed; nobody means it
+        termios.tcsetattr(self._slave, termios.TCSANOW, settings)
+        self._untouched = terminal_speed(self._slave)
         os.set_blocking(self._master, False)
         self.path = os.ttyname(self._slave)
-        #: Bytes that the program did not read in time.
-        self.dropped = 0
+        #: Bytes that the program did not read in time, and those that it sent at another speed than the line's.
+        self.dropped = self.mistuned = 0
         self.node: SerialNode = wire.attach(name, self._received, echo=False, whole=whole)
         self._began = time.monotonic_ns() - wire.clock.now()
         self._stopping = threading.Event()
@@ -341,8 +362,16 @@ class PtyPort:
             with self.lock:
                 clock = self.wire.clock
                 clock.sleep_until(time.monotonic_ns() - self._began)
-                if data:
+                if data and self.is_tuned:
                     self.node.send(data)
+                else:
+                    self.mistuned += len(data)
+
+    @property
+    def is_tuned(self) -> bool:
+        """Whether the program has left the terminal's speed alone, or given it the line's."""
+        speed = terminal_speed(self._slave)
+        return speed == self._untouched or abs((speed or 0) - self.wire.baud) <= TUNED * self.wire.baud
 
     def _pause_s(self) -> float:
         """Return how long to wait for bytes: until something happens on the wire."""

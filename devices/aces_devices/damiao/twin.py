@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import math
+from random import Random
 from typing import Any, ClassVar
 
 from aces_bus.device import JointScale, Twin, on
@@ -66,6 +67,12 @@ class DamiaoTwin(Twin):
         )
         self.status = "disabled"
         self._watch: Any = None
+
+    def draw(self, dice: Random, share: float = 1.0) -> None:
+        """Turn it to an angle of its whole range, and have it warm."""
+        angle = dice.uniform(-1.0, 1.0) * share * self.registers[21]
+        self.motor.place(self.clock.now(), self.scale.angle(angle - self.offset))
+        self.motor.temperature = AMBIENT + dice.uniform(0.0, 100.0) * share
 
     # ------------------------------------------------------------------ what it says
 

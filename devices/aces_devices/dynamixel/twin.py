@@ -98,6 +98,11 @@ class DynamixelTwin(ServoTwin):
         self["goal_position"] = round(self.motion.at)
         self.apply()
 
+    @property
+    def last_count(self) -> int:
+        """The last position of a turn, in counts of its shaft."""
+        return TURN - 1
+
     # ------------------------------------------------------------------ motion
 
     def position(self, now: int) -> float:

@@ -89,6 +89,11 @@ class FeetechTwin(ServoTwin):
         self["goal_position"] = self._shown(round(self.motion.at))
         self.apply()
 
+    @property
+    def last_count(self) -> int:
+        """The last position of a turn, in counts of its shaft."""
+        return self.turn - 1
+
     # ------------------------------------------------------------------ motion
 
     @property

@@ -83,6 +83,10 @@ class ModbusRegister:
             return (int(value),)
         what = f"register {self.name}"
         data = data_of(what, value, entry.type, 2 * self.size, entry.scale, entry.offset, entry.unit)
+        return self.registers(data)
+
+    def registers(self, data: bytes) -> tuple[int, ...]:
+        """Return the registers of a value's bytes, the high one first."""
         return self._ordered(struct.unpack(f">{self.size}H", data))
 
     def _ordered(self, raw: Sequence[int]) -> tuple[int, ...]:

@@ -7,11 +7,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from random import Random
 from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
 from aces_bus.errors import UnknownNameError
 
+from ..tables import drawn
 from .table import MOST_BITS, MOST_REGISTERS, READERS, ModbusRegister, bits_from, bytes_from, registers_of
 
 TABLES = {function: table for table, function in READERS.items()}
@@ -37,6 +39,16 @@ class ModbusTwin(Twin):
             self.numbers[register.entry.table] |= dict.fromkeys(register.addresses, 0)
             if register.entry.access != "read":
                 self.writable[register.entry.table].update(register.addresses)
+
+    def draw(self, dice: Random, share: float = 1.0) -> None:
+        """Have each register hold any number of its type."""
+        for one in self.table.values():
+            bits = (
+                (dice.randrange(2),)
+                if one.is_bit
+                else one.registers(drawn(dice, one.entry.type, 2 * one.size, share))
+            )
+            self.numbers[one.entry.table].update(zip(one.addresses, bits, strict=True))
 
     def _register(self, name: str) -> ModbusRegister:
         if name not in self.table:

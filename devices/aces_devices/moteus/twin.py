@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from math import inf, isnan, nan, tau
+from random import Random
 from struct import calcsize
 from typing import Any, ClassVar
 
@@ -83,6 +84,11 @@ class MoteusTwin(Twin):
         self._goal: float | None = None
         self._speed = 0.0
         self._until: int | None = None
+
+    def draw(self, dice: Random, share: float = 1.0) -> None:
+        """Turn it by up to 1000 turns of the motor."""
+        self._sync()
+        self._turns = dice.uniform(-1000.0, 1000.0) * share
 
     # ------------------------------------------------------------------ motion
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import tau
+from random import Random
 from struct import unpack
 from typing import Any, ClassVar
 
@@ -53,6 +54,10 @@ class OdriveTwin(Twin):
         settings = self.config.settings
         if settings.get("estimates") != "asked":
             self.every(ESTIMATES_S, lambda: self.answer("EncoderEstimates"))
+
+    def draw(self, dice: Random, share: float = 1.0) -> None:
+        """Turn it by up to 100 turns of the motor."""
+        self.motor.place(self.clock.now(), self.scale.angle(dice.uniform(-100.0, 100.0) * share))
 
     # ------------------------------------------------------------------ what it says
 

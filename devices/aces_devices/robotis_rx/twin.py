@@ -76,6 +76,11 @@ class RobotisRXTwin(ServoTwin):
         self["goal_position"] = min(TOP, round(self.motion.at))
         self.apply()
 
+    @property
+    def last_count(self) -> int:
+        """The last position of a turn, in counts of its shaft."""
+        return TOP
+
     # ------------------------------------------------------------------ motion
 
     def load_table(self, table: bytes) -> None:

@@ -9,12 +9,13 @@
 
 from __future__ import annotations
 
+from random import Random
 from typing import Any, ClassVar
 
 from aces_bus.device import JointScale, Twin, on
 from aces_protocols.robstride.spec import BYTES, DIALECTS, FAMILY, KINDS, MODELS, READ_ONLY
 
-from ..joint_model import MotorModel, joint_of
+from ..joint_model import AMBIENT, MotorModel, joint_of
 
 #: What position mode holds with (N·m/rad), speed mode (N·m·s/rad), and N·m an A: choices.
 STIFFNESS, DAMPING, TORQUE_CONSTANT = 120.0, 4.0, 1.2
@@ -50,6 +51,12 @@ class RobstrideTwin(Twin):
         self.failed: frozenset[str] = frozenset()
         self.parameters: dict[str, float] = dict.fromkeys(_KIND, 0.0)
         self._watch: Any = None
+
+    def draw(self, dice: Random, share: float = 1.0) -> None:
+        """Turn it to an angle of its whole range, and have it warm."""
+        angle = dice.uniform(-1.0, 1.0) * share * self.ranges[0]
+        self.motor.place(self.clock.now(), self.scale.angle(angle - self.offset))
+        self.motor.temperature = AMBIENT + dice.uniform(0.0, 100.0) * share
 
     # ------------------------------------------------------------------ what it says
 

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from random import Random
 from struct import error as StructError
 from typing import Any, ClassVar
 
@@ -103,6 +104,19 @@ class ServoTwin(Twin):
     def with_errors(self, refusal: Any, errors: int) -> Any:
         """Return a status's `error` from that and the servo's own errors."""
         raise NotImplementedError
+
+    @property
+    def last_count(self) -> int:
+        """The last position of a turn, in counts of its shaft."""
+        raise NotImplementedError
+
+    def draw(self, dice: Random, share: float = 1.0) -> None:
+        """Turn it to a position of its whole turn, which is its goal, too."""
+        motion: Any = vars(self)["motion"]
+        motion.settle(self.clock.now())
+        middle = self.last_count / 2
+        motion.at = float(round(middle + dice.uniform(-middle, middle) * share))
+        self.begin()
 
     # ------------------------------------------------------------------ alarms
 

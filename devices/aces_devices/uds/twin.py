@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from math import inf
+from random import Random
 from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
@@ -18,6 +19,7 @@ from aces_devices.ecu_model import ecu_of
 from aces_protocols.diagnostics import KINDS
 from aces_protocols.uds.spec import IDENTIFIERS, RESETS, SERVICE_OF, SESSIONS, uds
 
+from ..tables import NUMBERS, drawn
 from .table import UdsValue, identifiers_of
 
 #: A session ends without a request for so long (S3, ISO 14229-2).
@@ -106,6 +108,12 @@ class UdsTwin(Twin):
         self._is_loading = False
         self._end: Any = None
         self._busy_until = 0
+
+    def draw(self, dice: Random, share: float = 1.0) -> None:
+        """Have each number hold any value of its type."""
+        for one in self.table.values():
+            if one.entry.type in NUMBERS and not one.entry.names:
+                self.data[one.number] = drawn(dice, one.entry.type, one.size, share)
 
     def _value(self, name: str) -> UdsValue:
         if name not in self.table:

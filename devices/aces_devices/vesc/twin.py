@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from random import Random
 from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
 from aces_protocols.vesc.buffers import Buffers, can_pieces
 from aces_protocols.vesc_uart.packets import PacketReader, packet_of
 
-from .model import MISBEHAVIOUR, SET_POINTS, TRIP, VescModel
+from .model import MISBEHAVIOUR, SET_POINTS, SPEED, TRIP, VescModel
 
 #: How often status messages are sent where the robot's file says so (s): the first group's default.
 STATUS_S = 0.02
@@ -32,6 +33,12 @@ class VescMotorTwin(Twin):
         """See `Twin.fault`."""
         super().fault(name, amount, on=on)
         self.model.lead()
+
+    def draw(self, dice: Random, share: float = 1.0) -> None:
+        """Have its motor turn, either way, and be warm (°C)."""
+        motor = self.model.motor
+        motor.lead(self.clock.now(), dice.uniform(-SPEED, SPEED) * share, 0.001)
+        self.model.warm = round(dice.uniform(-20.0, 110.0) * share, 1)
 
     def power(self, on: bool) -> None:
         """See `Twin.power`; without power the motor runs out."""
