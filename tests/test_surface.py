@@ -61,6 +61,7 @@ SHOWN = {
 TWICE: dict[str, str] = {
     "decode": "a recording's, and a fleet's",
     "is_wanted": "each module that adds options to a verb has one",
+    "pytest_addoption": "each plug-in of pytest has one",
     "run": "each verb of the command line has one",
 }
 

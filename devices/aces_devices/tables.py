@@ -54,7 +54,7 @@ def data_of(what: str, value: Any, type: str, size: int, scale: float, offset: f
     return data
 
 
-def drawn(dice: Random, type: str, size: int, share: float = 1.0) -> bytes:
+def drawn_bytes(dice: Random, type: str, size: int, share: float = 1.0) -> bytes:
     """Return the bytes of a drawn number, from the middle `share` of its type's range; of a text, letters.
 
     A float is within a million.

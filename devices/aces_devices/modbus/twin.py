@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 from aces_bus.device import Twin, on
 from aces_bus.errors import UnknownNameError
 
-from ..tables import drawn
+from ..tables import drawn_bytes
 from .table import MOST_BITS, MOST_REGISTERS, READERS, ModbusRegister, bits_from, bytes_from, registers_of
 
 TABLES = {function: table for table, function in READERS.items()}
@@ -46,7 +46,7 @@ class ModbusTwin(Twin):
             bits = (
                 (dice.randrange(2),)
                 if one.is_bit
-                else one.registers(drawn(dice, one.entry.type, 2 * one.size, share))
+                else one.registers(drawn_bytes(dice, one.entry.type, 2 * one.size, share))
             )
             self.numbers[one.entry.table].update(zip(one.addresses, bits, strict=True))
 

@@ -19,7 +19,7 @@ from aces_devices.ecu_model import ecu_of
 from aces_protocols.diagnostics import KINDS
 from aces_protocols.uds.spec import IDENTIFIERS, RESETS, SERVICE_OF, SESSIONS, uds
 
-from ..tables import NUMBERS, drawn
+from ..tables import NUMBERS, drawn_bytes
 from .table import UdsValue, identifiers_of
 
 #: A session ends without a request for so long (S3, ISO 14229-2).
@@ -113,7 +113,7 @@ class UdsTwin(Twin):
         """Have each number hold any value of its type."""
         for one in self.table.values():
             if one.entry.type in NUMBERS and not one.entry.names:
-                self.data[one.number] = drawn(dice, one.entry.type, one.size, share)
+                self.data[one.number] = drawn_bytes(dice, one.entry.type, one.size, share)
 
     def _value(self, name: str) -> UdsValue:
         if name not in self.table:

@@ -14,11 +14,10 @@ import can
 import pytest
 
 import aces_bus
-from aces_bus import decode
+from aces_bus import decode, load_robot
 from aces_bus.device import load_driver
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_lab.twins import Bench, twin
-from aces_lab.twins.bench import robot_twin
+from aces_lab.twins import TwinBench, open_bench
 from aces_lab.twins.catalogue import CATALOGUE, Injection
 from aces_lab.twins.robots import robot_of
 from aces_protocols.modbus.spec import modbus
@@ -83,7 +82,7 @@ def test_what_there_is_not_is_said(
 
 def test_fd_means_the_kind_that_speaks_it() -> None:
     """`fd` takes a driver's kin on CAN FD, and a bus that carries it."""
-    with twin("damiao", motor=1, fd=True) as motor:
+    with open_bench("damiao", motor=1, fd=True) as motor:
         assert motor.bus_options["fd"] is True
         assert next(iter(motor.robot.devices.values())).driver == "damiao_fd"
 
@@ -110,7 +109,7 @@ def test_a_program_on_can_and_its_twin() -> None:
 
 def test_what_has_passed_is_a_recording(tmp_path: Path) -> None:
     """The saved conversation decodes to what was seen."""
-    with twin("odrive", node=3, settings={"estimates": "asked"}) as motor:
+    with open_bench("odrive", node=3, settings={"estimates": "asked"}) as motor:
         assert asked(motor.bus) is not None
         (file,) = motor.save(tmp_path / "talk")
         seen = [one for one in motor.frames if type(one.record).__name__ == "BusVoltageCurrent"]
@@ -119,7 +118,7 @@ def test_what_has_passed_is_a_recording(tmp_path: Path) -> None:
 
 def test_faults_of_a_device_by_their_names() -> None:
     """`loses` with any word for its number; off again; unknown ones are refused."""
-    with twin("odrive", node=3, settings={"estimates": "asked"}) as motor:
+    with open_bench("odrive", node=3, settings={"estimates": "asked"}) as motor:
         bus = motor.bus
         motor.fault("silent")
         assert asked(bus, 0.02) is None
@@ -135,7 +134,7 @@ def test_virtual_time_waits_for_nobody() -> None:
     """Half a minute of heartbeats in no time, the same each time."""
 
     def run() -> list[str]:
-        with twin("odrive", node=3, time="virtual", settings={"estimates": "asked"}) as motor:
+        with open_bench("odrive", node=3, time="virtual", settings={"estimates": "asked"}) as motor:
             bus = motor.bus
             motor.wait(30.0)
             assert bus.recv(0.0) is not None
@@ -153,12 +152,12 @@ def test_virtual_time_is_for_a_bus_of_this_process() -> None:
     ]
     for driver, options in given:
         with pytest.raises(CallerError, match="virtual time"):
-            twin(driver, time="virtual", **options)
+            open_bench(driver, time="virtual", **options)
 
 
 def test_who_says_another_bit_rate_is_refused() -> None:
     """A program that names the bus's own rate, or none, is let in; any other is an error of the call."""
-    with twin("odrive", node=3, bitrate=250_000) as motor:
+    with open_bench("odrive", node=3, bitrate=250_000) as motor:
         can.Bus(**motor.bus_options, bitrate=250_000).shutdown()
         can.Bus(**motor.bus_options).shutdown()
         with pytest.raises(can.CanInitializationError, match="250000"):
@@ -178,7 +177,7 @@ print(message.data.hex())
 @pytest.mark.slow
 def test_another_process_reaches_a_shared_bus() -> None:
     """`shared`: a program of its own, by the channel alone."""
-    with twin("odrive", node=3, shared=True) as motor:
+    with open_bench("odrive", node=3, shared=True) as motor:
         done = subprocess.run(
             [sys.executable, "-c", PROGRAM, motor.channel], capture_output=True, text=True, check=True
         )
@@ -188,7 +187,7 @@ def test_another_process_reaches_a_shared_bus() -> None:
 
 def test_a_robot_of_several_buses() -> None:
     """Each bus has its own channel; the short names are for the only one."""
-    with robot_twin("hubo2plus", shared=False) as hubo:
+    with open_bench(load_robot("hubo2plus")) as hubo:
         assert sorted(hubo.lines) == sorted(hubo.robot.buses)
         assert len({line.channel for line in hubo.lines.values()}) == len(hubo.lines)
         with pytest.raises(CallerError, match="several buses"):
@@ -200,7 +199,7 @@ def test_a_robot_of_several_buses() -> None:
 
 def test_a_program_on_a_terminal_and_its_twin() -> None:
     """A serial port reaches the twin at the line's speed; at another one nothing answers, and the bench says why."""
-    with twin("modbus", unit=5, settings=METER) as meter:
+    with open_bench("modbus", unit=5, settings=METER) as meter:
         meter.state.put("voltage", 230)
         with serial.Serial(meter.port, 9_600, timeout=0.05) as port:
             port.write(ASK)
@@ -215,7 +214,7 @@ def test_a_program_on_a_terminal_and_its_twin() -> None:
 def test_a_line_without_a_terminal() -> None:
     """Where there are no terminals, or `tcp` says so, the port is a URL of pyserial."""
     with (
-        twin("modbus", unit=5, settings=METER, tcp=True) as meter,
+        open_bench("modbus", unit=5, settings=METER, tcp=True) as meter,
         serial.serial_for_url(meter.port, timeout=5.0) as port,
     ):
         port.write(ASK)
@@ -225,7 +224,7 @@ def test_a_line_without_a_terminal() -> None:
 def test_a_line_s_conversation_is_a_recording_with_directions(tmp_path: Path) -> None:
     """The saved log says who said what."""
     with (
-        twin("modbus", unit=5, settings=METER) as meter,
+        open_bench("modbus", unit=5, settings=METER) as meter,
         serial.Serial(meter.port, meter.baud, timeout=5.0) as port,
     ):
         port.write(ASK)
@@ -255,7 +254,7 @@ def test_a_line_s_conversation_is_a_recording_with_directions(tmp_path: Path) ->
 )
 def test_drawn_states_are_the_same_for_a_seed(driver: str) -> None:
     """What a twin draws is of the dice given to it."""
-    with twin(driver) as bench:
+    with open_bench(driver) as bench:
         (made,) = bench.twins.values()
 
         def drawn(seed: int) -> str:
@@ -277,10 +276,10 @@ def test_nothing_is_left_behind() -> None:
         ("feetech", {"id": 1}),
     ]
     for driver, options in kinds:
-        twin(driver, **options).close()  # what is opened for good
+        open_bench(driver, **options).close()  # what is opened for good
         files, threads = len(os.listdir("/proc/self/fd")), threading.active_count()
         for _ in range(3):
-            twin(driver, **options).close()
+            open_bench(driver, **options).close()
         assert (len(os.listdir("/proc/self/fd")), threading.active_count()) == (files, threads)
 
 
@@ -288,17 +287,17 @@ def test_a_bench_that_cannot_be_made_leaves_nothing() -> None:
     """An error while it is made takes its lines away again."""
     threads = threading.active_count()
     with pytest.raises(CallerError):
-        Bench(robot_of("feetech", {"id": 1}), pose={"nothing": 1.0})
+        TwinBench(robot_of("feetech", {"id": 1}), pose={"nothing": 1.0})
     assert threading.active_count() == threads
 
 
 # ---------------------------------------------------------------------- faults on the wire
 
 
-def hit(name: str, **options: Any) -> tuple[list[can.Message], Bench]:
+def hit(name: str, **options: Any) -> tuple[list[can.Message], TwinBench]:
     """Ask an ODrive twice, the first answer hit by a fault; the answers that came."""
     injection = Injection(CATALOGUE[name], frozenset((0,)), seed=1)
-    with twin(
+    with open_bench(
         "odrive", node=3, time="virtual", settings={"estimates": "asked"}, injection=injection, **options
     ) as motor:
         bus = motor.bus
@@ -341,7 +340,7 @@ def test_bus_off_is_an_error_of_the_program_s_bus() -> None:
     """The program's controller goes bus-off; its twin does not."""
     injection = Injection(CATALOGUE["bus_off"], frozenset((0,)))
     options: dict[str, Any] = {"settings": {"estimates": "asked"}, "injection": injection}
-    with twin("odrive", node=3, **options) as motor, motor.bus as bus:
+    with open_bench("odrive", node=3, **options) as motor, motor.bus as bus:
         assert asked(bus, 0.02) is None
         with pytest.raises(can.CanOperationError, match="bus-off"):
             asked(bus)
@@ -354,7 +353,7 @@ def test_what_a_fault_does_to_bytes(name: str) -> None:
     """Each fault of a serial line changes what is read, or when; the second answer is as it should be."""
     injection = Injection(CATALOGUE[name], frozenset((0,)), seed=1)
     with (
-        twin("modbus", unit=5, settings=METER, injection=injection) as meter,
+        open_bench("modbus", unit=5, settings=METER, injection=injection) as meter,
         serial.Serial(meter.port, meter.baud, timeout=0.1) as port,
     ):
         port.write(ASK)

@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .bench import Bench as Bench
-    from .bench import twin as twin
+    from .bench import TwinBench as TwinBench
+    from .bench import open_bench as open_bench
 
-__all__ = ["Bench", "twin"]
+__all__ = ["TwinBench", "open_bench"]
 
 
 def __getattr__(name: str) -> Any:

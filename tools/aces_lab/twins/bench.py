@@ -4,7 +4,7 @@
 2. What programs and twins have said is kept as it passed, and decoded when it is asked for.
 3. In real time by default; `time="virtual"` is for programs that wait in `recv` alone.
 
-    with twin("odrive", node=3) as motor:
+    with open_bench("odrive", node=3) as motor:
         bus = motor.bus
 """
 
@@ -27,14 +27,14 @@ from aces_bus.frames import Frame
 from aces_bus.protocol import Unknown, make_scanner
 from aces_bus.recordings.base import Chunk
 from aces_bus.recordings.write import open_writer
-from aces_bus.robot import load_robot, simulate
+from aces_bus.robot import simulate
 from aces_bus.robot.rig import spoken_on
 from aces_bus.runtime import VirtualClock
 
 from .catalogue import Injection
 from .lines import Line, line_of
 from .robots import BUS_KEYS, DEVICE_KEYS, robot_of
-from .tap import Passed, Tap
+from .tap import Passed, TwinTap
 
 T = TypeVar("T")
 #: Lines of a conversation that are printed: its end.
@@ -62,7 +62,7 @@ class Seen(NamedTuple):
 class _Reader:
     """Decodes what has passed on one bus, as far as it has come: each way by itself, answers with their requests."""
 
-    def __init__(self, line: Line, tap: Tap, variants: Iterable[Any], start: int) -> None:
+    def __init__(self, line: Line, tap: TwinTap, variants: Iterable[Any], start: int) -> None:
         both = list(variants)
         self._line, self._tap, self._start = line, tap, start
         self._scanners = {
@@ -119,12 +119,12 @@ def _shown(packet: Any) -> str:
     return bytes(packet).hex(" ")
 
 
-class State:
+class TwinState:
     """A twin's own state: its attributes, and its registers in brackets. Each is read and set while its bus stands still."""
 
     __slots__ = ("_bench", "_twin")
 
-    def __init__(self, bench: Bench, twin: Twin) -> None:
+    def __init__(self, bench: TwinBench, twin: Twin) -> None:
         object.__setattr__(self, "_bench", bench)
         object.__setattr__(self, "_twin", twin)
 
@@ -151,7 +151,7 @@ class State:
         return repr(self._twin)
 
 
-class Bench:
+class TwinBench:
     """Twins of a robot, each bus with its own way in. A context manager: its end takes all away.
 
     `channel`, `bus_options`, `bus` and `port` are those of the only bus; of several see `lines`, by the bus's name.
@@ -173,7 +173,7 @@ class Bench:
         self.robot = robot
         self.clock = VirtualClock() if time == "virtual" else None
         self.lines: dict[str, Line] = {}
-        self._taps: dict[str, Tap] = {}
+        self._taps: dict[str, TwinTap] = {}
         self._buses: list[can.BusABC] = []
         self._is_open = False
         self._expected = 0
@@ -181,7 +181,7 @@ class Bench:
             for name, protocol in spoken_on(robot).items():
                 made = line_of(robot.buses[name], protocol, shared=shared, fd=fd, tcp=tcp, clock=self.clock)
                 self.lines[name] = made
-                self._taps[name] = Tap(made.port)
+                self._taps[name] = TwinTap(made.port)
             self._simulation = self._in_all(
                 lambda: simulate(robot, self._taps, seed=seed, pose=pose, homed=homed)
             )
@@ -260,14 +260,14 @@ class Bench:
 
     # ------------------------------------------------------------------ the twins
 
-    def __getitem__(self, name: str) -> State:
+    def __getitem__(self, name: str) -> TwinState:
         """Return the state of a device's twin. Raises `UnknownNameError`."""
         if name not in self.twins:
             raise UnknownNameError(f"device of {self.robot.name}", name, self.twins)
-        return State(self, self.twins[name])
+        return TwinState(self, self.twins[name])
 
     @property
-    def state(self) -> State:
+    def state(self) -> TwinState:
         """The state of the first device's twin."""
         return self[next(iter(self.twins))]
 
@@ -424,8 +424,8 @@ def _agrees(record: Any, name: str, wanted: Any) -> bool:
 _BENCH = ("shared", "time", "seed", "pose", "homed", "tcp", "injection")
 
 
-def twin(driver: str | Driver | Robot, /, *, fd: bool = False, **options: Any) -> Bench:
-    """Return simulated devices on a bus of their own, open: `with twin("feetech", ids=[1, 2]) as arm:`.
+def open_bench(driver: str | Driver | Robot, /, *, fd: bool = False, **options: Any) -> TwinBench:
+    """Return simulated devices on a bus of their own, open: `with open_bench("feetech", ids=[1, 2]) as arm:`.
 
     `driver` names one of `aces devices`, or a protocol that one kind of device speaks, or is a robot. Its numbers are given
     by name (`node=3`, `ids=[1, 2]`); with none it is the first device of the driver's example. `model`, `settings`,
@@ -445,12 +445,7 @@ def twin(driver: str | Driver | Robot, /, *, fd: bool = False, **options: Any) -
         robot, options = robot_of(driver, options, fd=fd, **said), {}
     if options:
         raise CallerError(f"a robot has its numbers in its file; not {', '.join(options)}")
-    return Bench(robot, fd=fd, **own)
+    return TwinBench(robot, fd=fd, **own)
 
 
-def robot_twin(robot: str | Robot, /, **options: Any) -> Bench:
-    """Return all devices of a robot that is installed or a file: `robot_twin("so101")`; options as of `twin`."""
-    return Bench(load_robot(robot) if isinstance(robot, str) else robot, **options)
-
-
-__all__ = ["Bench", "Seen", "State", "robot_twin", "twin"]
+__all__ = ["Seen", "TwinBench", "TwinState", "open_bench"]

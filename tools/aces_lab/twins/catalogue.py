@@ -177,7 +177,7 @@ class Injection:
         return number in self.hits
 
     def prepare(self, line: Line, twins: Twins) -> Callable[[int, Any], tuple[str, Sendings] | None] | None:
-        """Do what is done at the beginning; return what alters answers, for `Tap.alter`."""
+        """Do what is done at the beginning; return what alters answers, for `TwinTap.alter`."""
         fault, self._began = self.fault, False
         if line.link not in fault.links:
             return None

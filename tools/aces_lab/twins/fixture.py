@@ -10,9 +10,10 @@ from typing import Any, TypeVar
 import pytest
 
 from aces_bus.device import Driver, Robot
+from aces_bus.robot import load_robot
 from aces_bus.testing.plugin import FAILURES
 
-from .bench import Bench, robot_twin, twin
+from .bench import TwinBench, open_bench
 from .catalogue import Injection
 
 N = TypeVar("N", int, float)
@@ -27,18 +28,19 @@ class TwinMaker:
 
     def __init__(self, injection: Injection | None = None) -> None:
         self._injection = injection
-        self.benches: list[Bench] = []
+        self.benches: list[TwinBench] = []
         self._values = 0
 
-    def __call__(self, driver: str | Driver | Robot, /, **options: Any) -> Bench:
+    def __call__(self, driver: str | Driver | Robot, /, **options: Any) -> TwinBench:
         """Return simulated devices, as `aces_bus.twin`; they end with the test."""
-        return self._keep(twin(driver, injection=self._injection, **options))
+        return self._keep(open_bench(driver, injection=self._injection, **options))
 
-    def robot(self, robot: str | Robot, /, **options: Any) -> Bench:
+    def robot(self, robot: str | Robot, /, **options: Any) -> TwinBench:
         """Return all devices of a robot that is installed, or a file."""
-        return self._keep(robot_twin(robot, injection=self._injection, **options))
+        made = load_robot(robot) if isinstance(robot, str) else robot
+        return self._keep(open_bench(made, injection=self._injection, **options))
 
-    def _keep(self, bench: Bench) -> Bench:
+    def _keep(self, bench: TwinBench) -> TwinBench:
         self.benches.append(bench)
         return bench
 

@@ -60,7 +60,7 @@ def pytest_configure(config: Any) -> None:
 
 @pytest.fixture
 def aces_twin(request: pytest.FixtureRequest) -> Iterator[TwinMaker]:
-    """Simulated devices on buses of their own: `motor = aces_twin("odrive", node=3)`; see `aces_bus.twin`."""
+    """Make simulated devices on buses of their own: `motor = aces_twin("odrive", node=3)`; see `aces_bus.twin`."""
     from .fixture import maker_of
 
     with maker_of(request) as maker:

@@ -1,4 +1,4 @@
-"""Robots of one kind of device, made of a driver's name and numbers: what `twin("feetech", ids=[1, 2])` means.
+"""Robots of one kind of device, made of a driver's name and numbers: what `open_bench("feetech", ids=[1, 2])` means.
 
 1. With no number it is the first device of the driver's example, as it stands there: its settings and its joints are there.
 2. With numbers a device has these, and what the call says; nothing of the example but its bus.

@@ -41,7 +41,7 @@ class Hang(Failed):
 
 
 @dataclass
-class Run:
+class FaultRun:
     """One run of a test: its reports, its conversation, and what came of it."""
 
     reports: list[TestReport]
@@ -103,7 +103,7 @@ class FaultRounds:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: Any, nextitem: Any) -> bool | None:
-        """Run a test that uses the fixture plainly, then under each fault."""
+        """FaultRun a test that uses the fixture plainly, then under each fault."""
         if "aces_twin" not in getattr(item, "fixturenames", ()):
             return None
         item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
@@ -115,7 +115,7 @@ class FaultRounds:
         item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
         return True
 
-    def _run(self, item: Any, nextitem: Any, injection: Injection | None) -> Run:
+    def _run(self, item: Any, nextitem: Any, injection: Injection | None) -> FaultRun:
         for key in (MAKER, RAISED):
             if key in item.stash:
                 del item.stash[key]
@@ -125,7 +125,7 @@ class FaultRounds:
         began = time.monotonic()
         reports = runtestprotocol(item, log=False, nextitem=nextitem)
         raised = item.stash.get(RAISED, None)
-        return Run(reports, item.stash.get(MAKER, None), raised, time.monotonic() - began)
+        return FaultRun(reports, item.stash.get(MAKER, None), raised, time.monotonic() - began)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_call(self, item: Any) -> Generator[None, Any, Any]:
@@ -145,7 +145,7 @@ class FaultRounds:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, before)
 
-    def _under_faults(self, item: Any, nextitem: Any, plain: Run, maker: TwinMaker) -> None:
+    def _under_faults(self, item: Any, nextitem: Any, plain: FaultRun, maker: TwinMaker) -> None:
         said: set[str] = set()
         left: set[str] = set()
         for mark in item.iter_markers("aces_faults"):
@@ -168,8 +168,14 @@ class FaultRounds:
             self._report_broken(item, injection, run)
 
     def _least(
-        self, item: Any, nextitem: Any, injection: Injection, run: Run, survives: frozenset[str], answers: int
-    ) -> tuple[Injection, Run]:
+        self,
+        item: Any,
+        nextitem: Any,
+        injection: Injection,
+        run: FaultRun,
+        survives: frozenset[str],
+        answers: int,
+    ) -> tuple[Injection, FaultRun]:
         """Return the least of a fault under which the test still does the same wrong thing, and that run."""
         end = time.monotonic() + SHRINK_S
         for less in smaller(injection, answers):
@@ -182,7 +188,7 @@ class FaultRounds:
 
     # ------------------------------------------------------------------ reporting
 
-    def _report(self, item: Any, injection: Injection, run: Run) -> None:
+    def _report(self, item: Any, injection: Injection, run: FaultRun) -> None:
         report = _report_of(item, injection, "passed" if run.outcome == "passes" else "skipped", None)
         outcome = run.outcome
         if run.outcome != "passes":
@@ -194,7 +200,7 @@ class FaultRounds:
         report.user_properties.append(("aces_fault", (injection.fault.name, outcome, "")))
         item.ihook.pytest_runtest_logreport(report=report)
 
-    def _report_broken(self, item: Any, injection: Injection, run: Run) -> None:
+    def _report_broken(self, item: Any, injection: Injection, run: FaultRun) -> None:
         failed = next(report for report in run.reports if report.failed)
         report = _report_of(item, injection, "failed", failed.longrepr)
         fault = injection.fault
@@ -245,4 +251,4 @@ def _report_of(item: Any, injection: Injection, outcome: Any, longrepr: Any) -> 
     )
 
 
-__all__ = ["FaultRounds", "Hang", "Run"]
+__all__ = ["FaultRounds", "FaultRun", "Hang"]

@@ -35,7 +35,7 @@ class Passed(NamedTuple):
     note: str = ""
 
 
-class Tap(UpperPort):
+class TwinTap(UpperPort):
     """The port of a bus's twins. `alter(number, packet)` says what becomes of the answer of this number; None: nothing.
 
     What a twin sends of its own accord is not counted, and has the number -1: what comes when nothing was asked for a while,
@@ -198,4 +198,4 @@ def shortened(packet: Any) -> Any:
     return msgspec.structs.replace(packet, data=packet.data[:size])
 
 
-__all__ = ["Answers", "Passed", "Sendings", "Tap", "flipped", "shortened"]
+__all__ = ["Answers", "Passed", "Sendings", "TwinTap", "flipped", "shortened"]
