@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from .declare.message import Message, Request
     from .declare.multiplexed import Multiplexed
     from .declare.pattern import IdField
+    from .declare.present import Present
     from .declare.protocol import Protocol, Variant
     from .declare.registers import Register, RegisterMap
     from .declare.sdo import SdoTransfer
@@ -96,6 +97,7 @@ __all__ = [
     "Meta",
     "Multiplexed",
     "Part",
+    "Present",
     "Protocol",
     "Quantity",
     "Record",
@@ -149,6 +151,7 @@ __getattr__, __dir__ = lazy_names(
         ".declare.j1939": "J1939Transport",
         ".declare.message": "Message Request",
         ".declare.multiplexed": "Multiplexed",
+        ".declare.present": "Present",
         ".declare.pattern": "IdField",
         ".declare.protocol": "Protocol Variant",
         ".declare.registers": "Register RegisterMap",

@@ -13,6 +13,7 @@ import construct as c
 from ..protocol.declare.bits import BitLayout, Bits
 from ..protocol.declare.message import Message
 from ..protocol.declare.multiplexed import Multiplexed
+from ..protocol.declare.present import Present
 from ..protocol.declare.wire_number import innermost
 
 
@@ -31,7 +32,10 @@ def hints(message: Message) -> Hints:
     small: set[str] = set()
 
     def visit(con: Any) -> None:
-        if isinstance(con, Multiplexed):
+        if isinstance(con, Present):
+            known = values.setdefault(con.selector, {0})
+            known.update({1 << con.bit, max(known) | 1 << con.bit})  # the greatest has all bits so far
+        elif isinstance(con, Multiplexed):
             values.setdefault(con.selector, set()).update(con.when)
         elif isinstance(con, BitLayout):
             for slot in con.slots:

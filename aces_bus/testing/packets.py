@@ -12,8 +12,9 @@ from typing import Any
 
 import construct as c
 
-from ..errors import FieldError
+from ..errors import FieldError, SpecError
 from ..frames import Frame
+from ..protocol.declare.framing import BitSize
 from ..protocol.declare.head import Head
 from ..protocol.declare.message import Message, Request
 from ..protocol.declare.protocol import Variant
@@ -26,7 +27,7 @@ from .source import ChoiceSource, edge_number, spread
 ATTEMPTS = 60
 
 
-class UndrawableError(AssertionError):
+class UndrawableError(SpecError, AssertionError):
     """No valid packet of a message was found: its spec contradicts itself, or its strategy must be given."""
 
 
@@ -183,13 +184,13 @@ def _payload(message: Message, values: Mapping[str, Any], source: ChoiceSource) 
     root._params = root
     around = c.Container(_=root, _params=root)
     around.update({k: v for k, v in values.items() if k not in message.payload_names})
-    drawn = drawer(message)(source, around, _room(message, source))
+    drawn = drawer(message)(source, around, _room(message, values, source))
     if message.check is not None and message.check.field is not None:
         drawn.pop(message.check.field, None)
     return dict(drawn)
 
 
-def _room(message: Message, source: ChoiceSource) -> Room:
+def _room(message: Message, values: Mapping[str, Any], source: ChoiceSource) -> Room:
     framing = message.framing
     if framing is None:
         assert message.lengths is not None
@@ -201,6 +202,11 @@ def _room(message: Message, source: ChoiceSource) -> Room:
     rest = message.payload_start + framing.check_size + len(framing.end)
     if framing.fixed_size is not None:
         return Room(framing.fixed_size - rest, True)
+    if isinstance(framing.measure, BitSize):
+        size = framing.measure.size_of(framing.sync + _head(message, values)) or 0
+        if not framing.min_size <= size <= framing.max_size:
+            raise FieldError(f"{message.name}: its header says {size} bytes")
+        return Room(size - rest, True)
     most = framing.max_size - rest
     if framing.affine is not None:
         wide = framing.affine.wide
@@ -208,6 +214,18 @@ def _room(message: Message, source: ChoiceSource) -> Room:
     if source.integer(0, 15):
         most = min(most, 12)
     return Room(max(0, most), False)
+
+
+def _head(message: Message, values: Mapping[str, Any]) -> bytes:
+    """Return header and prefix with these raw values."""
+    parts: list[bytes] = []
+    for head in message.heads_written:
+        if head.pattern is not None and not head.is_own:
+            raws = {capture.name: values[capture.name] for capture in head.pattern.captures}
+            parts.append(head.bytes(head.pattern.number(raws)))
+        else:
+            parts.append(bytes(head.field.build(values.get(head.name or "", 0), raw=True)))
+    return b"".join(parts)
 
 
 def _draw_request(values: Mapping[str, Any], occasion: Occasion, source: ChoiceSource) -> DrawnPacket:

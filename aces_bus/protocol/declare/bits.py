@@ -24,6 +24,7 @@ from construct import Construct, Container, IntegerError, ListContainer, Renamed
 from ...errors import FieldError, SpecError
 from .multiplexed import Multiplexed, number_runs
 from .place import caller
+from .present import Present
 from .wire_number import innermost, plain_number
 
 #: `struct` formats of numbers of so many bits (IEEE 754 binary16, binary32, binary64).
@@ -277,6 +278,10 @@ class BitLayout(Construct):
         self.names.append(name)
         body = field.subcon if isinstance(field, Renamed) else field
         mux = body if isinstance(body, Multiplexed) else None
+        if isinstance(body, Present):
+            raise SpecError(
+                f"{caller()}: {name!r}: Present moves the fields behind it; in a BitLayout these stay"
+            )
         for part in body.subcons if isinstance(body, Tuple) else [mux.body if mux is not None else body]:
             inner = innermost(part)
             if not isinstance(inner, Bits):

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Callable, Collection, Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
 from construct import Construct, Container, Struct
@@ -26,8 +26,10 @@ from msgspec.structs import replace
 from ...errors import SpecError
 from .checks import Check, Covered
 from .head import Head, heads_of
+from .normalise import sizes
 from .pattern import describe_values
 from .place import SourceLine, caller
+from .shapes import Shapes
 from .stuffing import Cobs, CutZeros, Insert, Slip, Stuffing
 from .wire_number import innermost, wire_number
 
@@ -160,6 +162,45 @@ class Affine(msgspec.Struct, frozen=True):
         return self.factor * ((1 << 8 * last.size) - 1) + self.constant + more
 
 
+class BitSize(msgspec.Struct, frozen=True):
+    """size = constant + what each bit of some header bytes adds, read off a size expression: `tables` has for each of these
+    bytes its offset, and what it adds by its value.
+    """
+
+    names: tuple[str, ...]
+    tables: tuple[tuple[int, tuple[int, ...]], ...]
+    constant: int
+
+    def size_of(self, packet: bytes) -> int | None:
+        """Return the size of a packet that begins so: None while the bytes that say it are not there."""
+        if len(packet) < self.reach:
+            return None
+        return self.constant + sum(table[packet[offset]] for offset, table in self.tables)
+
+    @property
+    def reach(self) -> int:
+        """How many bytes of a packet say its size."""
+        return 1 + max(offset for offset, _ in self.tables)
+
+    @property
+    def describe(self) -> str:
+        return f"size by bits of {', '.join(self.names)}"
+
+
+class FieldSize(msgspec.Struct):
+    """The size of packets that are as long as the fields of their message say: `size="fields"`."""
+
+    behind: int
+    shapes: Shapes | None = None
+    describe = "as long as its fields say"
+
+    def size_of(self, packet: bytes) -> int | None:
+        """Return the size of a packet that begins so: None while the bits that say it are not there."""
+        assert self.shapes is not None
+        size = self.shapes.size_of(packet)
+        return None if size is None else size + self.behind
+
+
 class WideLength(Stuffing, msgspec.Struct, frozen=True):
     """The wider length of `Escaped` as stuffing: bytes in front of the data, where there is much of it.
 
@@ -210,7 +251,7 @@ class Framing:
         not_inside: bytes = b"",
         header: Struct | None = None,
         match: Mapping[str, Collection[int]] | None = None,
-        size: int | Callable[[Any], Any] | Escaped | None = None,
+        size: int | Callable[[Any], Any] | Escaped | Literal["fields"] | None = None,
         end: bytes | str | None = None,
         stuffing: Stuffing | None = None,
         check: Check | None = None,
@@ -255,13 +296,19 @@ class Framing:
         if set(not_inside) & set(self.end[:-1]):
             raise SpecError(f"{self.place}: not_inside has a byte with which the end {self.end!r} may begin")
         self.fixed_size = size if isinstance(size, int) else None
-        self.affine = (
-            self._escaped(size)
-            if isinstance(size, Escaped)
-            else self._affine(size)
-            if callable(size)
-            else None
-        )
+        self.affine: Affine | None = None
+        #: What says the size where it is no multiple of a length: bits of the header, or fields that are there by bits.
+        self.measure: BitSize | FieldSize | None = None
+        if isinstance(size, Escaped):
+            self.affine = self._escaped(size)
+        elif isinstance(size, str):  # an expression equals nothing
+            self.measure = FieldSize(self.check_size)
+            if size != "fields":
+                raise SpecError(f"{self.place}: size is a number, an expression or 'fields', not {size!r}")
+        elif callable(size):
+            self._ask(size)
+        if self.measure is not None and stuffing is not None:
+            raise SpecError(f"{self.place}: a size by bits or fields does not go with stuffing")
         if self.affine is not None and self.affine.wide is not None:
             if stuffing is not None:
                 raise SpecError(f"{self.place}: a length that is escaped does not go with stuffing")
@@ -340,6 +387,55 @@ class Framing:
         assert self.check is not None
         at = self.check_at if self.check_at >= 0 else len(packet) + self.check_at
         return packet[at : at + self.check.size]
+
+    def _ask(self, size: Callable[[Any], Any]) -> None:
+        """Set what an expression says of the size: a multiple of a length, or a sum over bits."""
+        try:
+            self.affine = self._affine(size)
+        except SpecError as error:
+            self.measure = self._bit_size(size)
+            if self.measure is None:
+                raise error from None
+
+    def _bit_size(self, size: Callable[[Any], Any]) -> BitSize | None:
+        """Return the size as a sum over bits of header fields; None where it is none."""
+        heads = [h for h in self.heads if h.name is not None and not h.is_text]
+        zeros = {str(h.name): 0 for h in heads}
+
+        def ask(**values: int) -> int:
+            return int(size(Container({**zeros, **values})))
+
+        try:
+            base = ask()
+            added = {h: [ask(**{str(h.name): 1 << bit}) - base for bit in range(8 * h.size)] for h in heads}
+            for step in range(1, 64):  # bits that are not neighbours, together
+                values = {
+                    h: (0x9E3779B97F4A7C15 * (step + n)) & (1 << 8 * h.size) - 1 for n, h in enumerate(heads)
+                }
+                wanted = base + sum(
+                    more
+                    for h, number in values.items()
+                    for bit, more in enumerate(added[h])
+                    if number >> bit & 1
+                )
+                if ask(**{str(h.name): number for h, number in values.items()}) != wanted:
+                    return None
+        except Exception:  # whatever an expression raises
+            return None
+        used = [h for h in heads if any(added[h])]
+        if not used or any(more < 0 for h in used for more in added[h]):
+            return None
+        tables: list[tuple[int, tuple[int, ...]]] = []
+        for head in used:
+            for index in range(head.size):
+                bits = added[head][8 * index : 8 * index + 8]
+                at = index if head.order == "little" else head.size - 1 - index
+                table = tuple(
+                    sum(more for bit, more in enumerate(bits) if byte >> bit & 1) for byte in range(256)
+                )
+                if any(table):
+                    tables.append((head.offset + at, table))
+        return BitSize(tuple(str(h.name) for h in used), tuple(tables), base)
 
     def _affine(self, size: Callable[[Any], Any]) -> Affine:
         """Read off which header field the size depends on, and how: by asking the expression."""
@@ -425,6 +521,18 @@ class Framing:
 
     def known(self, message: Message, numbers: Iterable[int] | None) -> None:
         """Note how long a message is, whose selecting header field has these `numbers`; None: it says none."""
+        if isinstance(self.measure, FieldSize):
+            if self.measure.shapes is not None:
+                raise SpecError(
+                    f"{message.place}: packets of {self.name} are as long as the fields of"
+                    f" {self.measure.shapes.message.name} say; give {message.name} a framing of its own"
+                )
+            self.measure.shapes = Shapes(message)
+            if any(sizes(body)[0] != sizes(body)[1] for body in self.measure.shapes.bodies):
+                raise SpecError(
+                    f"{message.place}: packets of {self.name} are as long as their fields say, and a field of"
+                    f" {message.name} has no fixed size"
+                )
         if not isinstance(self.stuffing, CutZeros):
             return
         if numbers is None:
@@ -495,6 +603,11 @@ class Framing:
             said = self.affine.size_of(data[start : start + self.affine.reach])
             if said is None:
                 return MORE
+            size = said
+        elif self.measure is not None:
+            said = self.measure.size_of(data[start : start + self.max_size])
+            if said is None:
+                return MORE if left < self.max_size else BAD("length")
             size = said
         else:
             assert self.fixed_size is not None
@@ -610,6 +723,8 @@ class Framing:
         parts += [f"{head.name} {describe_values(numbers)}" for head, numbers in self.match]
         if self.fixed_size is not None:
             parts.append(f"{self.fixed_size} bytes")
+        elif self.measure is not None:
+            parts.append(f"{self.measure.describe}, at most {self.max_size} bytes")
         elif self.affine is not None:
             parts.append(f"size by {self.affine.length.name}, at most {self.max_size} bytes")
         elif self.end:

@@ -12,6 +12,7 @@ from ...frames import FD_LENGTHS
 from .multiplexed import Multiplexed
 from .normalise import sizes
 from .pattern import describe_values
+from .present import Present
 from .transport import Transport
 
 if TYPE_CHECKING:
@@ -118,7 +119,7 @@ def check_room(message: Message) -> None:
     items = [(i.name, i.subcon if isinstance(i, c.Renamed) else i) for i in message.payload.subcons]
     always = message.payload_start + sum(sizes(body)[0] for _, body in items)
     for name, body in items:
-        if not isinstance(body, Multiplexed):
+        if not isinstance(body, Multiplexed) or isinstance(body, Present):
             continue
         beside = [o for _, o in items if isinstance(o, Multiplexed) and o.selector == body.selector]
         least = min(

@@ -29,6 +29,7 @@ from .normalise import check_name, check_selectors, normalised, sizes
 from .packet import PacketStruct
 from .pattern import IdPattern, describe_values
 from .place import SourceLine
+from .shapes import Shapes, has_shapes
 from .transport import Transport
 from .wire_number import innermost, wire_number
 
@@ -182,8 +183,11 @@ class Message:
         ):
             raise SpecError(f"{place}: {derived} {escape} of {name} is no length: a wider one follows")
         self.request_fields = self._request_fields()
-        self.payload = normalised(payload, place, self._enumerations())
+        numbers = [h.name for h in self.heads_written if h.name is not None and not h.is_text]
+        self.payload = normalised(payload, place, self._enumerations(), numbers)
         check_selectors(self.payload, place)
+        if has_shapes(self):
+            Shapes(self)  # what is wrong with it is found here
         self.lengths = lengths_of(self, length)
         self._check_fields()
         check_room(self)
@@ -494,6 +498,19 @@ class Message:
         elif isinstance(self.payload, c.Struct):
             found += [s.subcon for s in self.payload.subcons if s.name == name]
         return found
+
+    def with_payload(self, payload: c.Struct) -> Message:
+        """Return this message with other fields: one of the shapes of a message whose fields are there by bits."""
+        made = copy.copy(self)
+        for name in ("struct", "payload_names", "counters", "constants", "check_span", "check_over"):
+            made.__dict__.pop(name, None)
+        made.payload = payload
+        low, high = sizes(payload)
+        if self.lengths is not None:
+            room = [length - self.payload_start for length in self.lengths]
+            fitting = [size for size in room if low <= size and (high is None or size <= high)]
+            made.lengths = tuple(size + self.payload_start for size in fitting)
+        return made
 
     def narrowed(self, allowed: Mapping[str, Collection[int]]) -> Message | None:
         """Return this message with captures limited to `allowed`; None when no value is left."""

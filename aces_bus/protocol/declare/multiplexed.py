@@ -40,8 +40,18 @@ class Multiplexed(Construct):
         if self.is_present(context):
             return self.body._build(obj, stream, context, path)
         if obj is not None:
-            raise FieldError(f"{path}: only there while {self.selector} is {number_runs(self.when)}")
+            raise self.absent(path)
         return None
+
+    def around(self, body: Construct) -> Multiplexed:
+        """Return the same condition around another field."""
+        made = type(self)(self.selector, self.when, body)
+        made.place = self.place
+        return made
+
+    def absent(self, path: str) -> FieldError:
+        """Return the error for a value that is given while the field is not there."""
+        return FieldError(f"{path}: only there while {self.selector} is {number_runs(self.when)}")
 
     def _sizeof(self, context: Any, path: str) -> Any:
         return self.body._sizeof(context, path) if self.is_present(context) else 0

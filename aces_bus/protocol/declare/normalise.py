@@ -15,6 +15,7 @@ import copy
 import io
 import keyword
 import unicodedata
+from collections.abc import Collection
 from typing import Any
 
 import construct as c
@@ -28,6 +29,7 @@ from .head import enumeration_of
 from .items import Items
 from .multiplexed import Multiplexed
 from .place import SourceLine
+from .present import Present
 from .vocabulary import TRANSFORMS, refusal_of
 
 #: Names that records use themselves.
@@ -36,10 +38,12 @@ TAKEN = frozenset({"meta"})
 MOST_EMPTY = 4096
 
 
-def normalised(payload: c.Construct | None, place: SourceLine, around: Known | None = None) -> c.Construct:
+def normalised(
+    payload: c.Construct | None, place: SourceLine, around: Known | None = None, heads: Collection[str] = ()
+) -> c.Construct:
     """Return the payload as `Struct`, `BitLayout` or `Delimited`, ready to be flattened.
 
-    `around` are the enumerations that it may ask for outside itself, as `this._.name`.
+    `around` are the enumerations that it may ask for outside itself, as `this._.name`; `heads` the fields of the header.
     """
     if payload is None:
         return c.Struct()
@@ -50,7 +54,9 @@ def normalised(payload: c.Construct | None, place: SourceLine, around: Known | N
             f"{place}: a payload is a Struct, a BitLayout or a Delimited, not {payload!r}; one field goes into a Struct, too"
         )
     try:
-        return _Walk(place).of(payload, "payload", {("_", *path): e for path, e in (around or {}).items()})
+        return _Walk(place, heads).of(
+            payload, "payload", {("_", *path): e for path, e in (around or {}).items()}
+        )
     except RecursionError:
         raise SpecError(f"{place}: payload: its LazyBound gives another construct at each look") from None
 
@@ -100,8 +106,10 @@ def check_name(name: str, place: SourceLine) -> None:
 class _Walk:
     """One walk over a payload. `known` are the enumerations that an expression at the place may ask for."""
 
-    def __init__(self, place: SourceLine, *, in_bits: bool = False) -> None:
+    def __init__(self, place: SourceLine, heads: Collection[str] = (), *, in_bits: bool = False) -> None:
         self.place = place
+        #: The fields of the header.
+        self.heads = heads
         #: Whether the bytes are bits, as inside `Bitwise`.
         self.in_bits = in_bits
         #: Whether what is walked strips the zeros that its `FixedSized` gives back.
@@ -153,9 +161,7 @@ class _Walk:
                 self._layout(con)
                 return con
             case Multiplexed():
-                made = Multiplexed(con.selector, con.when, self.of(con.body, path, known))
-                made.place = con.place
-                return made
+                return con.around(self.of(con.body, path, known))
             case c.Array() | c.GreedyRange() | c.RepeatUntil():
                 return self._repeated(con, path, known)
             case Items():
@@ -223,7 +229,8 @@ class _Walk:
             made = self.of(item, path, own)
             body = made.subcon if isinstance(made, c.Renamed) else made
             if isinstance(body, Multiplexed):
-                if body.selector not in seen:
+                is_outer = isinstance(body, Present) and path == "payload" and body.selector in self.heads
+                if body.selector not in seen and not is_outer:
                     raise SpecError(
                         f"{place.of_field(name or '')}: field {name!r} is multiplexed by {body.selector!r},"
                         " which is not before it"
@@ -475,7 +482,8 @@ def check_selectors(con: c.Construct, place: SourceLine, path: str = "payload") 
         for item in con.subcons:
             body = item.subcon if isinstance(item, c.Renamed) else item
             if isinstance(body, Multiplexed):
-                _check_selector(by_name[body.selector], body.selector, place)
+                if body.selector in by_name:  # else it is in the header
+                    _check_selector(by_name[body.selector], body.selector, place)
                 body = body.body
             check_selectors(body, place, f"{path}.{item.name}" if item.name else path)
         return

@@ -294,6 +294,13 @@ class PacketStruct(Construct):
                     f" this message has {_described(wanted)}"
                 )
             packet = packet[: length.offset] + length.bytes(number) + packet[length.offset + length.size :]
+        elif framing.measure is not None:
+            said = framing.measure.size_of(packet)
+            if said != size:
+                raise FieldError(
+                    f"{self.message.name}: by its bits a packet has {said} bytes ({framing.measure.describe}),"
+                    f" these fields make {size}"
+                )
         elif framing.fixed_size is not None and size != framing.fixed_size:
             raise FieldError(
                 f"{self.message.name}: a packet of {size} bytes; its framing has {framing.fixed_size}"

@@ -117,6 +117,9 @@ def _field_row(name: str, node: p.Node, doc: str, captured: Mapping[str, str]) -
             return FieldRow(name, f"field {node.index}", kind, node.unit, names=_names(node), doc=doc or note)
         case p.MoreCells():
             return FieldRow(name, f"field {node.start}…", "texts", doc=doc)
+        case p.ByBits():
+            row = _field_row(name, node.known, doc, captured)
+            return replace(row, place=node.place_text)
         case p.NamedValue():
             return FieldRow(name, "", "number", node.unit, names=_names(node), doc=doc)
         case _:

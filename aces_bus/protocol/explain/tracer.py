@@ -296,6 +296,8 @@ def _size_of(framing: Framing, prefix: bytes) -> int | None:
         return framing.fixed_size
     if framing.affine is not None:
         return framing.affine.size_of(prefix)
+    if framing.measure is not None:
+        return framing.measure.size_of(prefix)
     return None
 
 

@@ -15,7 +15,7 @@ from types import CodeType
 from typing import Any, TypeVar
 
 import msgspec
-from construct import ConstructError
+from construct import ConstructError, Struct
 
 from ...errors import AcesError
 from ..declare.delimited import degrees
@@ -23,6 +23,7 @@ from ..declare.fields import FlagSet
 from ..declare.message import Message
 from ..declare.packet import key_image
 from ..declare.protocol import Variant
+from ..declare.shapes import MOST, Shape, Shapes, has_shapes
 from ..plan import nodes as p
 from ..record import Part, Record, from_container, plain_value
 from .decode import CALLED, Decoder, ListDecoder
@@ -109,6 +110,8 @@ def decoders_of(variant: Variant, raw: bool = False, guard: bool = True) -> Mapp
 
     def made(name: str) -> Decode:
         message = variant.messages[name]
+        if has_shapes(message):
+            return _by_shape(variant, message, raw=raw)
         printed = Decoder(message.plan, raw=raw, guard=guard)
         source = print_decoder(printed)
         types = _types(variant)[name]
@@ -122,6 +125,60 @@ def decoders_of(variant: Variant, raw: bool = False, guard: bool = True) -> Mapp
         return decode
 
     return OnDemand(made)
+
+
+def _by_shape(variant: Variant, message: Message, *, raw: bool) -> Decode:
+    """Return a decode function for fields that are there by bits: each shape that comes has a generated one of its own,
+    which makes the record of the whole message, None where a field is not there.
+    """
+    shapes = Shapes(message)
+    made: dict[Shape, Decode] = {}
+
+    def decode(
+        data: bytes, key: int, time: Any, channel: Any, raw_bytes: bytes, rx: Any, request: Any = None
+    ) -> Any:
+        shape = shapes.of(data)
+        if shape is None:
+            return None
+        found = made.get(shape)
+        if found is None:
+            if len(made) >= MOST:
+                made.clear()
+            found = made[shape] = _of_shape(variant, message, shape, len(made), raw=raw)
+        return found(data, key, time, channel, raw_bytes, rx, request)
+
+    return decode
+
+
+def _of_shape(variant: Variant, message: Message, shape: Shape, number: int, *, raw: bool) -> Decode:
+    """Return the decode function of one shape; through construct where it has no flat form. Its text is called after
+    `number`, so that shapes without end leave no texts without end."""
+    types = _types(variant)[message.name]
+    part = message.with_payload(Struct(*shape.items))
+    if part.lengths is not None and not part.lengths:
+        return lambda data, key, time, channel, raw_bytes, rx, request: None  # no frame has these fields
+    printed = Decoder(part.plan, raw=raw)
+    source = print_decoder(printed)
+    if printed.opaque or any(kind != message.name and kind not in types for kind in printed.types.values()):
+        return _opaque(message, variant, raw=raw)
+    given = {field.name: f"a{number}" for number, field in enumerate(printed.plan.fields)}
+    fields = ", ".join(given.get(name, "None") for name in message.fields)
+    transport = "t0, t1, t2, t3, t4"  # as `TRANSPORT` has them; a field may have any name
+    maker = f"def made({', '.join([*given.values(), transport])}):\n    return Whole({fields}, {transport})\n"
+    label = f"aces {variant.label} {'raw ' if raw else ''}decoders: {message.name}, shape {number}"
+    whole = load_source(maker, f"{label}, record", {"Whole": types[message.name]})["made"]
+    names = {**_CALLED, **printed.module.bound}
+    names |= {
+        called: whole if kind == message.name else types[kind] for called, kind in printed.types.items()
+    }
+    if printed.holds:
+        names[printed.holds] = _holds(part)
+    decode: Decode = load_source(source, label, names)[printed.function]
+    if any(isinstance(field.node, p.FromRequest) for field in printed.plan.fields):
+        return decode
+    return lambda data, key, time, channel, raw_bytes, rx, request: decode(
+        data, key, time, channel, raw_bytes, rx
+    )
 
 
 def _holds(message: Message) -> Callable[[bytes, int], bool]:

@@ -189,6 +189,20 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
         out.line("else:")
         out.depth += 1
         size = "size"
+    elif framing.measure is not None:
+        out.lines(
+            f"size = measure_{number}(buffer[i : i + {framing.max_size}])",
+            f"if size is None and end - i < {framing.max_size}:",
+        )
+        _wait(out)
+        out.lines(
+            f"elif size is None or not {framing.min_size} <= size <= {framing.max_size}:",
+            "    bad = bad or 'malformed: length'" if not alone else "    bad = 'malformed: length'",
+        )
+        _more(out, "end - i < size", word="elif")
+        out.line("else:")
+        out.depth += 1
+        size = "size"
     else:
         size = str(framing.fixed_size)
         _more(out, f"end - i < {size}")
@@ -224,7 +238,7 @@ def _set_of(numbers: Collection[int]) -> str:
 def _has_sized_start(framing: Framing) -> bool:
     """Return whether the first bytes say that a packet may begin, and how long it is."""
     return bool(framing.sync or framing.match) and (
-        framing.affine is not None or framing.fixed_size is not None
+        framing.affine is not None or framing.fixed_size is not None or framing.measure is not None
     )
 
 

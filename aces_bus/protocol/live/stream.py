@@ -136,6 +136,8 @@ class StreamScanner:
             names[f"same_{number}"] = check.same
         if extras is not None:
             names[f"extras_{number}"] = extras.get
+        if framing.measure is not None:
+            names[f"measure_{number}"] = framing.measure.size_of
         if framing.is_enclosed:
             segments = Segments(framing, extras)
             self._segments.append(segments)

@@ -23,6 +23,8 @@ from ..declare.message import Message
 from ..declare.multiplexed import Multiplexed
 from ..declare.normalise import inner_constructs, sizes
 from ..declare.pattern import IdField, IdPattern
+from ..declare.present import Present
+from ..declare.shapes import Shapes, has_shapes
 from ..keys import key_of
 from . import nodes as p
 from .scalars import NotFlat, integer_at, peeled, scalar_of, scale_of
@@ -63,7 +65,11 @@ def flatten(message: Message) -> p.MessagePlan:
         read = builder.constants  # what was read before it stopped is true all the same
         builder = _Builder(message, tail)
         builder.constants = read
-        builder.fields = [p.PlanField(name, _opaque(message, name, opaque)) for name in names]
+        inside = _by_bits(message, opaque) if has_shapes(message) else {}
+        builder.fields = [
+            p.PlanField(name, inside[name] if name in inside else _opaque(message, name, opaque))
+            for name in names
+        ]
     check = message.check.field if message.check is not None else None
     fields += [f for f in builder.fields if f.name != check]
     least = message.payload_start + (sizes(message.payload)[0] if opaque else builder.least) + tail
@@ -104,12 +110,45 @@ def _opaque(message: Message, name: str, reason: str) -> p.Opaque:
     if isinstance(items, Items):
         return _Builder(message, 0).described(items, f"{message.name}_{name}", reason)
     if not isinstance(items, ItemList):
-        return p.Opaque(reason)
+        unit = _unit_of(items)
+        return p.OpaqueQuantity(reason, unit) if unit else p.Opaque(reason)
     values: list[tuple[str, int, p.NamedValue]] = []
     for value, (number, unit, names) in items.values.items():
         steps = (p.ValueNames(tuple(names.items())),) if names else ()
         values.append((value, number, p.NamedValue(unit, steps, is_float=names is None)))
     return p.OpaqueItems(reason, tuple(values))
+
+
+def _by_bits(message: Message, reason: str) -> dict[str, p.Node]:
+    """Return what the fields of a message are that are there by bits, as far as they have a flat form."""
+    shapes = Shapes(message)
+    found = flatten(message.with_payload(c.Struct(*shapes.all_items)))
+    if not found.is_flat:
+        return {}
+    nodes = {field.name: field.node for field in found.fields}
+    return {
+        item.name: p.ByBits(
+            reason,
+            nodes[item.name],
+            *((body.selector, body.bit) if isinstance(body, Present) else ()),
+        )
+        for item, body in shapes.items
+        if item.name in nodes
+    }
+
+
+def _unit_of(con: c.Construct | None) -> str:
+    """Return the unit of a value that construct decodes, or of all values of an array; empty where there are several."""
+    while con is not None:
+        body, _, unit, _ = peeled(con)
+        if unit or isinstance(body, (c.Struct, c.Sequence, BitLayout, Items)):
+            return unit
+        inner = inner_constructs(body)
+        if len(inner) > 1:
+            units = {_unit_of(part) for part in inner if part is not c.Pass}
+            return units.pop() if len(units) == 1 else ""
+        con = inner[0] if inner else None
+    return ""
 
 
 def _claims(always: int, masks: dict[p.Selector, dict[int, int]], outer: p.When | None) -> tuple[Any, ...]:
@@ -279,6 +318,8 @@ class _Builder:
                 continue
             if self.is_open:
                 raise NotFlat(f"{name or body!r} follows a field of open size")
+            if isinstance(body, Present):
+                raise NotFlat("its fields are present by bits")
             if isinstance(body, Multiplexed):
                 if not top or (selector is not None and selector.name != body.selector):
                     raise NotFlat("nested multiplexing")

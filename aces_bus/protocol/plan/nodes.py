@@ -169,6 +169,8 @@ class Node:
     #: Whether construct decodes it; then `reason` says why, if it is known.
     is_by_construct: bool = False
     is_opaque: bool = False
+    #: What an opaque field is all the same, without its place.
+    known: Node | None = None
     reason: str = ""
     #: Whether it is whole bytes in one byte order.
     is_whole: bool = False
@@ -811,6 +813,34 @@ class Opaque(Node, msgspec.Struct, frozen=True):
     @property
     def how(self) -> str:
         return self.reason
+
+
+class OpaqueQuantity(Opaque, frozen=True):
+    """A number, or numbers, that construct decodes, of a known unit."""
+
+    unit: str
+
+
+class ByBits(Opaque, frozen=True):
+    """A field of a message whose fields are there by bits: `known` is what it is, of no fixed place; `selector` and `bit`
+    say when it is there (empty: always)."""
+
+    known: Node
+    selector: str = ""
+    bit: int = 0
+
+    @property
+    def unit(self) -> str:  # type: ignore[override]
+        return self.known.unit
+
+    @property
+    def may_be_none(self) -> bool:  # type: ignore[override]
+        return bool(self.selector)
+
+    @property
+    def place_text(self) -> str:
+        """What says that it is there, in words."""
+        return f"if {self.selector} bit {self.bit}" if self.selector else ""
 
 
 class NamedValue(Node, msgspec.Struct, frozen=True):

@@ -1,0 +1,182 @@
+"""Fields that are there by bits, and packets whose size bits say."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import pytest
+from construct import (
+    Array,
+    Byte,
+    Bytes,
+    Float32l,
+    GreedyBytes,
+    GreedyRange,
+    Int16sb,
+    Int16sl,
+    Int16ul,
+    Int64ul,
+    Struct,
+    this,
+)
+
+from aces_bus.errors import FieldError, SpecError
+from aces_bus.frames import Frame
+from aces_bus.protocol import BitLayout, Crc, Flags, Present, Protocol, Quantity, bits
+from aces_bus.testing import law_tests
+
+
+def groups() -> Protocol:
+    """Groups of fields: a byte says which masks follow, each mask which fields."""
+    made = Protocol("groups", link="serial", source="after VectorNav's binary output")
+    packet = made.framing(
+        sync=b"\xfa",
+        header=Struct("groups" / Byte),
+        size="fields",
+        max_size=200,
+        check=Crc("CRC16-XMODEM", order="big"),
+    )
+    packet(
+        "Binary",
+        direction="from device",
+        payload=Struct(
+            "common" / Present("groups", 0, Int16ul),
+            "imu" / Present("groups", 2, Int16ul),
+            "time" / Present("common", 0, Quantity(Int64ul, unit="s", scale=1e-9)),
+            "angles" / Present("common", 3, Array(3, Float32l)),
+            "temperature" / Present("imu", 1, Quantity(Int16sl, unit="°C", scale=0.01)),
+            "acceleration" / Present("imu", 2, Struct("x" / Float32l, "y" / Float32l)),
+        ),
+    )
+    return made
+
+
+def frames() -> Protocol:
+    """Optional fields of a CAN frame, the last of open size."""
+    made = Protocol("frames", link="can", source="drawn")
+    payload = Struct(
+        "flags" / Flags(Byte, speed=0, load=1, more=7),
+        "speed" / Present("flags", 0, Int16ul),
+        "load" / Present("flags", 1, Quantity(Byte, unit="%", scale=0.5)),
+        "more" / Present("flags", 7, GreedyBytes),
+    )
+    made.message("State", id=0x10, direction="from device", payload=payload)
+    return made
+
+
+def points() -> Protocol:
+    """Five bits of the header count points of three bytes, as the LD06 lidar has it."""
+    made = Protocol("points", link="serial", source="after the LD06 development manual")
+    packet = made.framing(
+        sync=b"\x54",
+        header=Struct("kind" / Byte),
+        size=(this.kind & 31) * 3 + 5,
+        max_size=98,
+        check=Crc("CRC8-MAXIM-DOW"),
+    )
+    point = Struct("distance" / Int16ul, "intensity" / Byte)
+    packet("Scan", payload=Struct("speed" / Int16ul, "points" / GreedyRange(point)))
+    return made
+
+
+test_groups_obey_the_laws = law_tests(groups(), examples=6)
+test_frames_obey_the_laws = law_tests(frames(), examples=6)
+test_points_obey_the_laws = law_tests(points(), examples=6)
+
+
+@pytest.mark.parametrize("common", range(0, 16, 1))
+@pytest.mark.parametrize("imu", [None, 0, 2, 4, 6])
+def test_every_combination_of_bits(common: int, imu: int | None) -> None:
+    """A packet is what plain struct makes of the fields whose bits are set, and is read as them."""
+    made = groups()
+    given: dict[str, Any] = {"groups": 1 if imu is None else 5, "common": common, "imu": imu}
+    body = struct.pack("<BH", given["groups"], common) + (b"" if imu is None else struct.pack("<H", imu))
+    if common & 1:
+        given["time"], body = 1.5, body + struct.pack("<Q", 1_500_000_000)
+    if common & 8:
+        given["angles"], body = (1.0, 2.0, 3.0), body + struct.pack("<3f", 1, 2, 3)
+    if imu and imu & 2:
+        given["temperature"], body = -20.5, body + struct.pack("<h", -2050)
+    if imu and imu & 4:
+        given["acceleration"], body = {"x": 0.5, "y": -1.0}, body + struct.pack("<2f", 0.5, -1)
+    packet = b"\xfa" + body + struct.pack(">H", Crc("CRC16-XMODEM").compute(body))
+    assert made.encode("Binary", **given) == packet
+    (record,) = made.scanner().feed(packet)
+    for name in made["Binary"].fields:
+        value = getattr(record, name)
+        shown = {"x": value.x, "y": value.y} if name == "acceleration" and value is not None else value
+        assert shown == given.get(name)
+
+
+def test_values_beside_their_bits_are_refused() -> None:
+    """A field whose bit is not set is not sent in silence, and one whose bit is set is not left out."""
+    made = frames()
+    with pytest.raises(FieldError, match="load: only there while bit 1 of flags is set"):
+        made.encode("State", flags=1, speed=5, load=3)
+    with pytest.raises(FieldError, match="speed"):
+        made.encode("State", flags=1)
+    with pytest.raises(FieldError, match=r"by its bits a packet has 8 bytes .*, these fields make 11"):
+        points().encode("Scan", kind=0x21, speed=1, points=[{"distance": 1, "intensity": 2}] * 2)
+
+
+def test_a_frame_of_another_length_is_malformed() -> None:
+    """A frame whose bits say three bytes is not read with four."""
+    made = frames()
+    scanner = made.scanner(include_unknown=True)
+    good, bad = scanner.feed([Frame(0x10, b"\x01\x05\x00"), Frame(0x10, b"\x01\x05\x00\x00")])
+    assert (good.speed, good.load, good.more) == (5, None, None)
+    assert bad.reason.startswith("malformed: length")
+
+
+def test_units_and_types_are_known() -> None:
+    """Fields that construct places have their unit, their type and the bit that they depend on."""
+    from aces_bus.protocol.draw.table import field_table
+
+    rows = {row.name: row for row in field_table(groups()["Binary"].plan)}
+    assert (rows["temperature"].unit, rows["temperature"].type, rows["temperature"].place) == (
+        "°C",
+        "int16 le",
+        "if imu bit 1",
+    )
+
+
+def test_what_cannot_be_there_by_bits() -> None:
+    """Deciding fields come before, are whole unsigned integers at a known place, and not in a BitLayout."""
+    made = Protocol("wrong", link="can")
+    with pytest.raises(SpecError, match="multiplexed by 'mask', which is not before it"):
+        made.message("A", id=1, payload=Struct("x" / Present("mask", 0, Byte)))
+    with pytest.raises(SpecError, match="is an unsigned integer of whole bytes"):
+        made.message("B", id=1, payload=Struct("mask" / Int16sb, "x" / Present("mask", 0, Byte)))
+    with pytest.raises(SpecError, match="in a BitLayout these stay"):
+        BitLayout(2, "mask" / bits(8), "x" / Present("mask", 0, bits(8)))
+    with pytest.raises(SpecError, match="a bit has a number from 0 to 63"):
+        Present("mask", 64, Byte)
+    wire = Protocol("wire", link="serial")
+    packet = wire.framing(sync=b"$", header=Struct("m" / Byte), size="fields", max_size=9)
+    packet("One", payload=Struct("x" / Present("m", 0, Byte)))
+    with pytest.raises(SpecError, match="give Two a framing of its own"):
+        packet("Two", payload=Struct("x" / Present("m", 0, Byte)))
+    with pytest.raises(SpecError, match="has no fixed size"):
+        wire.framing(sync=b"%", header=Struct("m" / Byte), size="fields", max_size=9)(
+            "Open", payload=Struct("x" / Present("m", 0, GreedyBytes))
+        )
+    with pytest.raises(SpecError, match="not 'field'"):
+        wire.framing(sync=b"!", size="field", max_size=9)
+    with pytest.raises(SpecError, match="depend on one header field"):
+        wire.framing(sync=b"!", header=Struct("a" / Byte, "b" / Byte), size=this.a * this.b + 4, max_size=9)
+
+
+def test_shapes_are_bounded() -> None:
+    """Masks of any value cost no memory without end: the oldest shapes go."""
+    from aces_bus.protocol.declare import shapes
+
+    made = Protocol("many", link="serial")
+    packet = made.framing(sync=b"$", header=Struct("m" / Int16ul), size="fields", max_size=40)
+    packet("M", payload=Struct(*(f"x{n}" / Present("m", n, Bytes(1)) for n in range(16))))
+    found = shapes.Shapes(made["M"])
+    for number in range(3 * shapes.MOST):
+        shape = found.of(b"$" + struct.pack("<H", number) + bytes(16))
+        assert shape is not None
+        assert shape.size == number.bit_count()
+    assert len(found._root.found) <= shapes.MOST + 1  # type: ignore[union-attr]
