@@ -123,8 +123,8 @@ class _Printer:
         for message in messages:
             for field in message.plan.fields:
                 kind = self.type_of(field, f"{name}.{field.name}", parts)
-                if (known := field.node.known) is not None:
-                    kind = self.type_of(p.PlanField(field.name, known), f"{name}.{field.name}", parts)
+                if (node := field.node.known) is not None:
+                    kind = self.type_of(p.PlanField(field.name, node), f"{name}.{field.name}", parts)
                     kind = _union([kind, "None"]) if field.node.may_be_none else kind
                 elif field.node.is_opaque:
                     kind = self._opaque(message, field.name, parts)
