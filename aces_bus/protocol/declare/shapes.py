@@ -31,8 +31,8 @@ class Shape(msgspec.Struct, frozen=True):
     size: int | None
 
 
-class Bits(msgspec.Struct, frozen=True):
-    """Bits of a packet that decide something: those of `mask` in the number at `offset` of the packet."""
+class DecidingBits(msgspec.Struct, frozen=True):
+    """DecidingBits of a packet that decide something: those of `mask` in the number at `offset` of the packet."""
 
     name: str
     offset: int
@@ -44,14 +44,14 @@ class Bits(msgspec.Struct, frozen=True):
         return int.from_bytes(packet[self.offset : self.offset + self.size], self.order) & self.mask  # type: ignore[arg-type]
 
 
-class Level(msgspec.Struct):
+class ShapeLevel(msgspec.Struct):
     """What is to be looked at next, and what comes of it."""
 
-    bits: tuple[Bits, ...]
+    bits: tuple[DecidingBits, ...]
     #: The bytes that are needed for it.
     reach: int
     known: dict[str, int]
-    found: dict[tuple[int, ...], Level | Shape]
+    found: dict[tuple[int, ...], ShapeLevel | Shape]
 
 
 class Shapes:
@@ -84,7 +84,7 @@ class Shapes:
     def of(self, packet: bytes) -> Shape | None:
         """Return the shape of a packet that begins so, without stuffing; None while the bits that decide are not there."""
         level = self._root
-        while isinstance(level, Level):
+        while isinstance(level, ShapeLevel):
             if len(packet) < level.reach:
                 return None
             key = tuple([bits.of(packet) for bits in level.bits])
@@ -118,13 +118,15 @@ class Shapes:
         """The payload's fields, whether or not they are there."""
         return [body.body if isinstance(body, Present) else body for _, body in self.items]
 
-    def _from(self, known: dict[str, int]) -> Level | Shape:
+    def _from(self, known: dict[str, int]) -> ShapeLevel | Shape:
         """Return what the deciding numbers that are known lead to: the next ones to look at, or the shape."""
         message = self.message
-        places: dict[str, Bits] = {}
+        places: dict[str, DecidingBits] = {}
         for head in message.heads_written:
             if head.name in self.masks:
-                places[head.name] = Bits(head.name, head.offset, head.size, head.order, self.masks[head.name])
+                places[head.name] = DecidingBits(
+                    head.name, head.offset, head.size, head.order, self.masks[head.name]
+                )
         offset: int | None = message.payload_start
         there: list[c.Construct] = []
         absent: set[str] = set()
@@ -133,7 +135,7 @@ class Shapes:
                 if body.selector not in absent and body.selector not in known:
                     bits = tuple(place for name, place in places.items() if name not in known)
                     reach = max(place.offset + place.size for place in bits)
-                    return Level(bits, reach, known, {})
+                    return ShapeLevel(bits, reach, known, {})
                 if body.selector in absent or not known[body.selector] >> body.bit & 1:
                     if item.name is not None:
                         absent.add(item.name)
@@ -147,11 +149,11 @@ class Shapes:
             offset = offset + low if offset is not None and low == high else None
         return Shape(tuple(there), None if offset is None else offset - message.payload_start)
 
-    def _place(self, name: str, body: c.Construct, offset: int | None) -> Bits:
+    def _place(self, name: str, body: c.Construct, offset: int | None) -> DecidingBits:
         wire = wire_number(innermost(body))
         assert wire is not None
         assert offset is not None
-        return Bits(name, offset, wire.size, wire.order, self.masks[name])
+        return DecidingBits(name, offset, wire.size, wire.order, self.masks[name])
 
 
 def has_shapes(message: Message) -> bool:
