@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 MOST = 1024
 
 
-class Shape(msgspec.Struct, frozen=True):
+class PayloadShape(msgspec.Struct, frozen=True):
     """The payload's fields that are there, in order, and their bytes (None: as many as there are)."""
 
     items: tuple[c.Construct, ...]
@@ -51,7 +51,7 @@ class ShapeLevel(msgspec.Struct):
     #: The bytes that are needed for it.
     reach: int
     known: dict[str, int]
-    found: dict[tuple[int, ...], ShapeLevel | Shape]
+    found: dict[tuple[int, ...], ShapeLevel | PayloadShape]
 
 
 class Shapes:
@@ -81,7 +81,7 @@ class Shapes:
         self._count = 0
         self._root = self._from({})
 
-    def of(self, packet: bytes) -> Shape | None:
+    def of(self, packet: bytes) -> PayloadShape | None:
         """Return the shape of a packet that begins so, without stuffing; None while the bits that decide are not there."""
         level = self._root
         while isinstance(level, ShapeLevel):
@@ -118,7 +118,7 @@ class Shapes:
         """The payload's fields, whether or not they are there."""
         return [body.body if isinstance(body, Present) else body for _, body in self.items]
 
-    def _from(self, known: dict[str, int]) -> ShapeLevel | Shape:
+    def _from(self, known: dict[str, int]) -> ShapeLevel | PayloadShape:
         """Return what the deciding numbers that are known lead to: the next ones to look at, or the shape."""
         message = self.message
         places: dict[str, DecidingBits] = {}
@@ -147,7 +147,7 @@ class Shapes:
             there.append(item)
             low, high = sizes(body)
             offset = offset + low if offset is not None and low == high else None
-        return Shape(tuple(there), None if offset is None else offset - message.payload_start)
+        return PayloadShape(tuple(there), None if offset is None else offset - message.payload_start)
 
     def _place(self, name: str, body: c.Construct, offset: int | None) -> DecidingBits:
         wire = wire_number(innermost(body))

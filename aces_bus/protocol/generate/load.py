@@ -23,7 +23,7 @@ from ..declare.fields import FlagSet
 from ..declare.message import Message
 from ..declare.packet import key_image
 from ..declare.protocol import Variant
-from ..declare.shapes import MOST, Shape, Shapes, has_shapes
+from ..declare.shapes import MOST, PayloadShape, Shapes, has_shapes
 from ..plan import nodes as p
 from ..record import Part, Record, from_container, plain_value
 from .decode import CALLED, Decoder, ListDecoder
@@ -132,7 +132,7 @@ def _by_shape(variant: Variant, message: Message, *, raw: bool) -> Decode:
     which makes the record of the whole message, None where a field is not there.
     """
     shapes = Shapes(message)
-    made: dict[Shape, Decode] = {}
+    made: dict[PayloadShape, Decode] = {}
 
     def decode(
         data: bytes, key: int, time: Any, channel: Any, raw_bytes: bytes, rx: Any, request: Any = None
@@ -150,7 +150,7 @@ def _by_shape(variant: Variant, message: Message, *, raw: bool) -> Decode:
     return decode
 
 
-def _of_shape(variant: Variant, message: Message, shape: Shape, number: int, *, raw: bool) -> Decode:
+def _of_shape(variant: Variant, message: Message, shape: PayloadShape, number: int, *, raw: bool) -> Decode:
     """Return the decode function of one shape; through construct where it has no flat form. Its text is called after
     `number`, so that shapes without end leave no texts without end."""
     types = _types(variant)[message.name]
