@@ -46,27 +46,32 @@ aces convert walk.log walk.blf -q
 aces spec export hubo@hubo2plus --format dbc -o car.dbc > export.txt 2>&1
 
 left_out 'make demo' 'makes an environment of its own'
-left_out 'make test' 'the tests themselves'
-says 'frames=1243 decoded=1239' 'aces decode walk.log -p hubo'
 says '-p hubo@hubo2plus' 'aces decode any.log'
-left_out 'candump -L can0 | aces decode -p hubo' 'needs can-utils'
-says 'frames=1243 decoded=1239' 'cat walk.log | aces decode -p hubo' # instead
+says 'frames=1243 decoded=1239' 'aces decode walk.log -p hubo'
 says 'bytes=' 'aces decode servo.bin -p robotis --direction from'
-says 'frames=1243' 'aces decode walk.log -p hubo:D08@hubo2 --format jsonl --message Encoder --where board=3'
 says 'frames=1243' 'aces decode drive.blf -p car.dbc -o drive.parquet'
 says 'frames=1243' "aces plot walk.log -p hubo 'Encoder[board=3].position.*' - 'Current[board=3].*' -o walk.png"
 says 'frames=1243' 'aces convert drive.mf4 drive.asc.gz'
-left_out "aces decode 's3://logs/**/*.mf4' -p truck.dbc -o s3://lake/truck/ --cluster local:4" 'needs an object store'
 says 'messages guessed' 'aces spec guess walk.log --no-known -o draft.py'
 STATUS=1 says 'changes=' 'aces diff walk.log --a 0..0.3 --b 0.3..0.6'
-says 'flips in at most' 'aces plot walk.log --bits'
+left_out 'aces discover -p robotis --bus /dev/ttyUSB0 > found.toml' 'needs a line'
+says 'position' 'aces device RHP get -r hubo2plus --virtual'
+left_out 'aces device RHP home -r hubo2plus --bus lower=can0 -i socketcan --tx' 'needs a robot'
+left_out 'aces stop hubo2plus -i socketcan' 'needs a bus'
+left_out 'aces sim -r hubo2plus' 'does not end by itself'
+says 'devices are there' 'aces sim -r hubo2plus --for 0.2s' # instead
+says 'wrote gripper/gripper.py' 'aces spec new gripper --link can'
+says 'ok' 'aces spec check gripper/gripper.py'
+left_out 'aces spec check gripper/gripper.py --against walk.log' 'needs a recording of that gripper'
+says 'Encoder' "aces spec explain hubo '063#78 00 00 00 FC FF FF FF'"
+left_out 'aces fuzz gripper/gripper.py --for 10min' 'takes its time'
+says 'no failure' 'aces fuzz gripper/gripper.py --examples 5' # instead
+says 'cannot say' 'aces spec export hubo --format c -o hubo.c'
+says '' 'aces spec import car.dbc -o car.py'
 left_out 'aces sniff can0 -p hubo --record walk.blf' 'does not end by itself'
-left_out 'aces sniff can0 -p hubo -o walk.parquet --rotate 100MB' 'does not end by itself'
 left_out 'aces sniff can0 -p hubo --screen' 'needs a terminal'
 says '012#' 'aces send Reference board=2 position=[100,-40] -p hubo'
-left_out 'aces send Reference board=2 position=[100,-40] -p hubo -i socketcan -c can0 --tx --every 10ms' 'needs SocketCAN'
 left_out 'aces play walk.blf -i socketcan -c can0 --tx' 'needs SocketCAN'
-left_out 'aces play walk.log -p hubo --foxglove' 'needs the extra [foxglove]'
 left_out 'aces bridge can0 unix:can0 --tx --filter 060:7F0' 'needs SocketCAN'
 left_out 'aces bus serve can0' 'does not end by itself'
 aces bus serve can0 > serve.txt 2>&1 & # instead
@@ -77,12 +82,6 @@ says 'sent=' 'aces send 123#00 -c can0 --tx'             # instead
 says 'frames=' 'aces sniff can0 -p hubo --for 0.2s'      # instead
 kill "$SERVING" && wait "$SERVING" || true
 SERVING=""
-says 'position' 'aces device RHP get -r hubo2plus --virtual'
-left_out 'aces device RHP home -r hubo2plus --bus lower=can0 -i socketcan --tx' 'needs a robot'
-left_out 'aces sim -r hubo2plus' 'does not end by itself'
-says 'devices are there' 'aces sim -r hubo2plus --for 0.2s' # instead
-left_out 'aces discover -p robotis --bus /dev/ttyUSB0 > found.toml' 'needs a line'
-left_out 'aces stop hubo2plus -i socketcan' 'needs a bus'
 says 'at twice the rate' 'aces bus budget hubo2plus'
 says 'nothing found' 'aces device fuzz hubo_ft --twin --frames 2000'
 left_out 'aces run -r hubo2plus examples/walk_controller.py --virtual' 'does not end by itself'
@@ -90,14 +89,6 @@ says 'seconds=2.000' 'aces run -r hubo2plus examples/walk_controller.py --virtua
 left_out 'aces run -r examples/minihubo_like_hubo.toml examples/walk_controller.py --virtual' 'does not end by itself'
 says 'seconds=2.000' 'aces run -r examples/minihubo_like_hubo.toml examples/walk_controller.py --virtual --for 2s' # instead
 left_out 'aces run -r hubo2plus examples/walk_controller.py --replay walk.blf' 'needs a recording of a whole walk'
-says 'wrote gripper/gripper.py' 'aces spec new gripper --link can'
-says 'ok' 'aces spec check gripper/gripper.py'
-left_out 'aces spec check gripper/gripper.py --against walk.log' 'needs a recording of that gripper'
-says 'Encoder' "aces spec explain hubo '063#78 00 00 00 FC FF FF FF'"
-left_out 'aces fuzz gripper/gripper.py --for 10min' 'takes its time'
-says 'no failure' 'aces fuzz gripper/gripper.py --examples 5' # instead
-says 'cannot say' 'aces spec export hubo --format c -o hubo.c'
-says '' 'aces spec import car.dbc -o car.py'
 
 # ---------------------------------------------------------------------- the tutorial, and Python in six lines
 
