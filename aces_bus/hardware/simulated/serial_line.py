@@ -369,7 +369,7 @@ class PtyPort:
 
     @property
     def is_tuned(self) -> bool:
-        """Whether the program has left the terminal's speed alone, or given it the line's."""
+        """True if the program has left the terminal's speed alone, or set it to the line's."""
         speed = terminal_speed(self._slave)
         return speed == self._untouched or abs((speed or 0) - self.wire.baud) <= TUNED * self.wire.baud
 

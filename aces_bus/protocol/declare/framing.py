@@ -179,7 +179,7 @@ class BitSize(msgspec.Struct, frozen=True):
 
     @property
     def reach(self) -> int:
-        """How many bytes of a packet say its size."""
+        """Number of bytes of a packet that say its size."""
         return 1 + max(offset for offset, _ in self.tables)
 
     @property

@@ -839,7 +839,7 @@ class ByBits(Opaque, frozen=True):
 
     @property
     def place_text(self) -> str:
-        """What says that it is there, in words."""
+        """Condition under which the field is there, in words."""
         return f"if {self.selector} bit {self.bit}" if self.selector else ""
 
 

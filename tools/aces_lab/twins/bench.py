@@ -229,7 +229,7 @@ class TwinBench:
 
     @property
     def bus_options(self) -> dict[str, Any]:
-        """What `can.Bus` takes as keywords. Raises `CallerError` for a serial line."""
+        """Keywords for `can.Bus`. Raises `CallerError` for a serial line."""
         if self.line.link != "can":
             raise CallerError(f"{self.robot.name} is on a serial line: .port is its terminal")
         return dict(self.line.keywords)
@@ -318,7 +318,7 @@ class TwinBench:
 
     @property
     def answers(self) -> int:
-        """How many answers twins have given."""
+        """Number of answers that the twins have given."""
         return sum(tap.answers for tap in self._taps.values())
 
     def last(self, message: str) -> Any:

@@ -57,7 +57,7 @@ class TwinMaker:
 
     @property
     def answers(self) -> int:
-        """How many answers its twins gave."""
+        """Number of answers that the twins have given."""
         return sum(bench.answers for bench in self.benches)
 
     @property
