@@ -13,14 +13,14 @@ pytestmark = pytest.mark.slow
 #: Figure → its budget, and the reason of the last raise. Lower a budget when a figure falls well below it.
 BUDGETS: dict[str, tuple[int, str]] = {
     "statements of aces_bus": (
-        45_500,
+        45_800,
         "e-stops, stops through the lock, parking, measured limits; formats left for the lab",
     ),
     "statements of the kernel": (
         9_400,
         "broadcasts in their order, texts with ends, both words for a direction",
     ),
-    "public names": (368, "the errors, which users import, are listed, too"),
+    "public names": (375, "tests of each kind of plug-in, for who writes them"),
     "members of public names": (1_710, ""),
     "names of seams": (420, "formats of tables, logs, databases and recordings are the lab's"),
     "files in a knot of imports": (
@@ -29,7 +29,7 @@ BUDGETS: dict[str, tuple[int, str]] = {
     ),
     "files that ask nodes for their class": (12, ""),
     "bases with one subclass": (49, ""),
-    "test files that import the inside": (136, ""),
+    "test files that import the inside": (137, "plug-ins that are broken"),
     "times that Any is written": (3_700, "proofs run generated text on values of any kind"),
     "docstrings that begin with a riddle": (0, ""),
     "docstrings that do not begin with a verb": (0, ""),

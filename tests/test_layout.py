@@ -61,7 +61,17 @@ FLOORS: dict[str, set[str]] = {
         "recordings",
         "kinematics",
     },  # floors put together
-    "testing": {"runtime", "protocol", "recordings", "hardware", "device", "state", "controller", "robot"},
+    "testing": {
+        "runtime",
+        "protocol",
+        "recordings",
+        "export",
+        "hardware",
+        "device",
+        "state",
+        "controller",
+        "robot",
+    },
 }
 EVERYONE = {
     "errors",

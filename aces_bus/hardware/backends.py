@@ -23,49 +23,72 @@ import select
 import socket
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Literal, TypeGuard
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeGuard
 
 from ..frames import Frame
+from ..plugins import installed_items
 
 if TYPE_CHECKING:
     import can
 
     from .served.remote import ServedBus
 
-#: Backend → the keywords that make it listen without acknowledging. SocketCAN is set by `ip link set … listen-only on`.
-QUIET: Mapping[str, Mapping[str, Any]] = {
-    "aces": {"listen_only": True},
-    "slcan": {"listen_only": True},
-    "vector": {"listen_only": True},
-    "nixnet": {"listen_only": True},
-    "cantact": {"monitor": True},
-    "seeedstudio": {"operation_mode": "silent"},
-    "kvaser": {"driver_mode": False},
-}
-#: Backends whose bus becomes passive through its state after it is open.
-BY_STATE = frozenset({"pcan"})
-#: Backends that give back what was sent through them, whether asked or not.
-ECHOES = frozenset({"udp_multicast"})
 
-#: Backends that say with a `CanError`, too, that they did not understand one datagram.
-DATAGRAMS = frozenset({"udp_multicast"})
+class Backend(NamedTuple):
+    """What a gate knows of a backend of python-can; an entry point of the group `aces_bus.backends` is one, or a tuple.
 
-#: Backends with a file to wait for, and whose `recv(0)` takes what is there and keeps what is not whole yet. Others that
-#: have a file read a serial port until a frame is whole.
-BY_FILE = frozenset({"slcan", "socketcan", "socketcand", "udp_multicast"})
+    `name` is python-can's name of the interface, or a package that its bus's module is in. The backend itself is an entry
+    point of python-can's own group, `can.interface`, ours too.
+    """
+
+    name: str
+    #: Keywords that make it listen without acknowledging. SocketCAN is set by `ip link set … listen-only on`.
+    quiet: Mapping[str, Any] = {}
+    #: It becomes passive through its state after it is open.
+    is_quiet_by_state: bool = False
+    #: It gives back what was sent through it, whether asked or not.
+    echoes: bool = False
+    #: It says with a `CanError`, too, that it did not understand one datagram.
+    of_datagrams: bool = False
+    #: It has a file to wait for, and its `recv(0)` takes what is there and keeps what is not whole yet. Others that have a
+    #: file read a serial port until a frame is whole.
+    by_file: bool = False
+    #: It has given a frame away when `send` returns; adapters of others may hold it a moment longer.
+    is_prompt: bool = False
+
+
+#: Our own, and those of python-can that do something in their own way.
+BACKENDS: tuple[Backend, ...] = (
+    Backend("aces", {"listen_only": True}, is_prompt=True),
+    Backend("aces_bus", is_prompt=True),
+    Backend("cantact", {"monitor": True}),
+    Backend("kvaser", {"driver_mode": False}),
+    Backend("nixnet", {"listen_only": True}),
+    Backend("pcan", is_quiet_by_state=True),
+    Backend("seeedstudio", {"operation_mode": "silent"}),
+    Backend("slcan", {"listen_only": True}, by_file=True),
+    Backend("socketcan", by_file=True, is_prompt=True),
+    Backend("socketcand", by_file=True),
+    Backend("udp_multicast", echoes=True, of_datagrams=True, by_file=True, is_prompt=True),
+    Backend("vector", {"listen_only": True}),
+    Backend("virtual", is_prompt=True),
+)
+
+
+def backend_of(interface: str, bus: can.BusABC | None = None) -> Backend:
+    """Return what is known of a backend, by its name or the module of an open bus; otherwise one without peculiarities."""
+    known = {one.name: one for one in (*installed_items("aces_bus.backends", Backend), *BACKENDS)}
+    names = [interface, *(type(bus).__module__.split(".") if bus is not None else ())]
+    return next((known[name] for name in names if name in known), Backend(interface))
+
 
 #: Seconds in which a socketcand server must greet.
 GREETING_S = 3.0
 
 
-def quiet_options(interface: str) -> Mapping[str, Any]:
-    """Return the keywords with which a backend only listens; none where it has none."""
-    return QUIET.get(interface, {})
-
-
 def silence(bus: can.BusABC) -> None:
     """Make an open bus passive where that is how its backend does it."""
-    if type(bus).__module__.split(".")[2:3] and type(bus).__module__.split(".")[2] in BY_STATE:
+    if backend_of("", bus).is_quiet_by_state:
         from can import BusState
 
         bus.state = BusState.PASSIVE
@@ -351,14 +374,12 @@ def _system_frame(frame: Frame) -> bytes:
 
 
 __all__ = [
-    "BY_FILE",
-    "DATAGRAMS",
-    "ECHOES",
+    "Backend",
     "ServedReader",
     "SocketcanReader",
+    "backend_of",
     "check_server",
     "forget_line",
-    "quiet_options",
     "reader_of",
     "silence",
 ]

@@ -19,14 +19,11 @@ from ..errors import CallerError
 from ..frames import Frame, message_to_frame
 from ..runtime import Clock
 from .backends import (
-    BY_FILE,
-    DATAGRAMS,
-    ECHOES,
     ServedReader,
     SocketcanReader,
+    backend_of,
     check_server,
     forget_line,
-    quiet_options,
     reader_of,
     silence,
 )
@@ -45,8 +42,7 @@ HOLLOW = 50
 STRANGE = 20
 #: Frames that wait to be sent, at most.
 OUTBOX = 4096
-#: Backends that have given a frame away when `send` returns; others' adapters may hold it a moment longer (ns).
-PROMPT = frozenset({"aces", "aces_bus", "socketcan", "udp_multicast", "virtual"})
+#: Time that an adapter may hold a frame after `send` has returned (ns), where the backend is not prompt.
 LINGER_NS = 50_000_000
 #: Seconds between attempts to send when the system's queue, often of ten frames, is full; and how many there are.
 FULL_S, FULL_TIMES = 0.001, 1000
@@ -116,13 +112,13 @@ class CanGate(Gate[Frame, Frame, "can.BusABC"]):
         self._overflows = self._changes = 0
         self._last_stamp = None
         self._controller = "error-active"
-        kinds = {self._interface, *type(bus).__module__.split(".")}
-        self._is_echoing = not kinds.isdisjoint(ECHOES)
-        self.linger_ns = LINGER_NS if kinds.isdisjoint(PROMPT) else 0
-        self._is_of_datagrams = not kinds.isdisjoint(DATAGRAMS)
+        known = backend_of(self._interface, bus)
+        self._is_echoing = known.echoes
+        self.linger_ns = 0 if known.is_prompt else LINGER_NS
+        self._is_of_datagrams = known.of_datagrams
         self._quick = self._read if isinstance(self._read, (SocketcanReader, ServedReader)) else None
         self._gathers = self._quick is not None
-        self._has_file = self._quick is not None or not kinds.isdisjoint(BY_FILE)
+        self._has_file = self._quick is not None or known.by_file
         self._hollow = self._strange = 0
         return bus
 
@@ -454,7 +450,7 @@ def _opener(options: dict[str, Any], *, listen_only: bool) -> Open:
         import can
 
         check_server(options)
-        more = quiet_options(str(options.get("interface") or "")) if listen_only else {}
+        more = backend_of(str(options.get("interface") or "")).quiet if listen_only else {}
         return can.Bus(**{**options, **more})
 
     return open_bus
