@@ -13,10 +13,11 @@ from collections.abc import Sequence
 from math import degrees
 
 from aces_bus import load_robot
-from aces_bus.controller import CartesianPath, Limits, Player, Trajectory, ViaPath
+from aces_bus.controller import Limits, Player, Trajectory, ViaPath
 from aces_bus.errors import CallerError
 from aces_bus.robot import run_virtual
 from aces_devices.kinematics.minihubo import JOINTS, MINIHUBO, POSTURE, WALK_HZ, read_walk
+from aces_lab.cartesian import CartesianPath
 
 STRIDE, LIFT, LEAN = 0.02, 0.02, 0.025  # m
 

@@ -1,14 +1,13 @@
 """Controllers: algorithms at a rate, from states to set-points. They touch no frame and no byte.
 
 `@controller` makes one of a function, `Equations` of a text near the paper's notation, `StateMachine` of a table; `Player`
-plays trajectories and via paths, `PIDController` regulates, `CartesianPath` moves the tips of a body. `Guard` is below
+plays trajectories and via paths, `PIDController` regulates. `Guard` is below
 each of them, `Supervisor` around both.
 """
 
 from __future__ import annotations
 
 from .base import NOTHING, Controller, ControllerLike, StateLike, known_value
-from .cartesian import CartesianPath
 from .equation import Equations
 from .events import ControlEvent, EventLike
 from .function import FunctionController, controller
@@ -30,7 +29,6 @@ __all__ = [
     "NOTHING",
     "PID",
     "Bounds",
-    "CartesianPath",
     "Clipped",
     "ControlEvent",
     "Controller",

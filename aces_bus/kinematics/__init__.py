@@ -1,4 +1,4 @@
-"""Serial chains: where the tips of a body are, how they move with its joints, and which joint angles reach a goal."""
+"""Serial chains: where the tips of a body are, and how they move with its joints."""
 
 from __future__ import annotations
 
@@ -15,24 +15,20 @@ from .body import (
     roll_pitch_yaw,
     rotation_of,
 )
-from .inverse import Goal, Solution, solve
 from .links import Link, Links
 
 __all__ = [
     "Body",
     "Chain",
     "Fixed",
-    "Goal",
     "Link",
     "Links",
     "Move",
     "Pose",
     "Prismatic",
     "Revolute",
-    "Solution",
     "Step",
     "load_body",
     "roll_pitch_yaw",
     "rotation_of",
-    "solve",
 ]

@@ -9,7 +9,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-BLF = b"LOGG"
 SQLITE = b"SQLite format 3\x00"
 PYTHON_CAN_CSV = b"timestamp,arbitration_id,extended,remote,error,dlc,data"
 
@@ -26,10 +25,4 @@ def has_line(pattern: bytes, flags: int = 0) -> Callable[[bytes], bool]:
     return lambda head: re.search(pattern, head[:_LOOKED_AT], flags) is not None
 
 
-is_asc = has_line(
-    rb"^[ \t]*(?:date\s+\w{2,}.{0,16}?\s\d|base\s+(?:hex|dec)\b|begin\s+triggerblock\b"
-    rb"|[0-9]{1,9}\.[0-9]{1,9}[ \t]+(?:[0-9]{1,5}[ \t]+(?:[0-9A-Fa-f]{1,8}[xX]?[ \t]+[RT]x[ \t]+[dr]\b|ErrorFrame\b)"
-    rb"|CANFD[ \t]+[0-9]+[ \t]+[RT]x[ \t]))",
-    re.IGNORECASE | re.MULTILINE,
-)
 is_python_can_csv = has_line(rb"\A\s*" + PYTHON_CAN_CSV + rb"\s*(?:\n|\Z)")

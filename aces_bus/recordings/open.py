@@ -20,7 +20,7 @@ from typing import BinaryIO, Literal, NamedTuple, overload
 from ..errors import CallerError, CaptureError, UnknownNameError
 from ..plugins import installed_items
 from .base import CanRecording, Link, SerialRecording, printable_start
-from .beginnings import BLF, SQLITE, begins, is_asc, is_python_can_csv
+from .beginnings import SQLITE, begins, is_python_can_csv
 from .candump.reader import EXAMPLE, CandumpCapture, begins_like_candump, looks_like_candump
 from .serial.raw import OPENING, RawCapture
 from .serial.slog import OPENING as SERIAL_LOG
@@ -54,7 +54,6 @@ def _by_name_only(_: bytes) -> bool:
 
 #: Most specific first: magic numbers, then first lines that are one format's own, then what lines look like.
 FORMATS: tuple[RecordingFormat, ...] = (
-    RecordingFormat("blf", "Vector BLF log", "can", begins(BLF), ".blf.reader:BlfCapture"),
     RecordingFormat("sqlite", "SQLite log of python-can", "can", begins(SQLITE), ".sqlite:SqliteCapture"),
     RecordingFormat(
         "slog", "serial log of aces-bus", "serial", looks_like_serial_log, ".serial.slog:SerialLogCapture"
@@ -66,7 +65,6 @@ FORMATS: tuple[RecordingFormat, ...] = (
         begins(OPENING, after_blanks=True),
         ".serial.raw:DxconfCapture",
     ),
-    RecordingFormat("asc", "Vector ASC log", "can", is_asc, ".text.asc:AscCapture"),
     RecordingFormat("csv", "python-can CSV", "can", is_python_can_csv, ".text.canlog_csv:CanlogCsvCapture"),
 )
 #: What lines look like, where no format of another package is recognized, and what is used by name alone.

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.controller import CartesianPath, ControlEvent, Limits, Player, Trajectory, ViaPath
+from aces_bus.controller import ControlEvent, Limits, Player, Trajectory, ViaPath
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.kinematics import roll_pitch_yaw, rotation_of
 from aces_devices.kinematics.minihubo import JOINTS, MINIHUBO, POSTURE
+from aces_lab.cartesian import CartesianPath
 from tests.controller.fakes import Fake
 
 MS = 1_000_000

@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.kinematics import Body, Chain, Goal, Move, Revolute, solve
-from aces_bus.kinematics.inverse import level_error, rotation_error
+from aces_bus.kinematics import Body, Chain, Move, Revolute
+from aces_lab.cartesian import Goal, solve
+from aces_lab.cartesian.inverse import level_error, rotation_error
 
 PLANAR = (Revolute("z", "S"), Move(0.3), Revolute("z", "E"), Move(0.2))
 ARM = Body("arm", [Chain("hand", PLANAR)])

@@ -56,7 +56,7 @@ AREAS: dict[str, tuple[str, ...]] = {
     "live": ("aces_bus/protocol/live",),
     "columns": ("aces_bus/protocol/columns", "aces_bus/frame_table.py"),
     "exchange": ("aces_bus/protocol/exchange",),
-    "recordings": ("aces_bus/recordings",),
+    "recordings": ("aces_bus/recordings", "tools/aces_lab/formats"),
     "export": ("aces_bus/export",),
     "hardware": ("aces_bus/hardware",),
     "device": ("aces_bus/device",),

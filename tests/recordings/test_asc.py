@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from aces_bus.frame_table import FrameTable
 from aces_bus.frames import FD_LENGTHS, Frame
 from aces_bus.recordings import CanRecording, open_recording
-from aces_bus.recordings.text.asc import date_ns
+from aces_lab.formats.asc import date_ns
 from tests.recordings.formats import accounted
 
 HEAD = "date Sam Sep 30 15:06:13.191 2017\nbase hex  timestamps absolute\ninternal events logged\n"

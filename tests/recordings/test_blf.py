@@ -18,9 +18,9 @@ from aces_bus.errors import CaptureError
 from aces_bus.frame_table import NO_TIME, FrameTable
 from aces_bus.frames import FD_LENGTHS, Frame
 from aces_bus.recordings import CanRecording, open_recording
-from aces_bus.recordings.blf import reader as blf
-from aces_bus.recordings.blf.reader import BlfCapture
 from aces_bus.recordings.write import open_writer
+from aces_lab.formats.blf import reader as blf
+from aces_lab.formats.blf.reader import BlfCapture
 
 START = 1436509052_250_000_000  # ns; 2015-07-10 06:17:32.250 UTC
 STAMP = 1_000_001

@@ -17,13 +17,15 @@ import re
 from binascii import Error, a2b_base64
 
 import numpy as np
+import numpy.typing as npt
 
 from ...frame_table import EXTENDED, FrameTable
 from ...frames import Frame
 from ..base import printable_start
 from ..beginnings import PYTHON_CAN_CSV
 from .rows import FrameRow, LineCapture, UnreadableRow, check_remote, decimal_ns, integer
-from .words import Mask
+
+Mask = npt.NDArray[np.bool_]
 
 _BASE64 = re.compile(rb"[A-Za-z0-9+/]*={0,2}")
 _FLAG = {b"1": True, b"0": False}

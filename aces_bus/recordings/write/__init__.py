@@ -83,8 +83,6 @@ FORMATS: tuple[FormatOut, ...] = (
         is_text=True,
         grows=True,
     ),
-    FormatOut("asc", (".asc",), "Vector ASC", "can", ".asc", "AscWriter", is_text=True, grows=True),
-    FormatOut("blf", (".blf",), "Vector BLF", "can", ".blf", "BlfWriter", needs_seek=True, grows=True),
     FormatOut(
         "csv",
         (".csv",),

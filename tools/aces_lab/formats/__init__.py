@@ -1,4 +1,4 @@
-"""Formats of recordings that the core does not need: MF4, pcap, PEAK TRC, BUSMASTER, CRTD, GVRET, Microchip, any CSV.
+"""Formats of recordings that the core does not need: Vector's, PEAK's, Wireshark's, MF4, BUSMASTER, CRTD and others.
 
 They are entry points of the groups `aces_bus.readers` and `aces_bus.writers`, as a stranger's formats are. Only their first
 bytes are known here: a reader or writer is imported when its format is used.
@@ -10,10 +10,24 @@ from aces_bus.recordings.beginnings import begins
 from aces_bus.recordings.open import RecordingFormat
 from aces_bus.recordings.write import FormatOut
 
-from .beginnings import MDF, PCAP, is_busmaster, is_crtd, is_gvret, is_id_csv, is_microchip, is_pcapng, is_trc
+from .beginnings import (
+    BLF,
+    MDF,
+    PCAP,
+    is_asc,
+    is_busmaster,
+    is_crtd,
+    is_gvret,
+    is_id_csv,
+    is_microchip,
+    is_pcapng,
+    is_trc,
+)
 
 #: Most specific first.
 READERS: tuple[RecordingFormat, ...] = (
+    RecordingFormat("blf", "Vector BLF log", "can", begins(BLF), "aces_lab.formats.blf.reader:BlfCapture"),
+    RecordingFormat("asc", "Vector ASC log", "can", is_asc, "aces_lab.formats.asc:AscCapture"),
     RecordingFormat(
         "mf4", "ASAM MDF 4 bus log", "can", begins(*MDF), "aces_lab.formats.mf4.reader:Mf4Capture"
     ),
@@ -43,6 +57,26 @@ READERS: tuple[RecordingFormat, ...] = (
     ),
 )
 WRITERS: tuple[FormatOut, ...] = (
+    FormatOut(
+        "asc",
+        (".asc",),
+        "Vector ASC",
+        "can",
+        "aces_lab.formats.asc_writer",
+        "AscWriter",
+        is_text=True,
+        grows=True,
+    ),
+    FormatOut(
+        "blf",
+        (".blf",),
+        "Vector BLF",
+        "can",
+        "aces_lab.formats.blf.writer",
+        "BlfWriter",
+        needs_seek=True,
+        grows=True,
+    ),
     FormatOut(
         "mf4", (".mf4",), "ASAM MDF 4", "can", "aces_lab.formats.mf4.writer", "Mf4Writer", needs_seek=True
     ),

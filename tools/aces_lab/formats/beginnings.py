@@ -6,6 +6,7 @@ import re
 
 from aces_bus.recordings.beginnings import has_line
 
+BLF = b"LOGG"
 MDF = (b"MDF     ", b"UnFinMF ")
 #: Byte order, and nanoseconds of a unit of the time stamps' fractions.
 PCAP: dict[bytes, tuple[str, int]] = {
@@ -21,6 +22,12 @@ is_trc = has_line(
     rb"\A\s*;(?:\$FILEVERSION|#{20})|^[ \t]*[0-9]{1,12}\)[ \t]+[0-9]+(?:\.[0-9]+)?[ \t]+"
     rb"(?:(?:[0-9][ \t]+)?(?:Rx|Tx|Warng|Error)[ \t]+)?[0-9A-F]{4,8}[ \t]",
     re.MULTILINE,
+)
+is_asc = has_line(
+    rb"^[ \t]*(?:date\s+\w{2,}.{0,16}?\s\d|base\s+(?:hex|dec)\b|begin\s+triggerblock\b"
+    rb"|[0-9]{1,9}\.[0-9]{1,9}[ \t]+(?:[0-9]{1,5}[ \t]+(?:[0-9A-Fa-f]{1,8}[xX]?[ \t]+[RT]x[ \t]+[dr]\b|ErrorFrame\b)"
+    rb"|CANFD[ \t]+[0-9]+[ \t]+[RT]x[ \t]))",
+    re.IGNORECASE | re.MULTILINE,
 )
 is_busmaster = has_line(
     rb"\A\s*-?\*\*\*BUSMASTER Ver|^[0-9]{1,4}:[0-9]{1,2}:[0-9]{1,2}:[0-9]{3,4} [RT]x [0-9]{1,3} "

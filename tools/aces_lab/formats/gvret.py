@@ -31,9 +31,9 @@ from aces_bus.recordings.text.rows import (
     integer,
     is_received,
 )
-from aces_bus.recordings.text.words import Mask, Words, channel_numbers
 
 from .beginnings import GVRET
+from .words import Mask, Words, channel_numbers
 
 _US = 1000
 _HEAD = re.compile(GVRET, re.IGNORECASE)

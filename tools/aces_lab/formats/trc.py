@@ -51,7 +51,8 @@ from aces_bus.recordings.text.rows import (
     integer,
     one_less,
 )
-from aces_bus.recordings.text.words import Mask, Words, channel_numbers
+
+from .words import Mask, Words, channel_numbers
 
 _MS = 1_000_000
 #: Days from 30 December 1899 to 1 January 1970.

@@ -26,7 +26,7 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 
-from ...frame_table import (
+from aces_bus.frame_table import (
     BITRATE_SWITCH,
     ERROR,
     ERROR_STATE,
@@ -37,7 +37,14 @@ from ...frame_table import (
     Ints,
     widened,
 )
-from .base import DLC_OF_LENGTH, EARLIEST, ChannelNumbers, StartedWriter, records_in_order, rows_by_kind
+from aces_bus.recordings.write.base import (
+    DLC_OF_LENGTH,
+    EARLIEST,
+    ChannelNumbers,
+    StartedWriter,
+    records_in_order,
+    rows_by_kind,
+)
 
 _CONTAINER = 128 * 1024
 _LEVEL = 2

@@ -20,14 +20,16 @@ from typing import Literal
 
 import numpy as np
 
-from ..errors import CallerError
-from ..kinematics import Body, Goal, Pose, Solution, roll_pitch_yaw, rotation_of, solve
-from ..kinematics.body import Floats
-from .base import NOTHING, Controller, known_value
-from .events import ControlEvent
-from .motion import Motion, Trajectory
-from .player import GENTLE
-from .via import Limits, ViaPath
+from aces_bus.controller.base import NOTHING, Controller, known_value
+from aces_bus.controller.events import ControlEvent
+from aces_bus.controller.motion import Motion, Trajectory
+from aces_bus.controller.player import GENTLE
+from aces_bus.controller.via import Limits, ViaPath
+from aces_bus.errors import CallerError
+from aces_bus.kinematics import Body, Pose, roll_pitch_yaw, rotation_of
+from aces_bus.kinematics.body import Floats
+
+from .inverse import Goal, Solution, solve
 
 Orientation = Literal["free", "level", "fixed"]
 #: What of a tip a motion may name: its place, then its orientation.

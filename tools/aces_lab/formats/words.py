@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ...frame_table import Channels
-from ..source import MAX_LINE
+from aces_bus.frame_table import Channels
+from aces_bus.recordings.source import MAX_LINE
 
 Bytes = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]

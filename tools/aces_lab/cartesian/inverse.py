@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ..errors import CallerError, UnknownNameError
-from .body import Angles, Body, Floats, Prismatic, Revolute
+from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.kinematics.body import Angles, Body, Floats, Prismatic, Revolute
 
 Mask = npt.NDArray[np.bool_]
 

@@ -37,7 +37,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...frame_table import (
+from aces_bus.frame_table import (
     BITRATE_SWITCH,
     ERROR,
     ERROR_STATE,
@@ -51,8 +51,8 @@ from ...frame_table import (
     FrameTable,
     Ints,
 )
-from ...frames import FD_LENGTHS
-from ..text.rows import one_less
+from aces_bus.frames import FD_LENGTHS
+from aces_bus.recordings.text.rows import one_less
 
 CAN_MESSAGE, CAN_ERROR, LOG_CONTAINER, CAN_ERROR_EXT, CAN_MESSAGE2 = 1, 2, 10, 73, 86
 CAN_FD_MESSAGE, CAN_FD_MESSAGE_64, CAN_FD_ERROR_64 = 100, 101, 104

@@ -32,14 +32,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...errors import CaptureError
-from ...frame_table import FrameTable, Ints, joined_tables
-from ..base import CanRecording, keep_freed_memory
+from aces_bus.errors import CaptureError
+from aces_bus.frame_table import FrameTable, Ints, joined_tables
+from aces_bus.recordings.base import CanRecording, keep_freed_memory
+from aces_bus.recordings.inflate import inflate_whole
+from aces_bus.recordings.merge import merge_in_order
+from aces_bus.recordings.source import ByteSource
+from aces_bus.recordings.unpack import up_to_damage
+
 from ..beginnings import BLF
-from ..inflate import inflate_whole
-from ..merge import merge_in_order
-from ..source import ByteSource
-from ..unpack import up_to_damage
 from .objects import LOG_CONTAINER, DecodedObjects, decode_objects, is_can
 
 _OBJECT = b"LOBJ"

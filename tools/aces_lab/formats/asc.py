@@ -37,10 +37,10 @@ from datetime import datetime
 
 import numpy as np
 
-from ...frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, RX, TX, FrameTable
-from ...frames import FD_LENGTHS, Frame
-from ..base import printable_start
-from .rows import (
+from aces_bus.frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, RX, TX, FrameTable
+from aces_bus.frames import FD_LENGTHS, Frame
+from aces_bus.recordings.base import printable_start
+from aces_bus.recordings.text.rows import (
     CLASSIC_LENGTHS,
     FD_LENGTHS_BY_CODE,
     MAX_ORIGIN,
@@ -52,6 +52,7 @@ from .rows import (
     integer,
     one_less,
 )
+
 from .words import Ints, Mask, Word, Words, channel_numbers
 
 _TIMED = re.compile(rb"([0-9]{1,12}\.[0-9]{1,9})\s+(.*)", re.DOTALL)
