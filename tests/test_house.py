@@ -13,7 +13,7 @@ pytestmark = pytest.mark.slow
 #: Figure → its budget, and the reason of the last raise. Lower a budget when a figure falls well below it.
 BUDGETS: dict[str, tuple[int, str]] = {
     "statements of aces_bus": (
-        45_800,
+        45_000,
         "e-stops, stops through the lock, parking, measured limits; formats left for the lab",
     ),
     "statements of the kernel": (
@@ -22,7 +22,7 @@ BUDGETS: dict[str, tuple[int, str]] = {
     ),
     "public names": (375, "tests of each kind of plug-in, for who writes them"),
     "members of public names": (1_710, ""),
-    "names of seams": (420, "formats of tables, logs, databases and recordings are the lab's"),
+    "names of seams": (440, "formats of tables, logs, databases and recordings are the lab's"),
     "files in a knot of imports": (
         121,
         "host_loss, silence, estop and parking are beside the devices and the runner",

@@ -11,7 +11,6 @@ import pytest
 
 from aces_bus import load_robot
 from aces_bus.errors import CallerError
-from aces_bus.kinematics import Goal, solve
 from aces_devices.kinematics.minihubo import (
     JOINTS,
     MINIHUBO,
@@ -20,6 +19,7 @@ from aces_devices.kinematics.minihubo import (
     read_walk,
     walk_columns,
 )
+from aces_lab.cartesian import Goal, solve
 
 TIPS = ("LF", "RF", "LW", "RW")
 

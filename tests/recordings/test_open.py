@@ -50,7 +50,7 @@ def test_content_tells_the_format(
     ("content", "link", "says"),
     [
         (BINARY, "can", "not a CAN capture: it looks binary (byte 0x01 at offset 2)"),
-        (BINARY, "can", "known are: Vector BLF log, "),
+        (BINARY, "can", "known are: SQLite log of python-can, "),
         (BINARY, "can", "a serial capture needs a serial protocol"),
         (BINARY, None, "say link='serial'"),
         (b"\x00" * 200_000, "can", "not a CAN capture"),

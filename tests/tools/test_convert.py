@@ -334,7 +334,7 @@ def test_ctrl_c_ends_a_live_recording(aces: Aces, tmp_path: Path, monkeypatch: p
         (["{plain}"], "name what to read and, last, what to write"),
         (["{plain}", "{plain}"], "is one of the files to read"),
         (["{plain}", "{folder}/out.xyz"], "the suffix names no format"),
-        (["{plain}", "-"], "name the format: --format candump|asc"),
+        (["{plain}", "-"], "name the format: --format candump|csv"),
         (["{folder}/absent.log", "{folder}/out.asc"], "no such file"),
         (
             ["{plain}", "{folder}/out.bin"],
