@@ -179,4 +179,4 @@ def test_shapes_are_bounded() -> None:
         shape = found.of(b"$" + struct.pack("<H", number) + bytes(16))
         assert shape is not None
         assert shape.size == number.bit_count()
-    assert len(found._root.found) <= shapes.MOST + 1  # type: ignore[union-attr]
+    assert len(found.root.found) <= shapes.MOST + 1  # type: ignore[union-attr]

@@ -53,6 +53,10 @@ class ShapeLevel(msgspec.Struct):
     known: dict[str, int]
     found: dict[tuple[int, ...], ShapeLevel | PayloadShape]
 
+    def key(self, packet: bytes) -> tuple[int, ...]:
+        """Return the deciding numbers of a packet."""
+        return tuple([bits.of(packet) for bits in self.bits])
+
 
 class Shapes:
     """The shapes of one message; raises `SpecError` where the place of a deciding number is not known."""
@@ -79,26 +83,30 @@ class Shapes:
                     " of whole bytes, behind fields of fixed size"
                 )
         self._count = 0
-        self._root = self._from({})
+        self.root = self._from({})
 
     def of(self, packet: bytes) -> PayloadShape | None:
         """Return the shape of a packet that begins so, without stuffing; None while the bits that decide are not there."""
-        level = self._root
+        level = self.root
         while isinstance(level, ShapeLevel):
             if len(packet) < level.reach:
                 return None
-            key = tuple([bits.of(packet) for bits in level.bits])
+            key = level.key(packet)
             found = level.found.get(key)
             if found is None:
-                names = [bits.name for bits in level.bits]
-                found = self._from({**level.known, **dict(zip(names, key, strict=True))})
+                found = self.after(level, key)
                 if self._count > MOST:
-                    self._count, self._root = 0, self._from({})
+                    self._count, self.root = 0, self._from({})
                 else:
                     self._count += 1
                     level.found[key] = found
             level = found
         return level
+
+    def after(self, level: ShapeLevel, key: tuple[int, ...]) -> ShapeLevel | PayloadShape:
+        """Return what the deciding numbers `key` of a level lead to."""
+        names = [bits.name for bits in level.bits]
+        return self._from({**level.known, **dict(zip(names, key, strict=True))})
 
     def size_of(self, packet: bytes) -> int | None:
         """Return how many bytes the header and the payload of a packet that begins so take; None while it is not known."""

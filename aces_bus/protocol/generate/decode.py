@@ -29,9 +29,17 @@ class Decoder(FunctionSetup):
     arguments = "data, key, time, channel, raw, rx"
 
     def __init__(
-        self, plan: p.MessagePlan, *, raw: bool, guard: bool = True, names: NameScope | None = None
+        self,
+        plan: p.MessagePlan,
+        *,
+        raw: bool,
+        guard: bool = True,
+        names: NameScope | None = None,
+        whole: Sequence[str] | None = None,
     ) -> None:
         self.plan = plan
+        #: The fields of the record; those that the plan does not have are None.
+        self.whole = whole if whole is not None else [field.name for field in plan.fields]
         self.raw = raw
         self.guard = guard
         self.setup = []
@@ -91,13 +99,14 @@ class Decoder(FunctionSetup):
         """Print the return of the record."""
         plan, out = self.plan, self.body
         made = self._type(plan.name)
-        arguments = [self._value(field) for field in plan.fields]
+        values = {field.name: self._value(field) for field in plan.fields}
+        arguments = [values.get(name, "None") for name in self.whole]
         if sum(map(len, arguments)) + len(plan.name) < 60:
             out.line(f"return {made}({', '.join([*arguments, TRANSPORT])})")
         else:
             out.line(f"return {made}(")
-            for field, argument in zip(plan.fields, arguments, strict=True):
-                out.line(f"    {argument},  # {field.name}")
+            for name, argument in zip(self.whole, arguments, strict=True):
+                out.line(f"    {argument},  # {name}")
             out.lines(
                 f"    {TRANSPORT},",
                 ")",

@@ -1,17 +1,12 @@
-"""Compiles printed source, so that it shows in tracebacks and steps in a debugger like any file.
-
-1. Nothing but text printed from a plan is ever compiled here.
-"""
+"""Decode functions, record types and readers of lists: printed from plans, compiled when they are first asked for."""
 
 from __future__ import annotations
 
 import keyword
-import linecache
 import re
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cache, lru_cache, partial
-from types import CodeType
+from functools import cache, partial
 from typing import Any, TypeVar
 
 import msgspec
@@ -23,33 +18,18 @@ from ..declare.fields import FlagSet
 from ..declare.message import Message
 from ..declare.packet import key_image
 from ..declare.protocol import Variant
-from ..declare.shapes import MOST, PayloadShape, Shapes, has_shapes
+from ..declare.shapes import PayloadShape, Shapes, has_shapes
 from ..plan import nodes as p
 from ..record import Part, Record, from_container, plain_value
 from .decode import CALLED, Decoder, ListDecoder
+from .load_text import load_source as load_source
 from .records import part_names, print_records
+from .shapes import by_shape
 from .source import NameScope, comment_line
 
 Decode = Callable[..., Any]
 K = TypeVar("K")
 V = TypeVar("V")
-
-
-def load_source(source: str, name: str, names: Mapping[str, Any]) -> dict[str, Any]:
-    """Run printed source and give its namespace; `name` is what tracebacks call it."""
-    name = comment_line(name)
-    filename = f"<{name}>"
-    linecache.cache[filename] = (len(source), None, source.splitlines(keepends=True), filename)
-    # `__builtins__` comes along with exec; the text is ours, printed from a plan.
-    namespace: dict[str, Any] = {"__name__": name, **names}
-    exec(_compiled(source, filename), namespace)
-    return namespace
-
-
-@lru_cache(maxsize=512)
-def _compiled(source: str, filename: str) -> CodeType:
-    """Return the code of a source: a scanner more of one protocol prints what was compiled before."""
-    return compile(source, filename, "exec")
 
 
 @cache
@@ -131,54 +111,33 @@ def _by_shape(variant: Variant, message: Message, *, raw: bool) -> Decode:
     """Return a decode function for fields that are there by bits: each shape that comes has a generated one of its own,
     which makes the record of the whole message, None where a field is not there.
     """
-    shapes = Shapes(message)
-    made: dict[PayloadShape, Decode] = {}
-
-    def decode(
-        data: bytes, key: int, time: Any, channel: Any, raw_bytes: bytes, rx: Any, request: Any = None
-    ) -> Any:
-        shape = shapes.of(data)
-        if shape is None:
-            return None
-        found = made.get(shape)
-        if found is None:
-            if len(made) >= MOST:
-                made.clear()
-            found = made[shape] = _of_shape(variant, message, shape, len(made), raw=raw)
-        return found(data, key, time, channel, raw_bytes, rx, request)
-
-    return decode
+    label = f"aces {variant.label} {'raw ' if raw else ''}decoders: {message.name}"
+    arguments = Decoder.arguments + (", request=None" if message.request_fields else "")
+    found: Decode = by_shape(
+        Shapes(message),
+        arguments,
+        label,
+        lambda shape, number: _of_shape(variant, message, shape, f"{label}, shape {number}", raw=raw),
+    )
+    return found
 
 
-def _of_shape(variant: Variant, message: Message, shape: PayloadShape, number: int, *, raw: bool) -> Decode:
-    """Return the decode function of one shape; through construct where it has no flat form. Its text is called after
-    `number`, so that shapes without end leave no texts without end."""
+def _of_shape(variant: Variant, message: Message, shape: PayloadShape, label: str, *, raw: bool) -> Decode:
+    """Return the decode function of one shape; through construct where it has no flat form."""
     types = _types(variant)[message.name]
     part = message.with_payload(Struct(*shape.items))
     if part.lengths is not None and not part.lengths:
-        return lambda data, key, time, channel, raw_bytes, rx, request: None  # no frame has these fields
-    printed = Decoder(part.plan, raw=raw)
+        return lambda *_: None  # no frame has these fields
+    printed = Decoder(part.plan, raw=raw, whole=message.fields)
     source = print_decoder(printed)
-    if printed.opaque or any(kind != message.name and kind not in types for kind in printed.types.values()):
+    if printed.opaque or any(kind not in types for kind in printed.types.values()):
         return _opaque(message, variant, raw=raw)
-    given = {field.name: f"a{number}" for number, field in enumerate(printed.plan.fields)}
-    fields = ", ".join(given.get(name, "None") for name in message.fields)
-    transport = "t0, t1, t2, t3, t4"  # as `TRANSPORT` has them; a field may have any name
-    maker = f"def made({', '.join([*given.values(), transport])}):\n    return Whole({fields}, {transport})\n"
-    label = f"aces {variant.label} {'raw ' if raw else ''}decoders: {message.name}, shape {number}"
-    whole = load_source(maker, f"{label}, record", {"Whole": types[message.name]})["made"]
     names = {**_CALLED, **printed.module.bound}
-    names |= {
-        called: whole if kind == message.name else types[kind] for called, kind in printed.types.items()
-    }
+    names |= {called: types[kind] for called, kind in printed.types.items()}
     if printed.holds:
         names[printed.holds] = _holds(part)
     decode: Decode = load_source(source, label, names)[printed.function]
-    if any(isinstance(field.node, p.FromRequest) for field in printed.plan.fields):
-        return decode
-    return lambda data, key, time, channel, raw_bytes, rx, request: decode(
-        data, key, time, channel, raw_bytes, rx
-    )
+    return decode
 
 
 def _holds(message: Message) -> Callable[[bytes, int], bool]:

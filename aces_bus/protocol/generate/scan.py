@@ -191,7 +191,7 @@ def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alo
         size = "size"
     elif framing.measure is not None:
         out.lines(
-            f"size = measure_{number}(buffer[i : i + {framing.max_size}])",
+            f"size = measure_{number}(buffer, i, end)",
             f"if size is None and end - i < {framing.max_size}:",
         )
         _wait(out)

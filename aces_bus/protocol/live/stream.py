@@ -20,6 +20,7 @@ from ..declare.protocol import Variant
 from ..declare.stuffing import Insert
 from ..generate.load import load_source
 from ..generate.scan import plain_cover, print_stream, seek_pattern
+from ..generate.shapes import measure_of
 from ..record import Meta, Record, Unknown
 from .candidates import Overlaps, Segments, verdict_of
 from .decide import Decider
@@ -137,7 +138,7 @@ class StreamScanner:
         if extras is not None:
             names[f"extras_{number}"] = extras.get
         if framing.measure is not None:
-            names[f"measure_{number}"] = framing.measure.size_of
+            names[f"measure_{number}"] = measure_of(framing.measure, f"aces {framing.name} size")
         if framing.is_enclosed:
             segments = Segments(framing, extras)
             self._segments.append(segments)

@@ -1,0 +1,124 @@
+"""Prints what finds the shape of a packet whose fields are there by bits, and how long it is.
+
+1. A level of deciding bits is one printed function with a table: what each value leads to is made when it first comes.
+2. Memory is bounded: when `MOST` values have come, the tables begin anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from ..declare.framing import BitSize, FieldSize
+from ..declare.shapes import MOST, DecidingBits, PayloadShape, ShapeLevel, Shapes
+from .load_text import load_source
+
+Made = TypeVar("Made")
+
+
+def by_shape(shapes: Shapes, arguments: str, label: str, make: Callable[[PayloadShape, int], Any]) -> Any:
+    """Return a function of a packet `data` and the other `arguments` that calls what `make` gives for the packet's shape
+    and its number; it gives None for a packet that is too short.
+    """
+    text = (
+        "def choose({arguments}):\n"
+        "    if len(data) < {reach}:\n"
+        "        return None\n"
+        "    found = get({key})\n"
+        "    if found is None:\n"
+        "        found = grow(data)\n"
+        "    return found({arguments})\n"
+    )
+    plain = arguments.replace("=None", "")
+
+    def printed(level: ShapeLevel) -> str:
+        found = text.replace("{arguments}", arguments, 1).replace("{arguments}", plain)
+        return found.replace("{reach}", str(level.reach)).replace("{key}", _key(level, "data", ""))
+
+    return _Tables(shapes, label, printed, make).root
+
+
+def measure_of(measure: BitSize | FieldSize, label: str) -> Callable[[bytes, int, int], int | None]:
+    """Return a function of a buffer, where in it a packet begins, and where the buffer ends: how long the packet is, None
+    while the bytes that say it are not there.
+    """
+    if isinstance(measure, BitSize):
+        terms = [f"table_{n}[buffer[i + {offset}]]" for n, (offset, _) in enumerate(measure.tables)]
+        source = (
+            "def measure(buffer, i, end):\n"
+            f"    return {' + '.join([str(measure.constant), *terms])} if end - i >= {measure.reach} else None\n"
+        )
+        tables = {f"table_{n}": table for n, (_, table) in enumerate(measure.tables)}
+        found: Callable[[bytes, int, int], int | None] = load_source(source, label, tables)["measure"]
+        return found
+    shapes = measure.shapes
+    assert shapes is not None
+    around = shapes.message.payload_start + measure.behind
+
+    def printed(level: ShapeLevel) -> str:
+        return (
+            "def choose(buffer, i, end):\n"
+            f"    if end - i < {level.reach}:\n"
+            "        return None\n"
+            f"    found = get({_key(level, 'buffer', 'i + ')})\n"
+            "    if found is None:\n"
+            f"        found = grow(buffer[i : i + {level.reach}])\n"
+            "    return found if found.__class__ is int else found(buffer, i, end)\n"
+        )
+
+    def size(shape: PayloadShape, number: int) -> int:
+        assert shape.size is not None
+        return shape.size + around
+
+    root = _Tables(shapes, label, printed, size).root
+    if callable(root):
+        return root  # type: ignore[no-any-return]
+    return lambda buffer, i, end: root
+
+
+class _Tables:
+    """The printed functions of the levels of one message, each with its table."""
+
+    def __init__(
+        self,
+        shapes: Shapes,
+        label: str,
+        printed: Callable[[ShapeLevel], str],
+        make: Callable[[PayloadShape, int], Any],
+    ) -> None:
+        self._shapes, self._label, self._printed, self._make = shapes, label, printed, make
+        self._count = 0
+        self._first: dict[Any, Any] = {}
+        self.root = self._of(shapes.root, self._first)
+
+    def _of(self, found: ShapeLevel | PayloadShape, table: dict[Any, Any]) -> Any:
+        """Return the function of a level, which looks into `table`, or what is made of a shape."""
+        if isinstance(found, PayloadShape):
+            return self._make(found, self._count)
+        level = found
+
+        def grow(data: bytes) -> Any:
+            key = level.key(data)
+            made = self._of(self._shapes.after(level, key), {})
+            if self._count >= MOST:
+                self._count = 0
+                self._first.clear()
+            self._count += 1
+            table[key if len(key) > 1 else key[0]] = made
+            return made
+
+        names = {"get": table.get, "grow": grow, "from_bytes": int.from_bytes}
+        return load_source(self._printed(level), f"{self._label}, level {self._count}", names)["choose"]
+
+
+def _key(level: ShapeLevel, data: str, start: str) -> str:
+    """Return the deciding numbers of a packet, as an expression."""
+    parts = [_number(bits, data, start) for bits in level.bits]
+    return parts[0] if len(parts) == 1 else f"({', '.join(parts)})"
+
+
+def _number(bits: DecidingBits, data: str, start: str) -> str:
+    if bits.size == 1:
+        return f"{data}[{start}{bits.offset}] & {bits.mask:#x}"
+    run = f"{data}[{start}{bits.offset} : {start}{bits.offset + bits.size}]"
+    return f'from_bytes({run}, "{bits.order}") & {bits.mask:#x}'
