@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from ..protocol import Record
+
 
 @dataclass(frozen=True)
 class Poll:
@@ -73,7 +75,7 @@ def field_reader(path: str, to_si: Callable[[Any], Any]) -> Callable[[Any], Any]
         if to_si is same:
             return lambda record: getattr(record, name)
 
-        def plain(record: Any) -> Any:
+        def plain(record: Record) -> Any:
             value = getattr(record, name)
             return None if value is None else to_si(value)
 

@@ -28,7 +28,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from ..compiling import mypyc_attr
 from ..errors import CallerError, DeviceError, UnknownNameError
-from ..protocol import Protocol, Variant
+from ..protocol import Protocol, Record, Variant
 from ..runtime import Timer
 from .coalesce import CoalescingRule, Setpoint
 from .config import DeviceConfig, Robot
@@ -154,7 +154,7 @@ class Device(EndpointMember):
     def setup(self) -> None:
         """Declare what depends on this device's configuration: `add_signal`, `self.polls`."""
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Take a record of this device, after its declared signals were updated."""
 
     def default_of(self, message: str, path: str) -> Any:
@@ -447,7 +447,7 @@ class Device(EndpointMember):
 
     # ------------------------------------------------------------------ up
 
-    def receive(self, record: Any, instant: int) -> None:
+    def receive(self, record: Record, instant: int) -> None:
         """Take a record of this device: settle the request that it answers, update signals, call `received`."""
         self.last_received = instant
         name = type(record).__name__

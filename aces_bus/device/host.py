@@ -17,8 +17,8 @@ from functools import partial
 from typing import Any
 
 from ..errors import AcesError, CallerError, DeviceError, NoReplyError
+from ..protocol import Record, Variant
 from ..protocol import Unknown as UnknownRecord
-from ..protocol import Variant
 from ..runtime import Loop, Timer
 from .carried_port import CarriedPort
 from .coalesce import CoalescingRule, OutgoingMessage
@@ -470,7 +470,7 @@ class Host(BusEndpoint[Device]):
     def _not_understood(self, unknown: UnknownRecord, instant: int) -> None:
         self.unknown_traffic.not_understood(unknown, instant, self.line)
 
-    def _unaddressed(self, record: Any, instant: int) -> None:
+    def _unaddressed(self, record: Record, instant: int) -> None:
         self.unknown_traffic.unaddressed(record)
 
     def _bus_event(self, kind: Any, detail: str) -> None:

@@ -22,7 +22,7 @@ from typing import Any, ClassVar
 import construct as c
 
 from ..errors import CallerError, DeviceError, UnknownNameError
-from ..protocol import RegisterMap
+from ..protocol import Record, RegisterMap
 from .coalesce import OutgoingMessage, Setpoint
 from .declared import Poll
 from .device import Device
@@ -348,7 +348,7 @@ class RegisterDevice(Device):
         found = self.known.get(name)
         return None if found is None else found[0] if raw else codec.value(found[0])
 
-    def refusal(self, record: Any) -> str:
+    def refusal(self, record: Record) -> str:
         """Why an answer is a refusal; empty when it is none. For drivers to override."""
         return ""
 
@@ -359,7 +359,7 @@ class RegisterDevice(Device):
 
     # ------------------------------------------------------------------ up
 
-    def receive(self, record: Any, instant: int) -> None:
+    def receive(self, record: Record, instant: int) -> None:
         """Take a record of this device: requested registers become signals."""
         if type(record).__name__ != self.reply:
             super().receive(record, instant)
@@ -496,7 +496,7 @@ class RegisterDevice(Device):
         if not self.answers:
             raise CallerError(f"{self.name}: {doing}: this device is set to answer no reads")
 
-    def _raise_refusal(self, record: Any, doing: str) -> None:
+    def _raise_refusal(self, record: Record, doing: str) -> None:
         why = self.refusal(record)
         if why:
             raise DeviceError(f"{self.name}: {doing}: refused: {why}")

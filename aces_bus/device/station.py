@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 from ..compiling import mypyc_attr
 from ..errors import CallerError
-from ..protocol import CanScanner, StreamScanner, Variant, make_scanner
+from ..protocol import CanScanner, Record, StreamScanner, Variant, make_scanner
 from ..protocol import Unknown as UnknownRecord
 from ..protocol.declare.message import Message
 from ..protocol.record import protocol_name_of
@@ -57,11 +57,11 @@ class EndpointMember:
         """True if the member takes what is sent to it; a transport's packets are let in then."""
         return True
 
-    def receive(self, record: Any, instant: int) -> None:
+    def receive(self, record: Record, instant: int) -> None:
         """Take a record of this member."""
         raise NotImplementedError
 
-    def received_by_others(self, record: Any, instant: int) -> bool:
+    def received_by_others(self, record: Record, instant: int) -> bool:
         """Take a record of no member here; whether that was to be expected, as a heartbeat of the host."""
         return False
 
@@ -164,7 +164,7 @@ class BusEndpoint(Generic[M]):
         self._writers = {key: write for key, write in self._writers.items() if key[0] != member.name}
         self._routes.clear()
 
-    def _route(self, record: Any) -> _Route[M]:
+    def _route(self, record: Record) -> _Route[M]:
         """Return which members a record of this type can address."""
         kind = type(record)
         protocol = protocol_name_of(kind)
@@ -185,7 +185,7 @@ class BusEndpoint(Generic[M]):
                 table.setdefault(member.credentials[chosen], []).append(member)
         return chosen, table, self.variants[protocol].protocol.broadcast.get(chosen)
 
-    def meant_by(self, record: Any) -> Collection[M]:
+    def meant_by(self, record: Record) -> Collection[M]:
         """Return the members that a record is about."""
         route = self._routes.get(type(record))
         if route is None:
@@ -300,9 +300,9 @@ class BusEndpoint(Generic[M]):
         for record in self.scanner.idle():
             self.deliver(record, now)
 
-    def deliver(self, record: Any, instant: int) -> None:
+    def deliver(self, record: Record | UnknownRecord, instant: int) -> None:
         """Give a record to whom it is about."""
-        if record.__class__ is UnknownRecord:
+        if isinstance(record, UnknownRecord):
             self._not_understood(record, instant)
             return
         members = self.meant_by(record)
@@ -318,7 +318,7 @@ class BusEndpoint(Generic[M]):
     def _not_understood(self, unknown: UnknownRecord, instant: int) -> None:
         """Take a frame or packet that is not a known message."""
 
-    def _unaddressed(self, record: Any, instant: int) -> None:
+    def _unaddressed(self, record: Record, instant: int) -> None:
         """Take a record of a device that is not on this side."""
 
     def packet(self, member: M, message: str, fields: Mapping[str, Any]) -> Any:
@@ -339,6 +339,6 @@ def tags_of(member: EndpointMember, message: Message) -> dict[str, int]:
     return {name: value for name, value in member.credentials.items() if name in message.fields}
 
 
-def agrees(credentials: Mapping[str, int], record: Any) -> bool:
+def agrees(credentials: Mapping[str, int], record: Record) -> bool:
     """Return whether every credential that a record has is this one's."""
     return all(getattr(record, name, number) == number for name, number in credentials.items())

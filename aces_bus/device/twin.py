@@ -26,7 +26,7 @@ import msgspec
 from ..compiling import mypyc_attr
 from ..errors import CallerError, FieldError, UnknownNameError
 from ..frames import FD_LENGTHS
-from ..protocol import Protocol, StreamScanner, Variant
+from ..protocol import Protocol, Record, StreamScanner, Variant
 from ..runtime import EventClock, Timer
 from .config import DeviceConfig, Robot
 from .port import Port
@@ -149,7 +149,7 @@ class Twin(EndpointMember):
     def draw(self, dice: random.Random, share: float = 1.0) -> None:
         """Draw what it measures and holds anew, from the middle `share` of its range; this kind has nothing to draw."""
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Take a request that has no handler."""
 
     def not_understood(self, data: bytes, reason: str) -> None:
@@ -162,7 +162,7 @@ class Twin(EndpointMember):
         """True if the twin is powered."""
         return self.is_powered
 
-    def receive(self, record: Any, instant: int) -> None:
+    def receive(self, record: Record, instant: int) -> None:
         """Take a request to this device."""
         if not self.is_powered:
             return
@@ -346,7 +346,7 @@ class Twins(BusEndpoint[Twin]):
             for twin in self._ears:
                 twin.not_understood(data, unknown.reason)
 
-    def _unaddressed(self, record: Any, instant: int) -> None:
+    def _unaddressed(self, record: Record, instant: int) -> None:
         self.others += 1
 
 

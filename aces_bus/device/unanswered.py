@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from heapq import heappop, heappush
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..errors import NoReplyError
-from ..protocol import StreamScanner
+from ..protocol import Record, StreamScanner
 from ..runtime import Timer
 from .device import Device
 from .half_duplex import ask_less
@@ -188,7 +188,7 @@ class Unanswered:
 
     # ------------------------------------------------------------------ answers
 
-    def answered(self, device: Device, name: str, record: Any, instant: int) -> None:
+    def answered(self, device: Device, name: str, record: Record, instant: int) -> None:
         """Settle the oldest request that a record answers. Called by `Device.receive`."""
         host = self.host
         counts = host.counts

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from ..protocol import Record
 from ..protocol import Unknown as UnknownRecord
 from .device import Device
 from .events import Kind
@@ -103,7 +104,7 @@ class UnknownTraffic:
                         return device
         return None
 
-    def unaddressed(self, record: Any) -> None:
+    def unaddressed(self, record: Record) -> None:
         """Count a record of a device that is not in the robot's file."""
         kind = type(record)
         names = {name for device in self.host.members.values() for name in device.credentials}

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
+from ..protocol import Record
 from ..protocol.declare.bits import BitLayout
 from ..protocol.declare.delimited import Delimited
 from ..protocol.declare.framing import Framing
@@ -133,7 +134,7 @@ class Coverage:
                 self._fields(protocol, message, item)
         return len(reached) > before
 
-    def _fields(self, protocol: str, message: Message, record: Any) -> None:
+    def _fields(self, protocol: str, message: Message, record: Record) -> None:
         named = self._named.get(message)
         if named is None:
             named = self._named[message] = _named(message)

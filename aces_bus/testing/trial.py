@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Any, NoReturn, TypeVar
 from zlib import crc32
 
+from ..protocol import Record
 from ..protocol.counts import ScanCounts
 from ..protocol.declare.message import Message
 from ..protocol.declare.packet import can_image
@@ -147,7 +148,7 @@ def join_losses(items: Iterable[ScannedItem]) -> list[ScannedItem]:
     return out
 
 
-def record_image(record: Any) -> bytes:
+def record_image(record: Record) -> bytes:
     """Return the image that a record was read from."""
     meta = record.meta
     if meta.identifier is None:

@@ -27,7 +27,7 @@ from aces_bus.errors import CallerError
 from aces_bus.export.open import table_formats
 from aces_bus.frame_table import to_ns
 from aces_bus.frames import Frame
-from aces_bus.protocol import Scanner, Unknown, make_scanner
+from aces_bus.protocol import Record, Scanner, Unknown, make_scanner
 from aces_bus.protocol.keys import key_of
 from aces_bus.recordings import CanRecording, Link, Recording, SerialRecording
 from aces_bus.recordings.pieces import Direction, check_direction
@@ -449,7 +449,7 @@ class LiveDecoding(Decoding):
         if not self.is_quiet:
             self.output.write(self.writer.items(items))
 
-    def _is_wanted(self, record: Any) -> bool:
+    def _is_wanted(self, record: Record) -> bool:
         if self.messages and type(record).__name__ not in self.messages:
             return False
         return self.where is None or self.where.holds(record)

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from aces_bus.errors import CallerError, FieldError, UnknownNameError
-from aces_bus.protocol import Message, Protocol, Register, RegisterMap, Unknown, Variant
+from aces_bus.protocol import Message, Protocol, Record, Register, RegisterMap, Unknown, Variant
 from aces_bus.protocol.plan.scalars import NotFlat, scalar_of
 from aces_bus.protocol.record import protocol_name_of
 
@@ -52,7 +52,7 @@ class RegisterNotes:
             if table is not None and (notes := table.notes(kind.__name__, item)):
                 self._notes[id(item)] = notes
 
-    def of(self, record: Any) -> Sequence[PrintedField]:
+    def of(self, record: Record) -> Sequence[PrintedField]:
         """Return the registers of a record, as text shows them behind its fields."""
         return self._notes.get(id(record), ())
 
@@ -69,7 +69,7 @@ class _Tables:
         self._asked: dict[int, tuple[int, int]] = {}
         self._shows: dict[tuple[int, str], Callable[[Any], str]] = {}
 
-    def notes(self, name: str, record: Any) -> list[PrintedField]:
+    def notes(self, name: str, record: Record) -> list[PrintedField]:
         if (field := self._replies.get(name)) is not None:
             start, count = self._asked.pop(record.id, (0, 0))
             data: bytes = getattr(record, field)

@@ -13,6 +13,7 @@ from typing import Any
 
 from aces_bus.device import UNKNOWN, Device, HostLoss, Job, Signal, Steps
 from aces_bus.errors import AcesError, CallerError, NoReplyError
+from aces_bus.protocol import Record
 
 from .dictionary import object_of
 from .sdo import SdoChannel
@@ -119,7 +120,7 @@ class CanopenNode(Device):
                 self.emit_event("silent", f"no heartbeat for {age / 1e9:.1f} s")
         self.clock.call_in(min(RETRY_NS, beat or RETRY_NS), self._look)
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Heartbeats and emergencies."""
         name = type(record).__name__
         if name == "Heartbeat":
@@ -146,7 +147,7 @@ class CanopenNode(Device):
                 if slot.device is self and slot.due - instant > RETRY_NS:
                     slot.due = instant
 
-    def _emergency(self, record: Any, instant: int) -> None:
+    def _emergency(self, record: Record, instant: int) -> None:
         raw = int.from_bytes(record.meta.raw[:2], "little")
         if raw & 0xFF00 == 0:
             self.error.update("", instant)
@@ -161,7 +162,7 @@ class CanopenNode(Device):
         """Return an emergency's code in words."""
         return f"error {code:04X}"
 
-    def received_by_others(self, record: Any, instant: int) -> bool:
+    def received_by_others(self, record: Record, instant: int) -> bool:
         """Return the heartbeat of the program that drives, where this one looks on."""
         return type(record).__name__ == "Heartbeat" and record.node == self.watchdog.host_node
 

@@ -15,6 +15,7 @@ from typing import Any
 
 from aces_bus.device import Device, Job, Steps, Ticket
 from aces_bus.errors import AcesError, DeviceError
+from aces_bus.protocol import Record
 
 #: The longest object that is read (bytes).
 LONGEST = 1 << 16
@@ -96,7 +97,7 @@ class SdoChannel:
             **_order(index, subindex, data),
         )
 
-    def _is_about(self, answer: Any, index: int, subindex: int) -> bool:
+    def _is_about(self, answer: Record, index: int, subindex: int) -> bool:
         """Return whether an answer is about this object; raises `SdoRefused`."""
         if (answer.index, answer.subindex) != (index, subindex):
             return False

@@ -150,7 +150,7 @@ class BlockSdoServer(SdoServer):
                 crc = crc_hqx(block.data, 0) if block.is_checked else 0
                 self._say(0xC1 | (block.at - len(block.data)) << 2, crc.to_bytes(2, "little"))
 
-    def _begin_upload(self, request: Any) -> None:
+    def _begin_upload(self, request: bytes) -> None:
         self._index, self._subindex = int.from_bytes(request[1:3], "little"), request[3]
         self._check_size(request[4])
         data = bytes(self._node.get_data(self._index, self._subindex, check_readable=True))

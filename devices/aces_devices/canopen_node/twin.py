@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 from aces_bus import Frame
 from aces_bus.device import Twin
-from aces_bus.protocol import make_scanner
+from aces_bus.protocol import Record, make_scanner
 from aces_bus.protocol.record import as_dict
 from aces_bus.runtime import Timer
 
@@ -97,7 +97,7 @@ class CanopenTwin(Twin):
 
     # ------------------------------------------------------------------ hearing
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """All messages of the spec."""
         name = type(record).__name__
         state = self.node.nmt.state
@@ -116,7 +116,7 @@ class CanopenTwin(Twin):
                 return
             self.network.notify(record.meta.identifier, bytearray(record.meta.raw), instant / 1e9)
 
-    def _nmt(self, record: Any) -> None:
+    def _nmt(self, record: Record) -> None:
         if record.command in RESETS:
             self.setup()
             return
@@ -127,7 +127,7 @@ class CanopenTwin(Twin):
             self._repeat()
         self.changed_state(self.node.nmt.state, self.clock.now())
 
-    def received_by_others(self, record: Any, instant: int) -> bool:
+    def received_by_others(self, record: Record, instant: int) -> bool:
         """Return the heartbeat of a node that it may watch over."""
         if type(record).__name__ != "Heartbeat":
             return False

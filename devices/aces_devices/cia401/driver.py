@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 from aces_bus.device import HostLoss, Job, Signal, Steps
 from aces_bus.device.settings import settings_of
 from aces_bus.errors import AcesError, DeviceError
+from aces_bus.protocol import Record
 
 from ..canopen_node.node import NMT, CanopenNode
 from ..canopen_node.pdo import RECEIVED, SENT, PdoLayout, from_file, read_layouts
@@ -191,7 +192,7 @@ class Cia401(CanopenNode):
         for channel, signal in self._by_where.get(where, ()):
             signal.update(channel.value(number), instant)
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """PDOs; what any node says."""
         name = type(record).__name__
         layout = self.inputs.get(int(name[-1])) if name.startswith("Tpdo") else None

@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 from aces_bus.device import HostLoss, Job, MotorDevice, Poll, Signal, Steps
 from aces_bus.device.settings import settings_of
 from aces_bus.errors import AcesError, CallerError, DeviceError
+from aces_bus.protocol import Record
 
 from ..canopen_node.node import NMT, CanopenNode
 from ..canopen_node.pdo import RECEIVED, SENT, PdoEntry, PdoLayout, from_file, offset_of
@@ -155,7 +156,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
                 slot.replies = frozenset((f"Tpdo{holder}",))
                 slot.due = self.clock.now()
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """PDOs, heartbeats and emergencies."""
         name = type(record).__name__
         readers = self._readers.get(name)

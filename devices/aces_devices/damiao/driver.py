@@ -21,6 +21,7 @@ from aces_bus.device import Driver, HostLoss, Job, Poll, Steps, Ticket
 from aces_bus.device.host_loss import Outcome
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import AcesError, CallerError, DeviceError, UnknownNameError
+from aces_bus.protocol import Record
 from aces_protocols.damiao.spec import INTEGERS, KD_MAX, KP_MAX, MODELS, READ_ONLY, REGISTERS, SHARE
 
 from ..mit_motor import MitMotor, Ranges
@@ -166,7 +167,7 @@ class Damiao(MitMotor):
 
         return self.job("start", steps)
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Take from a feedback whether the motor is on."""
         if type(record).__name__ != "Feedback":
             return

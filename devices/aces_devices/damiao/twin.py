@@ -13,6 +13,7 @@ from random import Random
 from typing import Any, ClassVar
 
 from aces_bus.device import JointScale, Twin, on
+from aces_bus.protocol import Record
 from aces_protocols.damiao.spec import INTEGERS, MODELS, READ_ONLY, REGISTERS, SHARE, Master
 
 from ..joint_model import AMBIENT, MotorModel, joint_of
@@ -108,7 +109,7 @@ class DamiaoTwin(Twin):
             self._watch = None
 
     @on("Enable")
-    def enable(self, request: Any) -> None:
+    def enable(self, request: Record) -> None:
         """On, without torque, unless there is a fault."""
         if self.status == "disabled":
             self.status = "enabled"
@@ -117,26 +118,26 @@ class DamiaoTwin(Twin):
         self.feedback()
 
     @on("Disable")
-    def disable(self, request: Any) -> None:
+    def disable(self, request: Record) -> None:
         """Off; a fault stays."""
         if self.status == "enabled":
             self.go_off()
         self.feedback()
 
     @on("ClearError")
-    def clear(self, request: Any) -> None:
+    def clear(self, request: Record) -> None:
         """Off, without a fault."""
         self.go_off()
         self.feedback()
 
     @on("SetZero")
-    def zero(self, request: Any) -> None:
+    def zero(self, request: Record) -> None:
         """Make here 0."""
         self.offset -= self.angle
         self.feedback()
 
     @on("AskFeedback")
-    def asked(self, request: Any) -> None:
+    def asked(self, request: Record) -> None:
         """Say how it is."""
         self.feedback()
 
@@ -160,7 +161,7 @@ class DamiaoTwin(Twin):
 
     # ------------------------------------------------------------------ commands
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Carry out a command of the present mode; ignore commands of others."""
         if type(record).__name__ != _MODES[int(self.registers[10])]:
             return
@@ -169,7 +170,7 @@ class DamiaoTwin(Twin):
             self.drive(record, instant)
         self.feedback()
 
-    def drive(self, record: Any, now: int) -> None:
+    def drive(self, record: Record, now: int) -> None:
         """Carry a command out."""
         scale, motor = self.scale, self.motor
         match type(record).__name__:
@@ -193,12 +194,12 @@ class DamiaoTwin(Twin):
     # ------------------------------------------------------------------ registers
 
     @on("ReadFloat", "ReadInteger")
-    def read(self, request: Any) -> None:
+    def read(self, request: Record) -> None:
         """Answer with the value of a register; registers that the motor does not have are not answered."""
         self.answer(request, "Read")
 
     @on("WriteFloat", "WriteInteger")
-    def write(self, request: Any) -> None:
+    def write(self, request: Record) -> None:
         """Take it, unless it can only be read, or cannot be: the answer says what it is then."""
         number = REGISTERS.get(request.register)
         if number is not None and number not in READ_ONLY and self._can_be(number, request.value):
@@ -215,7 +216,7 @@ class DamiaoTwin(Twin):
             return value in Master.values
         return number not in INTEGERS or (math.isfinite(value) and 0 <= value < 1 << 32)
 
-    def answer(self, request: Any, verb: str) -> None:
+    def answer(self, request: Record, verb: str) -> None:
         """Answer a request with its register."""
         number = REGISTERS.get(request.register)
         if number is None:
@@ -225,7 +226,7 @@ class DamiaoTwin(Twin):
         self.reply(f"{verb}{kind}Reply", master=int(self.registers[7]), register=number, value=value)
 
     @on("Store")
-    def store(self, request: Any) -> None:
+    def store(self, request: Record) -> None:
         """Keep the registers; while it is off."""
         if self.status != "enabled":
             self.stored = dict(self.registers)

@@ -19,6 +19,7 @@ from aces_bus.device import HostLoss, Job, Signal, Steps
 from aces_bus.device.config import Joint
 from aces_bus.device.register_device import RegisterSpan
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
+from aces_bus.protocol import Record
 from aces_protocols.dynamixel.control_table import ACCELERATION, ANGLE, HARDWARE_ERRORS, SPEED, WATCHDOG_ERROR
 from aces_protocols.dynamixel.models import MODEL_NAMES
 from aces_protocols.dynamixel.spec import control_table
@@ -248,7 +249,7 @@ class Dynamixel(ServoDevice):
         if self.command == "current" and self.model is not None and self.model.current_step_a is not None:
             _narrow(self.current, table["current_limit"] * self.model.current_step_a)
 
-    def errors_of(self, record: Any) -> frozenset[str] | None:
+    def errors_of(self, record: Record) -> frozenset[str] | None:
         """Return the servo's errors; a status only says that there are some, the register `hardware_error`
         says which.
         """
@@ -265,7 +266,7 @@ class Dynamixel(ServoDevice):
             self.read("hardware_error")
         return None
 
-    def refusal(self, record: Any) -> str:
+    def refusal(self, record: Record) -> str:
         """Return what is wrong with the request, by name."""
         code = record.error.code
         return "" if code == "none" else str(code)

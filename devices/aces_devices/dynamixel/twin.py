@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 from aces_bus.device import on
 from aces_bus.device.register_device import RegisterCodec
+from aces_bus.protocol import Record
 from aces_protocols.dynamixel.control_table import ANGLE, HARDWARE_ERRORS, MODES, SPEED, WATCHDOG_ERROR
 from aces_protocols.dynamixel.models import MODEL_NAMES, MODELS
 from aces_protocols.dynamixel.spec import BROADCAST, CRC, control_table, packet
@@ -182,7 +183,7 @@ class DynamixelTwin(ServoTwin):
 
     # ------------------------------------------------------------------ instructions
 
-    def receive(self, record: Any, instant: int) -> None:
+    def receive(self, record: Record, instant: int) -> None:
         """Carry out an instruction; each of them resets the watchdog."""
         if self.is_powered and self.is_tuned:
             self._watch(self.clock.now())
@@ -226,22 +227,22 @@ class DynamixelTwin(ServoTwin):
         return bytes(self.table[0:2]) + bytes(self.table[6:7])
 
     @on("SyncRead")
-    def answer_together(self, request: Any) -> None:
+    def answer_together(self, request: Record) -> None:
         """After those who are asked before."""
         self.answer_in_turn([(number, request.start, request.count) for number in request.ids])
 
     @on("BulkRead")
-    def answer_bulk(self, request: Any) -> None:
+    def answer_bulk(self, request: Record) -> None:
         """Answer with the servo's own area, after the servos that are asked before it."""
         self.answer_in_turn(_areas(request))
 
     @on("FastSyncRead")
-    def answer_fast(self, request: Any) -> None:
+    def answer_fast(self, request: Record) -> None:
         """Answer with a part of a joint status."""
         self._jointly([(number, request.start, request.count) for number in request.ids])
 
     @on("FastBulkRead")
-    def answer_fast_bulk(self, request: Any) -> None:
+    def answer_fast_bulk(self, request: Record) -> None:
         """Answer with a part of a joint status, from the servo's own area."""
         self._jointly(_areas(request))
 
@@ -277,7 +278,7 @@ class DynamixelTwin(ServoTwin):
         self.clock.call_in(self.delay_ns, lambda: self.send_raw(whole))
 
     @on("BulkWrite")
-    def obey_bulk(self, request: Any) -> None:
+    def obey_bulk(self, request: Record) -> None:
         """One's own of many."""
         mine = self.credentials["id"]
         for servo in request.servos:
@@ -285,7 +286,7 @@ class DynamixelTwin(ServoTwin):
                 self.put(servo.start, servo.data)
 
     @on("Reboot")
-    def restart(self, request: Any) -> None:
+    def restart(self, request: Record) -> None:
         """Begin as after power-off: full turns are forgotten, too."""
         self.answer(request)
         self.motion.settle(self.clock.now())
@@ -293,7 +294,7 @@ class DynamixelTwin(ServoTwin):
         self.begin()
 
     @on("Clear")
-    def forget_turns(self, request: Any) -> None:
+    def forget_turns(self, request: Record) -> None:
         """Reduce the position to one turn; refused while torque is on."""
         why = "result_fail" if self["torque_enable"] else ""
         self.answer(request, WRITE, why)
@@ -304,7 +305,7 @@ class DynamixelTwin(ServoTwin):
             self.apply()
 
     @on("FactoryReset")
-    def reset(self, request: Any) -> None:
+    def reset(self, request: Record) -> None:
         """Set all as from the factory; id and speed where they are to be kept."""
         if request.id == BROADCAST and request.keep == "nothing":
             return
@@ -335,5 +336,5 @@ class DynamixelTwin(ServoTwin):
             self.answer(None, WRITE, "instruction")
 
 
-def _areas(request: Any) -> list[tuple[int, int, int]]:
+def _areas(request: Record) -> list[tuple[int, int, int]]:
     return [(area.id, area.start, area.count) for area in request.areas]

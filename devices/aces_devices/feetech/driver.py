@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 
 from aces_bus.device import DeviceConfig, Host, HostLoss, Job, Robot, Steps
 from aces_bus.errors import CallerError
-from aces_bus.protocol import Variant
+from aces_bus.protocol import Record, Variant
 from aces_protocols.feetech.control_table import ERRORS, SCS_ANGLE, STS_ANGLE
 from aces_protocols.feetech.models import MODEL_NAMES
 from aces_protocols.feetech.spec import scs_table, sts_table
@@ -146,7 +146,7 @@ class Feetech(ServoDevice):
         """Limit the joint to the servo's own limits."""
         self.limit_to(table["min_position_limit"], table["max_position_limit"])
 
-    def refusal(self, record: Any) -> str:
+    def refusal(self, record: Record) -> str:
         """Return no reason: a status of these servos says nothing about the request."""
         return ""
 

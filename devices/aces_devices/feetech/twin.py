@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from aces_bus.device import on
+from aces_bus.protocol import Record
 from aces_protocols.feetech.control_table import ERRORS, SCS_ANGLE, STS_ANGLE
 from aces_protocols.feetech.models import MODEL_NAMES, MODELS
 from aces_protocols.feetech.spec import scs_table, sts_table
@@ -182,13 +183,13 @@ class FeetechTwin(ServoTwin):
         return refusal | errors
 
     @on("SyncRead")
-    def answer_together(self, request: Any) -> None:
+    def answer_together(self, request: Record) -> None:
         """After those who are asked before; SCS servos do not know it."""
         if self.series == "STS":
             self.answer_in_turn([(number, request.start, request.count) for number in request.ids])
 
     @on("Reset")
-    def reset(self, request: Any) -> None:
+    def reset(self, request: Record) -> None:
         """Set all as from the factory, save the id."""
         self.answer(request)
         number = self["id"]

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 from math import cos, hypot, radians, sin
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from aces_bus.device import DeviceConfig, Driver, Host, Job, Steps
 from aces_bus.device.settings import described
+from aces_bus.protocol import Record
 
 from .antenna import ReceiverTwin
 from .receiver import Receiver, ReceiverSettings
@@ -44,7 +45,7 @@ class NmeaReceiver(Receiver):
         super().setup()
         self._fix_at: int | None = None
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Take what a sentence says."""
         match type(record).__name__:
             case "GGA" | "GNS":
@@ -60,7 +61,7 @@ class NmeaReceiver(Receiver):
             case _:
                 pass
 
-    def _take_fix(self, record: Any, instant: int) -> None:
+    def _take_fix(self, record: Record, instant: int) -> None:
         self._fix_at = instant
         name = type(record).__name__
         if name == "GGA":
@@ -82,7 +83,7 @@ class NmeaReceiver(Receiver):
             height=None if altitude is None or separation is None else altitude + separation,
         )
 
-    def _take_motion(self, record: Any, instant: int) -> None:
+    def _take_motion(self, record: Record, instant: int) -> None:
         if record.status != "valid" or record.mode == "none":
             self.lost()
             self.found(instant, time=None)
@@ -111,7 +112,7 @@ def _dop(value: float | None) -> float | None:
     return None if value is None or value >= 99 else value
 
 
-def _angles(record: Any) -> tuple[float | None, float | None]:
+def _angles(record: Record) -> tuple[float | None, float | None]:
     """Latitude and longitude (rad) with their signs; None where a number or its letter is not there."""
     signs = {"north": 1, "east": 1, "south": -1, "west": -1}
     latitude, longitude = (

@@ -17,6 +17,7 @@ from msgspec import Meta
 from aces_bus.device import DeviceConfig, Driver, Host, Job, Steps, Ticket, on
 from aces_bus.device.settings import described
 from aces_bus.errors import DeviceError
+from aces_bus.protocol import Record
 from aces_protocols.nmea0183.spec import nmea0183
 
 from .antenna import Epoch, ReceiverTwin
@@ -60,7 +61,7 @@ class UbxReceiver(Receiver):
         """Set the receiver, where the file says so."""
         return self.configure() if self.settings.configure else None
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Take what NavPvt says."""
         if type(record).__name__ != "NavPvt":
             return
@@ -125,7 +126,7 @@ class UbxReceiver(Receiver):
         return self.ask("CfgRatePoll", reply="CfgRate", timeout_s=ANSWER_S)
 
 
-def quality_of(record: Any) -> str:
+def quality_of(record: Record) -> str:
     """Return what kind of a fix NavPvt has, in the words of NMEA 0183's GGA."""
     if not record.flags.fix_ok or record.fix in ("none", "time_only"):
         return "none"
@@ -136,7 +137,7 @@ def quality_of(record: Any) -> str:
     return "dgps" if record.flags.differential else "gps"
 
 
-def _instant_of(record: Any) -> float | None:
+def _instant_of(record: Record) -> float | None:
     """NavPvt's time as seconds since 1970; None where the receiver is not certain of all of it."""
     valid = record.valid
     if not (valid.date and valid.time and valid.fully_resolved):
@@ -356,13 +357,13 @@ class UbxTwin(ReceiverTwin):
         "NavTimeUtcPoll",
         "NavSatPoll",
     )
-    def answer(self, request: Any) -> None:
+    def answer(self, request: Record) -> None:
         """One message, now."""
         wanted = type(request).__name__.removesuffix("Poll")
         self._send_message(next(key for key, (name, _) in MESSAGES.items() if name == wanted), self.epoch())
 
     @on("MonVerPoll")
-    def answer_version(self, request: Any) -> None:
+    def answer_version(self, request: Record) -> None:
         """Versions of a receiver that does not exist."""
         self.reply(
             "MonVer",
@@ -372,12 +373,12 @@ class UbxTwin(ReceiverTwin):
         )
 
     @on("CfgRatePoll")
-    def answer_rate(self, request: Any) -> None:
+    def answer_rate(self, request: Record) -> None:
         """Answer with the measuring rate."""
         self.reply("CfgRate", period=self.period_ms, measurements=1, time_reference="utc")
 
     @on("CfgMsgPoll")
-    def answer_message_rate(self, request: Any) -> None:
+    def answer_message_rate(self, request: Record) -> None:
         """Answer with the rate of a message."""
         key = request.message_group, request.message_number
         if not self._is_known(key):
@@ -389,7 +390,7 @@ class UbxTwin(ReceiverTwin):
     # ------------------------------------------------------------------ set
 
     @on("CfgRate")
-    def set_rate(self, request: Any) -> None:
+    def set_rate(self, request: Record) -> None:
         """Measure so often from now on."""
         is_possible = request.period >= SHORTEST_MS and request.measurements == 1
         self._acknowledge(CFG_RATE, is_possible)
@@ -397,7 +398,7 @@ class UbxTwin(ReceiverTwin):
             self._measure(int(request.period))
 
     @on("CfgMsg", "CfgMsgPorts")
-    def set_message_rate(self, request: Any) -> None:
+    def set_message_rate(self, request: Record) -> None:
         """Send a message in every so many solutions; of six ports this is the second, UART 1."""
         key = request.message_group, request.message_number
         rate = request.rates[1] if type(request).__name__ == "CfgMsgPorts" else request.rate

@@ -12,6 +12,7 @@ from typing import Any
 
 from aces_bus.device import Driver, Job, Poll
 from aces_bus.device.settings import described
+from aces_bus.protocol import Record
 
 from ..hubo_sensors.board import SensorBoard, SensorSettings, scan_of
 from .twin import ForceTorqueTwin
@@ -62,7 +63,7 @@ class ForceTorqueBoard(SensorBoard):
         if force is not None and matrix:
             self.products(force, self._force, _AXES)
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Turn digits into forces by the matrix; report readings at the end of their range."""
         name = type(record).__name__
         update = self.made_of.get(name) if self.made_of else None

@@ -7,12 +7,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
 from aces_bus.device import on
 from aces_bus.errors import CallerError
+from aces_bus.protocol import Record
 
 from ..hubo_sensors.twin import CENTIDEGREES, Axes, SensorTwin
 
@@ -107,23 +107,23 @@ class ForceTorqueTwin(SensorTwin):
             self.reply("Tilt", ax=ax * 0.01, ay=ay * 0.01, az=az / 750)
 
     @on("ForceTorqueRequest")
-    def answer_force(self, request: Any) -> None:
+    def answer_force(self, request: Record) -> None:
         """Force and torque, scaled or in digits."""
         self._send_force(request.mode == "ft_digital")
 
     @on("TiltRequest")
-    def answer_tilt(self, request: Any) -> None:
+    def answer_tilt(self, request: Record) -> None:
         """Send a foot's tilt; a hand has no tilt sensor and does not answer."""
         self._send_tilt(request.mode == "tilt_digital")
 
     @on("SensorRequest")
-    def answer_both(self, request: Any) -> None:
+    def answer_both(self, request: Record) -> None:
         """Force and tilt, in one of four mixtures."""
         self._send_force(request.mode in ("digital", "digital_tilt_scaled"))
         self._send_tilt(request.mode in ("digital", "scaled_tilt_digital"))
 
     @on("SensorRequestD08")
-    def answer_all(self, request: Any) -> None:
+    def answer_all(self, request: Record) -> None:
         """Digits of force and, of a foot, of acceleration and rotation."""
         mx, my, fz = self.sample("force")
         self.reply("ForceTorqueD08", mx=mx, my=my, fz=fz)
@@ -132,7 +132,7 @@ class ForceTorqueTwin(SensorTwin):
             self.reply("ImuD08", acceleration=[one, two], gyro=[three, four])
 
     @on("NullSensor")
-    def take_null(self, request: Any) -> None:
+    def take_null(self, request: Record) -> None:
         """All of force and torque, one axis of it, or a foot's tilt."""
         what = str(request.what)
         if what == "force_torque":

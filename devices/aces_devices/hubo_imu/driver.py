@@ -7,10 +7,10 @@
 from __future__ import annotations
 
 from math import pi
-from typing import Any
 
 from aces_bus.device import Driver, Job, Poll, Ticket
 from aces_bus.device.settings import described
+from aces_bus.protocol import Record
 
 from ..hubo_sensors.board import MOTION, SensorBoard, SensorSettings, scan_of
 from .twin import ImuTwin
@@ -34,7 +34,7 @@ class ImuBoard(SensorBoard):
         self.ask_for(Poll("ImuRequest", reply="Imu", fields={"select": "imu"}))
         self.axes(sensor, "Imu", [(name, name, unit, _DEGREE) for name, unit in MOTION])
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Turn digits into signals by the matrix."""
         if self.made_of and type(record).__name__ == "ImuD08":
             self.made_of["ImuD08"]((*record.acceleration, *record.gyro), instant)

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from math import sin
-from typing import Any
 
 from aces_bus.device import on
+from aces_bus.protocol import Record
 
 from ..hubo_sensors.twin import CENTIDEGREES, Axes, SensorTwin
 
@@ -48,7 +48,7 @@ class ImuTwin(SensorTwin):
         return [value * CENTIDEGREES for value in turned]
 
     @on("ImuRequest")
-    def answer(self, request: Any) -> None:
+    def answer(self, request: Record) -> None:
         """Attitude and rates."""
         roll, pitch, roll_rate, pitch_rate = self.sample("motion")
         self.reply(
@@ -60,18 +60,18 @@ class ImuTwin(SensorTwin):
         )
 
     @on("SensorRequestD08")
-    def answer_all(self, request: Any) -> None:
+    def answer_all(self, request: Record) -> None:
         """Digits of acceleration and rotation."""
         one, two, three, four = self.sample("motion")
         self.reply("ImuD08", acceleration=[one, two], gyro=[three, four])
 
     @on("NullImu")
-    def take_null(self, request: Any) -> None:
+    def take_null(self, request: Record) -> None:
         """Make the present attitude zero."""
         self.null("motion")
 
     @on("NullSensor")
-    def take_null_of_old(self, request: Any) -> None:
+    def take_null_of_old(self, request: Record) -> None:
         """Null the sensor; the older firmware has one null command for all boards."""
         if self._is_old and str(request.what) == "force_torque":
             self.null("motion")

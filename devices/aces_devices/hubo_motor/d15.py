@@ -31,6 +31,7 @@ from aces_bus.device import (
     together,
 )
 from aces_bus.errors import CallerError, DeviceError
+from aces_bus.protocol import Record
 from aces_protocols.hubo.d15 import NUMBERS, POWER
 
 from ..joint_model import AMBIENT, MotorJoint, MotorModel
@@ -161,7 +162,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
 
     # ------------------------------------------------------------------ up
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Take the status: switches, home, errors."""
         if type(record).__name__ not in REPLIES:
             return
@@ -372,7 +373,7 @@ class HuboMotorD15Twin(Twin):
     # ------------------------------------------------------------------ asked
 
     @on("SendEncoderD15")
-    def encoder(self, request: Any) -> None:
+    def encoder(self, request: Record) -> None:
         """Send the positions, repeatedly if the request says so."""
         self._continuous += 1
         self._say()
@@ -393,7 +394,7 @@ class HuboMotorD15Twin(Twin):
         self.reply("EncoderD15", position=here)
 
     @on("SendStatusD15")
-    def status(self, request: Any) -> None:
+    def status(self, request: Record) -> None:
         """Switches, home, errors, modes."""
         now = self.clock.now()
         states = [{"drive": 0, "home": 0, "errors": 0, "modes": 0} for _ in range(2)]
@@ -428,7 +429,7 @@ class HuboMotorD15Twin(Twin):
             motor.errors |= 0x04
 
     @on("SendTemperatureD15")
-    def temperature(self, request: Any) -> None:
+    def temperature(self, request: Record) -> None:
         """Of the board and of both motors."""
         now = self.clock.now()
         found = [90.0 if "hot" in self.active_faults else AMBIENT] * 2
@@ -439,21 +440,21 @@ class HuboMotorD15Twin(Twin):
         self.reply("TemperatureD15", board_temperature=30.0, motor=found, rest=b"")
 
     @on("GetBoardInfoD15")
-    def info(self, request: Any) -> None:
+    def info(self, request: Record) -> None:
         """Answer with the board's version."""
         self.reply("BoardInfoD15", period=5, unknown=bytes(2), version=VERSION, rest=b"")
 
     # ------------------------------------------------------------------ reported
 
     @on("ReferenceD15")
-    def reference(self, request: Any) -> None:
+    def reference(self, request: Record) -> None:
         """Take references: the positions to move to."""
         now = self.clock.now()
         for number, motor in self.motors.items():
             motor.aim(request.position[number], now)
 
     @on("DriverSwitchD15")
-    def driver(self, request: Any) -> None:
+    def driver(self, request: Record) -> None:
         """Driver on or off; without it nothing is controlled."""
         motor = self._one(request.channel)
         if motor is not None:
@@ -463,7 +464,7 @@ class HuboMotorD15Twin(Twin):
                 motor.model.free(self.clock.now())
 
     @on("ControlD15")
-    def control(self, request: Any) -> None:
+    def control(self, request: Record) -> None:
         """Control on or off."""
         motor = self._one(request.channel)
         if motor is None:
@@ -478,7 +479,7 @@ class HuboMotorD15Twin(Twin):
             motor.model.free(now)
 
     @on("HomeD15")
-    def home(self, request: Any) -> None:
+    def home(self, request: Record) -> None:
         """Search: to 0, which the stored settings stand for."""
         motor = self._one(request.channel)
         if motor is not None and motor.is_controlled:
@@ -486,14 +487,14 @@ class HuboMotorD15Twin(Twin):
             motor.model.follow(self.clock.now(), 0.0)
 
     @on("ClearErrorD15")
-    def clear(self, request: Any) -> None:
+    def clear(self, request: Record) -> None:
         """Errors are gone, until there is a reason for them again."""
         motor = self._one(request.channel)
         if motor is not None:
             motor.errors = 0
 
     @on("PositionModeD15")
-    def position_mode(self, request: Any) -> None:
+    def position_mode(self, request: Record) -> None:
         """Choose whether references are absolute or count from the present place."""
         motor = self._one(request.channel)
         if motor is not None:

@@ -44,6 +44,7 @@ from aces_bus.device import HostLoss, Job, Joint, MotorDevice, Poll, Signal, Ste
 from aces_bus.device.settings import settings_of
 from aces_bus.device.ticket import Awaited
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
+from aces_bus.protocol import Record
 from aces_protocols.hubo.spec import hubo
 
 from .axis import (
@@ -409,7 +410,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
 
     # ------------------------------------------------------------------ up
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Take a record of this board."""
         take = self._receivers.get(type(record).__name__)
         if take is not None:
@@ -418,7 +419,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
     def _encoder_receiver(self, axes: list[MotorAxis]) -> Callable[[Any, int], None]:
         is_neck = self.kind == "neck"
 
-        def take(record: Any, instant: int) -> None:
+        def take(record: Record, instant: int) -> None:
             homing = self.homing
             for axis, count in zip(axes, record.position, strict=False):
                 if is_neck:
@@ -429,7 +430,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
 
         return take
 
-    def _receive_status(self, record: Any, instant: int) -> None:
+    def _receive_status(self, record: Record, instant: int) -> None:
         """Switches, home flags and errors of D12."""
         news: list[str] = []
         gone: list[str] = []
@@ -468,7 +469,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
             else:
                 self.rebooted("drivers or control went off without a command")
 
-    def _receive_search(self, record: Any, instant: int) -> None:
+    def _receive_search(self, record: Record, instant: int) -> None:
         """Home searches of D08."""
         lost: list[str] = []
         for axis, motor in zip(self.axes, record.motor, strict=False):

@@ -13,6 +13,7 @@ from typing import Any
 
 from aces_bus.device import DeviceConfig, Host, Job, Steps
 from aces_bus.errors import AcesError, CallerError
+from aces_bus.protocol import Record
 
 #: Numbers of motor boards.
 BOARDS = range(0x30)
@@ -60,7 +61,7 @@ def scan_boards(host: Host, job: Job) -> Steps:
     #: Of each number, the lengths of encoder replies that do not fit the kind in the table; of other answers None.
     answers: dict[int, list[int | None]] = {}
 
-    def unknown(record: Any, instant: int) -> None:
+    def unknown(record: Record, instant: int) -> None:
         for base in (_ENCODER, _STATUS):
             board = (record.meta.identifier or 0) - base
             if board in probes:

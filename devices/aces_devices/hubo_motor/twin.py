@@ -14,6 +14,7 @@ from math import pi, tau
 from typing import Any, ClassVar
 
 from aces_bus.device import Joint, Twin, on
+from aces_bus.protocol import Record
 from aces_protocols.hubo.spec import hubo
 
 from .channel import MotorChannel, counts_of
@@ -136,7 +137,7 @@ class HuboMotorTwin(Twin):
         return counts_of(channels, self.clock.now(), self._frozen, self._is_short)
 
     @on("SendEncoder", "SendEncoderD08")
-    def send_encoder(self, request: Any) -> None:
+    def send_encoder(self, request: Record) -> None:
         """Positions; `upper` are channels 3 and 4 of five."""
         channels, asked = self.shape.channels, self.shape.encoders
         if not asked:
@@ -162,7 +163,7 @@ class HuboMotorTwin(Twin):
         self._transmit(known[1], self.reply_delay_ns)
 
     @on("SendCurrent")
-    def send_current(self, request: Any) -> None:
+    def send_current(self, request: Record) -> None:
         """Magnitudes of the currents, within what the field holds; the temperature of the hottest motor."""
         current = self.shape.current
         if current is None:
@@ -186,7 +187,7 @@ class HuboMotorTwin(Twin):
         self.repeat(current.reply[0], current=wide, temperature=min(255, int(heat)))
 
     @on("SendStatus")
-    def send_status(self, request: Any) -> None:
+    def send_status(self, request: Record) -> None:
         """Switches, home flags, errors; or how home searches went (D08)."""
         status = self.shape.status
         if status is None:
@@ -225,7 +226,7 @@ class HuboMotorTwin(Twin):
             self.reply(message, state=bytes(6), motor=[*found, none][:2])
 
     @on("SendPm")
-    def send_pm(self, request: Any) -> None:
+    def send_pm(self, request: Record) -> None:
         """Send the index of the first two motors, within its turn (D08)."""
         phases = [round(channel.index % channel.turn) for channel in self.channels[:2]]
         self.reply("Pm", z_phase=[*phases, 0][:2])
@@ -233,13 +234,13 @@ class HuboMotorTwin(Twin):
     # ------------------------------------------------------------------ what it is
 
     @on("GetBoardInfo")
-    def get_board_info(self, request: Any) -> None:
+    def get_board_info(self, request: Record) -> None:
         """Set the period and report it."""
         self.board.period = request.period
         self.reply("BoardInfo", period=request.period)
 
     @on("NameInfo", "NameInfo3", "NameInfo5")
-    def name_info(self, request: Any) -> None:
+    def name_info(self, request: Record) -> None:
         """Period and search limits (D08)."""
         self.board.period = request.period
         limits = list(getattr(request, "limit", (0, 0)))
@@ -251,14 +252,14 @@ class HuboMotorTwin(Twin):
     # ------------------------------------------------------------------ references and duties
 
     @on("Reference", "Reference3D08")
-    def reference(self, request: Any) -> None:
+    def reference(self, request: Record) -> None:
         """Positions in counts."""
         now = self.clock.now()
         for channel, count in zip(self.channels, request.position, strict=False):
             channel.refer(now, count * 0.01 if channel.mode == "current" else count)
 
     @on("ReferenceHand", "ReferenceHandPosition")
-    def reference_hand(self, request: Any) -> None:
+    def reference_hand(self, request: Record) -> None:
         """Wrist roll in counts; fingers in A, or in steps of 64 counts: the unit is not known."""
         now = self.clock.now()
         unit = 64 if type(request).__name__ == "ReferenceHandPosition" else 1
@@ -267,7 +268,7 @@ class HuboMotorTwin(Twin):
             channel.refer(now, unit * finger)
 
     @on("ReferenceNeck")
-    def reference_neck(self, request: Any) -> None:
+    def reference_neck(self, request: Record) -> None:
         """Servo angles: servos hold what they are set to."""
         now = self.clock.now()
         for channel, angle in zip(self.channels, request.position, strict=True):
@@ -275,7 +276,7 @@ class HuboMotorTwin(Twin):
             channel.refer(now, round((angle + pi) * 4096 / tau))
 
     @on("PwmFine", "Pwm3", "PwmFingers", "PwmD08", "Pwm3D08", "PwmFingersD08", "Pwm")
-    def pwm(self, request: Any) -> None:
+    def pwm(self, request: Record) -> None:
         """Open-loop duties; mode `off` ends them."""
         shape, now = self.shape, self.clock.now()
         duties = list(request.duty)
@@ -293,21 +294,21 @@ class HuboMotorTwin(Twin):
     # ------------------------------------------------------------------ switches
 
     @on("DriverSwitch")
-    def driver_switch(self, request: Any) -> None:
+    def driver_switch(self, request: Record) -> None:
         """FETs on or off; what has failed stays off."""
         now = self.clock.now()
         for channel in self.channels:
             channel.switch(now, driver=request.state == "on" and "fet_fault" not in channel.faults)
 
     @on("ControlOn", "ControlOff")
-    def control(self, request: Any) -> None:
+    def control(self, request: Record) -> None:
         """Control begins where the joints are; off: no control, no search, no duty."""
         now = self.clock.now()
         for channel in self.channels:
             channel.switch(now, control=type(request).__name__ == "ControlOn")
 
     @on("ControlMode", "ControlModeD08")
-    def control_mode(self, request: Any) -> None:
+    def control_mode(self, request: Record) -> None:
         """Choose the meaning of references; in `hybrid` the fingers of a hand take currents."""
         now = self.clock.now()
         mode = request.mode
@@ -324,14 +325,14 @@ class HuboMotorTwin(Twin):
                 channel.apply(now)
 
     @on("SwitchingMode", "CurrentLimit")
-    def noted(self, request: Any) -> None:
+    def noted(self, request: Record) -> None:
         """Kept; the motor model knows no difference."""
         if hasattr(request, "limit"):
             for channel in self.channels:
                 channel.stored.max_current = request.limit
 
     @on("PositionGainA", "PositionGainB", "TorqueGainA", "TorqueGainB")
-    def gains(self, request: Any) -> None:
+    def gains(self, request: Record) -> None:
         """Gains of the motors that this message is for; ki is kept and does nothing."""
         name = type(request).__name__
         is_torque = name.startswith("Torque")
@@ -349,7 +350,7 @@ class HuboMotorTwin(Twin):
             channel.apply(now)
 
     @on("EncoderZero", "EncoderZeroD08")
-    def encoder_zero(self, request: Any) -> None:
+    def encoder_zero(self, request: Record) -> None:
         """Zero encoders at the present place and clear errors. D08 counts motors from 1."""
         is_d12 = type(request).__name__ == "EncoderZero"
         which = str(request.channel if is_d12 else request.motor)
@@ -361,7 +362,7 @@ class HuboMotorTwin(Twin):
     # ------------------------------------------------------------------ home
 
     @on("Home")
-    def search_home(self, request: Any) -> None:
+    def search_home(self, request: Record) -> None:
         """Search with the stored settings; the drivers switch themselves on."""
         now = self.clock.now()
         chosen = request.motor
@@ -372,7 +373,7 @@ class HuboMotorTwin(Twin):
                     channel.begin_search(now)
 
     @on("HomeD08", "HomeD08X", "GoHome")
-    def search_home_d08(self, request: Any) -> None:
+    def search_home_d08(self, request: Record) -> None:
         """One motor; the other stays in run state."""
         way, _, plain = str(request.motor).partition("_without_")
         number = int(way[-1]) - 1 if way.startswith("motor") else 0
@@ -386,7 +387,7 @@ class HuboMotorTwin(Twin):
             )
 
     @on("Home3D08", "Home3D08X")
-    def search_home_3(self, request: Any) -> None:
+    def search_home_3(self, request: Record) -> None:
         """Search home with the first motor, which has the switch; the others become zero at their present place."""
         now = self.clock.now()
         side = 1 if request.direction == "ccw" else -1
@@ -395,7 +396,7 @@ class HuboMotorTwin(Twin):
             channel.zero_here(now)
 
     @on("Home5D08")
-    def search_home_5(self, request: Any) -> None:
+    def search_home_5(self, request: Record) -> None:
         """Fingers go to their stop."""
         for channel in self.channels:
             channel.driver_on = True
@@ -404,7 +405,7 @@ class HuboMotorTwin(Twin):
     # ------------------------------------------------------------------ what is stored (D12)
 
     @on("GetParameters")
-    def get_parameters(self, request: Any) -> None:
+    def get_parameters(self, request: Record) -> None:
         """One block; a selector that means nothing is not answered."""
         number = request.selector
         self.board.number = self.credentials["board"]
@@ -417,7 +418,7 @@ class HuboMotorTwin(Twin):
             self.reply(f"Parameters{block}", selector=number, **fields)
 
     @on(*WRITES)
-    def store(self, request: Any) -> None:
+    def store(self, request: Record) -> None:
         """Parameters of one motor, or of the board."""
         number = getattr(request, "channel", 0)
         if number < len(self.channels):
@@ -428,7 +429,7 @@ class HuboMotorTwin(Twin):
                 setattr(kept, name, getattr(request, field))
 
     @on("LowerLimit", "UpperLimit")
-    def store_limit(self, request: Any) -> None:
+    def store_limit(self, request: Record) -> None:
         """Store a limit of one motor."""
         if request.channel < len(self.channels):
             kept = self.channels[request.channel].stored
@@ -438,7 +439,7 @@ class HuboMotorTwin(Twin):
                 setattr(kept, f"{side}_limit", request.limit)
 
     @on("GainOverride")
-    def override_gains(self, request: Any) -> None:
+    def override_gains(self, request: Record) -> None:
         """Gains of channels 0 and 1 in %, at once: how the board gets there is not modelled."""
         now = self.clock.now()
         self.gain_override = (list(request.gain), request.time)
@@ -448,7 +449,7 @@ class HuboMotorTwin(Twin):
             channel.joint.stiffness *= percent / 100
 
     @on("InitBoard")
-    def init_board(self, request: Any) -> None:
+    def init_board(self, request: Record) -> None:
         """Defaults, and as after power-up."""
         now = self.clock.now()
         self.board = board_defaults(self.kind)
@@ -459,18 +460,18 @@ class HuboMotorTwin(Twin):
             channel.powered(now)
 
     @on("SetBoardNumber")
-    def set_board_number(self, request: Any) -> None:
+    def set_board_number(self, request: Record) -> None:
         """Answer to another board number from now on."""
         self.board.period = request.period
         self.twins.renumber(self, board=request.number)
         self._frames.clear()
 
     @on("Beep")
-    def beep(self, request: Any) -> None:
+    def beep(self, request: Record) -> None:
         """Note a beep."""
         self.beeps.append((self.clock.now(), request.time))
 
     @on("Alarm")
-    def alarm(self, request: Any) -> None:
+    def alarm(self, request: Record) -> None:
         """Note an alarm."""
         self.alarms.append((self.clock.now(), request.sound))

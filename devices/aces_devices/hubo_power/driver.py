@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import msgspec
 from msgspec import Meta
@@ -15,6 +15,7 @@ from aces_bus.device import Device, Driver, Host, HostLoss, Job, Poll, Steps, Ti
 from aces_bus.device.config import DeviceConfig
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError
+from aces_bus.protocol import Record
 
 from .twin import PowerTwin
 
@@ -58,7 +59,7 @@ class PowerBoard(Device):
                 name, unit=unit, of=f"Power.{name}", stale_s=max(0.1, 5 * every), source="hubo-ach"
             )
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Take the battery's voltage, and report when it becomes low."""
         if type(record).__name__ != "Power":
             return

@@ -7,9 +7,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from aces_bus.device import Twin, on
+from aces_bus.protocol import Record
 
 #: A full and an empty battery (V), its resistance (ohm), its charge (A·h).
 FULL, EMPTY, RESISTANCE, CAPACITY = 50.4, 43.2, 0.05, 20.0
@@ -62,7 +63,7 @@ class PowerTwin(Twin):
         return EMPTY + (FULL - EMPTY) * charge - RESISTANCE * self.current, self.current
 
     @on("PowerQuery")
-    def answer(self, request: Any) -> None:
+    def answer(self, request: Record) -> None:
         """Voltage, current, and their product."""
         voltage, current = self.measured(self.clock.now())
         gauss = self.random.gauss
@@ -71,11 +72,11 @@ class PowerTwin(Twin):
         self.reply("Power", voltage=voltage, current=current, power=min(6553.5, voltage * current))
 
     @on("Alarm")
-    def take_alarm(self, request: Any) -> None:
+    def take_alarm(self, request: Record) -> None:
         """Sound, or be quiet."""
         self.sound = str(request.sound)
 
     @on("Beep")
-    def take_beep(self, request: Any) -> None:
+    def take_beep(self, request: Record) -> None:
         """Beep from now on."""
         self.beeping_until = self.clock.now() + round(request.time * 1e9)

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import radians
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from aces_bus.device import Twin, on
+from aces_bus.protocol import Record
 
 from .body import BodyPose, body_of
 
@@ -96,35 +97,35 @@ class SensorTwin(Twin):
     # ------------------------------------------------------------------ set-up
 
     @on("GetBoardInfo")
-    def send_info(self, request: Any) -> None:
+    def send_info(self, request: Record) -> None:
         """Set the period that the request carries, and report it."""
         self.period_ms = request.period
         self.reply("SensorBoardInfo", period=self.period_ms)
 
     @on("InitSensor")
-    def initialise(self, request: Any) -> None:
+    def initialise(self, request: Record) -> None:
         """Forget what was nulled."""
         for group in self.groups.values():
             group.zero = [0.0] * len(group.zero)
 
     @on("NameInfoSensor")
-    def send_name(self, request: Any) -> None:
+    def send_name(self, request: Record) -> None:
         """Send the period, and limits of 0: the sensor has none."""
         self.period_ms = request.period
         self.reply("NameInfoReply", period=self.period_ms, limit=[0, 0])
 
     @on("SetPeriod")
-    def take_period(self, request: Any) -> None:
+    def take_period(self, request: Record) -> None:
         """Kept; it does not make the board speak by itself (nothing is known of that)."""
         self.period_ms = request.period
 
     @on("DaOut")
-    def put_out(self, request: Any) -> None:
+    def put_out(self, request: Record) -> None:
         """Set the analogue value, which the D/A offsets show."""
         self.da_value = min(HIGH, request.value)
 
     @on("DataType")
-    def take_type(self, request: Any) -> None:
+    def take_type(self, request: Record) -> None:
         """Choose the kind of reading: an average of four readings has half the noise."""
         wanted = request.type == "average"
         if wanted != self.averages:
@@ -133,18 +134,18 @@ class SensorTwin(Twin):
                 group.noise *= 0.5 if wanted else 2.0
 
     @on("DaOffsetQuery")
-    def send_da(self, request: Any) -> None:
+    def send_da(self, request: Record) -> None:
         """Send the same offset for all axes."""
         self.reply("DaOffset", mx=self.da_value, my=self.da_value, fz=self.da_value)
 
     @on("AdOffsetQuery")
-    def send_ad(self, request: Any) -> None:
+    def send_ad(self, request: Record) -> None:
         """Send the nulled offsets."""
         mx, my, fz = self._zeros()
         self.reply("AdOffset", mx=mx, my=my, fz=fz)
 
     @on("OffsetQuery")
-    def send_pair(self, request: Any) -> None:
+    def send_pair(self, request: Record) -> None:
         """Both offsets of one axis."""
         axis = ("mx", "my", "fz").index(str(request.axis)) if str(request.axis) in ("mx", "my", "fz") else 0
         self.reply("OffsetPair", ad=self._zeros()[axis], da=self.da_value)

@@ -7,9 +7,10 @@
 from __future__ import annotations
 
 from math import radians
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from aces_bus.device import Twin, on
+from aces_bus.protocol import Record
 
 #: How fast a joint turns (rad/s) whose file says nothing: a choice.
 SPEED = 1.0
@@ -57,7 +58,7 @@ class MotorTwin(Twin):
         return self.twins.scanner.counts.reasons.get("malformed: checksum", 0)
 
     @on("Joint")
-    def turn(self, request: Any) -> None:
+    def turn(self, request: Record) -> None:
         """Turn to an angle."""
         now = self.clock.now()
         self._sync(now)

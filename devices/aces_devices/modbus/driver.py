@@ -19,6 +19,7 @@ from msgspec import Meta
 from aces_bus.device import Device, Driver, HostLoss, Job, Poll, Steps, Ticket
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError, NoReplyError, UnknownNameError
+from aces_bus.protocol import Record
 
 from ..scanning import scan_numbers
 from .table import READERS, ModbusRegister, bits_from, registers_of, stretches
@@ -162,7 +163,7 @@ class ModbusDevice(Device):
 
     # ------------------------------------------------------------------ up
 
-    def receive(self, record: Any, instant: int) -> None:
+    def receive(self, record: Record, instant: int) -> None:
         """Take a record; an answer of another size than was asked for is late, and updates no signal."""
         if type(record).__name__ in ("Registers", "Bits") and self._raw_of(record) is None:
             self.last_received = instant
@@ -176,7 +177,7 @@ class ModbusDevice(Device):
         for message in ("ReadRegisters", "ReadBits"):
             self.host.postpone(self, message, LATE_NS / 1e9)
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Take the registers that were asked for."""
         name = type(record).__name__
         if name == "Refusal":
@@ -194,7 +195,7 @@ class ModbusDevice(Device):
                         register.value(raw[at : at + register.size]), instant
                     )
 
-    def _raw_of(self, record: Any) -> list[int] | None:
+    def _raw_of(self, record: Record) -> list[int] | None:
         """Return the numbers of an answer; None where they are not as many as were asked for."""
         if type(record).__name__ == "Bits":
             is_whole = len(record.bits) == (record.count + 7) // 8
@@ -273,7 +274,7 @@ class ModbusDevice(Device):
             return "WriteRegister", WRITTEN, {"start": start, "value": raw[0]}
         return "WriteRegisters", WRITTEN, {"start": start, "count": len(raw), "registers": list(raw)}
 
-    def _raise_refusal(self, answer: Any, doing: str) -> None:
+    def _raise_refusal(self, answer: Record, doing: str) -> None:
         if type(answer).__name__ == "Refusal":
             raise DeviceError(f"{self.name}: {doing}: refused: {answer.reason}")
 

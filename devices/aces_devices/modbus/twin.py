@@ -12,6 +12,7 @@ from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
 from aces_bus.errors import UnknownNameError
+from aces_bus.protocol import Record
 
 from ..tables import drawn_bytes
 from .table import MOST_BITS, MOST_REGISTERS, READERS, ModbusRegister, bits_from, bytes_from, registers_of
@@ -69,20 +70,20 @@ class ModbusTwin(Twin):
     # ------------------------------------------------------------------ reading
 
     @on("ReadRegisters")
-    def read_registers(self, request: Any) -> None:
+    def read_registers(self, request: Record) -> None:
         """Answer with holding or input registers."""
         found = self._read(request, request.function, MOST_REGISTERS)
         if found is not None:
             self._answer(request, "Registers", function=request.function, registers=found)
 
     @on("ReadBits")
-    def read_bits(self, request: Any) -> None:
+    def read_bits(self, request: Record) -> None:
         """Coils or discrete inputs."""
         found = self._read(request, request.function, MOST_BITS)
         if found is not None:
             self._answer(request, "Bits", function=request.function, bits=bytes_from(found))
 
-    def _read(self, request: Any, function: int, most: int) -> list[int] | None:
+    def _read(self, request: Record, function: int, most: int) -> list[int] | None:
         kept = self.numbers[TABLES[3 if function == 23 else function]]
         addresses = range(request.start, request.start + request.count)
         if not 1 <= request.count <= most:
@@ -98,13 +99,13 @@ class ModbusTwin(Twin):
     # ------------------------------------------------------------------ writing
 
     @on("WriteRegister")
-    def write_register(self, request: Any) -> None:
+    def write_register(self, request: Record) -> None:
         """One register."""
         if self._write(request, 6, "holding", request.start, [request.value]):
             self._answer(request, "RegisterWritten", start=request.start, value=request.value)
 
     @on("WriteRegisters")
-    def write_registers(self, request: Any) -> None:
+    def write_registers(self, request: Record) -> None:
         """Several registers."""
         numbers = list(request.registers)
         if len(numbers) != request.count:
@@ -113,7 +114,7 @@ class ModbusTwin(Twin):
             self._answer(request, "RegistersWritten", start=request.start, count=request.count)
 
     @on("WriteBit")
-    def write_bit(self, request: Any) -> None:
+    def write_bit(self, request: Record) -> None:
         """One coil."""
         if request.value not in ("on", "off"):
             self._refuse(request, 5, "value")
@@ -121,7 +122,7 @@ class ModbusTwin(Twin):
             self._answer(request, "BitWritten", start=request.start, value=request.value)
 
     @on("WriteBits")
-    def write_bits(self, request: Any) -> None:
+    def write_bits(self, request: Record) -> None:
         """Several coils."""
         if len(request.bits) != (request.count + 7) // 8:
             self._refuse(request, 15, "value")
@@ -129,7 +130,7 @@ class ModbusTwin(Twin):
             self._answer(request, "BitsWritten", start=request.start, count=request.count)
 
     @on("MaskRegister")
-    def mask_register(self, request: Any) -> None:
+    def mask_register(self, request: Record) -> None:
         """Bits of a register."""
         old = self.numbers["holding"].get(request.start, 0)
         new = old & request.and_mask | request.or_mask & ~request.and_mask & 0xFFFF
@@ -143,7 +144,7 @@ class ModbusTwin(Twin):
             )
 
     @on("ExchangeRegisters")
-    def exchange_registers(self, request: Any) -> None:
+    def exchange_registers(self, request: Record) -> None:
         """Write registers, then read others."""
         numbers = list(request.registers)
         if len(numbers) != request.write_count:
@@ -154,11 +155,11 @@ class ModbusTwin(Twin):
                 self._answer(request, "Registers", function=23, registers=found)
 
     @on("Other")
-    def refuse_other(self, request: Any) -> None:
+    def refuse_other(self, request: Record) -> None:
         """Refuse a function that this device does not have."""
         self._refuse(request, request.function, "function")
 
-    def _write(self, request: Any, function: int, table: str, start: int, numbers: Iterable[int]) -> bool:
+    def _write(self, request: Record, function: int, table: str, start: int, numbers: Iterable[int]) -> bool:
         given = dict(enumerate(numbers, start))
         if not given:
             self._refuse(request, function, "value")
@@ -179,9 +180,9 @@ class ModbusTwin(Twin):
         if self.changed is not None:
             self.changed(name, self.take(name))
 
-    def _refuse(self, request: Any, function: int, reason: str) -> None:
+    def _refuse(self, request: Record, function: int, reason: str) -> None:
         self._answer(request, "Refusal", function=function, reason=reason)
 
-    def _answer(self, request: Any, message: str, **fields: Any) -> None:
+    def _answer(self, request: Record, message: str, **fields: Any) -> None:
         if request.unit != 0:  # a broadcast has no answer
             self.reply(message, **fields)

@@ -32,6 +32,7 @@ from aces_bus.device import (
 from aces_bus.device.host_loss import Outcome
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError
+from aces_bus.protocol import Record
 from aces_protocols.moteus.registers import BY_NAME
 from aces_protocols.moteus.spec import REPLIES
 from aces_protocols.moteus.subframes import register_values
@@ -250,7 +251,7 @@ class Moteus(Device):
 
     # ------------------------------------------------------------------ up
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Values of registers; what is not a number is not known."""
         for subframe in record.subframes:
             if subframe.reason is not None:

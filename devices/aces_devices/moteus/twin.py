@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
 from aces_bus.frames import FD_LENGTHS
+from aces_bus.protocol import Record
 from aces_protocols.moteus.registers import BY_NAME, FAULTS, TYPES
 from aces_protocols.moteus.subframes import bytes_of, register_values
 
@@ -139,12 +140,12 @@ class MoteusTwin(Twin):
     # ------------------------------------------------------------------ requests
 
     @on("Command")
-    def take(self, request: Any) -> None:
+    def take(self, request: Record) -> None:
         """Write registers."""
         self._write(register_values(request.subframes))
 
     @on("Query")
-    def answer(self, request: Any) -> None:
+    def answer(self, request: Record) -> None:
         """Write registers, then answer what is read."""
         self._write(register_values(request.subframes))
         self._sync()

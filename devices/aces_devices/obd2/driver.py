@@ -17,6 +17,7 @@ from msgspec import Meta
 from aces_bus.device import Device, Driver, HostLoss, Job, Poll, Steps
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, UnknownNameError
+from aces_bus.protocol import Record
 from aces_protocols.diagnostics import VALUES
 
 from ..scanning import scan_numbers
@@ -103,7 +104,7 @@ class Obd2(Device):
                     part, unit=unit, read_from=("Live",), stale_s=stale_s, doc=doc, source="SAE J1979"
                 )
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Take the values of an answer that have signals."""
         if type(record).__name__ != "Live":
             return

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
+from aces_bus.protocol import Record
 from aces_devices.ecu_model import ecu_of
 from aces_protocols.diagnostics import KINDS
 
@@ -33,7 +34,7 @@ class Obd2Twin(Twin):
             self.ecu.codes["P0302"] = {"failed", "pending", "confirmed"}
 
     @on("ReadLive", "ReadLiveAll")
-    def send_values(self, request: Any) -> None:
+    def send_values(self, request: Record) -> None:
         """Send those of up to six values that the ECU has; send nothing if it has none of them."""
         self.kept()
         values: list[dict[str, Any]] = []
@@ -46,30 +47,30 @@ class Obd2Twin(Twin):
             self.reply("Live", values=values)
 
     @on("ReadStoredCodes", "ReadStoredCodesAll")
-    def send_stored(self, request: Any) -> None:
+    def send_stored(self, request: Record) -> None:
         """Send the confirmed codes."""
         self.kept()
         self.reply("StoredCodes", codes=self.ecu.with_status({"confirmed"}))
 
     @on("ReadPendingCodes", "ReadPendingCodesAll")
-    def send_pending(self, request: Any) -> None:
+    def send_pending(self, request: Record) -> None:
         """Codes of this or the last drive."""
         self.kept()
         self.reply("PendingCodes", codes=self.ecu.with_status({"pending"}))
 
     @on("ReadPermanentCodes", "ReadPermanentCodesAll")
-    def send_permanent(self, request: Any) -> None:
+    def send_permanent(self, request: Record) -> None:
         """Codes that cannot be cleared."""
         self.reply("PermanentCodes", codes=sorted(self.ecu.permanent))
 
     @on("ClearCodes", "ClearCodesAll")
-    def clear(self, request: Any) -> None:
+    def clear(self, request: Record) -> None:
         """Clear the codes, but permanent ones."""
         self.ecu.codes.clear()
         self.reply("CodesCleared")
 
     @on("ReadInfo", "ReadInfoAll")
-    def send_info(self, request: Any) -> None:
+    def send_info(self, request: Record) -> None:
         """Send the vehicle's number, the calibrations, or the ECU's name."""
         match request.what:
             case "supported":

@@ -24,6 +24,7 @@ from aces_bus.device import Driver, HostLoss, Job, Poll, SingleMotor, Steps, Tic
 from aces_bus.device.settings import described, settings_of
 from aces_bus.device.ticket import Awaited
 from aces_bus.errors import CallerError, DeviceError
+from aces_bus.protocol import Record
 
 from ..scanning import scan_numbers
 from .twin import OdriveTwin
@@ -214,7 +215,7 @@ class Odrive(SingleMotor):
         if settings.estimates == "asked":
             self.polls = [Poll("GetEncoderEstimates", "EncoderEstimates"), *self.polls]
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Take from a heartbeat whether the axis is on, and its errors."""
         if type(record).__name__ == "Heartbeat":
             self.beats += 1

@@ -14,6 +14,7 @@ from struct import unpack
 from typing import Any, ClassVar
 
 from aces_bus.device import JointScale, Twin, on
+from aces_bus.protocol import Record
 from aces_protocols.odrive.spec import Node
 
 from ..joint_model import MotorModel, joint_of
@@ -151,25 +152,25 @@ class OdriveTwin(Twin):
             self.fail("watchdog")
         self.watch()
 
-    def receive(self, record: Any, instant: int) -> None:
+    def receive(self, record: Record, instant: int) -> None:
         """See `Twin.receive`; each message feeds the watchdog."""
         self.fed_at = self.clock.now()
         super().receive(record, instant)
         self.watch()
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Whatever asks, by a remote frame or by one without data."""
         name = type(record).__name__
         if name.startswith("Get"):
             self.answer(name.removeprefix("Get").removesuffix("Empty"))
 
     @on("Discover")
-    def discovered(self, request: Any) -> None:
+    def discovered(self, request: Record) -> None:
         """Everybody answers."""
         self.answer("Address")
 
     @on("GetAdcVoltage")
-    def adc(self, request: Any) -> None:
+    def adc(self, request: Record) -> None:
         """Report a pin at half of 3.3 V."""
         self.reply("AdcVoltage", voltage=1.65)
 
@@ -187,7 +188,7 @@ class OdriveTwin(Twin):
         self.motor.free(self.clock.now())
 
     @on("SetAxisState")
-    def change_state(self, request: Any) -> None:
+    def change_state(self, request: Record) -> None:
         """Enter closed loop, a calibration, or idle."""
         state = str(request.state)
         if state == "closed_loop":
@@ -211,39 +212,39 @@ class OdriveTwin(Twin):
             self.go_idle()
 
     @on("Estop")
-    def stop_now(self, request: Any) -> None:
+    def stop_now(self, request: Record) -> None:
         """Disarm with an error."""
         self.fail("estop")
 
     @on("ClearErrors")
-    def clear(self, request: Any) -> None:
+    def clear(self, request: Record) -> None:
         """Clear the errors, unless their cause is there."""
         self.errors = frozenset()
 
     @on("Reboot")
-    def boot(self, request: Any) -> None:
+    def boot(self, request: Record) -> None:
         """Off and on."""
         self.reboot()
 
     # ------------------------------------------------------------------ control
 
     @on("SetControllerModes")
-    def change_mode(self, request: Any) -> None:
+    def change_mode(self, request: Record) -> None:
         """Choose the control mode."""
         self.control = str(request.control)
 
     @on("SetInputPosition")
-    def take_position(self, request: Any) -> None:
+    def take_position(self, request: Record) -> None:
         """Go there."""
         self.take("position", request.position)
 
     @on("SetInputVelocity")
-    def take_velocity(self, request: Any) -> None:
+    def take_velocity(self, request: Record) -> None:
         """Turn so fast."""
         self.take("velocity", request.velocity)
 
     @on("SetInputTorque")
-    def take_torque(self, request: Any) -> None:
+    def take_torque(self, request: Record) -> None:
         """Push so much."""
         self.take("torque", request.torque)
 
@@ -268,23 +269,23 @@ class OdriveTwin(Twin):
     # ------------------------------------------------------------------ zero, addresses, parameters
 
     @on("SetAbsolutePosition")
-    def set_position(self, request: Any) -> None:
+    def set_position(self, request: Record) -> None:
         """Make `position` (rev) the present position."""
         self.offset += request.position - self.turns
 
     @on("SetLinearCount")
-    def set_count(self, request: Any) -> None:
+    def set_count(self, request: Record) -> None:
         """Make `count` (8192 per turn) the present position."""
         self.offset += request.count / 8192 - self.turns
 
     @on("SetNodeId")
-    def renumber(self, request: Any) -> None:
+    def renumber(self, request: Record) -> None:
         """Another number, if there is such a number."""
         if request.new_node in Node.values:
             self.twins.renumber(self, node=request.new_node)
 
     @on("RxSdo")
-    def access(self, request: Any) -> None:
+    def access(self, request: Record) -> None:
         """Read or write a parameter; of what was never written four zero bytes."""
         if request.opcode == "write":
             self.parameters[request.endpoint] = bytes(request.value)

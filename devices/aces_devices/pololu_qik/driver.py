@@ -36,6 +36,7 @@ from aces_bus.device.config import DeviceConfig
 from aces_bus.device.host_loss import Outcome
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError
+from aces_bus.protocol import Record
 
 from .twin import UNIT_S, QikTwin
 
@@ -174,7 +175,7 @@ class Qik(Device):
                 source="Pololu 0J25 5.b",
             )
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Tell errors when they come and when they have gone."""
         if type(record).__name__ != "Errors":
             return

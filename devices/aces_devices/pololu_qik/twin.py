@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
+from aces_bus.protocol import Record
 from aces_devices.wheel_model import TurningWheel
 
 #: A unit of the serial time-out (s), and how the parameter holds it (Pololu 0J25 5.c).
@@ -85,7 +86,7 @@ class QikTwin(Twin):
         for wheel in self.wheels:
             wheel.free(now)
 
-    def receive(self, record: Any, instant: int) -> None:
+    def receive(self, record: Record, instant: int) -> None:
         """Any command to this device, in time or not."""
         if self.is_powered:
             self.received_at = instant
@@ -126,18 +127,18 @@ class QikTwin(Twin):
     # ------------------------------------------------------------------ commands
 
     @on("GetFirmware")
-    def send_firmware(self, request: Any) -> None:
+    def send_firmware(self, request: Record) -> None:
         """Version 1."""
         self.reply("Firmware", version="1")
 
     @on("GetError")
-    def send_errors(self, request: Any) -> None:
+    def send_errors(self, request: Record) -> None:
         """Send the errors and clear them."""
         bits, self.errors = self.errors, 0
         self.reply("Errors", errors=bits)
 
     @on("GetConfiguration")
-    def send_parameter(self, request: Any) -> None:
+    def send_parameter(self, request: Record) -> None:
         """Send a parameter; for an unknown number send 0xFF, and note a format error."""
         known = self.parameters.get(str(request.parameter))
         if known is None:
@@ -145,7 +146,7 @@ class QikTwin(Twin):
         self.reply("Configuration", value=0xFF if known is None else known)
 
     @on("SetConfiguration")
-    def take_parameter(self, request: Any) -> None:
+    def take_parameter(self, request: Record) -> None:
         """Keep it, or say why not."""
         name, value = str(request.parameter), request.value
         result = "ok"
@@ -167,12 +168,12 @@ class QikTwin(Twin):
         self._watch_over()
 
     @on("Coast")
-    def take_coast(self, request: Any) -> None:
+    def take_coast(self, request: Record) -> None:
         """Let a motor run out."""
         self.wheels[request.motor].free(self.clock.now())
 
     @on("SetSpeed")
-    def take_speed(self, request: Any) -> None:
+    def take_speed(self, request: Record) -> None:
         """Drive a motor: of 127 steps, or of 255 in the 8-bit range."""
         duty = (
             (request.speed + 128 * request.high) / 255 if self.parameters["pwm"] & 1 else request.speed / 127

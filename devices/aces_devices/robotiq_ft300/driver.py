@@ -8,12 +8,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 from msgspec import Meta
 
 from aces_bus.device import Driver, HostLoss, Job, Steps, Ticket
 from aces_bus.device.settings import described
+from aces_bus.protocol import Record
 
 from ..modbus.driver import ModbusDevice, ModbusSettings
 from ..modbus.twin import ModbusTwin
@@ -95,7 +96,7 @@ class Ft300(ModbusDevice):
         self._is_wanted = False
         return self.host.ask(Ticket(self.clock, self, "the stream's end", STOP, frozenset(), 0))
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Take a packet of the stream, or what was read."""
         if type(record).__name__ != "ForceTorque":
             super().received(record, instant)

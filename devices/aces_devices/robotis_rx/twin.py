@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 from aces_bus.device import on
 from aces_bus.device.register_device import RegisterCodec
+from aces_bus.protocol import Record
 from aces_protocols.robotis.control_table import ERRORS
 from aces_protocols.robotis.fields import to_directed
 from aces_protocols.robotis.spec import control_table
@@ -174,7 +175,7 @@ class RobotisRXTwin(ServoTwin):
         return "" if self["cw_angle_limit"] <= value <= self["ccw_angle_limit"] else "angle_limit"
 
     @on("Reset")
-    def reset(self, request: Any) -> None:
+    def reset(self, request: Record) -> None:
         """Set all as from the factory."""
         self.answer(request, WRITE)
         self._factory()

@@ -21,6 +21,7 @@ from msgspec import Meta
 from aces_bus.device import Driver, HostLoss, Job, Poll, Signal, Steps, Ticket
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError, UnknownNameError
+from aces_bus.protocol import Record
 from aces_protocols.robstride.spec import (
     DIALECTS,
     FAMILY,
@@ -181,7 +182,7 @@ class Robstride(MitMotor):
 
     # ------------------------------------------------------------------ up
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Take from a feedback whether the motor is on; take position and state from parameters."""
         name = type(record).__name__
         if name == "Feedback":

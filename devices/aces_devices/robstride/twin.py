@@ -13,6 +13,7 @@ from random import Random
 from typing import Any, ClassVar
 
 from aces_bus.device import JointScale, Twin, on
+from aces_bus.protocol import Record
 from aces_protocols.robstride.spec import BYTES, DIALECTS, FAMILY, KINDS, MODELS, READ_ONLY
 
 from ..joint_model import AMBIENT, MotorModel, joint_of
@@ -74,7 +75,7 @@ class RobstrideTwin(Twin):
             bits = [fault for fault in new if fault in ("under_voltage", "uncalibrated")]
             self.reply("FaultReport", host=self.host, faults=bits, warnings=[])
 
-    def feedback(self, request: Any = None) -> None:
+    def feedback(self, request: Record | None = None) -> None:
         """Position, velocity, torque, temperature; state and faults."""
         self.host = getattr(request, "host", self.host)
         self.look()
@@ -94,19 +95,19 @@ class RobstrideTwin(Twin):
         )  # fmt: skip
 
     @on("GetId")
-    def identify(self, request: Any) -> None:
+    def identify(self, request: Record) -> None:
         """Answer with its unique id."""
         self.reply("Id", unique_id=0x1122334455667700 | self.credentials["motor"])
 
     @on("SetId")
-    def renumber(self, request: Any) -> None:
+    def renumber(self, request: Record) -> None:
         """Another number."""
         self.twins.renumber(self, motor=request.new_motor)
         self.identify(request)
 
     # ------------------------------------------------------------------ its time-out
 
-    def receive(self, record: Any, instant: int) -> None:
+    def receive(self, record: Record, instant: int) -> None:
         """See `Twin.receive`; with each message the time-out begins anew."""
         super().receive(record, instant)
         if self._watch is not None:
@@ -133,7 +134,7 @@ class RobstrideTwin(Twin):
         super().power(on)
 
     @on("Enable")
-    def enable(self, request: Any) -> None:
+    def enable(self, request: Record) -> None:
         """On, without torque, where nothing is wrong."""
         self.look()
         if not self.failed and self.state != "run":
@@ -145,7 +146,7 @@ class RobstrideTwin(Twin):
         self.feedback(request)
 
     @on("Stop")
-    def halt(self, request: Any) -> None:
+    def halt(self, request: Record) -> None:
         """Off; clear 1: without faults."""
         self.go_off()
         if request.clear == 1:
@@ -153,13 +154,13 @@ class RobstrideTwin(Twin):
         self.feedback(request)
 
     @on("SetZero")
-    def zero(self, request: Any) -> None:
+    def zero(self, request: Record) -> None:
         """Make here 0."""
         self.offset -= self.angle
         self.feedback(request)
 
     @on("Command")
-    def command(self, request: Any) -> None:
+    def command(self, request: Record) -> None:
         """Apply the MIT law, in run mode motion."""
         if self.state == "run" and self.parameters["run_mode"] == 0:
             position, velocity, torque, kp, kd = (
@@ -210,7 +211,7 @@ class RobstrideTwin(Twin):
                 return self.parameters[name]
 
     @on("ReadParameter")
-    def read(self, request: Any) -> None:
+    def read(self, request: Record) -> None:
         """Answer with a parameter; an unknown parameter is an error."""
         name = request.index
         kind = _KIND.get(name)
@@ -226,7 +227,7 @@ class RobstrideTwin(Twin):
         )
 
     @on("WriteFloat", "WriteByte", "WriteShort", "WriteLong")
-    def write(self, request: Any) -> None:
+    def write(self, request: Record) -> None:
         """Take it; the run mode while it is stopped only."""
         name = request.index
         is_late = name in BYTES and self.state == "run"

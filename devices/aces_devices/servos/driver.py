@@ -24,6 +24,7 @@ from aces_bus.device.register_device import RegisterDevice
 from aces_bus.device.settings import settings_of
 from aces_bus.device.station import credential_text
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
+from aces_bus.protocol import Record
 
 #: What addresses all servos of a line.
 BROADCAST = 0xFE
@@ -171,7 +172,7 @@ class ServoDevice(RegisterDevice):
             if mode != self.mode:
                 raise DeviceError(f"{self.name}: {self._other_mode(mode)}")
 
-    def errors_of(self, record: Any) -> frozenset[str] | None:
+    def errors_of(self, record: Record) -> frozenset[str] | None:
         """Return the names of the errors in a status; None: it does not say."""
         return frozenset(record.error) if record.error else frozenset()
 
@@ -301,7 +302,7 @@ class ServoDevice(RegisterDevice):
 
     # ------------------------------------------------------------------ up
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Every status has errors, or says that there are none."""
         if type(record).__name__ != "Status":
             return
@@ -326,7 +327,7 @@ class ServoDevice(RegisterDevice):
             self.emit_event("alarm over", name)
         self.errors = now
 
-    def refusal(self, record: Any) -> str:
+    def refusal(self, record: Record) -> str:
         """Return the errors that are about the request."""
         return ", ".join(name for name in record.error if name in self.of_request) if record.error else ""
 

@@ -17,7 +17,7 @@ from aces_bus.device import Twin, on
 from aces_bus.device.register_device import RegisterCodec
 from aces_bus.device.settings import settings_of
 from aces_bus.errors import CallerError
-from aces_bus.protocol import Enumeration, Flags, Quantity, RegisterMap
+from aces_bus.protocol import Enumeration, Flags, Quantity, Record, RegisterMap
 
 from .driver import BROADCAST, ServoSettings
 
@@ -210,7 +210,7 @@ class ServoTwin(Twin):
             range(low, min(high, 0xFE) + 1), key=lambda n: abs(float(codec.value(n)) - wanted)
         )
 
-    def receive(self, record: Any, instant: int) -> None:
+    def receive(self, record: Record, instant: int) -> None:
         """Receive a request if it was sent at the servo's line speed."""
         if self.is_tuned:
             super().receive(record, instant)
@@ -222,7 +222,7 @@ class ServoTwin(Twin):
 
     def answer(
         self,
-        request: Any,
+        request: Record | None,
         kind: str = WRITE,
         why: str = "",
         data: bytes = b"",
@@ -247,7 +247,7 @@ class ServoTwin(Twin):
         return bytes(self.table[start : start + count])
 
     @on("Ping")
-    def answer_ping(self, request: Any) -> None:
+    def answer_ping(self, request: Record) -> None:
         """Answer a Ping; a broadcast is answered after the servos with lower numbers."""
         data, mine = self.identification(), self.credentials["id"]
         others = self.twins.members.values() if request.id == BROADCAST else ()
@@ -259,11 +259,13 @@ class ServoTwin(Twin):
         return b""
 
     @on("Read")
-    def answer_read(self, request: Any) -> None:
+    def answer_read(self, request: Record) -> None:
         """Answer with a stretch of the table, or with the reason why it cannot be read."""
         self.answer_stretch(request, request.start, request.count)
 
-    def answer_stretch(self, request: Any, start: int, count: int, delay_ns: int | None = None) -> None:
+    def answer_stretch(
+        self, request: Record | None, start: int, count: int, delay_ns: int | None = None
+    ) -> None:
         """Send a status with a stretch of the table; `request` is None if several servos were asked."""
         errors = self.measure()
         data = self.stretch(start, count)
@@ -296,7 +298,7 @@ class ServoTwin(Twin):
             before.append(count)
 
     @on("Write")
-    def obey_write(self, request: Any) -> None:
+    def obey_write(self, request: Record) -> None:
         """Acknowledged as what it was when it was asked: with the id, the speed and the level before the write."""
         why = self.wrong(request.start, request.data)
         self.answer(request, WRITE, why)
@@ -304,7 +306,7 @@ class ServoTwin(Twin):
             self.put(request.start, request.data)
 
     @on("RegWrite")
-    def hold_write(self, request: Any) -> None:
+    def hold_write(self, request: Record) -> None:
         """Held back until Action."""
         why = self.wrong(request.start, request.data)
         if not why:
@@ -312,13 +314,13 @@ class ServoTwin(Twin):
         self.answer(request, WRITE, why)
 
     @on("Action")
-    def act(self, request: Any) -> None:
+    def act(self, request: Record) -> None:
         """Carry out the write that was held back."""
         held, self._held = self._held, None
         self.answer(request, WRITE, self.put(*held) if held is not None else "instruction")
 
     @on("SyncWrite")
-    def obey_together(self, request: Any) -> None:
+    def obey_together(self, request: Record) -> None:
         """One's own of many."""
         mine = self.credentials["id"]
         for servo in request.servos:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from aces_bus.device import Ticket
+from aces_bus.protocol import Record
 from aces_protocols.uds.spec import SERVICE_OF
 
 #: How many bytes behind its service an answer repeats of its request: a sub-function, an identifier, both (ISO 14229-1).
@@ -24,7 +25,7 @@ def _content(packet: Any) -> bytes:
     return data[2:] if data[0] >> 4 else data[1 : 1 + data[0]]
 
 
-def is_answer(record: Any, ticket: Ticket) -> bool:
+def is_answer(record: Record, ticket: Ticket) -> bool:
     """Return whether a record answers a request: by the service, and by what an answer repeats of its request."""
     name = type(record).__name__
     if name == "Refused":
@@ -38,7 +39,7 @@ def is_answer(record: Any, ticket: Ticket) -> bool:
     return bool(said[1 : 1 + size] == asked[1 : 1 + size])
 
 
-def late_text(record: Any) -> str:
+def late_text(record: Record) -> str:
     """Return an answer that is too late, in few words."""
     name = type(record).__name__
     return (

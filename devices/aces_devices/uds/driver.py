@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 from aces_bus.device import Device, Driver, HostLoss, Job, Poll, Signal, Steps
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import AcesError, CallerError, DeviceError, UnknownNameError
+from aces_bus.protocol import Record
 from aces_protocols.uds.spec import SESSIONS
 
 from ..scanning import scan_numbers
@@ -160,7 +161,7 @@ class Uds(Device):
 
     # ------------------------------------------------------------------ up
 
-    def receive(self, record: Any, instant: int) -> None:
+    def receive(self, record: Record, instant: int) -> None:
         """Take a record: a plea for patience, an answer to a request, or a late answer that belongs to none."""
         name = type(record).__name__
         if name == "Refused" and record.reason == "response_pending":
@@ -185,7 +186,7 @@ class Uds(Device):
             self._trouble.update(", ".join(confirmed) or "none", instant)
         super().receive(record, instant)
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Values by their identifiers; sessions; refusals."""
         match type(record).__name__:
             case "Data":

@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 
 from aces_bus.device import Twin, on
 from aces_bus.errors import UnknownNameError
+from aces_bus.protocol import Record
 from aces_devices.ecu_model import ecu_of
 from aces_protocols.diagnostics import KINDS
 from aces_protocols.uds.spec import IDENTIFIERS, RESETS, SERVICE_OF, SESSIONS, uds
@@ -133,7 +134,7 @@ class UdsTwin(Twin):
     # ------------------------------------------------------------------ every request
 
     @on(*(name for name, message in uds.messages.items() if message.direction == "to device"))
-    def serve(self, request: Any) -> None:
+    def serve(self, request: Record) -> None:
         """Do it and say so, or say why not."""
         whole = type(request).__name__
         name = whole.removesuffix("All")
@@ -164,7 +165,7 @@ class UdsTwin(Twin):
             return
         self.reply(answer, delay_ns=patience + self.reply_delay_ns, **fields)
 
-    def _carry_out(self, name: str, service: Any, request: Any) -> tuple[str, dict[str, Any]]:
+    def _carry_out(self, name: str, service: Any, request: Record) -> tuple[str, dict[str, Any]]:
         """Return the answer's message and fields; raises `UdsRefusal`."""
         if service not in SERVICE_OF.values():
             raise UdsRefusal("service_not_supported")
@@ -214,13 +215,13 @@ class UdsTwin(Twin):
         if self.session != "default" and self.is_powered:
             self._end = self.clock.call_in(SESSION_NS, lambda: self._begin_session("default"))
 
-    def _change_session(self, request: Any) -> tuple[str, dict[str, Any]]:
+    def _change_session(self, request: Record) -> tuple[str, dict[str, Any]]:
         if request.session not in SESSIONS:
             raise UdsRefusal("subfunction_not_supported")
         self._begin_session(str(request.session))
         return "Session", {"session": self.session, "answers_within": P2_S, "patience": P2_STAR_S}
 
-    def _reset(self, request: Any) -> tuple[str, dict[str, Any]]:
+    def _reset(self, request: Record) -> tuple[str, dict[str, Any]]:
         if request.kind not in RESETS or "rapid" in str(request.kind):
             raise UdsRefusal("subfunction_not_supported")
 
@@ -237,7 +238,7 @@ class UdsTwin(Twin):
         if self.level and self.unlocked != self.level:
             raise UdsRefusal("security_denied")
 
-    def _access(self, request: Any) -> tuple[str, dict[str, Any]]:
+    def _access(self, request: Record) -> tuple[str, dict[str, Any]]:
         """Return a seed for an odd step, and its key with the next one."""
         level = request.step - (1 - request.step % 2)
         if not self.level or level != self.level:
@@ -284,7 +285,7 @@ class UdsTwin(Twin):
             value = self.ecu.mask(KINDS[kind][0]) if kind.startswith("supported") else self.ecu.value(kind)
         return None if value is None or value == [] else bytes(IDENTIFIERS[kind][1].build(value))
 
-    def _read(self, request: Any) -> tuple[str, dict[str, Any]]:
+    def _read(self, request: Record) -> tuple[str, dict[str, Any]]:
         found = [(number, self._data(number)) for number in request.identifiers]
         data = b"".join(
             number.to_bytes(2, "big") + content for number, content in found if content is not None
@@ -295,7 +296,7 @@ class UdsTwin(Twin):
             raise UdsRefusal("out_of_range")
         return "Data", {"values": [{"kind": None, "data": data}]}
 
-    def _write(self, request: Any) -> tuple[str, dict[str, Any]]:
+    def _write(self, request: Record) -> tuple[str, dict[str, Any]]:
         entry = self.by_number.get(request.identifier)
         if entry is None or entry.entry.access == "read":
             raise UdsRefusal("out_of_range")
@@ -313,7 +314,7 @@ class UdsTwin(Twin):
 
     # ------------------------------------------------------------------ routines and downloads
 
-    def _control(self, request: Any) -> tuple[str, dict[str, Any]]:
+    def _control(self, request: Record) -> tuple[str, dict[str, Any]]:
         number, action = request.routine, request.action
         if action not in ("start", "stop", "results"):
             raise UdsRefusal("subfunction_not_supported")
@@ -329,7 +330,7 @@ class UdsTwin(Twin):
             self.started.discard(number)
         return "Routine", {"action": action, "routine": number, "data": data}
 
-    def _begin_download(self, request: Any) -> tuple[str, dict[str, Any]]:
+    def _begin_download(self, request: Record) -> tuple[str, dict[str, Any]]:
         if self.session != "programming":
             raise UdsRefusal("service_not_in_this_session")
         self._need_level()
@@ -340,7 +341,7 @@ class UdsTwin(Twin):
         self._is_loading, self._place, self._missing, self._number = True, request.address, request.size, 0
         return "DownloadBegins", {"width": 0x20, "longest": LONGEST}
 
-    def _load(self, request: Any) -> tuple[str, dict[str, Any]]:
+    def _load(self, request: Record) -> tuple[str, dict[str, Any]]:
         if not self._is_loading:
             raise UdsRefusal("sequence_error")
         answer = "DataTransferred", {"number": request.number, "data": b""}
@@ -363,7 +364,7 @@ class UdsTwin(Twin):
 
     # ------------------------------------------------------------------ trouble codes
 
-    def _send_codes(self, name: str, request: Any) -> tuple[str, dict[str, Any]]:
+    def _send_codes(self, name: str, request: Record) -> tuple[str, dict[str, Any]]:
         """Codes with their status; their failure type is 00, which says nothing more."""
         codes = self.ecu.codes
         every = {"available": 0xFF}

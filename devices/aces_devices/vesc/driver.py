@@ -21,6 +21,7 @@ from aces_bus.device.config import DeviceConfig
 from aces_bus.device.host_loss import Outcome
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError
+from aces_bus.protocol import Record
 from aces_protocols.vesc_uart.spec import mask_of
 
 from ..scanning import scan_numbers
@@ -236,7 +237,7 @@ class Vesc(Device):
 
     # ------------------------------------------------------------------ up
 
-    def received(self, record: Any, instant: int) -> None:
+    def received(self, record: Record, instant: int) -> None:
         """Status messages, and answers that are whole."""
         match type(record).__name__:
             case "Status":
@@ -255,7 +256,7 @@ class Vesc(Device):
                 elif is_broken:
                     self.emit_event("malformed", "an answer in pieces is not whole, or its check is wrong")
 
-    def _answer(self, answer: Any, instant: int) -> None:
+    def _answer(self, answer: Record, instant: int) -> None:
         if type(answer).__name__ == "Firmware":
             self.version = f"{answer.major}.{answer.minor} on {answer.hardware}"
         if type(answer).__name__ != "Selected":

@@ -11,6 +11,7 @@ from math import inf, tau
 from typing import Any
 
 from aces_bus.device import Twin
+from aces_bus.protocol import Record
 from aces_bus.runtime import Timer
 from aces_devices.wheel_model import TurningWheel
 from aces_protocols.vesc_uart.spec import FAULTS, VALUES
@@ -103,7 +104,7 @@ class VescModel:
         if "jam" in self.faults:
             self.motor.block(now)
 
-    def set(self, request: Any) -> None:
+    def set(self, request: Record) -> None:
         """Take a set-point."""
         if "deaf" in self.faults:
             return
@@ -164,7 +165,7 @@ class VescModel:
         }
         return found
 
-    def answer(self, request: Any) -> tuple[str, dict[str, Any]] | None:
+    def answer(self, request: Record) -> tuple[str, dict[str, Any]] | None:
         """Carry a packet out; the message and fields of its answer, None where it has none."""
         match type(request).__name__:
             case "GetSelected":

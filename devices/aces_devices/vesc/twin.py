@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from random import Random
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from aces_bus.device import Twin, on
+from aces_bus.protocol import Record
 from aces_protocols.vesc.buffers import Buffers, can_pieces
 from aces_protocols.vesc_uart.packets import PacketReader, packet_of
 
@@ -67,17 +68,17 @@ class VescTwin(VescMotorTwin):
             self.every(STATUS_S, self.send_status)
 
     @on(*SET_POINTS)
-    def take(self, request: Any) -> None:
+    def take(self, request: Record) -> None:
         """Take a set-point."""
         self.model.set(request)
 
     @on("Ping")
-    def pong(self, request: Any) -> None:
+    def pong(self, request: Record) -> None:
         """Answer a Ping."""
         self.reply("Pong", host=request.host, hardware="vesc")
 
     @on("PollPosition")
-    def send_position(self, request: Any) -> None:
+    def send_position(self, request: Record) -> None:
         """Send the rotor's angle."""
         self.reply("RotorPosition", position=self.model.values["position"])
 
@@ -90,7 +91,7 @@ class VescTwin(VescMotorTwin):
         self.reply("Status5", tachometer=values["tachometer"], voltage=values["voltage"], reserved=0)
 
     @on("ShortRequest", "LongRequest", "FillBuffer", "FillBufferFar")
-    def take_piece(self, request: Any) -> None:
+    def take_piece(self, request: Record) -> None:
         """Take a piece of a packet; carry out a packet that is complete."""
         packet = self.buffers.take(request)
         record = None if packet is None else self.reader.read(packet)
@@ -114,7 +115,7 @@ class VescUartTwin(VescMotorTwin):
         self.powered(0)
 
     @on("GetSelected", "GetValues", "GetFirmware", "Alive", *SET_POINTS)
-    def carry_out(self, request: Any) -> None:
+    def carry_out(self, request: Record) -> None:
         """Carry out a packet."""
         answer = self.model.answer(request)
         if answer is not None:

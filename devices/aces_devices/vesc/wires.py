@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from aces_bus.errors import CallerError
+from aces_bus.protocol import Record
 from aces_protocols.vesc.buffers import Buffers
 from aces_protocols.vesc_uart.packets import PacketReader, packet_of
 
@@ -43,7 +44,7 @@ class CanWire:
         """Return the messages of which one ends the answer to a packet."""
         return PIECES
 
-    def taken(self, record: Any) -> tuple[Any, bool]:
+    def taken(self, record: Record) -> tuple[Any, bool]:
         """Return the answer that a record ends, None where it ends none; and whether one ends that is not whole."""
         packet = self._buffers.take(record)
         answer = None if packet is None else self._reader.read(packet)
@@ -65,6 +66,6 @@ class SerialWire:
         """Return the message that answers a packet."""
         return ANSWERED_BY[packet]
 
-    def taken(self, record: Any) -> tuple[Any, bool]:
+    def taken(self, record: Record) -> tuple[Any, bool]:
         """Return the record itself."""
         return record, False

@@ -16,7 +16,7 @@ import construct as c
 
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.frames import Frame
-from aces_bus.protocol import StreamScanner, Variant, make_scanner
+from aces_bus.protocol import Record, StreamScanner, Variant, make_scanner
 from aces_bus.protocol import Unknown as UnknownRecord
 from aces_bus.protocol.declare.message import Message
 from aces_bus.protocol.declare.pattern import IdPattern
@@ -70,7 +70,7 @@ class LeftOut:
             raise UnknownNameError(f"field of {name}", field, variant.messages[name].fields)
         return cls(name, field, tuple(map(_value, given.split(","))))
 
-    def covers(self, record: Any) -> bool:
+    def covers(self, record: Record) -> bool:
         """Return whether a record is such a message."""
         if type(record).__name__ != self.message:
             return False
@@ -148,7 +148,7 @@ class SendRules:
             return self._is_refused_by_all(records)
         return not whole and not isinstance(packet, tuple) and self._is_harmless(packet)
 
-    def _is_allowed(self, record: Any) -> bool:
+    def _is_allowed(self, record: Record) -> bool:
         name = type(record).__name__
         if name not in self._names:
             return not self.strictly and name not in {m.name for m in self._everything}

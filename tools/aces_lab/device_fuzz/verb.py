@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError
+from aces_bus.protocol import Record
 from aces_tools.console import StatusLine, print_json, say, say_note, write_text
 from aces_tools.options import (
     FOR,
@@ -447,7 +448,7 @@ def step_lines(found: DeviceFinding) -> list[str]:
     return lines
 
 
-def _shown(record: Any) -> str:
+def _shown(record: Record) -> str:
     from aces_bus.protocol import Unknown
     from aces_bus.protocol.record import field_names
     from aces_tools.device_text import shown_value

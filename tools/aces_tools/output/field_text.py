@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from aces_bus.protocol import FlagSet
+from aces_bus.protocol import FlagSet, Record
 from aces_bus.protocol.plan import nodes as p
 
 from .printing import KEPT, LinePrinter, Read, has_few_values
@@ -43,7 +43,7 @@ class RecordTokens:
             for leaf in record_leaves(plan, is_split=False)
         ]
 
-    def tokens(self, record: Any) -> list[PrintedField]:
+    def tokens(self, record: Record) -> list[PrintedField]:
         out: list[PrintedField] = []
         for leaf, label, shown, unit, width in self._entries:
             value = leaf.get(record)

@@ -33,7 +33,7 @@ Paint = Callable[[str, str], str]
 class Notes(Protocol):
     """What else is to be said of records."""
 
-    def of(self, record: Any) -> Sequence[PrintedField]: ...
+    def of(self, record: Record) -> Sequence[PrintedField]: ...
 
 
 #: What is printed, and how rich styles it.

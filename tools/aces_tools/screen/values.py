@@ -63,7 +63,7 @@ class FieldFormat:
         self._rows: dict[str, draw.FieldRow] = {}
         self._picture: list[str] | None = None
 
-    def page_of(self, record: Any) -> list[tuple[str, Any]]:
+    def page_of(self, record: Record) -> list[tuple[str, Any]]:
         """Return the page's names and values."""
         return [(name, getattr(record, name)) for name in self.page]
 
