@@ -10,32 +10,28 @@ from typing import TYPE_CHECKING
 from ._lazy import lazy_names
 
 if TYPE_CHECKING:
+    from .frame_table import FrameTable
     from .frames import Frame
-    from .protocol import (
-        Protocol,
-        Scanner,
-        Unknown,
-        as_dict,
-        list_protocols,
-        load_protocol,
-        make_scanner,
-    )
-    from .recordings import open_recording
+    from .protocol.columns.scanner import make_column_scanner
+    from .protocol.live.scanner import list_protocols, load_protocol, make_scanner
+    from .protocol.record import Unknown, as_dict
     from .recordings.decode import decode
-    from .robot import load_robot
+    from .recordings.open import open_recording
+    from .robot.installed import list_robots, load_robot
     from .testing.twin import twin
 
 __version__ = "0.1.0"
 __all__ = [
     "Frame",
-    "Protocol",
-    "Scanner",
+    "FrameTable",
     "Unknown",
     "as_dict",
     "decode",
     "list_protocols",
+    "list_robots",
     "load_protocol",
     "load_robot",
+    "make_column_scanner",
     "make_scanner",
     "open_recording",
     "twin",
@@ -44,11 +40,14 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        ".frame_table": "FrameTable",
         ".frames": "Frame",
-        ".protocol": "Protocol Scanner Unknown as_dict list_protocols load_protocol make_scanner",
-        ".recordings": "open_recording",
+        ".protocol.columns.scanner": "make_column_scanner",
+        ".protocol.live.scanner": "list_protocols load_protocol make_scanner",
+        ".protocol.record": "Unknown as_dict",
         ".recordings.decode": "decode",
-        ".robot": "load_robot",
+        ".recordings.open": "open_recording",
+        ".robot.installed": "list_robots load_robot",
         ".testing.twin": "twin",
     },
 )

@@ -10,10 +10,8 @@ import re
 import sys
 from pathlib import Path
 
-from aces_bus.frames import Frame
+from aces_bus import Frame, make_scanner, open_recording
 from aces_bus.hardware import CanGate
-from aces_bus.protocol import make_scanner
-from aces_bus.recordings import open_recording
 from aces_tools.protocols_arg import parse_protocols
 from aces_tools.screen import make_screen
 

@@ -13,10 +13,10 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import degrees, radians, sin, tau
+from typing import Any
 
 from aces_bus import load_robot
 from aces_bus.controller import Controller, Limits, Player, Trajectory
-from aces_bus.controller.base import StateLike, known_value
 from aces_bus.robot import run_virtual
 
 RATE = 100.0
@@ -63,7 +63,7 @@ class AnkleCompliance(Controller):
             "ankles", rate_hz=player.rate_hz, states=[*player.states, *moments], writes=player.writes
         )
 
-    def bind(self, states: Mapping[str, StateLike]) -> None:
+    def bind(self, states: Mapping[str, Any]) -> None:
         super().bind(states)
         self.player.bind(states)
 
@@ -74,7 +74,7 @@ class AnkleCompliance(Controller):
     def step(self, now_ns: int) -> Mapping[str, float]:
         wanted = dict(self.player.step(now_ns))
         for ankle in self.ankles if wanted else ():
-            moment = known_value(self.bound[ankle.moment]) or 0.0  # who feels nothing stays where it is
+            moment = self.known(ankle.moment) or 0.0  # who feels nothing stays where it is
             wanted[ankle.joint] += ankle.correction(moment, self.gain)
         return wanted
 

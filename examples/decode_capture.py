@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from aces_bus.recordings import open_recording
+from aces_bus import open_recording
 from aces_protocols.robotis.spec import control_table, robotis
 
 SESSION = Path(__file__).resolve().parent / "captures" / "robotis_session.dxconf.txt"

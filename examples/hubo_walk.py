@@ -14,7 +14,6 @@ from math import pi, sin
 
 from aces_bus import load_robot
 from aces_bus.controller import Player, Trajectory, read_trajectory
-from aces_bus.controller.motion_file import rate_in_name
 from aces_bus.errors import CallerError
 from aces_bus.robot import run_virtual
 
@@ -47,7 +46,7 @@ def stepping(steps: int = 4, seconds: float = 0.6) -> Trajectory:
 
 def main(arguments: Sequence[str]) -> dict[str, float]:
     if arguments:
-        pattern = read_trajectory(arguments[0], rate_hz=rate_in_name(arguments[0]) or RATE)
+        pattern = read_trajectory(arguments[0], rate_hz=None if "hz" in arguments[0].lower() else RATE)
     else:
         pattern = stepping()
     robot = load_robot("hubo2plus").part(*pattern.names)  # the arms stay off

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from construct import Byte, Const, Int32sl, Struct
 
+from aces_bus import Frame, Unknown
 from aces_bus.errors import FieldError
-from aces_bus.frames import Frame
-from aces_bus.protocol import CanScanner, Flags, IdField, Protocol, Quantity, Unknown
+from aces_bus.protocol import CanScanner, Flags, IdField, Protocol, Quantity
 
 scale = Protocol("scale", link="can", bitrate=500_000)
 Node = IdField("node", range(1, 16))  # a part of the identifier becomes a field like any other

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from math import acos, cos, pi, sin
 
 from aces_bus import load_robot
-from aces_bus.controller import FunctionController, controller
+from aces_bus.controller import Controller, controller
 from aces_bus.robot import run_virtual
 
 LEGS = ("LF", "RF", "LH", "RH")
@@ -59,7 +59,7 @@ def trot(t: float) -> Mapping[str, float]:
     return wanted
 
 
-def main(seconds: float = 3.0, law: FunctionController = trot) -> dict[str, float]:
+def main(seconds: float = 3.0, law: Controller = trot) -> dict[str, float]:
     """Return how far joints were from their goals (rad), and how much faster than life the run was."""
     worst = 0.0
     with run_virtual(load_robot("quadruped"), [law]) as run:

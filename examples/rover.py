@@ -12,7 +12,6 @@ from typing import Any
 
 from aces_bus import load_robot
 from aces_bus.controller import Controller
-from aces_bus.controller.base import known_value
 from aces_bus.robot import run_virtual
 from aces_devices.gnss.antenna import AntennaMotion
 
@@ -50,7 +49,7 @@ class Tour(Controller):
 
     def _known(self, *names: str) -> list[float] | None:
         """Return the values of these states; None where any is unknown."""
-        values = [value for name in names if (value := known_value(self.bound[name])) is not None]
+        values = [value for name in names if (value := self.known(name)) is not None]
         return values if len(values) == len(names) else None
 
     def step(self, now_ns: int) -> Mapping[str, float]:

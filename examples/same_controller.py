@@ -15,9 +15,9 @@ from typing import Any
 
 from walk_controller import LEGS, walk
 
-from aces_bus.frames import Frame
+from aces_bus import Frame, load_robot
 from aces_bus.hardware import ListeningNode
-from aces_bus.robot import Runner, VirtualRobot, load_robot, run_replay, run_virtual
+from aces_bus.robot import Runner, VirtualRobot, run_replay, run_virtual
 
 HUBO = load_robot("hubo2plus").part(*walk.writes)  # its legs and waist
 MINIHUBO = load_robot(Path(__file__).with_name("minihubo_like_hubo.toml"))

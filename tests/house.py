@@ -40,7 +40,8 @@ OPENINGS = ("What", "Whether", "How", "Where")
 SMALLEST = """
 import sys
 from construct import Int16sl, Struct
-from aces_bus.protocol import Frame, Protocol
+from aces_bus import Frame
+from aces_bus.protocol import Protocol
 demo = Protocol("demo", link="can", source="none")
 demo.message("M", id=0x10, payload=Struct("x" / Int16sl), source="none")
 assert [r.x for r in demo.scanner().feed([Frame(0x10, b"\\x01\\x00")])] == [1]

@@ -20,7 +20,7 @@ from typing import Any
 
 from hypothesis.errors import UnsatisfiedAssumption
 
-from aces_bus.frames import Frame
+from aces_bus import Frame
 
 FAILURES = Path(__file__).resolve().parent / "data" / "failures"
 

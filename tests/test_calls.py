@@ -23,7 +23,8 @@ from hypothesis import strategies as st
 from aces_bus import Frame, load_protocol
 from aces_bus.errors import AcesError
 from aces_bus.protocol import Protocol, Variant
-from aces_bus.runtime import Clock, EventClock, VirtualClock
+from aces_bus.runtime import VirtualClock
+from aces_bus.runtime.clock import Clock, EventClock
 from tests.interpreted import looks_at_parameters
 from tests.test_surface import packages
 

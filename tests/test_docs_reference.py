@@ -9,22 +9,60 @@ from typing import Any
 
 import pytest
 
+import aces_bus
 import aces_bus.protocol
-from aces_bus.protocol import Protocol
+from aces_bus.protocol import Protocol, Transport
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "reference"
 PAGES = sorted(path.name for path in FOLDER.glob("*.md"))
 _ENTRY = re.compile(r"^## `(\w+)`\n(.*?)(?=^## |\Z)", re.MULTILINE | re.DOTALL)
 #: What makes a thing whose own call nobody writes, and whose keywords are the entry's.
-MADE_BY: dict[str, Any] = {"Message": Protocol.message, "Variant": Protocol.variant}
+MADE_BY: dict[str, Any] = {
+    "AnswerTimes": Transport.AnswerTimes,
+    "FrameKind": Transport.Kind,
+    "FrameNumber": Transport.Number,
+    "FramePart": Transport.Part,
+    "Message": Protocol.message,
+    "Steering": Transport.Steering,
+    "Variant": Protocol.variant,
+}
+#: Types that are given and not imported.
+GIVEN = {
+    "Framing",
+    "RegisterMap",
+    "Meta",
+    "Register",
+    "Request",
+    "ScanCounts",
+    "Scanner",
+    "StreamScanner",
+    *MADE_BY,
+} - {
+    "Message",
+    "Variant",
+}
+#: What `aces_bus` itself has for reading.
+READING = {"Frame", "Unknown", "as_dict", "list_protocols", "load_protocol", "make_scanner"}
 #: Made by scanners only, or types: there is nothing to call.
-UNCALLED = {"FlagSet", "Part", "Record", "Scanner"}
+UNCALLED = {
+    "FlagSet",
+    "Framing",
+    "RegisterMap",
+    "Meta",
+    "Part",
+    "Record",
+    "Register",
+    "Request",
+    "ScanCounts",
+    "Scanner",
+    "StreamScanner",
+}
 #: Parameters that nobody gives.
 PASSED_ON = {"self", "args", "kwds", "kwargs", "protocol"}
 
 
-NAMES = aces_bus.protocol.__all__
+NAMES = sorted({*aces_bus.protocol.__all__, *GIVEN, *READING})
 
 
 def entries() -> dict[str, tuple[str, str]]:
@@ -58,7 +96,8 @@ def test_an_entry_has_all_keywords_and_an_example(name: str) -> None:
     assert "\n>>> " in text
     if name in UNCALLED:
         return
-    parameters = inspect.signature(MADE_BY.get(name, getattr(aces_bus.protocol, name))).parameters
+    home = aces_bus if name in READING else aces_bus.protocol
+    parameters = inspect.signature(MADE_BY.get(name) or getattr(home, name)).parameters
     missing = [one for one in parameters if one not in PASSED_ON and not re.search(rf"\b{one}\b", text)]
     assert missing == []
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aces_bus.frames import Frame
+from aces_bus import Frame
 from tests import kept
 
 ROOT = Path(__file__).resolve().parent.parent

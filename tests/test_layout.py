@@ -194,7 +194,7 @@ def test_a_wrong_import_is_seen(module: str, source: str) -> None:
             "from ..spec import fields\nfrom ...frames import Frame\nimport aces_bus.errors",
         ),
         ("aces_bus.recordings.table", "from ..protocol import Protocol"),
-        ("aces_protocols.hubo.spec", "from aces_bus import Protocol\nfrom .boards import BOARDS"),
+        ("aces_protocols.hubo.spec", "from aces_bus.protocol import Protocol\nfrom .boards import BOARDS"),
         ("aces_tools.decode", "import aces_bus.recordings, aces_protocols.hubo.spec"),
     ],
 )

@@ -8,9 +8,9 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus import decode
+from aces_bus import decode, load_protocol
 from aces_bus.errors import CallerError, FieldError, UnknownNameError
-from aces_bus.protocol import BitLayout, Protocol, bits, load_protocol
+from aces_bus.protocol import BitLayout, Protocol, bits
 from aces_tools.output import SpeltOut
 
 

@@ -10,7 +10,6 @@ docs/logging.md.
 
 from __future__ import annotations
 
-from .inlet import AccessEvent, Inlet
 from .udp import UdpStates
 
-__all__ = ["AccessEvent", "Inlet", "UdpStates"]
+__all__ = ["UdpStates"]

@@ -21,7 +21,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
 from ..errors import CallerError, UnknownNameError
-from ..runtime import EventClock, Timer, VirtualClock
+from ..runtime import VirtualClock
+from ..runtime.clock import EventClock, Timer
 from .inlet import AccessEvents, Inlet
 
 #: The longest request.

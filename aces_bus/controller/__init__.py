@@ -7,58 +7,40 @@ each of them, `Supervisor` around both.
 
 from __future__ import annotations
 
-from .base import NOTHING, Controller, ControllerLike, StateLike, known_value
+from .base import Controller
 from .equation import Equations
-from .events import ControlEvent, EventLike
-from .function import FunctionController, controller
+from .events import ControlEvent
+from .function import controller
 from .guard import Bounds, Guard, bounds_of
-from .language import EquationError
-from .machine import MachineError, Phase, StateMachine, Transition
-from .motion import Motion, Trajectory, sampled
-from .motion_file import TrajectoryError, read_trajectory
+from .machine import Phase, StateMachine, Transition
+from .motion import Trajectory
+from .motion_file import read_trajectory
 from .pid import PID, PIDController
 from .player import Player
-from .reactions import DEFAULT_REACTIONS, IGNORE, Reaction, degrade, parse_reactions, stop
+from .reactions import IGNORE, degrade, stop
 from .supervisor import Supervisor
-from .trip import Clipped, Trip
 from .via import Limits, ViaPath
 
 __all__ = [
-    "DEFAULT_REACTIONS",
     "IGNORE",
-    "NOTHING",
     "PID",
     "Bounds",
-    "Clipped",
     "ControlEvent",
     "Controller",
-    "ControllerLike",
-    "EquationError",
     "Equations",
-    "EventLike",
-    "FunctionController",
     "Guard",
     "Limits",
-    "MachineError",
-    "Motion",
     "PIDController",
     "Phase",
     "Player",
-    "Reaction",
-    "StateLike",
     "StateMachine",
     "Supervisor",
     "Trajectory",
-    "TrajectoryError",
     "Transition",
-    "Trip",
     "ViaPath",
     "bounds_of",
     "controller",
     "degrade",
-    "known_value",
-    "parse_reactions",
     "read_trajectory",
-    "sampled",
     "stop",
 ]

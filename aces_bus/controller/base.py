@@ -125,9 +125,13 @@ class Controller:
                 raise UnknownNameError(f"state (controller {self.name!r} reads it)", name, states)
         self.bound = {name: states[name] for name in self.states}
 
+    def known(self, name: str) -> float | None:
+        """Return the newest value of one of its states; None while it is unknown."""
+        return known_value(self.bound.get(name))
+
     def unknown_states(self) -> list[str]:
         """Return those of its states that have no value yet."""
-        return [name for name in self.states if known_value(self.bound.get(name)) is None]
+        return [name for name in self.states if self.known(name) is None]
 
     def start(self, now: int) -> None:
         """Prepare to be stepped from `now` (ns) on."""

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from ..device.device import Device
     from ..device.host import Host
     from ..device.signals import Signal
-    from ..runtime import EventClock
+    from ..runtime.clock import EventClock
 
 #: A bus without ticks moves goals on so often (ns).
 PERIOD_NS = 10_000_000

@@ -19,8 +19,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from ..errors import CallerError, NoReplyError
-from ..protocol import Protocol, Record, Variant, load_protocol, make_scanner
+from ..protocol import Protocol, Record, Variant
 from ..protocol.declare.protocol import Configuration
+from ..protocol.live.scanner import load_protocol, make_scanner
 
 #: Records that wait for `listen`; the oldest go first.
 KEPT = 10_000

@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from ..compiling import mypyc_attr
 from ..errors import CallerError, DeviceError, UnknownNameError
 from ..protocol import Protocol, Record, Variant
-from ..runtime import Timer
+from ..runtime.clock import Timer
 from .coalesce import CoalescingRule, Setpoint
 from .config import DeviceConfig, Robot
 from .declared import Poll, SignalSpec, field_reader, same, slot_of

@@ -18,8 +18,9 @@ from typing import Any
 
 from ..errors import AcesError, CallerError, DeviceError, NoReplyError
 from ..protocol import Record, Variant
-from ..protocol import Unknown as UnknownRecord
-from ..runtime import Loop, Timer
+from ..protocol.record import Unknown as UnknownRecord
+from ..runtime.clock import Timer
+from ..runtime.loop import Loop
 from .carried_port import CarriedPort
 from .coalesce import CoalescingRule, OutgoingMessage
 from .config import DeviceConfig, Robot

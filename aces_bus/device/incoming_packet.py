@@ -14,7 +14,7 @@ from ..frames import Frame
 from ..protocol.declare.handshake import GivenUp
 from ..protocol.declare.transport import Transport
 from ..protocol.live.reassemble import Reassembler
-from ..runtime import EventClock
+from ..runtime.clock import EventClock
 
 
 class IncomingPacket:

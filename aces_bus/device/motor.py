@@ -13,7 +13,7 @@ from typing import Protocol as Interface
 from ..compiling import mypyc_attr
 from ..errors import DeviceError, UnknownNameError
 from ..protocol import Record
-from ..runtime import Clock
+from ..runtime.clock import Clock
 from .config import Joint
 from .device import Device
 from .host_loss import Outcome

@@ -15,7 +15,7 @@ from typing import Any
 from ..frames import Frame
 from ..protocol.declare.handshake import AnswerTimes, GivenUp, Steering
 from ..protocol.declare.transport import Transport
-from ..runtime import EventClock
+from ..runtime.clock import EventClock
 from .port import Left
 
 #: How often a receiver may say that the sender has to wait, and how often it may have each frame on average.

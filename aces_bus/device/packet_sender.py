@@ -15,7 +15,7 @@ from typing import Any, Literal, Self
 from ..errors import AcesError, CallerError, DeviceError, NoReplyError
 from ..frames import Frame, message_to_frame
 from ..protocol import Variant
-from ..runtime import Loop
+from ..runtime.loop import Loop
 from .carried_port import CarriedPort
 from .port import Left
 

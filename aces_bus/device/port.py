@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Literal, Protocol
 
-from ..runtime import EventClock
+from ..runtime.clock import EventClock
 
 #: Called with what became of a frame or packet, and why.
 Left = Callable[[str, str], Any]

@@ -22,7 +22,8 @@ from typing import Any, ClassVar
 import construct as c
 
 from ..errors import CallerError, DeviceError, UnknownNameError
-from ..protocol import Record, RegisterMap
+from ..protocol import Record
+from ..protocol.declare.registers import RegisterMap
 from .coalesce import OutgoingMessage, Setpoint
 from .declared import Poll
 from .device import Device

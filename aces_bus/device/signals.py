@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ..errors import CallerError
-from ..runtime import Clock
+from ..runtime.clock import Clock
 from .reading import UNKNOWN, Reading
 
 Listener = Callable[[Any, int], None]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ..runtime import Timer
+from ..runtime.clock import Timer
 
 if TYPE_CHECKING:
     from .device import Device

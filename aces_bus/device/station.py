@@ -16,11 +16,13 @@ from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 from ..compiling import mypyc_attr
 from ..errors import CallerError
-from ..protocol import CanScanner, Record, StreamScanner, Variant, make_scanner
-from ..protocol import Unknown as UnknownRecord
+from ..protocol import CanScanner, Record, Variant
 from ..protocol.declare.message import Message
+from ..protocol.live.scanner import make_scanner
+from ..protocol.live.stream import StreamScanner
+from ..protocol.record import Unknown as UnknownRecord
 from ..protocol.record import protocol_name_of
-from ..runtime import EventClock, Timer
+from ..runtime.clock import EventClock, Timer
 from .carried_port import CarriedPort
 from .config import DeviceConfig, Joint, Robot, Sensor
 from .port import Port

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from ..errors import AcesError, DeviceError, NotStoppedError
-from ..runtime import EventClock
+from ..runtime.clock import EventClock
 from .device import Device
 from .station import credential_text
 from .ticket import Awaited, Job, Steps, Ticket

@@ -10,7 +10,7 @@ from collections.abc import Callable, Generator
 from typing import Any, Literal
 
 from ..errors import AcesError, CallerError, DeviceError
-from ..runtime import EventClock
+from ..runtime.clock import EventClock
 
 #: A job yields a ticket or another job (and gets its result), or ns to let pass.
 Step = Any

@@ -26,8 +26,9 @@ import msgspec
 from ..compiling import mypyc_attr
 from ..errors import CallerError, FieldError, UnknownNameError
 from ..frames import FD_LENGTHS
-from ..protocol import Protocol, Record, StreamScanner, Variant
-from ..runtime import EventClock, Timer
+from ..protocol import Protocol, Record, Variant
+from ..protocol.live.stream import StreamScanner
+from ..runtime.clock import EventClock, Timer
 from .config import DeviceConfig, Robot
 from .port import Port
 from .station import BusEndpoint, EndpointMember, refuse_shadowing

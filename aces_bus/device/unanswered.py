@@ -12,8 +12,9 @@ from heapq import heappop, heappush
 from typing import TYPE_CHECKING
 
 from ..errors import NoReplyError
-from ..protocol import Record, StreamScanner
-from ..runtime import Timer
+from ..protocol import Record
+from ..protocol.live.stream import StreamScanner
+from ..runtime.clock import Timer
 from .device import Device
 from .half_duplex import ask_less
 from .poll import PollSlot

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from ..protocol import Record
-from ..protocol import Unknown as UnknownRecord
+from ..protocol.record import Unknown as UnknownRecord
 from .device import Device
 from .events import Kind
 from .half_duplex import HalfDuplexLine

@@ -20,30 +20,15 @@ from typing import TYPE_CHECKING
 from .._lazy import lazy_names
 
 if TYPE_CHECKING:
-    from ..protocol.columns.arrow import to_arrow as to_arrow
-    from ..protocol.columns.arrow import to_pandas as to_pandas
-    from ..protocol.columns.arrow import to_polars as to_polars
-    from .base import Export as Export
-    from .open import export_format as export_format
     from .open import open_export as open_export
     from .parquet_parts import recover_parts as recover_parts
 
-__all__ = [
-    "Export",
-    "export_format",
-    "open_export",
-    "recover_parts",
-    "to_arrow",
-    "to_pandas",
-    "to_polars",
-]
+__all__ = ["open_export", "recover_parts"]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
-        "..protocol.columns.arrow": "to_arrow to_pandas to_polars",
-        ".base": "Export",
-        ".open": "export_format open_export",
+        ".open": "open_export",
         ".parquet_parts": "recover_parts",
     },
 )

@@ -14,40 +14,17 @@ from .._lazy import lazy_names
 if TYPE_CHECKING:
     from .can import CanGate
     from .datagram import DatagramGate
-    from .gate import Received
-    from .gate_events import BusEvent
-    from .lock import BusLock
-    from .ports import CanPort, DatagramPort, SerialPort, port_of
     from .serial import SerialGate
-    from .simulated.backend import AcesBus, virtual_clock
-    from .simulated.bus import Babbler, BusNode, Faults, ListeningNode, SimulatedBus
-    from .simulated.bus_event import SimulatedBusEvent
-    from .simulated.datagrams import SimulatedDatagrams
-    from .simulated.frame_time import FrameBits, frame_bits
-    from .simulated.serial_line import SimulatedSerialLine
+    from .simulated.backend import virtual_clock
+    from .simulated.bus import Faults, ListeningNode, SimulatedBus
 
 __all__ = [
-    "AcesBus",
-    "Babbler",
-    "BusEvent",
-    "BusLock",
-    "BusNode",
     "CanGate",
-    "CanPort",
     "DatagramGate",
-    "DatagramPort",
     "Faults",
-    "FrameBits",
     "ListeningNode",
-    "Received",
     "SerialGate",
-    "SerialPort",
     "SimulatedBus",
-    "SimulatedBusEvent",
-    "SimulatedDatagrams",
-    "SimulatedSerialLine",
-    "frame_bits",
-    "port_of",
     "virtual_clock",
 ]
 
@@ -56,16 +33,8 @@ __getattr__, __dir__ = lazy_names(
     {
         ".can": "CanGate",
         ".datagram": "DatagramGate",
-        ".gate": "Received",
-        ".gate_events": "BusEvent",
-        ".lock": "BusLock",
-        ".ports": "CanPort DatagramPort SerialPort port_of",
         ".serial": "SerialGate",
-        ".simulated.backend": "AcesBus virtual_clock",
-        ".simulated.bus": "Babbler BusNode Faults ListeningNode SimulatedBus",
-        ".simulated.bus_event": "SimulatedBusEvent",
-        ".simulated.datagrams": "SimulatedDatagrams",
-        ".simulated.frame_time": "FrameBits frame_bits",
-        ".simulated.serial_line": "SimulatedSerialLine",
+        ".simulated.backend": "virtual_clock",
+        ".simulated.bus": "Faults ListeningNode SimulatedBus",
     },
 )

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..errors import CallerError
 from ..frames import Frame, message_to_frame
-from ..runtime import Clock
+from ..runtime.clock import Clock
 from .backends import (
     ServedReader,
     SocketcanReader,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import socket
 
 from ..errors import CallerError
-from ..runtime import Clock
+from ..runtime.clock import Clock
 from .gate import POLL_S, Gate, Received
 from .queues import Report
 

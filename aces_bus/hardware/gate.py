@@ -30,7 +30,9 @@ from typing import ClassVar, Generic, Literal, Protocol, Self, TypeVar
 import msgspec
 
 from ..errors import CallerError
-from ..runtime import Clock, Loop, RealClock
+from ..runtime import RealClock
+from ..runtime.clock import Clock
+from ..runtime.loop import Loop
 from .gate_events import BusEvent, BusEvents, GateCounters, Handler, Kind
 from .lock import BusLock
 from .queues import AGE_S, LIMIT, Fate, Inbox, Listener, Outbox, OutboxItem, Report

@@ -24,7 +24,7 @@ from urllib.parse import quote
 
 from ..errors import CallerError
 from ..plain_text import printable
-from ..runtime import Loop
+from ..runtime.loop import Loop
 from .bell import Ringing, StopBell, StopRequest
 from .served.address import is_served, parse_address
 

@@ -16,7 +16,8 @@ from msgspec.structs import replace
 
 from ..errors import CallerError
 from ..frames import Frame
-from ..runtime import EventClock, Loop
+from ..runtime.clock import EventClock
+from ..runtime.loop import Loop
 from .can import CanGate, not_allowed
 from .datagram import DatagramGate
 from .gate import ContentFilter, Gate, Received

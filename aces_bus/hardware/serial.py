@@ -11,7 +11,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from ..errors import CallerError
-from ..runtime import Clock
+from ..runtime.clock import Clock
 from .gate import POLL_S, Gate, Received
 from .queues import Report
 

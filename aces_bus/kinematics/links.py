@@ -40,7 +40,7 @@ class _Section(NamedTuple):
 class Links:
     """The links of a body.
 
-    >>> from aces_bus.kinematics import Body, Chain
+    >>> from aces_bus.kinematics.body import Body, Chain
     >>> arm = Body("arm", [Chain("hand", (Move(0, 0, 1.0), Revolute("z", "S"), Move(0.3)))])
     >>> [(link.parent, link.child, link.position) for link in Links(arm).at({"S": 0.0})]
     [('arm', 'S', (0.0, 0.0, 1.0)), ('S', 'hand', (0.3, 0.0, 0.0))]

@@ -4,23 +4,3 @@
 2. Every line and byte is accounted for: given, or counted with the reason. Only a source that is no capture raises.
 3. Nothing here knows a protocol, and memory does not grow with the file.
 """
-
-from __future__ import annotations
-
-from .base import CanRecording, Chunk, Direction, Link, Recording, SerialRecording, UnreadableEntry
-from .filters import CanFilter, parse_filter
-from .open import formats, open_recording
-
-__all__ = [
-    "CanFilter",
-    "CanRecording",
-    "Chunk",
-    "Direction",
-    "Link",
-    "Recording",
-    "SerialRecording",
-    "UnreadableEntry",
-    "formats",
-    "open_recording",
-    "parse_filter",
-]

@@ -113,7 +113,7 @@ def parse_filter(*texts: str) -> CanFilter:
 
     Raises `CallerError`, with what can be written, on anything else.
 
-    >>> from aces_bus.frames import Frame
+    >>> from aces_bus import Frame
     >>> boards = parse_filter("060:7F0")
     >>> [boards.matches(Frame(id)) for id in (0x05F, 0x060, 0x06F, 0x070)]
     [False, True, True, False]
@@ -157,8 +157,8 @@ def _rule(digits: str, sign: str, mask_digits: str) -> _Rule:
 def passing(wanted: CanFilter, table: FrameTable) -> Mask:
     """Return which of the frames of a table pass, as a boolean array: those for which `CanFilter.matches` is true.
 
-    >>> from aces_bus.frames import Frame
-    >>> from aces_bus.recordings import parse_filter
+    >>> from aces_bus import Frame
+    >>> from aces_bus.recordings.filters import parse_filter
     >>> frames = FrameTable.from_frames([Frame(id) for id in (0x05F, 0x060, 0x06F, 0x070)])
     >>> passing(parse_filter("060:7F0"), frames).tolist()
     [False, True, True, False]

@@ -16,7 +16,7 @@ from ..frame_table import Channels, FrameTable, Ints, widened
 class Relabel:
     """The channels of several captures as those of one, with new names for some.
 
-    >>> from aces_bus.frames import Frame
+    >>> from aces_bus import Frame
     >>> relabel = Relabel({"can0": "drive"})
     >>> relabel(FrameTable.from_frames([Frame(1, channel="can0"), Frame(1, channel="can1")])).channels.names
     ['drive', 'can1']
@@ -50,7 +50,7 @@ def merge_by_time(
 ) -> Iterator[FrameTable]:
     """Return the tables of several captures as those of one, by time; of equal times the first capture's come first.
 
-    >>> from aces_bus.frames import Frame
+    >>> from aces_bus import Frame
     >>> a = FrameTable.from_frames([Frame(1, timestamp=0.0), Frame(1, timestamp=2.0)])
     >>> b = FrameTable.from_frames([Frame(2, timestamp=1.0), Frame(2, timestamp=3.0)])
     >>> [int(id) for table in merge_by_time([[a], [b]]) for id in table.id]

@@ -91,7 +91,7 @@ class Requests:
     def __init__(self, variants: Sequence[Variant]) -> None:
         self._scanner: Any = None
         if any(map(has_requests, variants)):
-            from ..protocol import make_scanner
+            from ..protocol.live.scanner import make_scanner
 
             self._scanner = make_scanner(variants, direction="to device")
 

@@ -41,14 +41,14 @@ import numpy.typing as npt
 
 from ..errors import CallerError, UnknownNameError
 from ..frame_table import NO_TIME, to_ns
-from ..protocol import FlagSet, Meta, Record
+from ..protocol import FlagSet, Record
 from ..protocol.columns.table import Column, ColumnKind, MessageTable
 from ..protocol.keys import EXTENDED as KEY_EXTENDED
 from ..protocol.keys import FD as KEY_FD
 from ..protocol.keys import REMOTE as KEY_REMOTE
 from ..protocol.numbers import parse_number
 from ..protocol.plan import nodes as p
-from ..protocol.record import getter
+from ..protocol.record import Meta, getter
 from ..protocol.record_plans import OfKind, Plans
 
 #: A float is a written number within this part of the larger one, or within `NEAREST`; a time within `SAME_NS`.

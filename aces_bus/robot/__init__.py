@@ -8,66 +8,36 @@ from .._lazy import lazy_names
 
 if TYPE_CHECKING:
     from .act_log import ActLog
-    from .buses import VirtualRobot, gate_of, open_gates, port_for, wire_of
-    from .file import (
-        RobotError,
-        RobotFileProblem,
-        is_robot,
-        make_robot,
-        parse_robot,
-        print_robot,
-    )
-    from .installed import check_robot, is_robot_path, list_robots, load_robot, robot_text
-    from .rig import Rig, Simulation, connect, simulate
+    from .buses import VirtualRobot, open_gates
+    from .file import parse_robot
+    from .rig import connect
     from .runner import Ended, Runner
-    from .states import States
-    from .stops import Stopped, stop_robot
-    from .worlds import Replay, run_real, run_replay, run_virtual
+    from .stops import stop_robot
+    from .worlds import run_real, run_replay, run_virtual
 
 __all__ = [
     "ActLog",
     "Ended",
-    "Replay",
-    "Rig",
-    "RobotError",
-    "RobotFileProblem",
     "Runner",
-    "Simulation",
-    "States",
-    "Stopped",
     "VirtualRobot",
-    "check_robot",
     "connect",
-    "gate_of",
-    "is_robot",
-    "is_robot_path",
-    "list_robots",
-    "load_robot",
-    "make_robot",
     "open_gates",
     "parse_robot",
-    "port_for",
-    "print_robot",
-    "robot_text",
     "run_real",
     "run_replay",
     "run_virtual",
-    "simulate",
     "stop_robot",
-    "wire_of",
 ]
 
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
         ".act_log": "ActLog",
-        ".buses": "VirtualRobot gate_of open_gates port_for wire_of",
-        ".file": "RobotError RobotFileProblem is_robot make_robot parse_robot print_robot",
-        ".installed": "check_robot is_robot_path list_robots load_robot robot_text",
-        ".rig": "Rig Simulation connect simulate",
+        ".buses": "VirtualRobot open_gates",
+        ".file": "parse_robot",
+        ".rig": "connect",
         ".runner": "Ended Runner",
-        ".states": "States",
-        ".stops": "Stopped stop_robot",
-        ".worlds": "Replay run_real run_replay run_virtual",
+        ".stops": "stop_robot",
+        ".worlds": "run_real run_replay run_virtual",
     },
 )

@@ -26,7 +26,8 @@ from ..hardware.simulated.bus import NO_FAULTS, Faults, SimulatedBus
 from ..hardware.simulated.datagrams import SimulatedDatagrams
 from ..hardware.simulated.serial_line import Noise, SimulatedSerialLine
 from ..protocol import Protocol
-from ..runtime import Loop, VirtualClock
+from ..runtime import VirtualClock
+from ..runtime.loop import Loop
 from .rig import Rig, Simulation, connect, simulate, spoken_on
 
 #: python-can's interfaces of buses that only one process has, unless their channel is an address.

@@ -28,7 +28,7 @@ from .keys import Keyboard, character_of
 if TYPE_CHECKING:
     from ..device.signals import Signal
     from ..device.ticket import Job
-    from ..runtime import Timer
+    from ..runtime.clock import Timer
     from .rig import Rig
 
 #: Longest and shortest time between two looks at the inputs (ns); at the least four looks fit into a stated time.

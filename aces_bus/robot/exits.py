@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from ..errors import AcesError
-from ..runtime import Loop
+from ..runtime.loop import Loop
 
 if TYPE_CHECKING:
     from .rig import Rig

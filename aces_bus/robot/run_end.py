@@ -15,9 +15,12 @@ from typing import Literal, TypeVar
 
 from ..controller import ControlEvent
 from ..controller.events import raised_text
-from ..device import Job, stop_devices, wait_stopped
+from ..device import Job
+from ..device.stopping import stop_devices, wait_stopped
 from ..errors import DeviceError, NotStoppedError
-from ..runtime import EventClock, Loop, Tasks
+from ..runtime.clock import EventClock
+from ..runtime.loop import Loop
+from ..runtime.tasks import Tasks
 from .exits import is_ended
 from .park import Parking
 from .run import Run, RunLogger

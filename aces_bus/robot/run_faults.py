@@ -14,9 +14,11 @@ from collections.abc import Collection
 from ..controller import ControlEvent, Supervisor
 from ..controller.events import EventLike, raised_text
 from ..controller.trip import HOLDING, Trip
-from ..device import Device, DeviceEvent, Job, stop_devices
+from ..device import Device, Job
+from ..device.events import DeviceEvent
+from ..device.stopping import stop_devices
 from ..errors import CallerError, NotStoppedError, UnknownNameError
-from ..runtime import Task
+from ..runtime.tasks import Task
 from .run import Run
 
 #: Events after which a stop that was not confirmed is sent again.

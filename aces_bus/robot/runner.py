@@ -15,21 +15,17 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Literal
 
-from ..controller import (
-    IGNORE,
-    ControllerLike,
-    Guard,
-    Reaction,
-    Supervisor,
-    bounds_of,
-    parse_reactions,
-)
+from ..controller import IGNORE, Guard, Supervisor, bounds_of
+from ..controller.base import ControllerLike
 from ..controller.events import EventLike, Listeners
 from ..controller.guard import Bounds
+from ..controller.reactions import Reaction, parse_reactions
 from ..controller.trip import Action
 from ..device import Device
 from ..errors import AcesError, CallerError, DeviceError, NotStoppedError, UnknownNameError
-from ..runtime import Loop, Task, Tasks, ThreadTasks, VirtualClock, VirtualTasks
+from ..runtime import ThreadTasks, VirtualClock
+from ..runtime.loop import Loop
+from ..runtime.tasks import Task, Tasks, VirtualTasks
 from .checks import KINDS_OF_FAULTS
 from .exits import stop_at_exit
 from .park import Parking

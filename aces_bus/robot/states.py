@@ -13,8 +13,9 @@ import msgspec
 
 from ..controller.door import Door
 from ..device.config import KalmanConfig, StateConfig
+from ..device.reading import UNKNOWN
 from ..errors import CallerError, UnknownNameError
-from ..state import UNKNOWN, ConstantAcceleration, ConstantVelocity, Hold, Kalman, State
+from ..state import ConstantAcceleration, ConstantVelocity, Hold, Kalman, State
 from .rig import Rig
 
 #: What a robot's file calls estimators.

@@ -22,7 +22,7 @@ from ..device.host_loss import Outcome
 from ..device.stopping import can_be_stopped, stop_devices, wait_stopped
 from ..errors import AcesError, NotStoppedError
 from ..hardware.bell import Ringing, program_of
-from ..runtime import Loop
+from ..runtime.loop import Loop
 from .buses import lock_of, open_gates
 from .rig import Rig, connect
 

@@ -11,15 +11,16 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, Literal
 
-from ..controller import ControllerLike
+from ..controller.base import ControllerLike
 from ..device import Robot
 from ..device.config import priority_of
 from ..device.drivers import Driver, load_driver
 from ..errors import CallerError
 from ..frame_table import NO_TIME, to_ns
 from ..frames import Frame
-from ..runtime import Loop, ThreadTasks, VirtualClock, VirtualTasks
-from ..runtime.tasks import run_at
+from ..runtime import ThreadTasks, VirtualClock
+from ..runtime.loop import Loop
+from ..runtime.tasks import VirtualTasks, run_at
 from .buses import VirtualRobot, open_gates
 from .rig import Rig, connect, spoken_on
 from .runner import Runner

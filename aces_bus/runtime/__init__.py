@@ -2,20 +2,8 @@
 
 from __future__ import annotations
 
-from .clock import Clock, EventClock, RealClock, Timer
-from .loop import Loop
-from .tasks import Task, Tasks, ThreadTasks, VirtualTasks
+from .clock import RealClock
+from .tasks import ThreadTasks
 from .virtual import VirtualClock
 
-__all__ = [
-    "Clock",
-    "EventClock",
-    "Loop",
-    "RealClock",
-    "Task",
-    "Tasks",
-    "ThreadTasks",
-    "Timer",
-    "VirtualClock",
-    "VirtualTasks",
-]
+__all__ = ["RealClock", "ThreadTasks", "VirtualClock"]

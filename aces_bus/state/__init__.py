@@ -6,42 +6,26 @@ a second before; `power = torque * omega` is a quantity like any other. See docs
 
 from __future__ import annotations
 
-from ..device.reading import UNKNOWN, Reading
-from .declaration import SampleCounts, SignalSource
-from .derived import Derived, derived
-from .design import butterworth, iir, notch
+from .derived import derived
+from .design import iir, notch
 from .errors import StateError
-from .estimators import ConstantAcceleration, ConstantVelocity, Estimation, Estimator, Hold
-from .filters import Filter, LowPass, Median, MovingAverage, RateLimit, Sos
+from .estimators import ConstantAcceleration, ConstantVelocity, Hold
+from .filters import LowPass, Median, MovingAverage, RateLimit, Sos
 from .kalman import Kalman
-from .quantity import TimeSeries
 from .state import State
-from .window import SampleWindow, Spectrum
 
 __all__ = [
-    "UNKNOWN",
     "ConstantAcceleration",
     "ConstantVelocity",
-    "Derived",
-    "Estimation",
-    "Estimator",
-    "Filter",
     "Hold",
     "Kalman",
     "LowPass",
     "Median",
     "MovingAverage",
     "RateLimit",
-    "Reading",
-    "SampleCounts",
-    "SampleWindow",
-    "SignalSource",
     "Sos",
-    "Spectrum",
     "State",
     "StateError",
-    "TimeSeries",
-    "butterworth",
     "derived",
     "iir",
     "notch",

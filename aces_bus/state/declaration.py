@@ -8,7 +8,7 @@ from typing import Any, Literal, Protocol
 
 import msgspec
 
-from ..runtime import Clock
+from ..runtime.clock import Clock
 from .errors import StateError, raise_first
 
 #: Samples kept by default: five seconds at 200 Hz.

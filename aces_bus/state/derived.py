@@ -17,7 +17,8 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from ..device.reading import UNKNOWN
-from ..runtime import Clock, RealClock
+from ..runtime import RealClock
+from ..runtime.clock import Clock
 from . import units
 from .errors import StateError
 from .quantity import Listener, TimeSeries

@@ -41,18 +41,6 @@ def _checked(cutoff_hz: float | tuple[float, float], rate_hz: float) -> None:
         )
 
 
-def butterworth(
-    order: int,
-    cutoff_hz: float | tuple[float, float],
-    rate_hz: float,
-    *,
-    kind: Kind = "lowpass",
-    initial: Initial = "steady",
-) -> Sos:
-    """Return a Butterworth filter: as flat as can be, -3 dB at `cutoff_hz` (two for "bandpass" and "bandstop")."""
-    return iir(order, cutoff_hz, rate_hz, kind=kind, initial=initial)
-
-
 def iir(
     order: int,
     cutoff_hz: float | tuple[float, float],

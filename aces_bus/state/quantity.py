@@ -22,7 +22,7 @@ from collections.abc import Callable, Hashable
 from typing import TYPE_CHECKING, Any
 
 from ..device.reading import UNKNOWN, Reading
-from ..runtime import Clock
+from ..runtime.clock import Clock
 from .errors import StateError
 
 if TYPE_CHECKING:

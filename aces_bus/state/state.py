@@ -22,7 +22,8 @@ from collections.abc import Callable
 from typing import Any
 
 from ..device.reading import UNKNOWN
-from ..runtime import Clock, RealClock
+from ..runtime import RealClock
+from ..runtime.clock import Clock
 from .declaration import (
     Interpolation,
     SampleCounts,

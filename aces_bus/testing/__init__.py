@@ -1,13 +1,14 @@
-"""What tests of protocols, drivers and other plug-ins are made of, as public as the rest.
+"""What tests of protocols and devices are made of: docs/fuzzing.md and docs/devices.md show how to use each.
 
 * `law_tests("my_spec.py")`: every law of a protocol as tests of pytest, in one line. Needs the extra `[testing]`.
-* `driver_tests("my_driver")`: every check of a driver and its twin, in one line.
+* `driver_tests(driver)`: every promise of a driver and its twin, in the same way. Needs the extra `[testing]`.
 * `reader_tests`, `writer_tests`, `exporter_tests`, `log_tests`, `database_tests`, `verb_tests`, `backend_tests`,
   `store_tests`: the same for the other kinds of plug-ins; docs/plugins.md has an example of each.
-* `strategies`: Hypothesis strategies that draw raw fields, packets, frames, whole wires of a protocol, valid by construction
-  and then damaged; and whole protocols. Needs the extra `[testing]`.
-* `laws`: the nine laws that every protocol obeys, one function each. Needs nothing beyond the core.
-* `fuzz`: the quick loop behind `aces fuzz`, with its own generator and its own shrinking. Needs nothing beyond the core.
+* `strategies`: Hypothesis strategies that draw raw fields, packets, and whole wires of a protocol, valid by construction
+  and then damaged. Needs the extra `[testing]`.
+* `LAWS`: the nine laws that every protocol obeys; one is called with a wire, a direction and a `Scene`. Needs nothing beyond
+  the core.
+* `Fuzzer`: the quick loop behind `aces fuzz`, with its own generator and its own shrinking. Needs nothing beyond the core.
 * `plugin`: options of pytest, for `law_tests`.
 
 Nothing is imported before it is used: pytest loads `plugin` in projects that have nothing to do with a protocol.
@@ -15,45 +16,53 @@ Nothing is imported before it is used: pytest loads `plugin` in projects that ha
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from .._lazy import lazy_names
 
 if TYPE_CHECKING:
-    from . import fuzz as fuzz
-    from . import laws as laws
-    from .conformance import driver_tests as driver_tests
-    from .plug_ins import backend_tests as backend_tests
-    from .plug_ins import database_tests as database_tests
-    from .plug_ins import exporter_tests as exporter_tests
-    from .plug_ins import log_tests as log_tests
-    from .plug_ins import reader_tests as reader_tests
-    from .plug_ins import store_tests as store_tests
-    from .plug_ins import verb_tests as verb_tests
-    from .plug_ins import writer_tests as writer_tests
-    from .pytest_laws import law_tests as law_tests
+    from .conformance import driver_tests, run_check
+    from .fuzz import Fuzzer
+    from .laws import LAWS
+    from .plug_ins import (
+        backend_tests,
+        database_tests,
+        exporter_tests,
+        log_tests,
+        reader_tests,
+        store_tests,
+        verb_tests,
+        writer_tests,
+    )
+    from .pytest_laws import law_tests
+    from .scenes import Scene
 
 __all__ = [
+    "LAWS",
+    "Fuzzer",
+    "Scene",
     "backend_tests",
     "database_tests",
     "driver_tests",
     "exporter_tests",
-    "fuzz",
     "law_tests",
-    "laws",
     "log_tests",
     "reader_tests",
+    "run_check",
     "store_tests",
     "verb_tests",
     "writer_tests",
 ]
-#: Where a suite is, when it is not in `plug_ins`.
-_ELSEWHERE = {"driver_tests": "conformance", "law_tests": "pytest_laws"}
 
-
-def __getattr__(name: str) -> Any:
-    from importlib import import_module
-
-    if name in ("fuzz", "laws", "strategies"):
-        return import_module(f".{name}", __name__)
-    if name in __all__:
-        return getattr(import_module(f".{_ELSEWHERE.get(name, 'plug_ins')}", __name__), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        ".conformance": "driver_tests run_check",
+        ".fuzz": "Fuzzer",
+        ".laws": "LAWS",
+        ".plug_ins": "backend_tests database_tests exporter_tests log_tests reader_tests store_tests verb_tests"
+        " writer_tests",
+        ".pytest_laws": "law_tests",
+        ".scenes": "Scene",
+    },
+)

@@ -17,7 +17,9 @@ from collections.abc import Callable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any, Final
 
-from ..device import UNKNOWN, Device, Driver, Host, Job, Robot, Signal, Twin, load_driver
+from ..device import UNKNOWN, Device, Driver, Job, Robot, Twin, load_driver
+from ..device.host import Host
+from ..device.signals import Signal
 from ..device.ticket import Awaited
 from ..errors import AcesError, DeviceError, SpecError, UnknownNameError
 from ..hardware.simulated.bus import NO_FAULTS, Faults, ListeningNode, SimulatedBus

@@ -7,7 +7,7 @@
 3. A law that has failed on a protocol is not asked there again: one fault should not be reported a hundred times.
 4. Nothing prints, reads a clock or writes a file here.
 
->>> from aces_bus.testing.fuzz import Fuzzer
+>>> from aces_bus.testing import Fuzzer
 >>> from aces_protocols.minihubo_adc.spec import minihubo_adc
 >>> fuzzer = Fuzzer([minihubo_adc], seed=1)
 >>> fuzzer.run(64)

@@ -34,7 +34,8 @@ from ..plugins import installed_points
 from ..protocol import Protocol, Quantity
 from ..protocol.columns.scanner import make_column_scanner
 from ..protocol.exchange import database_suffixes, load_database
-from ..recordings import CanRecording, Chunk, SerialRecording, formats, open_recording
+from ..recordings.base import CanRecording, Chunk, SerialRecording
+from ..recordings.open import formats, open_recording
 from ..recordings.write import open_writer, writer_format, writer_formats
 
 #: Frames that writers are tested with.

@@ -102,16 +102,4 @@ def protocols(*, link: Link | None = None) -> st.SearchStrategy[Protocol]:
     return specs(link=link).map(protocol_of)
 
 
-__all__ = [
-    "adversaries",
-    "arguments",
-    "cuts",
-    "entropy",
-    "fields",
-    "frames",
-    "packets",
-    "protocols",
-    "scenes",
-    "specs",
-    "streams",
-]
+__all__ = ["fields", "packets", "scenes"]

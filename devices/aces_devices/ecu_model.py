@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 from typing import Any
 
-from aces_bus.device import DeviceConfig
+from aces_bus.device.config import DeviceConfig
 from aces_bus.device.twin import World
 from aces_protocols.diagnostics import VALUES
 

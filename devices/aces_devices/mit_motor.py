@@ -11,7 +11,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import ClassVar
 
-from aces_bus.device import Signal, SingleMotor
+from aces_bus.device import SingleMotor
+from aces_bus.device.signals import Signal
 
 #: The greatest position (rad), velocity (rad/s), torque (N·m), stiffness (N·m/rad) and damping (N·m·s/rad) that can be said.
 Ranges = tuple[float, float, float, float, float]

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from aces_bus.device import Host, Job, Steps
+from aces_bus.device import Job, Steps
 from aces_bus.device.config import DeviceConfig
+from aces_bus.device.host import Host
 
 #: What `Driver(scan=…)` takes.
 Scan = Callable[[Host, Job], Steps]

@@ -15,13 +15,12 @@ from typing import Any
 
 import pytest
 
+from aces_bus import Frame, load_protocol, load_robot, make_scanner
 from aces_bus.errors import CallerError
 from aces_bus.export import open_export
-from aces_bus.frames import Frame
 from aces_bus.kinematics import load_body
-from aces_bus.protocol import load_protocol, make_scanner
 from aces_bus.protocol.columns.scanner import RecordColumns
-from aces_bus.robot import load_robot, run_virtual
+from aces_bus.robot import run_virtual
 from aces_lab.foxglove.live import (
     FoxgloveView,
     LiveBus,

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from aces_bus.access import UdpStates
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.robot import run_virtual
-from aces_bus.runtime import Loop, VirtualClock
+from aces_bus.runtime import VirtualClock
+from aces_bus.runtime.loop import Loop
 from aces_bus.state import State
 from tests.device.fan import ROBOT, drivers, robot_of
 

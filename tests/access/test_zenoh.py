@@ -16,12 +16,15 @@ from typing import Any
 
 import pytest
 
-from aces_bus.controller import NOTHING, Controller
+from aces_bus.controller import Controller
+from aces_bus.controller.base import NOTHING
 from aces_bus.controller.log import Logger, read_log
+from aces_bus.device import UNKNOWN
 from aces_bus.errors import CallerError, NoReplyError, UnknownNameError
 from aces_bus.robot import run_virtual
-from aces_bus.runtime import Loop, RealClock, ThreadTasks, VirtualClock
-from aces_bus.state import UNKNOWN, State
+from aces_bus.runtime import RealClock, ThreadTasks, VirtualClock
+from aces_bus.runtime.loop import Loop
+from aces_bus.state import State
 from aces_lab.zenoh import Publisher, RemoteStates
 from aces_lab.zenoh.publisher import open_session
 from aces_lab.zenoh.remote import RemoteClock
@@ -257,7 +260,7 @@ class Message:
 ROBOT_PROGRAM = """
 import sys
 from aces_lab.zenoh import Publisher
-from aces_bus.runtime import Loop
+from aces_bus.runtime.loop import Loop
 from aces_bus.state import State
 with Loop() as loop:
     joint = State("joint", unit="rad", clock=loop, sampled=False)

@@ -24,9 +24,9 @@ from typing import Any
 
 import can
 
-from aces_bus.frames import Frame
-from aces_bus.hardware.simulated.backend import virtual_clock
-from aces_bus.hardware.simulated.bus import BusNode, Faults, SimulatedBus
+from aces_bus import Frame
+from aces_bus.hardware import Faults, SimulatedBus, virtual_clock
+from aces_bus.hardware.simulated.bus import BusNode
 from aces_bus.hardware.simulated.frame_time import frame_bits
 from aces_bus.runtime import VirtualClock
 
@@ -109,7 +109,8 @@ with can.Bus(**ast.literal_eval(sys.argv[1])) as bus:
 """
 _SERVER = """
 import sys
-from aces_bus.hardware.served import BusServer, ServedChannel
+from aces_bus.hardware.served.channel import ServedChannel
+from aces_bus.hardware.served.server import BusServer
 channel = ServedChannel(bitrate=1_000_000, physics=sys.argv[2] == "physics")
 server = BusServer([channel], unix=sys.argv[1])
 print("ready", flush=True)

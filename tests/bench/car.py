@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from aces_bus.frame_table import Channels, FrameTable
+from aces_bus import FrameTable
+from aces_bus.frame_table import Channels
 
 MESSAGES = 60
 #: The log starts here, in ns: any fixed instant does.

@@ -19,12 +19,11 @@ from typing import Any
 
 import can
 
+from aces_bus import FrameTable, load_protocol, make_column_scanner, open_recording
 from aces_bus.export import open_export
-from aces_bus.frame_table import FrameTable, joined_tables
-from aces_bus.protocol import CanScanner, Variant, load_protocol
-from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.frame_table import joined_tables
+from aces_bus.protocol import CanScanner, Variant
 from aces_bus.protocol.exchange import load_database
-from aces_bus.recordings import open_recording
 from aces_bus.recordings.write import open_writer
 
 from . import transports

@@ -24,9 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from aces_bus.frames import Frame
-from aces_bus.protocol import load_protocol
-from aces_bus.recordings import open_recording
+from aces_bus import Frame, load_protocol, open_recording
 from aces_lab.guess import checks_of, fields_of
 from tests.bench.guess_scores import FIELDS, Scores, Truth, table
 from tests.bench.guess_streams import score_stream, streams_of_others, streams_of_specs

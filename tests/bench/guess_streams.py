@@ -10,7 +10,8 @@ from typing import Any
 
 from construct import Byte, Struct, this
 
-from aces_bus.protocol import Fletcher, Protocol, load_protocol
+from aces_bus import load_protocol
+from aces_bus.protocol import Fletcher, Protocol
 from aces_bus.protocol.declare.framing import Framing, Verdict
 from aces_bus.testing.packets import draw_packet
 from aces_bus.testing.source import Dice

@@ -24,14 +24,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from aces_bus import load_robot
+from aces_bus import Frame, load_robot
 from aces_bus.controller import IGNORE
 from aces_bus.device import Robot
-from aces_bus.frames import Frame
 from aces_bus.hardware.served import packets
-from aces_bus.robot import Runner, VirtualRobot, connect
-from aces_bus.robot.buses import open_gates
-from aces_bus.runtime import Loop, VirtualTasks
+from aces_bus.robot import Runner, VirtualRobot, connect, open_gates
+from aces_bus.runtime.loop import Loop
+from aces_bus.runtime.tasks import VirtualTasks
 
 #: What is answered to a request, by its identifier and data.
 Answers = Mapping[tuple[int, bytes], Sequence[Frame]]

@@ -155,9 +155,10 @@ def serve_twins(folder: str) -> None:
 
     from aces_bus import load_robot
     from aces_bus.device.config import BUSES
-    from aces_bus.hardware import port_of
-    from aces_bus.hardware.served import BusServer, ServedChannel
-    from aces_bus.robot import simulate
+    from aces_bus.hardware.ports import port_of
+    from aces_bus.hardware.served.channel import ServedChannel
+    from aces_bus.hardware.served.server import BusServer
+    from aces_bus.robot.rig import simulate
     from aces_bus.runtime.tasks import run_at
 
     robot = load_robot("hubo2plus")
@@ -252,7 +253,7 @@ def walking_player(robot: Robot, rate: float, seconds: float) -> Player:
 
 def hide_files() -> None:
     """Have served buses look like a backend without a file to wait for."""
-    from aces_bus.hardware.served import ServedBus
+    from aces_bus.hardware.served.remote import ServedBus
 
     def fileno(self: Any) -> int:
         raise NotImplementedError

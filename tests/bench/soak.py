@@ -32,7 +32,8 @@ BITRATE = 1_000_000
 
 def serve(folder: str, is_over: Event) -> None:
     """The bus."""
-    from aces_bus.hardware.served import BusServer, ServedChannel
+    from aces_bus.hardware.served.channel import ServedChannel
+    from aces_bus.hardware.served.server import BusServer
 
     with BusServer([ServedChannel("can0", bitrate=BITRATE)], unix=f"{folder}/bus"):
         is_over.wait()
@@ -42,7 +43,7 @@ def send(address: str, is_over: Event, sent: Any) -> None:
     """Encoder positions of eight boards, as fast as the bus takes them; each board counts."""
     import can
 
-    from aces_bus.hardware.served import ServedBus
+    from aces_bus.hardware.served.remote import ServedBus
 
     bus = can.Bus(address, "aces")
     assert isinstance(bus, ServedBus)
@@ -60,7 +61,7 @@ class Receiver:
     """What a program does with a bus: a scanner on a gate; and counting."""
 
     def __init__(self) -> None:
-        from aces_bus.protocol import make_scanner
+        from aces_bus import make_scanner
         from aces_tools.protocols_arg import parse_protocols
 
         self.scanner: Any = make_scanner(parse_protocols(["hubo"]), include_unknown=True)

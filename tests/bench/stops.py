@@ -25,9 +25,8 @@ from typing import Any
 
 import can
 
-from aces_bus import load_robot
-from aces_bus.frames import Frame, message_to_frame
-from aces_bus.protocol import make_scanner
+from aces_bus import Frame, load_robot, make_scanner
+from aces_bus.frames import message_to_frame
 from aces_bus.robot.rig import bus_variants
 from aces_tools.main import main as aces
 

@@ -26,9 +26,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples"))
 from teleoperation import JOINTS, SO101, follow, hand
 
 from aces_bus.controller import IGNORE
-from aces_bus.hardware import SerialPort
+from aces_bus.hardware.ports import SerialPort
 from aces_bus.hardware.simulated.serial_line import PtyPort, SimulatedSerialLine
-from aces_bus.robot import run_real, simulate, wire_of
+from aces_bus.robot import run_real
+from aces_bus.robot.buses import wire_of
+from aces_bus.robot.rig import simulate
 from aces_bus.runtime import VirtualClock
 from aces_devices.feetech import FeetechTwin
 from aces_protocols.feetech.spec import feetech, sts_table

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from aces_bus.protocol import load_protocol
+from aces_bus import load_protocol
 from tests.bench.live import CHUNK, car_like, dynamixel_stream, hubo_like, messages
 from tests.bench.rows import fastest
 

@@ -18,8 +18,8 @@ import numpy as np
 from construct import Array, Byte, Const, Int16ub, Int16ul, Int32sl, Struct
 from msgspec.structs import replace
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame, message_to_frame
+from aces_bus import Frame, FrameTable, make_column_scanner
+from aces_bus.frames import message_to_frame
 from aces_bus.protocol import (
     FastPacket,
     IdField,
@@ -30,7 +30,6 @@ from aces_bus.protocol import (
     TailByte,
     Variant,
 )
-from aces_bus.protocol.columns.scanner import make_column_scanner
 
 from .rows import BenchRow, fastest, optional
 

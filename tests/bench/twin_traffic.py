@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from aces_bus.device.drivers import load_driver
+from aces_bus.device import load_driver
 from aces_bus.errors import AcesError
-from aces_bus.hardware.simulated.bus import ListeningNode, SimulatedBus
-from aces_bus.robot.buses import VirtualRobot
-from aces_bus.robot.file import parse_robot
+from aces_bus.hardware import ListeningNode, SimulatedBus
+from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.testing.conformance import enable
 
 #: Seconds of virtual time that twins are recorded.

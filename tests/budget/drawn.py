@@ -12,8 +12,9 @@ from collections.abc import Sequence
 from functools import partial
 from operator import sub
 
-from aces_bus.frames import Frame
-from aces_bus.hardware.simulated.bus import BusNode, SimulatedBus
+from aces_bus import Frame
+from aces_bus.hardware import SimulatedBus
+from aces_bus.hardware.simulated.bus import BusNode
 from aces_bus.runtime import VirtualClock
 from aces_lab.budget import BusMessage, MessageSet, can_message, response_times
 

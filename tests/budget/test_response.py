@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import Frame
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.frames import FD_LENGTHS, Frame
+from aces_bus.frames import FD_LENGTHS
 from aces_bus.hardware.simulated.frame_time import frame_bits, longest_bits
 from aces_lab.budget import BusMessage, ErrorModel, MessageSet, can_message, response_times
 from tests.budget.drawn import STUFFED, abstract_set, busy_period, can_set, check_sets, worst_seen

@@ -6,9 +6,8 @@ from typing import Any
 
 import pytest
 
-from aces_bus import load_robot
+from aces_bus import Frame, load_robot
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.frames import Frame
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_lab.budget import Assumptions, ErrorModel, RobotTraffic, robot_budget, robot_traffic
 

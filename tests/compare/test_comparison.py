@@ -13,11 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus import traffic
+from aces_bus import Frame, FrameTable, traffic
 from aces_bus.errors import CallerError
-from aces_bus.frame_table import Channels, FrameTable
-from aces_bus.frames import Frame
-from aces_bus.recordings import parse_filter
+from aces_bus.frame_table import Channels
+from aces_bus.recordings.filters import parse_filter
 from aces_bus.traffic import BusIdentifier, GapCounts
 from aces_lab.compare import RecordingComparison, TrafficChange, compare_recordings, parse_marks
 from aces_lab.compare.changes import bits_text, values_text

@@ -8,10 +8,12 @@ from typing import Any
 import pytest
 
 import aces_bus.controller
-from aces_bus.controller import Controller, controller, known_value
+from aces_bus.controller import Controller, controller
+from aces_bus.controller.base import known_value
+from aces_bus.device import UNKNOWN
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.runtime import VirtualClock
-from aces_bus.state import UNKNOWN, State
+from aces_bus.state import State
 from tests.controller.fakes import Fake, fakes
 
 MS = 1_000_000

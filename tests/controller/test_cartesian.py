@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from aces_bus.controller import ControlEvent, Limits, Player, Trajectory, ViaPath
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.kinematics import roll_pitch_yaw, rotation_of
+from aces_bus.kinematics.body import roll_pitch_yaw, rotation_of
 from aces_devices.kinematics.minihubo import JOINTS, MINIHUBO, POSTURE
 from aces_lab.cartesian import CartesianPath
 from tests.controller.fakes import Fake

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.controller import EquationError, Equations
+from aces_bus.controller import Equations
+from aces_bus.controller.language import EquationError
 from aces_bus.errors import UnknownNameError
 from aces_bus.runtime import VirtualClock
 from aces_bus.state import State

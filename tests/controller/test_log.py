@@ -15,18 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.controller import controller
-from aces_bus.controller.log import (
-    About,
-    Log,
-    LogColumn,
-    LogError,
-    Logger,
-    log_format,
-    parse_column,
-    read_log,
-    recover,
-)
-from aces_bus.controller.log.formats import open_sink
+from aces_bus.controller.log import Logger, read_log, recover
+from aces_bus.controller.log.base import About, Log, LogError
+from aces_bus.controller.log.columns import LogColumn, parse_column
+from aces_bus.controller.log.formats import log_format, open_sink
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.robot import run_virtual
 from aces_bus.runtime import RealClock, VirtualClock

@@ -17,9 +17,9 @@ from typing import Any
 
 import pytest
 
-from aces_bus.controller import controller
-from aces_bus.controller.events import ControlEvent
-from aces_bus.controller.log import About, Logger, LogSink, Row, logger, read_log
+from aces_bus.controller import ControlEvent, controller
+from aces_bus.controller.log import Logger, logger, read_log
+from aces_bus.controller.log.base import About, LogSink, Row
 from aces_bus.export.files import AppendFile
 from aces_bus.robot import run_virtual
 from aces_bus.runtime import RealClock, VirtualClock

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.controller import ControlEvent, MachineError, Phase, StateMachine, Transition
+from aces_bus.controller import ControlEvent, Phase, StateMachine, Transition
+from aces_bus.controller.machine import MachineError
 from aces_bus.errors import UnknownNameError
 from tests.controller.fakes import Fake, fakes
 

@@ -14,8 +14,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.controller import Trajectory, TrajectoryError, read_trajectory, sampled
-from aces_bus.controller.motion import Interpolation, smooth_step
+from aces_bus.controller import Trajectory, read_trajectory
+from aces_bus.controller.motion import Interpolation, sampled, smooth_step
+from aces_bus.controller.motion_file import TrajectoryError
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_devices.kinematics.minihubo import read_walk, walk_columns
 

@@ -15,7 +15,6 @@ from aces_bus.controller import (
     Bounds,
     ControlEvent,
     Controller,
-    EventLike,
     Guard,
     Phase,
     Player,
@@ -26,6 +25,7 @@ from aces_bus.controller import (
     degrade,
     stop,
 )
+from aces_bus.controller.events import EventLike
 from aces_bus.device.events import DeviceEvent
 from aces_bus.errors import CallerError
 from tests.controller.fakes import fakes

@@ -9,20 +9,13 @@ from typing import Any
 import pytest
 from construct import Byte, Const, GreedyBytes, Struct
 
+from aces_bus import Frame, load_protocol
 from aces_bus.device import Device, Driver, PacketSender, Twin, on
 from aces_bus.errors import CallerError, NoReplyError
-from aces_bus.frames import Frame
 from aces_bus.hardware import ListeningNode
-from aces_bus.protocol import (
-    FrameKind,
-    FrameNumber,
-    IdField,
-    IsoTp,
-    Protocol,
-    Steering,
-    Transport,
-    load_protocol,
-)
+from aces_bus.protocol import IdField, IsoTp, Protocol, Transport
+from aces_bus.protocol.declare.handshake import Steering
+from aces_bus.protocol.declare.transport import FrameKind, FrameNumber
 from aces_bus.robot import VirtualRobot, connect, parse_robot
 from tests.device.ecu import LOAD, robot_of_ecu
 

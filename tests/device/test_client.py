@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from construct import Const, GreedyBytes, Int8ub, Int16ub, Struct
 
+from aces_bus import Frame
 from aces_bus.device import Client
 from aces_bus.errors import CallerError, NoReplyError
-from aces_bus.frames import Frame
 from aces_bus.protocol import IdField, IsoTp, Protocol, Sum
 
 lamp = Protocol("lamp", link="can")

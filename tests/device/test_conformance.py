@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from aces_bus.device import Driver, Poll
-from aces_bus.testing.conformance import driver_tests, run_check
+from aces_bus.testing import driver_tests, run_check
 from tests.device.fan import FAN, SERIAL_FAN, Fan, FanTwin
 
 test_fan = driver_tests(FAN)

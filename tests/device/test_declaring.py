@@ -10,7 +10,7 @@ import pytest
 from aces_bus.device import Device, Driver, Poll, Twin, on, signal
 from aces_bus.errors import AcesError, SpecError
 from aces_bus.robot import VirtualRobot
-from aces_bus.testing.conformance import run_check
+from aces_bus.testing import run_check
 from tests.bench.virtual import is_compiled
 from tests.device.fan import FAN, RPM, Fan, FanTwin, fan, robot_of
 

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import pytest
 
-from aces_bus.frames import Frame
+from aces_bus import Frame
 from aces_bus.hardware import ListeningNode
 from aces_bus.robot import VirtualRobot, connect
 from tests.device.crane import LOAD, TOOL, A, B, C, crane, robot_of_cranes

@@ -8,9 +8,11 @@ from typing import Any
 
 import pytest
 
-from aces_bus.device import UNKNOWN, Driver, Host, OutgoingMessage, Poll, Setpoint, per_device, uncoalesced
+from aces_bus import Frame
+from aces_bus.device import UNKNOWN, Driver, OutgoingMessage, Poll, uncoalesced
+from aces_bus.device.coalesce import Setpoint, per_device
+from aces_bus.device.host import Host
 from aces_bus.errors import CallerError, FieldError, NoReplyError, UnknownNameError
-from aces_bus.frames import Frame
 from aces_bus.hardware import ListeningNode
 from aces_bus.robot import VirtualRobot, connect
 from tests.device.fan import ROBOT, RPM, SERIAL_ROBOT, Fan, FanTwin, drivers, robot_of

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus.device import Driver, list_drivers, load_driver
-from aces_bus.device.drivers import DRIVERS
+from aces_bus import list_protocols
+from aces_bus.device import Driver, load_driver
+from aces_bus.device.drivers import DRIVERS, list_drivers
 from aces_bus.errors import SpecError, UnknownNameError
 from aces_bus.plugins import PluginWarning
-from aces_bus.protocol import list_protocols
 from aces_bus.robot import parse_robot
 
 NAMES = list(list_drivers())
@@ -22,7 +22,8 @@ NAMES = list(list_drivers())
 @pytest.mark.slow
 def test_listing_imports_nothing() -> None:
     """Names are listed without importing a driver."""
-    code = "import sys; from aces_bus.device import list_drivers; list_drivers(); print('aces_devices' in sys.modules)"
+    code = "import sys; from aces_bus.device.drivers import list_drivers\n"
+    code += "list_drivers(); print('aces_devices' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 

@@ -11,12 +11,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.device import Home, Joint, Robot
+from aces_bus import load_protocol, load_robot
+from aces_bus.device import Robot
+from aces_bus.device.config import Home, Joint
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.protocol import load_protocol
-from aces_bus.robot import RobotError, check_robot, load_robot, parse_robot, print_robot
+from aces_bus.robot import parse_robot
 from aces_bus.robot.checks import addresses
-from aces_bus.robot.file import check_robot_file
+from aces_bus.robot.file import RobotError, check_robot_file, print_robot
+from aces_bus.robot.installed import check_robot
 from aces_bus.robot.rig import bus_variants
 from aces_bus.robot.toml_lines import KeyLines
 from tests.counting import calls

@@ -7,7 +7,8 @@ import pickle
 
 import pytest
 
-from aces_bus.device import UNKNOWN, Signal
+from aces_bus.device import UNKNOWN
+from aces_bus.device.signals import Signal
 from aces_bus.errors import CallerError
 from aces_bus.runtime import VirtualClock
 

@@ -6,14 +6,15 @@ from typing import Any, ClassVar
 
 import pytest
 
-from aces_bus.device import Driver, Job, Poll, Steps, Ticket, stop_devices, wait_stopped
-from aces_bus.device.motor import MotorDevice, age_on_bus
-from aces_bus.device.stopping import STOP_NS
+from aces_bus import Frame
+from aces_bus.device import Driver, Job, MotorDevice, Poll, Steps, Ticket
+from aces_bus.device.motor import age_on_bus
+from aces_bus.device.stopping import STOP_NS, stop_devices, wait_stopped
 from aces_bus.device.ticket import Awaited
 from aces_bus.errors import DeviceError, NotStoppedError
-from aces_bus.frames import Frame
 from aces_bus.hardware import ListeningNode
-from aces_bus.robot import Rig, VirtualRobot, connect, simulate
+from aces_bus.robot import VirtualRobot, connect
+from aces_bus.robot.rig import Rig, simulate
 from tests.device.fan import ROBOT, Fan, FanTwin, fan, robot_of
 
 SET = 0x111

@@ -6,7 +6,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any
 
-from aces_bus.hardware.simulated.bus import ListeningNode
+from aces_bus.hardware import ListeningNode
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_devices.cia402 import driver
 

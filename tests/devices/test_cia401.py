@@ -12,7 +12,7 @@ import pytest
 from aces_bus.device import UNKNOWN
 from aces_bus.errors import CallerError, NotStoppedError
 from aces_bus.robot import VirtualRobot, parse_robot
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.testing import driver_tests
 from aces_devices.cia401 import driver
 from aces_devices.cia401.channels import OWN
 from tests.interpreted import replaces_methods

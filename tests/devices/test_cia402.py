@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 
 from aces_bus import Frame
-from aces_bus.device import stop_devices, wait_stopped
+from aces_bus.device.stopping import stop_devices, wait_stopped
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError
-from aces_bus.hardware import CanGate
+from aces_bus.hardware import CanGate, ListeningNode
 from aces_bus.hardware.ports import port_of
-from aces_bus.hardware.simulated.bus import ListeningNode
-from aces_bus.robot import VirtualRobot, connect, parse_robot, simulate
-from aces_bus.runtime import Loop
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.robot import VirtualRobot, connect, parse_robot
+from aces_bus.robot.rig import simulate
+from aces_bus.runtime.loop import Loop
+from aces_bus.testing import driver_tests
 from aces_devices.canopen_node.dictionary import object_of
 from aces_devices.cia402 import driver
 from aces_devices.cia402.dictionary import dictionary_of

@@ -6,7 +6,7 @@ import pytest
 
 from aces_bus.device import UNKNOWN
 from aces_bus.errors import CallerError, DeviceError
-from aces_bus.hardware.simulated.bus import ListeningNode
+from aces_bus.hardware import ListeningNode
 from aces_bus.robot import VirtualRobot, parse_robot
 from tests.devices.cia402_drive import ONE, frames, load_cia402, one_drive, running_drive
 

@@ -9,9 +9,9 @@ import pytest
 
 from aces_bus.device import UNKNOWN
 from aces_bus.errors import CallerError, DeviceError, UnknownNameError
-from aces_bus.hardware.simulated.bus import ListeningNode, SimulatedBus
+from aces_bus.hardware import ListeningNode, SimulatedBus
 from aces_bus.robot import VirtualRobot, parse_robot
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.testing import driver_tests
 from aces_devices.damiao import driver, fd_driver
 from aces_devices.damiao.driver import Damiao
 from aces_devices.damiao.twin import DamiaoTwin

@@ -10,7 +10,7 @@ import pytest
 from aces_bus.device import Robot
 from aces_bus.errors import CallerError, DeviceError
 from aces_bus.robot import VirtualRobot, parse_robot
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.testing import driver_tests
 from aces_devices.dynamixel import driver
 from aces_devices.dynamixel.driver import Dynamixel
 from aces_devices.dynamixel.twin import DynamixelTwin

@@ -9,7 +9,7 @@ import pytest
 from aces_bus.device import UNKNOWN
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.robot import VirtualRobot, parse_robot
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.testing import driver_tests
 from aces_devices.obd2 import driver
 from aces_devices.obd2.twin import Obd2Twin
 

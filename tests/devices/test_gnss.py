@@ -7,11 +7,12 @@ from typing import Any
 
 import pytest
 
+from aces_bus import as_dict, make_scanner
 from aces_bus.device import UNKNOWN, Robot
 from aces_bus.errors import CallerError, DeviceError
-from aces_bus.protocol import Record, as_dict, make_scanner
+from aces_bus.protocol import Record
 from aces_bus.robot import VirtualRobot, parse_robot
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.testing import driver_tests
 from aces_devices.gnss.antenna import BEGIN, AntennaMotion, in_circle
 from aces_devices.gnss.earth import Origin
 from aces_devices.gnss.nmea0183 import driver as sentences_driver

@@ -9,7 +9,8 @@ from typing import Any
 import pytest
 
 from aces_bus.controller import controller
-from aces_bus.device import Device, HostLoss, Robot, list_drivers, load_driver
+from aces_bus.device import Device, HostLoss, Robot, load_driver
+from aces_bus.device.drivers import list_drivers
 from aces_bus.errors import CallerError, DeviceError
 from aces_bus.robot import VirtualRobot, parse_robot, run_virtual
 

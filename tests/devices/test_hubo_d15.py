@@ -10,9 +10,9 @@ import pytest
 
 from aces_bus import Frame
 from aces_bus.errors import CallerError, DeviceError
-from aces_bus.hardware.simulated.bus import ListeningNode
+from aces_bus.hardware import ListeningNode
 from aces_bus.robot import VirtualRobot, parse_robot
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.testing import driver_tests
 from aces_devices.hubo_motor.d15 import driver
 
 test_driver = driver_tests(driver)

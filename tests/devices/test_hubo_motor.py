@@ -10,11 +10,12 @@ from typing import Any
 
 import pytest
 
-from aces_bus.device import UNKNOWN, Host, Job, Robot, uncoalesced
+from aces_bus.device import UNKNOWN, Job, Robot, uncoalesced
+from aces_bus.device.host import Host
 from aces_bus.errors import CallerError, DeviceError, NoReplyError, UnknownNameError
-from aces_bus.hardware.simulated.bus import ListeningNode
+from aces_bus.hardware import ListeningNode
 from aces_bus.robot import VirtualRobot, parse_robot
-from aces_bus.testing.conformance import driver_tests, run_check
+from aces_bus.testing import driver_tests, run_check
 from aces_devices.hubo_motor import D08, D08X, D12, D12_THREE, driver
 from aces_devices.hubo_motor.parameters import BoardParameters, selector
 from aces_devices.hubo_motor.scan import channels_by_length, name_of

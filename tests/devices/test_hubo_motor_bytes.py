@@ -14,13 +14,14 @@ from typing import Any
 import msgspec
 import pytest
 
-from aces_bus.device import DeviceConfig, Robot
+from aces_bus import Frame, load_robot
+from aces_bus.device import Robot
+from aces_bus.device.config import DeviceConfig
 from aces_bus.errors import FieldError
-from aces_bus.frames import Frame
-from aces_bus.hardware.simulated.bus import ListeningNode
+from aces_bus.hardware import ListeningNode
 from aces_bus.protocol import Message
 from aces_bus.protocol.declare.examples import Example
-from aces_bus.robot import VirtualRobot, load_robot, parse_robot
+from aces_bus.robot import VirtualRobot, parse_robot
 from aces_devices.hubo_motor import driver
 from aces_devices.hubo_motor.axis import compliant_duty
 from aces_devices.hubo_motor.driver import HuboMotor

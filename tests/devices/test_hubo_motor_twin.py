@@ -8,10 +8,9 @@ from typing import Any
 
 import pytest
 
+from aces_bus import Frame, make_scanner
 from aces_bus.device import Robot
 from aces_bus.errors import CallerError
-from aces_bus.frames import Frame
-from aces_bus.protocol import make_scanner
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_devices.hubo_motor import D08, D12, driver
 from aces_devices.hubo_motor.axis import home_fields

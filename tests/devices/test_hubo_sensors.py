@@ -9,15 +9,14 @@ from math import radians, sin
 import msgspec
 import pytest
 
-from aces_bus import load_robot
-from aces_bus.device import UNKNOWN, Robot, World
+from aces_bus import Frame, load_robot, make_scanner
+from aces_bus.device import UNKNOWN, Robot
+from aces_bus.device.twin import World
 from aces_bus.errors import CallerError, DeviceError
-from aces_bus.frames import Frame
-from aces_bus.hardware.simulated.bus import ListeningNode
-from aces_bus.protocol import make_scanner
+from aces_bus.hardware import ListeningNode
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.runtime import VirtualClock
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.testing import driver_tests
 from aces_devices.hubo_ft import driver as hubo_ft
 from aces_devices.hubo_imu import driver as hubo_imu
 from aces_devices.hubo_power import driver as hubo_power

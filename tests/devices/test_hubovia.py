@@ -11,7 +11,7 @@ from aces_bus import load_robot
 from aces_bus.device import Robot
 from aces_bus.errors import CallerError
 from aces_bus.robot import VirtualRobot, parse_robot
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.testing import driver_tests
 from aces_devices.hubovia import driver
 from aces_devices.hubovia.driver import angle_bytes
 

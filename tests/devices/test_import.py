@@ -8,10 +8,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from aces_bus import load_robot
+from aces_bus import load_protocol, load_robot
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
-from aces_bus.protocol import load_protocol
-from aces_bus.robot import RobotError
+from aces_bus.robot.file import RobotError
 from aces_devices.robots import import_robot
 
 TREE = """\

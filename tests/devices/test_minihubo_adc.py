@@ -9,8 +9,9 @@ import pytest
 
 from aces_bus.device import UNKNOWN, Robot
 from aces_bus.errors import CallerError
-from aces_bus.robot import VirtualRobot, parse_robot, print_robot
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.robot import VirtualRobot, parse_robot
+from aces_bus.robot.file import print_robot
+from aces_bus.testing import driver_tests
 from aces_devices.minihubo_adc import EXAMPLE, driver
 
 test_driver = driver_tests(driver)

@@ -7,10 +7,11 @@ from typing import Any
 
 import pytest
 
-from aces_bus.device import UNKNOWN, Robot, stop_devices
+from aces_bus.device import UNKNOWN, Robot
+from aces_bus.device.stopping import stop_devices
 from aces_bus.errors import CallerError, DeviceError, NoReplyError, NotStoppedError, UnknownNameError
 from aces_bus.robot import VirtualRobot, parse_robot
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.testing import driver_tests
 from aces_devices.modbus.driver import driver
 from aces_devices.modbus.table import ModbusRegister, RegisterEntry, registers_of
 from aces_devices.robotiq_ft300.driver import driver as ft300_driver

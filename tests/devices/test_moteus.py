@@ -9,7 +9,7 @@ import pytest
 
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError
 from aces_bus.robot import VirtualRobot, parse_robot
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.testing import driver_tests
 from aces_protocols.moteus.subframes import register_values
 
 test_moteus = driver_tests("moteus")

@@ -8,11 +8,12 @@ from contextlib import contextmanager
 import pytest
 
 from aces_bus import load_robot
-from aces_bus.device import UNKNOWN, Host, Job
+from aces_bus.device import UNKNOWN, Job
+from aces_bus.device.host import Host
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_bus.robot.rig import bus_variants
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.testing import driver_tests
 from aces_devices.pololu_qik import driver
 from aces_devices.pololu_qik.driver import timeout_code
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus.robot import VirtualRobot, check_robot
+from aces_bus.robot import VirtualRobot
+from aces_bus.robot.installed import check_robot
 
 #: What the pages call the vendor's file, for which ours stands in.
 EDS = {"cia401": "module.eds", "cia402": "drive.eds"}

@@ -8,10 +8,12 @@ from typing import Any
 import msgspec
 import pytest
 
-from aces_bus.device import UNKNOWN, Host, Job, Robot
+from aces_bus.device import UNKNOWN, Job, Robot
+from aces_bus.device.host import Host
 from aces_bus.errors import CallerError, DeviceError, FieldError, NoReplyError, UnknownNameError
-from aces_bus.robot import VirtualRobot, parse_robot, simulate
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.robot import VirtualRobot, parse_robot
+from aces_bus.robot.rig import simulate
+from aces_bus.testing import driver_tests
 from aces_devices.robotis_rx import driver
 from aces_devices.robotis_rx.driver import STEP
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.recordings import open_recording
+from aces_bus import open_recording
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_devices.robotis_rx import driver
 from aces_devices.robotis_rx.driver import STEP

@@ -8,10 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus.device import Joint, Robot
+from aces_bus import list_robots, load_protocol, load_robot
+from aces_bus.device import Robot
+from aces_bus.device.config import Joint
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.protocol import load_protocol
-from aces_bus.robot import list_robots, load_robot, parse_robot, print_robot, robot_text
+from aces_bus.robot import parse_robot
+from aces_bus.robot.file import print_robot
+from aces_bus.robot.installed import robot_text
 
 NAMES = [
     "drc_hubo",

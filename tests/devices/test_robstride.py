@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from aces_bus.errors import CallerError, DeviceError, UnknownNameError
-from aces_bus.hardware.simulated.bus import ListeningNode, SimulatedBus
+from aces_bus.hardware import ListeningNode, SimulatedBus
 from aces_bus.robot import VirtualRobot, parse_robot
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.testing import driver_tests
 from aces_devices.robstride import driver
 from aces_devices.robstride.driver import Robstride
 from aces_devices.robstride.twin import RobstrideTwin

@@ -7,7 +7,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from aces_bus.device import stop_devices
+from aces_bus.device.stopping import stop_devices
 from aces_bus.errors import DeviceError
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_devices.servos.driver import ServoDevice

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from aces_bus.device import Device, list_drivers, load_driver
+from aces_bus.device import Device, load_driver
+from aces_bus.device.drivers import list_drivers
 from aces_bus.robot import VirtualRobot, parse_robot
 
 #: Devices that answer nothing: whether they are there cannot be known.

@@ -8,7 +8,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from aces_bus.device import stop_devices
+from aces_bus.device.stopping import stop_devices
 from aces_bus.robot import VirtualRobot, parse_robot
 
 #: Of drivers whose `enable` takes several steps: the device of their example, and what releases it.

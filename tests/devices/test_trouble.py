@@ -160,7 +160,7 @@ def test_two_boards_with_one_number(robot: VirtualRobot, hubo: Robot) -> None:
     """A second board with a number that is taken is told as such, and when it has gone all is as before."""
     from msgspec.structs import replace
 
-    from aces_bus.robot import simulate
+    from aces_bus.robot.rig import simulate
 
     only = {name: replace(c, active=name == BOARD) for name, c in hubo.devices.items()}
     double = simulate(replace(hubo, devices=only), robot.ports("double"), seed=2)
@@ -179,7 +179,7 @@ def test_two_boards_with_one_number(robot: VirtualRobot, hubo: Robot) -> None:
 
 def test_a_three_channel_frame_of_a_two_channel_board(robot: VirtualRobot) -> None:
     """Positions of three motors, from a board that has two, are malformed: told with the bytes, none is an angle."""
-    from aces_bus.frames import Frame
+    from aces_bus import Frame
 
     device, twin = robot.devices[BOARD], robot.twins[BOARD]
     before = robot[f"{JOINT}.position"].last

@@ -7,10 +7,11 @@ from typing import Any
 
 import pytest
 
-from aces_bus.device import UNKNOWN, stop_devices
+from aces_bus.device import UNKNOWN
+from aces_bus.device.stopping import stop_devices
 from aces_bus.errors import CallerError, DeviceError, NoReplyError, UnknownNameError
 from aces_bus.robot import VirtualRobot, parse_robot
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.testing import driver_tests
 from aces_devices.uds import driver
 from aces_devices.uds.table import IdentifierEntry, UdsValue, identifiers_of
 from aces_devices.uds.twin import UdsRefusal

@@ -11,7 +11,7 @@ import serial
 
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError, UnknownNameError
 from aces_bus.robot import VirtualRobot, parse_robot
-from aces_bus.testing.conformance import driver_tests
+from aces_bus.testing import driver_tests
 from tests.oracles.terminals import twins_at_a_terminal
 
 test_vesc = driver_tests("vesc")

@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 
-from aces_bus.protocol import Unknown
-from aces_bus.recordings import open_recording
+from aces_bus import Unknown, open_recording
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.minihubo_adc.spec import minihubo_adc
 from aces_protocols.robotis.spec import robotis

@@ -236,7 +236,7 @@ def test_one_controller_on_three_robots(names_of: Names) -> None:
 
 def test_the_example_robot_is_the_shipped_one() -> None:
     """The robot in Hubo's convention is MiniHubo 2 but for five directions: it is as fast."""
-    from aces_bus.robot import load_robot
+    from aces_bus import load_robot
 
     here = load_robot(Path(__file__).resolve().parents[2] / "examples" / "minihubo_like_hubo.toml")
     there = load_robot("minihubo_2")

@@ -11,9 +11,10 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from aces_bus.protocol import Protocol, Unknown, as_dict
+from aces_bus import Unknown, as_dict
+from aces_bus.protocol import Protocol
 from aces_bus.protocol.lint import check_protocol
-from aces_bus.testing.fuzz import Fuzzer
+from aces_bus.testing import Fuzzer
 from tests.tools.conftest import Aces
 from tests.tools.conftest import aces as aces
 

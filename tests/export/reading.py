@@ -9,7 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from aces_bus.protocol import Unknown, Variant, make_scanner
+from aces_bus import Unknown, make_scanner
+from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.layout import objects_of, plain_json
 from aces_bus.protocol.columns.table import kinds_of
 from aces_bus.protocol.generate.load import records_of

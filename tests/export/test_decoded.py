@@ -12,21 +12,11 @@ import pytest
 from construct import Byte, Float32l, GreedyBytes, Int16sl, Struct
 
 import aces_bus
+from aces_bus import Frame, FrameTable, as_dict, load_protocol, open_recording
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
-from aces_bus.export import to_arrow, to_pandas, to_polars
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.protocol import (
-    BitLayout,
-    Enumeration,
-    Multiplexed,
-    Protocol,
-    Quantity,
-    as_dict,
-    bits,
-    load_protocol,
-)
-from aces_bus.recordings import Chunk, open_recording
+from aces_bus.protocol import BitLayout, Enumeration, Multiplexed, Protocol, Quantity, bits
+from aces_bus.protocol.columns.arrow import to_arrow, to_pandas, to_polars
+from aces_bus.recordings.base import Chunk
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "captures"
 

@@ -17,20 +17,19 @@ import numpy as np
 import pytest
 from construct import Byte, Float32l, GreedyBytes, Int16sl, Int32ul, Struct
 
+from aces_bus import Frame, FrameTable, make_column_scanner
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.export import Export, export_format, folder, open_export
 from aces_bus.export import base as export_base
 from aces_bus.export import files as export_files
-from aces_bus.export.base import Naming
+from aces_bus.export import folder, open_export
+from aces_bus.export.base import Export, Naming
 from aces_bus.export.behind import UNDER_WAY, Behind
 from aces_bus.export.files import ExportFile, FilePool
-from aces_bus.export.open import table_formats
+from aces_bus.export.open import export_format, table_formats
 from aces_bus.export.sqlite import SqliteExport
-from aces_bus.frame_table import Channels, FrameTable
-from aces_bus.frames import Frame
+from aces_bus.frame_table import Channels
 from aces_bus.protocol import Enumeration, Protocol, Quantity, Variant
 from aces_bus.protocol.columns.layout import DatasetLayout
-from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.columns.table import MessageTable
 from tests.limits import small_disk
 

@@ -13,9 +13,8 @@ from construct import Array, Byte, Bytes, Float32l, GreedyBytes, Int16sl, Int16u
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from aces_bus import Frame, FrameTable, as_dict, load_protocol, make_column_scanner, make_scanner
 from aces_bus.export import open_export
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
 from aces_bus.protocol import (
     BitLayout,
     Enumeration,
@@ -26,12 +25,8 @@ from aces_bus.protocol import (
     Quantity,
     Text,
     Variant,
-    as_dict,
     bits,
-    load_protocol,
-    make_scanner,
 )
-from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.testing import strategies
 from tests.export import reading
 from tests.export.reading import Columns
@@ -193,7 +188,7 @@ def traffic_of(name: str) -> tuple[list[Variant], Any, Any]:
     if isinstance(traffic, str):
         path = CAPTURES / traffic
         if traffic.endswith(".log"):
-            from aces_bus.recordings import open_recording
+            from aces_bus import open_recording
 
             with open_recording(path, link="can") as capture:
                 return variants, list(capture), direction

@@ -17,7 +17,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from aces_bus.frame_table import FrameTable
+from aces_bus import FrameTable
 from aces_bus.recordings.write import open_writer
 from aces_lab import fleet
 from aces_lab.fleet.cluster import DaskWorkers

@@ -9,8 +9,7 @@ from typing import Any
 
 import pytest
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
+from aces_bus import Frame, FrameTable
 from aces_bus.recordings.write import open_writer
 from aces_tools.main import main
 

@@ -13,9 +13,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from aces_bus import Frame, FrameTable
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
 from aces_bus.recordings import open as parts
 from aces_bus.recordings.write import open_writer
 from aces_lab import fleet

@@ -8,8 +8,7 @@ import anycrc
 import numpy as np
 import pytest
 
-from aces_bus.protocol import Crc, Fletcher, Sum, Xor
-from aces_bus.protocol.declare.checks import Check
+from aces_bus.protocol import Check, Crc, Fletcher, Sum, Xor
 from aces_lab.guess.checks import checks_of, checks_of_packets
 
 IDENTIFIER = b"\0\0\x02\x23"

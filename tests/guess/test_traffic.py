@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from construct import GreedyBytes, Struct
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
+from aces_bus import Frame, FrameTable
 from aces_bus.protocol import Crc, FastPacket, IdField, IsoTp, J1939Transport, Protocol, TailByte, Transport
 from aces_bus.protocol.files import load_file
 from aces_bus.protocol.lint import check_protocol

@@ -12,7 +12,7 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.hardware.served import ServedBus
+from aces_bus.hardware.served.remote import ServedBus
 
 from .serving import Open
 

@@ -12,7 +12,9 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.hardware.served import BusServer, ServedBus, ServedChannel
+from aces_bus.hardware.served.channel import ServedChannel
+from aces_bus.hardware.served.remote import ServedBus
+from aces_bus.hardware.served.server import BusServer
 
 #: How long anything may take here, in seconds; reached only when something is broken.
 PATIENCE = 10.0

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from aces_bus.hardware.datagram import DatagramGate
+from aces_bus.hardware import DatagramGate
 
 from .test_gate import Seen
 

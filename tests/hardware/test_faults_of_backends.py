@@ -25,13 +25,13 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
+from aces_bus import Frame, FrameTable, open_recording
+from aces_bus.hardware import CanGate
 from aces_bus.hardware.backends import check_server
-from aces_bus.hardware.can import CanGate
 from aces_bus.hardware.gate import Received
 from aces_bus.hardware.gate_events import BusEvent
-from aces_bus.recordings import CanRecording, open_recording, parse_filter
+from aces_bus.recordings.base import CanRecording
+from aces_bus.recordings.filters import parse_filter
 from aces_bus.recordings.write import open_writer
 
 pty = pytest.importorskip("pty", reason="pseudo-terminals")

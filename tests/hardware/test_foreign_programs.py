@@ -22,8 +22,9 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.hardware.served import BusServer, ServedChannel
 from aces_bus.hardware.served.address import parse_host
+from aces_bus.hardware.served.channel import ServedChannel
+from aces_bus.hardware.served.server import BusServer
 
 from .serving import sending
 

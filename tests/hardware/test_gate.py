@@ -12,13 +12,13 @@ from typing import Any
 import can
 import pytest
 
+from aces_bus import Frame
 from aces_bus.errors import CallerError
-from aces_bus.frames import Frame
-from aces_bus.hardware.can import CanGate
+from aces_bus.hardware import CanGate
 from aces_bus.hardware.gate import Received
 from aces_bus.hardware.gate_events import BusEvent
 from aces_bus.hardware.simulated.backend import AcesBus
-from aces_bus.recordings import parse_filter
+from aces_bus.recordings.filters import parse_filter
 
 
 class Adapter:

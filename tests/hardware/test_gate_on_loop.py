@@ -16,13 +16,17 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.frames import Frame
-from aces_bus.hardware import CanGate, SerialGate, port_of
+from aces_bus import Frame
+from aces_bus.hardware import CanGate, SerialGate
 from aces_bus.hardware.backends import SocketcanReader
 from aces_bus.hardware.gate import Gate
 from aces_bus.hardware.gate_events import BusEvent
-from aces_bus.hardware.served import BusServer, ServedBus, ServedChannel, packets
-from aces_bus.runtime import Loop
+from aces_bus.hardware.ports import port_of
+from aces_bus.hardware.served import packets
+from aces_bus.hardware.served.channel import ServedChannel
+from aces_bus.hardware.served.remote import ServedBus
+from aces_bus.hardware.served.server import BusServer
+from aces_bus.runtime.loop import Loop
 
 from .serving import Open, message, received, serve, with_unix_sockets
 

@@ -11,16 +11,16 @@ from typing import Any
 import can
 import pytest
 
+from aces_bus import Frame
 from aces_bus.errors import CallerError
-from aces_bus.frames import Frame
-from aces_bus.hardware import SerialGate
+from aces_bus.hardware import DatagramGate, SerialGate
 from aces_bus.hardware import can as can_module
 from aces_bus.hardware import datagram as datagram_module
 from aces_bus.hardware import gate as gate_module
-from aces_bus.hardware.datagram import DatagramGate
 from aces_bus.hardware.gate_events import GateCounters
-from aces_bus.hardware.served import BusServer, ServedChannel, packets
-from aces_bus.hardware.served.channel import PacketLink
+from aces_bus.hardware.served import packets
+from aces_bus.hardware.served.channel import PacketLink, ServedChannel
+from aces_bus.hardware.served.server import BusServer
 
 from .test_gate import Adapter, Bench
 

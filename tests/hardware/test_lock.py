@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 
+from aces_bus import Frame
 from aces_bus.errors import CallerError
-from aces_bus.frames import Frame
 from aces_bus.hardware import CanGate
 from aces_bus.hardware.bell import StopRequest, program_of
 from aces_bus.hardware.lock import BusLock, lock_folder
 from aces_bus.recordings.filters import parse_filter
-from aces_bus.runtime import Loop
+from aces_bus.runtime.loop import Loop
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="locks are flock's")
 

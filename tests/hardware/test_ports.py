@@ -6,12 +6,16 @@ from typing import Any
 
 import pytest
 
+from aces_bus import Frame
 from aces_bus.device import UNKNOWN
 from aces_bus.errors import CallerError
-from aces_bus.frames import Frame
-from aces_bus.hardware import CanGate, DatagramGate, SimulatedBus, SimulatedDatagrams, port_of
-from aces_bus.robot import connect, simulate
-from aces_bus.runtime import Loop, VirtualClock
+from aces_bus.hardware import CanGate, DatagramGate, SimulatedBus
+from aces_bus.hardware.ports import port_of
+from aces_bus.hardware.simulated.datagrams import SimulatedDatagrams
+from aces_bus.robot import connect
+from aces_bus.robot.rig import simulate
+from aces_bus.runtime import VirtualClock
+from aces_bus.runtime.loop import Loop
 from tests.device.fan import ROBOT, drivers, robot_of
 
 

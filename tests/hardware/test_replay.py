@@ -7,8 +7,8 @@ from pathlib import Path
 import can
 import pytest
 
+from aces_bus import Frame
 from aces_bus.errors import CallerError
-from aces_bus.frames import Frame
 from aces_bus.hardware import CanGate, ListeningNode, SimulatedBus
 from aces_bus.hardware.replay import ReplayBus, paced, replay_into
 from aces_bus.runtime import VirtualClock

@@ -11,10 +11,9 @@ from typing import Any
 import pytest
 
 from aces_bus.errors import CallerError
-from aces_bus.hardware.datagram import DatagramGate
+from aces_bus.hardware import DatagramGate, SerialGate
 from aces_bus.hardware.gate import Received
 from aces_bus.hardware.gate_events import BusEvent
-from aces_bus.hardware.serial import SerialGate
 
 
 class Line:

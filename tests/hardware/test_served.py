@@ -12,12 +12,12 @@ import can
 import msgspec
 import pytest
 
-from aces_bus.frames import Frame
-from aces_bus.hardware.can import CanGate
-from aces_bus.hardware.served import ServedChannel, remote, stream
+from aces_bus import Frame
+from aces_bus.hardware import CanGate, Faults
 from aces_bus.hardware.served import channel as channel_module
+from aces_bus.hardware.served import remote, stream
 from aces_bus.hardware.served.address import parse_host
-from aces_bus.hardware.simulated.bus import Faults
+from aces_bus.hardware.served.channel import ServedChannel
 from aces_bus.hardware.simulated.frame_time import INTERMISSION, frame_bits
 
 from .serving import PATIENCE, Open, message, received, serve, until, with_unix_sockets

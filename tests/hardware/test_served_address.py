@@ -11,10 +11,10 @@ import can
 import pytest
 
 from aces_bus.errors import CallerError
-from aces_bus.hardware import served
-from aces_bus.hardware.served import ServedChannel
+from aces_bus.hardware import Faults
 from aces_bus.hardware.served.address import parse_address
-from aces_bus.hardware.simulated.bus import Faults
+from aces_bus.hardware.served.channel import ServedChannel
+from aces_bus.hardware.served.stream import servers
 
 from .serving import Open, message, received, serve, with_unix_sockets
 
@@ -75,7 +75,7 @@ def test_a_runtime_folder_of_somebody_else(runtime: Path) -> None:
 def test_a_time_out_that_is_none(timeout: float) -> None:
     """It is refused, also where no server would be asked."""
     with pytest.raises(CallerError, match="a time-out of"):
-        served.servers(timeout)
+        servers(timeout)
 
 
 def test_servers_are_found(opened: Open, runtime: Path) -> None:
@@ -88,10 +88,10 @@ def test_servers_are_found(opened: Open, runtime: Path) -> None:
         assert {f"unix:{runtime}/aces/{name}.sock" for name in ("left", "right")} <= found
         for name in ("left", "right"):
             opened(f"unix:{name}")
-        (status,) = served.servers()
+        (status,) = servers()
         assert [len(channel["members"]) for channel in status["channels"]] == [1, 1]
     assert not note.exists()
-    assert served.servers() == []
+    assert servers() == []
 
 
 def test_several_channels_on_one_port(opened: Open, runtime: Path) -> None:
@@ -160,5 +160,5 @@ def test_a_server_that_is_slow_is_found(monkeypatch: pytest.MonkeyPatch, runtime
 
     monkeypatch.setattr(stream, "ask", hangs)
     with serve(ServedChannel("left"), tcp=("127.0.0.1", 0)):
-        assert served.servers() == []
+        assert servers() == []
     assert asked == [stream.ANSWER_S]

@@ -11,9 +11,10 @@ from contextlib import contextmanager
 import can
 import pytest
 
-from aces_bus.frames import Frame
-from aces_bus.hardware.served import ServedBus, ServedChannel
+from aces_bus import Frame
+from aces_bus.hardware.served.channel import ServedChannel
 from aces_bus.hardware.served.readable import ReadableFile
+from aces_bus.hardware.served.remote import ServedBus
 
 from .serving import PATIENCE, Open, serve, until, with_unix_sockets
 

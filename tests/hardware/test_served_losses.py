@@ -10,10 +10,11 @@ from pathlib import Path
 import can
 import pytest
 
-from aces_bus.hardware.served import ServedChannel, packets
 from aces_bus.hardware.served import channel as channel_module
+from aces_bus.hardware.served import packets
 from aces_bus.hardware.served import server as server_module
 from aces_bus.hardware.served.address import parse_address, parse_host
+from aces_bus.hardware.served.channel import ServedChannel
 from aces_bus.hardware.served.stream import ServerConnection
 
 from .serving import PATIENCE, Open, message, received, serve, until, with_unix_sockets

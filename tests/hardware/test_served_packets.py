@@ -5,7 +5,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.frames import FD_LENGTHS, Frame
+from aces_bus import Frame
+from aces_bus.frames import FD_LENGTHS
 from aces_bus.hardware.served import packets
 from aces_bus.hardware.simulated.bus_event import SimulatedBusEvent
 

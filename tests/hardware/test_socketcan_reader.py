@@ -16,7 +16,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.frames import FD_LENGTHS, Frame
+from aces_bus import Frame
+from aces_bus.frames import FD_LENGTHS
 from aces_bus.hardware.backends import SocketcanReader
 
 if not hasattr(socket, "CMSG_SPACE") or not hasattr(socket, "AF_UNIX"):

@@ -7,8 +7,9 @@ import time
 
 import can
 
-from aces_bus.hardware.served import BusServer, ServedChannel
 from aces_bus.hardware.served.address import parse_host
+from aces_bus.hardware.served.channel import ServedChannel
+from aces_bus.hardware.served.server import BusServer
 
 from .serving import PATIENCE, Open, message, received, sending, serve, with_unix_sockets
 

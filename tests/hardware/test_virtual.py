@@ -9,8 +9,9 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.frames import Frame
-from aces_bus.hardware.simulated.backend import AcesBus, virtual_clock
+from aces_bus import Frame
+from aces_bus.hardware import virtual_clock
+from aces_bus.hardware.simulated.backend import AcesBus
 from aces_bus.hardware.simulated.frame_time import frame_bits
 from aces_bus.runtime import VirtualClock
 

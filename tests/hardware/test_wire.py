@@ -10,18 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import Frame
 from aces_bus.errors import CallerError
-from aces_bus.frames import Frame
-from aces_bus.hardware.simulated.bus import (
-    OFF,
-    PASSIVE,
-    RECOVERY,
-    Babbler,
-    BusNode,
-    Faults,
-    ListeningNode,
-    SimulatedBus,
-)
+from aces_bus.hardware import Faults, ListeningNode, SimulatedBus
+from aces_bus.hardware.simulated.bus import OFF, PASSIVE, RECOVERY, Babbler, BusNode
 from aces_bus.hardware.simulated.bus_event import SimulatedBusEvent
 from aces_bus.hardware.simulated.frame_time import ERROR_FRAME, INTERMISSION, SUSPEND, frame_bits
 from aces_bus.runtime import VirtualClock

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.kinematics import Body, Chain, Fixed, Move, Prismatic, Revolute
+from aces_bus.kinematics.body import Body, Chain, Fixed, Move, Prismatic, Revolute
 
 ARM = Body(
     "arm",

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.kinematics import Body, Chain, Move, Revolute
+from aces_bus.kinematics.body import Body, Chain, Move, Revolute
 from aces_lab.cartesian import Goal, solve
 from aces_lab.cartesian.inverse import level_error, rotation_error
 

@@ -8,7 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from aces_bus.kinematics import Body, Chain, Fixed, Links, Move, Prismatic, Revolute, load_body
+from aces_bus.kinematics import load_body
+from aces_bus.kinematics.body import Body, Chain, Fixed, Move, Prismatic, Revolute
+from aces_bus.kinematics.links import Links
 
 Floats = npt.NDArray[np.float64]
 

@@ -19,11 +19,10 @@ from dataclasses import dataclass, field
 from random import Random
 from typing import Any
 
+from aces_bus import Frame, FrameTable, Unknown, make_column_scanner, make_scanner
 from aces_bus.errors import AcesError, FieldError
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.protocol import Reference, Unknown, Variant, make_scanner
-from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.protocol import Variant
+from aces_bus.protocol.reference import Reference
 from tests.laws import bit_arithmetic as plain
 from tests.laws.bit_arithmetic import Node
 from tests.laws.spec_drawing import Told, built, draw

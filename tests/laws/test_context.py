@@ -8,9 +8,10 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from aces_bus.frames import Frame
-from aces_bus.protocol import Reference, StreamScanner
+from aces_bus import Frame
 from aces_bus.protocol.declare.ambiguity import needing_context
+from aces_bus.protocol.live.stream import StreamScanner
+from aces_bus.protocol.reference import Reference
 from aces_bus.testing import laws
 from aces_bus.testing.packets import draw_packet
 from aces_bus.testing.source import spread

@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from aces_bus.frames import Frame
-from aces_bus.protocol import CanScanner, StreamScanner, Variant, make_scanner
-from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus import Frame, make_column_scanner, make_scanner
+from aces_bus.protocol import CanScanner, Variant
 from aces_bus.protocol.declare.framing import Framing
+from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.testing import laws
-from aces_bus.testing.laws import Way
+from aces_bus.testing.scenes import Way
 from tests.counting import calls
 from tests.laws.corners import CORNERS
 from tests.laws.wires import PROTOCOLS, REGISTERED

@@ -19,13 +19,13 @@ import msgspec
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 
-from aces_bus.protocol import make_scanner
-from aces_bus.testing import laws, strategies
+from aces_bus import make_scanner
+from aces_bus.testing import LAWS, laws, strategies
 from aces_bus.testing.bench import Bench
 from aces_bus.testing.fuzz import shrink
-from aces_bus.testing.laws import LAWS, Law
 from aces_bus.testing.saved import load_scene, save_scene
 from aces_bus.testing.source import spread
+from aces_bus.testing.trial import Law
 from tests import kept
 from tests.laws.wires import CASES, MIXED, PROTOCOLS, REGISTERED, Case
 

@@ -24,7 +24,6 @@ from aces_bus.protocol import (
     Protocol,
     Quantity,
     SignMagnitude,
-    StreamScanner,
     bits,
 )
 from aces_bus.protocol.counts import ScanCounts
@@ -32,9 +31,11 @@ from aces_bus.protocol.declare import ambiguity, checks, fields
 from aces_bus.protocol.generate import load
 from aces_bus.protocol.live import can, find, stream
 from aces_bus.protocol.live.decide import Decider
-from aces_bus.testing import laws
-from aces_bus.testing.laws import LAWS, Law, Way
+from aces_bus.protocol.live.stream import StreamScanner
+from aces_bus.testing import LAWS, laws
+from aces_bus.testing.scenes import Way
 from aces_bus.testing.source import spread
+from aces_bus.testing.trial import Law
 
 IS_LONG = settings().max_examples > 100
 Plant = Callable[[pytest.MonkeyPatch], None]

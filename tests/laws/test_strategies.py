@@ -12,7 +12,10 @@ from construct import Byte, Check, Struct, this
 from hypothesis import find, given, settings
 from hypothesis import strategies as st
 
-from aces_bus.protocol import CanScanner, Protocol, Scanner, StreamScanner, Unknown, make_scanner
+from aces_bus import Unknown, make_scanner
+from aces_bus.protocol import CanScanner, Protocol
+from aces_bus.protocol.live.scanner import Scanner
+from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.testing import laws, strategies
 from aces_bus.testing.packets import DrawnPacket, UndrawableError, draw_packet
 from aces_bus.testing.source import Entropy, spread

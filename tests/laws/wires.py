@@ -7,9 +7,10 @@ import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
-from aces_bus.protocol import Protocol, list_protocols
+from aces_bus import list_protocols
+from aces_bus.protocol import Protocol
 from aces_bus.testing import laws
-from aces_bus.testing.laws import Way, Wire
+from aces_bus.testing.scenes import Way, Wire
 from tests.laws.corners import CORNERS
 from tests.specs.catalogue import SPECS
 

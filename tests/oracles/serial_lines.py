@@ -9,11 +9,12 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from aces_bus.device import Driver, Twin
-from aces_bus.hardware import SerialPort
+from aces_bus.hardware.ports import SerialPort
 from aces_bus.hardware.simulated.serial_line import PtyPort, SimulatedSerialLine
-from aces_bus.protocol import StreamScanner
-from aces_bus.robot import parse_robot, simulate, wire_of
-from aces_bus.robot.rig import spoken_on
+from aces_bus.protocol.live.stream import StreamScanner
+from aces_bus.robot import parse_robot
+from aces_bus.robot.buses import wire_of
+from aces_bus.robot.rig import simulate, spoken_on
 from aces_bus.runtime import VirtualClock
 
 

@@ -13,11 +13,13 @@ from typing import Any, NamedTuple, TypeVar
 import can
 
 from aces_bus.device import Robot, Twin
-from aces_bus.hardware import CanGate, port_of
+from aces_bus.hardware import CanGate
+from aces_bus.hardware.ports import port_of
 from aces_bus.hardware.served.channel import ServedChannel
 from aces_bus.hardware.served.server import BusServer
-from aces_bus.robot import parse_robot, simulate
-from aces_bus.runtime import Loop
+from aces_bus.robot import parse_robot
+from aces_bus.robot.rig import simulate
+from aces_bus.runtime.loop import Loop
 
 T = TypeVar("T")
 #: A limit that a machine twenty times slower keeps, too (s).

@@ -8,11 +8,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
+from aces_bus import load_protocol
 from aces_bus.device import Robot, Twin
-from aces_bus.hardware import SerialPort
+from aces_bus.hardware.ports import SerialPort
 from aces_bus.hardware.simulated.serial_line import PtyPort
-from aces_bus.protocol import load_protocol
-from aces_bus.robot import simulate, wire_of
+from aces_bus.robot.buses import wire_of
+from aces_bus.robot.rig import simulate
 from aces_bus.runtime import VirtualClock
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.frames import Frame
+from aces_bus import Frame
 from aces_devices.damiao.twin import DamiaoTwin
 from aces_protocols.damiao.spec import MODELS, REGISTERS, damiao
 from tests.oracles.foreign import oracle

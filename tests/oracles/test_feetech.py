@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from aces_bus.protocol import Unknown
+from aces_bus import Unknown
 from aces_devices.feetech import driver
 from tests.oracles.foreign import oracle
 from tests.oracles.serial_lines import OpenLine, served_line

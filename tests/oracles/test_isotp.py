@@ -10,12 +10,15 @@ import can
 import pytest
 from construct import Const, GreedyBytes, Struct
 
+from aces_bus import Frame, Unknown
 from aces_bus.device import Device, Driver, Twin, on
-from aces_bus.frames import Frame, message_to_frame
-from aces_bus.hardware import CanGate, port_of
-from aces_bus.protocol import IsoTp, Protocol, Unknown
-from aces_bus.robot import parse_robot, simulate
-from aces_bus.runtime import Loop
+from aces_bus.frames import message_to_frame
+from aces_bus.hardware import CanGate
+from aces_bus.hardware.ports import port_of
+from aces_bus.protocol import IsoTp, Protocol
+from aces_bus.robot import parse_robot
+from aces_bus.robot.rig import simulate
+from aces_bus.runtime.loop import Loop
 from tests.device.ecu import LOAD, robot_of_ecu
 from tests.oracles.foreign import oracle
 

@@ -14,12 +14,15 @@ from typing import Any
 import can
 import pytest
 
+from aces_bus import Frame
 from aces_bus.device import PacketSender
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
-from aces_bus.frames import Frame, message_to_frame
-from aces_bus.hardware import CanGate, port_of
-from aces_bus.robot import connect, simulate
-from aces_bus.runtime import Loop
+from aces_bus.frames import message_to_frame
+from aces_bus.hardware import CanGate
+from aces_bus.hardware.ports import port_of
+from aces_bus.robot import connect
+from aces_bus.robot.rig import simulate
+from aces_bus.runtime.loop import Loop
 from aces_tools.main import main
 from tests.device.crane import LOAD as CRANES
 from tests.device.crane import TOOL, A, B, robot_of_cranes

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from aces_bus.protocol import Unknown
+from aces_bus import Unknown
 from aces_devices.feetech import driver
 from tests.oracles.serial_lines import served_line
 

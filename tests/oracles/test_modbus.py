@@ -14,10 +14,10 @@ from typing import Any
 
 import pytest
 
+from aces_bus import as_dict
 from aces_bus.device import Robot
 from aces_bus.errors import DeviceError
-from aces_bus.hardware import SerialPort
-from aces_bus.protocol import as_dict
+from aces_bus.hardware.ports import SerialPort
 from aces_bus.robot import connect, parse_robot
 from aces_protocols.modbus.spec import modbus
 from tests.oracles.foreign import oracle

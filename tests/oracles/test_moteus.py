@@ -16,12 +16,15 @@ from typing import Any
 
 import pytest
 
-from aces_bus.frames import FD_LENGTHS, Frame
-from aces_bus.hardware import CanGate, port_of
+from aces_bus import Frame
+from aces_bus.frames import FD_LENGTHS
+from aces_bus.hardware import CanGate
+from aces_bus.hardware.ports import port_of
 from aces_bus.hardware.served.channel import ServedChannel
 from aces_bus.hardware.served.server import BusServer
-from aces_bus.robot import parse_robot, simulate
-from aces_bus.runtime import Loop
+from aces_bus.robot import parse_robot
+from aces_bus.robot.rig import simulate
+from aces_bus.runtime.loop import Loop
 from aces_protocols.moteus.registers import BY_NAME, BY_NUMBER, TYPES
 from aces_protocols.moteus.spec import moteus
 from aces_protocols.moteus.subframes import register_values

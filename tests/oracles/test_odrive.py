@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from aces_bus.frames import Frame
-from aces_bus.protocol.exchange.export_dbc import print_dbc
+from aces_bus import Frame
+from aces_bus.protocol.exchange import print_dbc
 from aces_protocols.odrive.spec import odrive
 from tests.oracles.foreign import oracle
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.frames import Frame
+from aces_bus import Frame
 from aces_devices.robstride.twin import RobstrideTwin
 from aces_protocols.robstride.spec import robstride
 from tests.oracles.foreign import oracle

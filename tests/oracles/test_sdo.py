@@ -11,7 +11,8 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.frames import Frame, message_to_frame
+from aces_bus import Frame
+from aces_bus.frames import message_to_frame
 from aces_protocols.canopen.spec import canopen as shipped
 from tests.oracles.foreign import oracle
 from tests.specs.sdo_like import sdo_like

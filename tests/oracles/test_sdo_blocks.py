@@ -12,7 +12,8 @@ from typing import Any
 import pytest
 
 import aces_devices.cia402
-from aces_bus.frames import Frame, message_to_frame
+from aces_bus import Frame
+from aces_bus.frames import message_to_frame
 from aces_protocols.canopen.spec import canopen as shipped
 from tests.oracles.foreign import oracle
 from tests.oracles.served import PATIENCE_S, served

@@ -9,7 +9,8 @@ from typing import Any
 
 import pytest
 
-from aces_bus.protocol import Record, as_dict
+from aces_bus import as_dict
+from aces_bus.protocol import Record
 from aces_bus.robot import VirtualRobot, parse_robot
 from aces_devices.gnss.antenna import in_circle
 from aces_devices.gnss.ubx import MESSAGES, driver

@@ -9,7 +9,7 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.frames import Frame
+from aces_bus import Frame
 from aces_devices.obd2 import driver
 from aces_devices.obd2.twin import Obd2Twin
 from aces_devices.uds.twin import UdsTwin

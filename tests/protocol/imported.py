@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from aces_bus.frames import Frame
-from aces_bus.protocol import make_scanner
-from aces_bus.protocol.exchange import ImportedProtocol, load_database
+from aces_bus import Frame, make_scanner
+from aces_bus.protocol.exchange import load_database
+from aces_bus.protocol.exchange.problems import ImportedProtocol
 from aces_bus.testing import laws
 from aces_bus.testing.source import spread
 

@@ -14,10 +14,10 @@ from itertools import count
 from pathlib import Path
 from typing import Any
 
-from aces_bus.frames import Frame
+from aces_bus import Frame
 from aces_bus.protocol import Protocol
 from aces_bus.protocol.files import protocol_of_file
-from aces_bus.recordings import Chunk
+from aces_bus.recordings.base import Chunk
 
 FOLDER = Path(__file__).resolve().parents[1] / "specs" / "slips"
 #: Messages of each kind in a recording.

@@ -26,15 +26,16 @@ from construct import (
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import Frame, FrameTable, open_recording
 from aces_bus.errors import CallerError
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
 from aces_bus.protocol import BitLayout, Crc, Enumeration, IdField, Protocol, Quantity, Sum, Xor, bits
-from aces_bus.protocol.against import Observation, check_recordings, suggest_examples
+from aces_bus.protocol.against import check_recordings
+from aces_bus.protocol.against.finding import Observation
 from aces_bus.protocol.against.losses import GROUPS
+from aces_bus.protocol.against.suggest import suggest_examples
 from aces_bus.protocol.declare.examples import as_examples
 from aces_bus.protocol.lint.examples import failure
-from aces_bus.recordings import Chunk, open_recording
+from aces_bus.recordings.base import Chunk
 from aces_bus.testing.packets import draw_packet
 from aces_bus.testing.source import spread
 from aces_protocols.hubo.spec import hubo
@@ -293,7 +294,7 @@ def test_pieces_say_what_the_whole_says() -> None:
 
 def test_memory_does_not_grow_with_what_is_unknown() -> None:
     """However many identifiers nobody declared there are, a bounded number of them is told apart."""
-    from aces_bus.protocol.against import RecordingCheck
+    from aces_bus.protocol.against.recording import RecordingCheck
 
     check = RecordingCheck(one_message(Struct("x" / Byte)))
     check.read([Frame(n, b"", None, is_extended_id=True) for n in range(3000)])

@@ -12,12 +12,10 @@ from construct import Byte, Bytes, Const, Int16sl, Struct
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.protocol import CanScanner, Counter, IdField, Protocol, Unknown, load_protocol
+from aces_bus import Frame, FrameTable, Unknown, load_protocol
+from aces_bus.protocol import CanScanner, Counter, IdField, Protocol, Variant
 from aces_bus.protocol.columns.can import CanColumns
 from aces_bus.protocol.columns.table import MessageTable
-from aces_bus.protocol.declare.protocol import Variant
 
 
 def flat(tables: Iterable[MessageTable]) -> list[Any]:

@@ -7,12 +7,9 @@ from typing import Any
 import pytest
 from construct import Byte, Int16ul, Struct
 
+from aces_bus import Frame, FrameTable, as_dict, make_column_scanner, make_scanner
 from aces_bus.errors import CallerError
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.protocol import IdField, Protocol, as_dict, make_scanner
-from aces_bus.protocol.columns.scanner import make_column_scanner
-from aces_bus.protocol.declare.protocol import Variant
+from aces_bus.protocol import IdField, Protocol, Variant
 
 
 @pytest.fixture(scope="module")

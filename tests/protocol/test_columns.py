@@ -16,8 +16,7 @@ import pytest
 from construct import Byte, Float32l, Int16sl, Int16ul, Struct, this
 from hypothesis import settings
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
+from aces_bus import Frame, FrameTable, make_column_scanner
 from aces_bus.protocol import (
     BitLayout,
     Counter,
@@ -30,7 +29,7 @@ from aces_bus.protocol import (
     Quantity,
     bits,
 )
-from aces_bus.protocol.columns.scanner import ColumnScanner, make_column_scanner
+from aces_bus.protocol.columns.scanner import ColumnScanner
 from aces_bus.protocol.columns.table import Column, MessageTable
 from aces_bus.testing import columns, laws
 from aces_bus.testing.source import spread

@@ -8,11 +8,9 @@ from typing import Any
 
 import pytest
 
+from aces_bus import Frame, FrameTable, Unknown, make_column_scanner, make_scanner
 from aces_bus.errors import CallerError, SpecError
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.protocol import Protocol, Unknown, make_scanner
-from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus.protocol import Protocol
 from aces_bus.protocol.exchange import import_dbc as dbc
 from aces_bus.protocol.exchange import load_database
 from aces_bus.protocol.generate import load as loading

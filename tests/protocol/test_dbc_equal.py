@@ -18,10 +18,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.protocol import Protocol, Unknown
-from aces_bus.protocol.columns.scanner import make_column_scanner
+from aces_bus import Frame, FrameTable, Unknown, make_column_scanner
+from aces_bus.protocol import Protocol
 from aces_bus.protocol.exchange import load_database
 from aces_bus.protocol.record import field_names
 
@@ -225,7 +223,7 @@ def _is_exact(signal: Any, value: Any) -> bool:
 
 
 def _scanner(protocol: Protocol, raw: bool) -> Any:
-    from aces_bus.protocol import make_scanner
+    from aces_bus import make_scanner
 
     return make_scanner([protocol.variant()], include_unknown=True, raw=raw)
 

@@ -30,8 +30,8 @@ from construct import (
 )
 
 import aces_bus.protocol as protocol_words
+from aces_bus import Frame, Unknown, as_dict, make_scanner
 from aces_bus.errors import CallerError, FieldError, SpecError
-from aces_bus.frames import Frame
 from aces_bus.protocol import (
     AsciiNumber,
     BitLayout,
@@ -40,15 +40,12 @@ from aces_bus.protocol import (
     IdField,
     Protocol,
     Quantity,
-    Reference,
     Sum,
-    Unknown,
     Xor,
-    as_dict,
     bits,
-    make_scanner,
 )
 from aces_bus.protocol.declare import vocabulary
+from aces_bus.protocol.reference import Reference
 
 
 def can(payload: c.Construct, **more: Any) -> Protocol:

@@ -8,18 +8,11 @@ from collections.abc import Iterator
 import pytest
 from construct import Array, Byte, Bytes, Float64b, GreedyBytes, Int16sb, Int16ul, Int32ul, Struct
 
-from aces_bus.protocol import (
-    BitLayout,
-    Message,
-    Multiplexed,
-    Protocol,
-    Quantity,
-    Split,
-    bits,
-    draw,
-    list_protocols,
-    load_protocol,
-)
+from aces_bus import list_protocols, load_protocol
+from aces_bus.protocol import BitLayout, Message, Multiplexed, Protocol, Quantity, Split, bits
+from aces_bus.protocol.draw.cells import SHARING
+from aces_bus.protocol.draw.table import captured_values, field_table
+from aces_bus.protocol.draw.text import picture
 from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.plan.flatten import flatten
 from tests.conftest import Golden
@@ -41,7 +34,7 @@ def cells(lines: list[str]) -> list[Rows]:
     for line in lines:
         if line == "":
             is_always = False  # pictures of multiplexed fields follow
-        elif line == draw.SHARING:
+        elif line == SHARING:
             found.append({})
             is_always = True
         elif line.endswith(":"):
@@ -59,7 +52,7 @@ def test_every_message_can_be_drawn(protocol: Protocol) -> None:
     The cell at a bit's place names the bit's field, and the bit's number where the field has several cells.
     """
     for message in protocol.declared:
-        lines = draw.picture(message)
+        lines = picture(message)
         assert max(map(len, lines)) <= 79, message
         assert all(line == line.rstrip() for line in lines), message
         assert all(len(line) == 79 for line in lines if line[6:7] in ("│", "┌", "├", "└")), message
@@ -112,7 +105,7 @@ def scalars(fields: tuple[p.PlanField, ...], prefix: str) -> Iterator[tuple[str,
 def test_every_field_has_its_row(protocol: Protocol) -> None:
     """The table names every value of the record, in order."""
     for message in protocol.declared:
-        rows = draw.field_table(flatten(message), draw.captured_values(message))
+        rows = field_table(flatten(message), captured_values(message))
         assert list(dict.fromkeys(row.name.partition(".")[0] for row in rows)) == list(message.fields), (
             message
         )
@@ -150,11 +143,11 @@ Packet = framing("Packet", payload=Struct("value" / Int16ul, "rest" / GreedyByte
 @pytest.mark.parametrize("message", [Orders, Layout, Long, Open, Packet], ids=lambda m: m.name)
 def test_pictures(message: Message, golden: Golden) -> None:
     """Byte orders, split and multiplexed fields, long and open messages look as they always did."""
-    rows = draw.field_table(flatten(message), draw.captured_values(message))
+    rows = field_table(flatten(message), captured_values(message))
     table = [" | ".join([r.name, r.place, r.type, r.unit, r.scale, r.range, r.names, r.doc]) for r in rows]
-    golden(f"draw/{message.name}.txt", "\n".join([*draw.picture(message), "", *table, ""]))
+    golden(f"draw/{message.name}.txt", "\n".join([*picture(message), "", *table, ""]))
 
 
 def test_a_message_without_bytes() -> None:
     """Nothing to draw is said."""
-    assert draw.picture(spec.message("Empty", id=5, length=0)) == ["(no bytes)"]
+    assert picture(spec.message("Empty", id=5, length=0)) == ["(no bytes)"]

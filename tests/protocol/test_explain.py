@@ -7,11 +7,13 @@ from typing import Any
 import pytest
 from construct import Array, Byte, Const, Int16ul, Struct, this
 
-from aces_bus.frames import Frame
-from aces_bus.protocol import Protocol, Sum, Unknown, Variant
+from aces_bus import Frame, Unknown
+from aces_bus.protocol import Protocol, Sum, Variant
 from aces_bus.protocol.declare.examples import parse_packet
-from aces_bus.protocol.explain import Attempt, Tracer, why_unknown
+from aces_bus.protocol.explain import why_unknown
+from aces_bus.protocol.explain.attempt import Attempt
 from aces_bus.protocol.explain.template import Template
+from aces_bus.protocol.explain.tracer import Tracer
 from aces_bus.protocol.lint.examples import example_frame
 from aces_bus.testing import laws
 from aces_bus.testing.source import spread

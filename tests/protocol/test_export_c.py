@@ -19,16 +19,10 @@ import pytest
 from construct import Byte, Float32l, GreedyBytes, Int16ub, Struct, this
 from hypothesis import settings
 
-from aces_bus.protocol import (
-    Enumeration,
-    Fletcher,
-    Protocol,
-    Quantity,
-    Variant,
-    load_protocol,
-    make_scanner,
-)
-from aces_bus.protocol.exchange.export_c import CMessage, CSource, print_c_source
+from aces_bus import load_protocol, make_scanner
+from aces_bus.protocol import Enumeration, Fletcher, Protocol, Quantity, Variant
+from aces_bus.protocol.exchange import print_c_source
+from aces_bus.protocol.exchange.export_c import CMessage, CSource
 from aces_bus.testing.packets import DrawnPacket, UndrawableError, draw_packet
 from aces_bus.testing.source import spread
 from tests.specs.catalogue import SPECS

@@ -17,24 +17,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from aces_bus import Frame, FrameTable, Unknown, load_protocol, make_column_scanner, make_scanner
 from aces_bus.errors import CallerError
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.protocol import (
-    J1939Transport,
-    Protocol,
-    Reference,
-    Unknown,
-    Variant,
-    load_protocol,
-    make_scanner,
-)
-from aces_bus.protocol.columns.scanner import make_column_scanner
-from aces_bus.protocol.exchange import Loss, load_database
-from aces_bus.protocol.exchange.export_dbc import print_dbc
-from aces_bus.protocol.exchange.export_source import print_source
+from aces_bus.protocol import J1939Transport, Protocol, Variant
+from aces_bus.protocol.exchange import load_database, print_dbc, print_source
+from aces_bus.protocol.exchange.problems import Loss
 from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.plan.flatten import fixed_leaves
+from aces_bus.protocol.reference import Reference
 from aces_bus.testing.strategies import protocols
 from aces_protocols.canopen.spec import canopen
 from aces_protocols.hubo.spec import hubo

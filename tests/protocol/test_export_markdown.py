@@ -8,8 +8,8 @@ import pytest
 from construct import Byte, Struct
 
 from aces_bus.protocol import Enumeration, Protocol, Quantity, Variant
-from aces_bus.protocol.draw import captured_values, field_table
-from aces_bus.protocol.exchange.export_markdown import print_markdown
+from aces_bus.protocol.draw.table import captured_values, field_table
+from aces_bus.protocol.exchange import print_markdown
 from aces_bus.protocol.plan.flatten import flatten
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.minihubo_adc.spec import minihubo_adc

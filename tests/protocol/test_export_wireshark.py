@@ -33,8 +33,7 @@ from construct import (
 from hypothesis import settings
 from msgspec.structs import replace
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
+from aces_bus import Frame, FrameTable, Unknown, make_scanner
 from aces_bus.protocol import (
     BitLayout,
     CanScanner,
@@ -43,15 +42,13 @@ from aces_bus.protocol import (
     Protocol,
     Quantity,
     Split,
-    StreamScanner,
     Sum,
     Text,
-    Unknown,
     Variant,
     bits,
-    make_scanner,
 )
-from aces_bus.protocol.exchange.export_wireshark import print_dissector
+from aces_bus.protocol.exchange import print_dissector
+from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.plan.flatten import fixed_leaves, flatten
 from aces_bus.testing.packets import UndrawableError, draw_packet

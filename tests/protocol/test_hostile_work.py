@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from construct import Byte, GreedyBytes, Int16ul, Struct, this
 
-from aces_bus.protocol import Cobs, Crc, Fletcher, Protocol, Slip, Sum, Xor
-from aces_bus.protocol.declare.checks import Check, Sums
+from aces_bus.protocol import Check, Cobs, Crc, Fletcher, Protocol, Slip, Sum, Xor
+from aces_bus.protocol.declare.checks import Sums
 from aces_bus.protocol.declare.framing import Framing
 from aces_bus.protocol.live.candidates import CobsSegment, Overlaps, Segments, SlipSegment
 from aces_bus.protocol.live.stream import StreamScanner, _judge

@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
+from aces_bus import Frame, as_dict
 from aces_bus.errors import CallerError, FieldError
-from aces_bus.frames import Frame
-from aces_bus.protocol import as_dict
-from aces_bus.protocol.exchange import ImportedProtocol, load_database
+from aces_bus.protocol.exchange import load_database
+from aces_bus.protocol.exchange.problems import ImportedProtocol
 from aces_bus.testing import laws
 from aces_bus.testing.source import spread
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from aces_bus import Frame, Unknown
 from aces_bus.errors import FieldError
-from aces_bus.frames import Frame
-from aces_bus.protocol import Unknown, draw
+from aces_bus.protocol.draw.table import field_table
 from aces_bus.protocol.exchange.names import python_name
 from aces_bus.protocol.plan.flatten import flatten
 from tests.protocol.imported import ABOVE, CAR, MUX, decoded, imported, laws_hold, reasons
@@ -28,7 +28,7 @@ def test_a_message_says_what_the_database_says(tmp_path: Path) -> None:
     assert speed.doc == "How fast it goes.\nOn every road.\nsent by ECU; to Gate; every 50 ms"
     assert speed.place.line == ABOVE + 1
     assert str(speed.place).endswith(f"car.dbc:{ABOVE + 1}")
-    rows = {row.name: row for row in draw.field_table(flatten(speed))}
+    rows = {row.name: row for row in field_table(flatten(speed))}
     assert (rows["speed"].unit, rows["speed"].scale, rows["speed"].range) == ("km/h", "0.01", "0…250")
     assert rows["speed"].doc == 'measured at the "left" wheel'
     assert rows["temperature"].names == "255=not available, 254=error"

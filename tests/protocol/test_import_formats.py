@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus import load_protocol
+from aces_bus import Frame, load_protocol
 from aces_bus.errors import CallerError
-from aces_bus.frames import Frame
 from aces_bus.protocol.exchange import load_database
 from tests.protocol.imported import CAR, EDS, HEAD, decoded, imported, laws_hold
 

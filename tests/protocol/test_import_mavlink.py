@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 from construct import Byte, Struct, this
 
+from aces_bus import make_scanner
 from aces_bus.errors import CallerError, FieldError, SpecError
-from aces_bus.protocol import Crc, CutZeros, Protocol, make_scanner
-from aces_bus.protocol.declare.framing import Trailer
-from aces_bus.protocol.exchange import ImportedProtocol, load_database
-from aces_bus.protocol.exchange.export_wireshark import print_dissector
+from aces_bus.protocol import Crc, CutZeros, Protocol, Trailer
+from aces_bus.protocol.exchange import load_database, print_dissector
+from aces_bus.protocol.exchange.problems import ImportedProtocol
 from aces_bus.testing import laws
 from aces_bus.testing.source import spread
 from tests.protocol.test_export_wireshark import compare, needs_tshark, pcap_file, tshark

@@ -31,6 +31,7 @@ from construct import (
     this,
 )
 
+from aces_bus import as_dict
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import (
     BitLayout,
@@ -42,14 +43,13 @@ from aces_bus.protocol import (
     Protocol,
     Quantity,
     Record,
-    Reference,
-    as_dict,
     bits,
 )
-from aces_bus.protocol.draw import draw_text, field_table
-from aces_bus.protocol.exchange.export_dbc import print_dbc
-from aces_bus.protocol.exchange.export_wireshark import print_dissector
+from aces_bus.protocol.draw.table import field_table
+from aces_bus.protocol.draw.text import draw_text
+from aces_bus.protocol.exchange import print_dbc, print_dissector
 from aces_bus.protocol.generate.stubs import print_stub
+from aces_bus.protocol.reference import Reference
 from tests.tools.conftest import Aces
 from tests.tools.conftest import aces as aces
 

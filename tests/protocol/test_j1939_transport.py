@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from aces_bus import Frame
 from aces_bus.errors import FieldError, SpecError
-from aces_bus.frames import Frame
 from aces_bus.protocol import IdField, J1939Transport, Protocol
 from aces_bus.testing import laws
 from tests.specs.j1939_long import j1939_long

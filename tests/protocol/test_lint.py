@@ -22,8 +22,10 @@ from aces_bus.protocol import (
 )
 from aces_bus.protocol.declare.examples import parse_packet
 from aces_bus.protocol.files import load_file
-from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire
+from aces_bus.protocol.lint import check_protocol
 from aces_bus.protocol.lint.fields import is_unit, suggest
+from aces_bus.protocol.lint.finding import LEVELS, Finding
+from aces_bus.protocol.lint.templates import check_wire
 from tests.laws.wires import PROTOCOLS, REGISTERED
 
 

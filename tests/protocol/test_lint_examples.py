@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from construct import Array, Byte, Int16sb, Int16sl, Int16ul, Struct, this
 
+from aces_bus import as_dict, make_scanner
 from aces_bus.errors import SpecError
 from aces_bus.protocol import (
     AsciiInteger,
@@ -20,8 +21,6 @@ from aces_bus.protocol import (
     Quantity,
     Sum,
     Xor,
-    as_dict,
-    make_scanner,
 )
 from aces_bus.protocol.declare.examples import Example, parse_packet
 from aces_bus.protocol.lint import check_protocol

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import pytest
 
+from aces_bus import open_recording
 from aces_bus.errors import AcesError
 from aces_bus.protocol import Protocol
 from aces_bus.protocol.against import check_recordings
 from aces_bus.protocol.declare.message import Way
 from aces_bus.protocol.lint import check_protocol
-from aces_bus.recordings import open_recording
-from aces_bus.testing.fuzz import Fuzzer
+from aces_bus.testing import Fuzzer
 from tests.conftest import ROOT
 from tests.protocol.mutations import Mutation, declared, drawn, folder_of
 

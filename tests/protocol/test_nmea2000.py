@@ -10,9 +10,8 @@ from pathlib import Path
 import pytest
 from construct import GreedyBytes, Struct
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.protocol import FastPacket, IdField, Protocol, Unknown
+from aces_bus import Frame, FrameTable, Unknown
+from aces_bus.protocol import FastPacket, IdField, Protocol
 
 #: The fast packets among the golden files' parameter groups.
 FAST = (126208, 126720, 129029, 130817, 130823)

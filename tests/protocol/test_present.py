@@ -21,8 +21,8 @@ from construct import (
     this,
 )
 
+from aces_bus import Frame
 from aces_bus.errors import FieldError, SpecError
-from aces_bus.frames import Frame
 from aces_bus.protocol import BitLayout, Crc, Flags, Present, Protocol, Quantity, bits
 from aces_bus.testing import law_tests
 

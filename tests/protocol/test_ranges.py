@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 from construct import Byte, Int16sl, Struct
 
+from aces_bus import Frame, Unknown
 from aces_bus.errors import FieldError, SpecError
-from aces_bus.frames import Frame
-from aces_bus.protocol import BitLayout, IdField, Protocol, Quantity, Unknown, bits
+from aces_bus.protocol import BitLayout, IdField, Protocol, Quantity, bits
 from aces_bus.protocol.plan.flatten import _numbers  # pyright: ignore[reportPrivateUsage]  # a plan of a stream's head
 from aces_bus.testing import laws
 

@@ -11,19 +11,11 @@ from typing import Any
 import pytest
 from construct import Byte, GreedyRange, Int16sl, Struct
 
-from aces_bus.protocol import (
-    Enumeration,
-    Flags,
-    Multiplexed,
-    Protocol,
-    Quantity,
-    list_protocols,
-    load_protocol,
-    record_types,
-)
+from aces_bus import list_protocols, load_protocol
+from aces_bus.protocol import Enumeration, Flags, Multiplexed, Protocol, Quantity, Record, record_types
 from aces_bus.protocol.generate.load import records_of
 from aces_bus.protocol.generate.stubs import print_stub
-from aces_bus.protocol.record import Record, field_names
+from aces_bus.protocol.record import field_names
 from tests.specs.catalogue import SPECS
 
 INSTALLED = sorted(list_protocols())

@@ -32,9 +32,8 @@ from construct import (
     this,
 )
 
+from aces_bus import Frame, FrameTable, Unknown, as_dict, make_column_scanner, make_scanner
 from aces_bus.errors import CallerError, FieldError, SpecError
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
 from aces_bus.protocol import (
     BitLayout,
     CanScanner,
@@ -47,17 +46,13 @@ from aces_bus.protocol import (
     Multiplexed,
     Protocol,
     Quantity,
-    Reference,
     SignMagnitude,
-    StreamScanner,
-    Unknown,
-    as_dict,
     bits,
-    make_scanner,
 )
-from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.declare.packet import can_image
 from aces_bus.protocol.generate.stubs import print_stub
+from aces_bus.protocol.live.stream import StreamScanner
+from aces_bus.protocol.reference import Reference
 
 
 def _summed() -> Protocol:

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from aces_bus import Frame
 from aces_bus.errors import FieldError
-from aces_bus.frames import Frame
 from aces_bus.testing import laws
 from tests.specs.sdo_like import sdo_like
 

@@ -7,9 +7,9 @@ from typing import Any, cast
 import pytest
 from construct import GreedyBytes, Struct
 
+from aces_bus import Frame
 from aces_bus.device.carried_port import CarriedPort
 from aces_bus.errors import FieldError, SpecError
-from aces_bus.frames import Frame
 from aces_bus.protocol import Protocol, SdoTransfer
 from aces_bus.testing import laws
 from aces_tools.main import main

@@ -13,7 +13,8 @@ import pytest
 
 from aces_bus.errors import AcesError
 from aces_bus.protocol import Protocol
-from aces_bus.protocol.against import Observation, check_recordings
+from aces_bus.protocol.against import check_recordings
+from aces_bus.protocol.against.finding import Observation
 from aces_bus.protocol.files import protocol_of_file
 from aces_bus.protocol.lint import check_protocol
 from tests.protocol.slips import SLIPS, Slip, recording, sound

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from aces_bus import Frame
 from aces_bus.errors import SpecError
-from aces_bus.protocol import Frame, Protocol
+from aces_bus.protocol import Protocol
 
 HEAD = """\
 from construct import *

@@ -18,6 +18,7 @@ from construct import Byte, Bytes, Const, GreedyBytes, GreedyRange, Int16ub, Int
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import make_column_scanner, make_scanner
 from aces_bus.protocol import (
     Check,
     Counter,
@@ -27,19 +28,18 @@ from aces_bus.protocol import (
     InvertedSum,
     Multiplexed,
     Protocol,
-    Reference,
-    StreamScanner,
     Sum,
     Xor,
-    make_scanner,
 )
 from aces_bus.protocol.columns import stream as stream_columns
 from aces_bus.protocol.columns.checks import CrcColumns, done_alone
 from aces_bus.protocol.columns.packets import Batch
-from aces_bus.protocol.columns.scanner import RecordColumns, make_column_scanner
+from aces_bus.protocol.columns.scanner import RecordColumns
 from aces_bus.protocol.columns.stream import StreamColumns
 from aces_bus.protocol.columns.survey import Survey
 from aces_bus.protocol.columns.table import MessageTable, cells_of, packet_rows
+from aces_bus.protocol.live.stream import StreamScanner
+from aces_bus.protocol.reference import Reference
 from aces_protocols.minihubo_adc.spec import minihubo_adc
 from aces_protocols.nmea0183.spec import nmea0183
 from aces_protocols.robotis.spec import robotis

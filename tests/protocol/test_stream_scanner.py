@@ -8,20 +8,12 @@ from typing import Any
 import pytest
 from construct import Byte, Const, GreedyBytes, Int16ub, Struct, this
 
+from aces_bus import Frame, Unknown, make_column_scanner, make_scanner
 from aces_bus.errors import CallerError
-from aces_bus.protocol import (
-    Counter,
-    Crc,
-    Frame,
-    InvertedSum,
-    Protocol,
-    Reference,
-    StreamScanner,
-    Unknown,
-    make_scanner,
-)
-from aces_bus.protocol.columns.scanner import make_column_scanner
-from aces_bus.protocol.exchange.export_wireshark import print_dissector
+from aces_bus.protocol import Counter, Crc, InvertedSum, Protocol
+from aces_bus.protocol.exchange import print_dissector
+from aces_bus.protocol.live.stream import StreamScanner
+from aces_bus.protocol.reference import Reference
 from aces_protocols.robotis.spec import robotis
 
 

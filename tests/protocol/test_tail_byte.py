@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 from construct import GreedyBytes, Int32ul, Struct
 
+from aces_bus import Frame
 from aces_bus.errors import FieldError, SpecError
-from aces_bus.frames import Frame
 from aces_bus.protocol import Protocol, Reserved, TailByte
 from tests.specs.cyphal_like import cyphal_like
 from tests.specs.dronecan_like import dronecan_like, signature

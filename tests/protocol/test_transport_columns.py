@@ -10,15 +10,21 @@ import pytest
 from construct import Byte, GreedyBytes, Struct
 from msgspec.structs import replace
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.protocol import FastPacket, IdField, IsoTp, J1939Transport, Protocol, SdoTransfer, TailByte
+from aces_bus import Frame, FrameTable, make_column_scanner
+from aces_bus.protocol import (
+    FastPacket,
+    IdField,
+    IsoTp,
+    J1939Transport,
+    Protocol,
+    SdoTransfer,
+    TailByte,
+    Transport,
+)
 from aces_bus.protocol.columns.key_numbers import KeyNumbers, few_keys
-from aces_bus.protocol.columns.scanner import make_column_scanner
-from aces_bus.protocol.declare.transport import Transport
 from aces_bus.protocol.live.reassemble import Reassembler
+from aces_bus.testing import Scene
 from aces_bus.testing.columns import columns_difference
-from aces_bus.testing.scenes import Scene
 from aces_bus.testing.trial import reference_items, scanned_items
 
 WHO = IdField("who", range(4))

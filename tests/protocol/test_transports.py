@@ -7,24 +7,16 @@ from typing import Any
 import pytest
 from construct import Byte, Const, GreedyBytes, Int16ub, Struct
 
+from aces_bus import Frame, Unknown, make_scanner
 from aces_bus.errors import FieldError, SpecError
-from aces_bus.protocol import (
-    FastPacket,
-    Frame,
-    FrameKind,
-    FrameNumber,
-    IdField,
-    IsoTp,
-    Protocol,
-    Reference,
-    Transport,
-    Unknown,
-    make_scanner,
-)
-from aces_bus.protocol.against import check_recordings, suggest_examples
+from aces_bus.protocol import FastPacket, IdField, IsoTp, Protocol, Transport
+from aces_bus.protocol.against import check_recordings
+from aces_bus.protocol.against.suggest import suggest_examples
+from aces_bus.protocol.declare.transport import FrameKind, FrameNumber
+from aces_bus.protocol.exchange import print_source
 from aces_bus.protocol.exchange.dbc_signals import identified
-from aces_bus.protocol.exchange.export_source import print_source
 from aces_bus.protocol.lint.examples import failure
+from aces_bus.protocol.reference import Reference
 
 #: Parts of `python-can-isotp` 2's own tests and docs, or sent by it (ids 7E0 and 7E8 unless said).
 SENT: list[tuple[str, dict[str, Any], int, bytes, list[str]]] = [

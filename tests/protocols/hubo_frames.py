@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
-from aces_bus.frames import Frame
-from aces_bus.protocol import FlagSet, Scanner, Unknown, Variant, make_scanner
+from aces_bus import Frame, Unknown, make_scanner
+from aces_bus.protocol import FlagSet, Variant
+from aces_bus.protocol.live.scanner import Scanner
 from aces_protocols.hubo.spec import hubo
 
 DEFAULT = "D12@hubo2plus"

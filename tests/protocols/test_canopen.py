@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 
-from aces_bus import Frame
+from aces_bus import Frame, as_dict
 from aces_bus.errors import FieldError
-from aces_bus.protocol.record import as_dict
 from aces_protocols.canopen.records import Emergency, Heartbeat, SdoAborted, SdoUpload, Sync, Tpdo1
 from aces_protocols.canopen.spec import canopen
 

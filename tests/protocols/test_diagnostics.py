@@ -6,9 +6,8 @@ from typing import Any
 
 import pytest
 
+from aces_bus import Frame, Unknown, make_scanner
 from aces_bus.errors import FieldError
-from aces_bus.frames import Frame
-from aces_bus.protocol import Unknown, make_scanner
 from aces_protocols.obd2.spec import obd2
 from aces_protocols.uds.spec import uds
 

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus.protocol import Record, Unknown, as_dict, make_scanner
+from aces_bus import Unknown, as_dict, make_scanner
+from aces_bus.protocol import Record
 from aces_protocols.nmea0183.spec import nmea0183
 from aces_protocols.ubx.spec import ubx
 

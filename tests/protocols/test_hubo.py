@@ -9,8 +9,9 @@ from typing import Any
 import pytest
 from construct import Byte, Struct
 
+from aces_bus import make_scanner
 from aces_bus.errors import FieldError, SpecError, UnknownNameError
-from aces_bus.protocol import IdField, Protocol, Variant, make_scanner
+from aces_bus.protocol import IdField, Protocol, Variant
 from aces_protocols.hubo import spec
 from aces_protocols.hubo.spec import hubo
 from tests.protocols.hubo_frames import (

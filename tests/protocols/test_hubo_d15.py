@@ -6,9 +6,8 @@ from typing import Any
 
 import pytest
 
-from aces_bus import Frame
+from aces_bus import Frame, as_dict
 from aces_bus.errors import FieldError, UnknownNameError
-from aces_bus.protocol.record import as_dict
 from aces_protocols.hubo.records import EncoderD15, ForceTorqueD15, StatusD15, StatusShortD15
 from aces_protocols.hubo.spec import hubo
 

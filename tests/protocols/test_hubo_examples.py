@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from aces_bus.protocol import as_dict
+from aces_bus import as_dict
 from aces_protocols.hubo.spec import hubo
 from tests.protocols.hubo_frames import (
     DEFAULT,

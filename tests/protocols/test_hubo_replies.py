@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from aces_bus.protocol import as_dict
+from aces_bus import as_dict
 from aces_protocols.hubo.parameters import selectors
 from tests.protocols.hubo_frames import (
     DEFAULT,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from aces_bus import Unknown
 from aces_bus.errors import FieldError
-from aces_bus.protocol import StreamScanner, Unknown
+from aces_bus.protocol.live.stream import StreamScanner
 from aces_protocols.hubovia.records import Joint
 from aces_protocols.hubovia.spec import hubovia
 

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import Unknown
 from aces_bus.errors import FieldError
-from aces_bus.protocol import StreamScanner, Unknown
+from aces_bus.protocol.live.stream import StreamScanner
 from aces_protocols.minihubo_adc.spec import minihubo_adc
 
 FRAME = bytes.fromhex("FF FF 09 0B 0A F1 08 03")

@@ -6,8 +6,11 @@ from typing import Any
 
 import pytest
 
+from aces_bus import as_dict
 from aces_bus.errors import SpecError
-from aces_bus.protocol import Protocol, Reference, StreamScanner, as_dict
+from aces_bus.protocol import Protocol
+from aces_bus.protocol.live.stream import StreamScanner
+from aces_bus.protocol.reference import Reference
 from aces_protocols.modbus.spec import GAP, modbus
 
 READ = bytes.fromhex("09 03 00 B4 00 06 84 A6")

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from aces_bus import Frame
 from aces_bus.errors import FieldError
-from aces_bus.frames import Frame
 from aces_protocols.moteus.spec import moteus
 from aces_protocols.moteus.subframes import register_values
 

@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 
+from aces_bus import Unknown
 from aces_bus.errors import FieldError
-from aces_bus.protocol import StreamScanner, Unknown
+from aces_bus.protocol.live.stream import StreamScanner
 from aces_protocols.pololu_qik.records import (
     Coast,
     Configuration,

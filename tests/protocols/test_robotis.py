@@ -11,8 +11,9 @@ from typing import Any, Literal
 
 import pytest
 
+from aces_bus import Unknown, as_dict
 from aces_bus.errors import CallerError, FieldError, UnknownNameError
-from aces_bus.protocol import StreamScanner, Unknown, as_dict
+from aces_bus.protocol.live.stream import StreamScanner
 from aces_protocols.robotis import spec
 from aces_protocols.robotis.spec import control_table, robotis
 

@@ -18,8 +18,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aces_bus.protocol import Protocol, Reference, ScanCounts, Unknown, as_dict, make_scanner
-from aces_bus.recordings import open_recording
+from aces_bus import Unknown, as_dict, make_scanner, open_recording
+from aces_bus.protocol import Protocol
+from aces_bus.protocol.counts import ScanCounts
+from aces_bus.protocol.reference import Reference
 from aces_protocols.minihubo_adc.spec import minihubo_adc
 from aces_protocols.robotis.spec import robotis
 

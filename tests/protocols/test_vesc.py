@@ -8,8 +8,7 @@ from typing import Any
 import anycrc
 import pytest
 
-from aces_bus.frames import Frame
-from aces_bus.protocol import Unknown
+from aces_bus import Frame, Unknown
 from aces_protocols.vesc.buffers import Buffers, can_pieces, check_of
 from aces_protocols.vesc.spec import vesc
 from aces_protocols.vesc_uart.packets import PacketReader, framed, packet_of

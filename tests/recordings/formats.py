@@ -10,9 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.recordings import CanRecording, Chunk, SerialRecording
+from aces_bus import Frame, FrameTable
+from aces_bus.recordings.base import CanRecording, Chunk, SerialRecording
 from aces_bus.recordings.write import open_writer
 
 #: What recordings made by our writers hold.

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import FD_LENGTHS, Frame
+from aces_bus import Frame, FrameTable
+from aces_bus.frames import FD_LENGTHS
 from aces_lab.formats.mf4 import blocks as mdf
 from aces_lab.formats.mf4.writer import Mf4Writer
 

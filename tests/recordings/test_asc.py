@@ -15,9 +15,9 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import FD_LENGTHS, Frame
-from aces_bus.recordings import CanRecording, open_recording
+from aces_bus import Frame, FrameTable, open_recording
+from aces_bus.frames import FD_LENGTHS
+from aces_bus.recordings.base import CanRecording
 from aces_lab.formats.asc import date_ns
 from tests.recordings.formats import accounted
 

@@ -17,9 +17,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import Frame, open_recording
 from aces_bus.errors import CaptureError
-from aces_bus.frames import FD_LENGTHS, Frame
-from aces_bus.recordings import CanRecording, open_recording
+from aces_bus.frames import FD_LENGTHS
+from aces_bus.recordings.base import CanRecording
 
 GOOD = b"(1436509052.249713) can0 044#2A366C2BBA\n"
 T = 1436509052.249713

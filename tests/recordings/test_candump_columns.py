@@ -18,9 +18,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import Frame, FrameTable
 from aces_bus.errors import CallerError, CaptureError
-from aces_bus.frame_table import NO_TIME, Channels, FrameTable, to_ns
-from aces_bus.frames import FD_LENGTHS, Frame
+from aces_bus.frame_table import NO_TIME, Channels, to_ns
+from aces_bus.frames import FD_LENGTHS
 from aces_bus.recordings.candump import columns as candump_columns
 from aces_bus.recordings.candump import reader as candump
 from aces_bus.recordings.candump.reader import CandumpCapture

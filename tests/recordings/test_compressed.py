@@ -16,8 +16,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import open_recording
 from aces_bus.errors import CaptureError
-from aces_bus.recordings import CanRecording, SerialRecording, open_recording
+from aces_bus.recordings.base import CanRecording, SerialRecording
 from aces_bus.recordings.source import BLOCK, ByteSource
 from aces_bus.recordings.unpack import may_be_packed, packing
 
@@ -239,7 +240,7 @@ def test_few_bytes_may_become_packed_ones(head: bytes) -> None:
 def test_standard_input_may_be_packed() -> None:
     """`aces decode … - < walk.log.gz`, also through a pipe."""
     program = (
-        "from aces_bus.recordings import open_recording\n"
+        "from aces_bus import open_recording\n"
         "capture = open_recording('-', link='can')\n"
         "print(sum(map(len, capture.tables())), capture.live)\n"
     )

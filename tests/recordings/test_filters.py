@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import Frame
 from aces_bus.errors import CallerError
-from aces_bus.frames import Frame
-from aces_bus.recordings import parse_filter
+from aces_bus.recordings.filters import parse_filter
 
 STANDARD = Frame(0x123, channel="can0")
 EXTENDED = Frame(0x123, channel="can0", is_extended_id=True)

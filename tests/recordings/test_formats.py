@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from aces_bus import Frame, FrameTable, open_recording
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.recordings import CanRecording, SerialRecording, formats, open_recording
+from aces_bus.recordings.base import CanRecording, SerialRecording
+from aces_bus.recordings.open import formats
 from aces_bus.recordings.text import rows as _rows
 from tests.recordings.formats import ELSEWHERE, SAMPLES, Sample, accounted
 

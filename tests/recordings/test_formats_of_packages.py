@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from aces_bus import open_recording
 from aces_bus.errors import CaptureError
 from aces_bus.plugins import installed_items
-from aces_bus.recordings import formats, open_recording
+from aces_bus.recordings.open import formats
 from aces_bus.recordings.write import open_writer, writer_formats
 
 THEIRS = """

@@ -6,8 +6,8 @@ import io
 
 import pytest
 
+from aces_bus import open_recording
 from aces_bus.errors import CaptureError
-from aces_bus.recordings.open import open_recording
 from tests.counting import calls
 from tests.recordings.formats import SAMPLES, Sample
 

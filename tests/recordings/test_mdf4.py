@@ -21,10 +21,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from aces_bus import Frame, FrameTable, open_recording
 from aces_bus.errors import CaptureError
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.recordings import open_recording
 from aces_bus.recordings.source import ByteSource
 from aces_lab.formats.mf4 import arrays as mdf4
 from aces_lab.formats.mf4 import blocks as mdf

@@ -20,10 +20,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from aces_bus import Frame, FrameTable, open_recording
 from aces_bus.errors import CaptureError
-from aces_bus.frame_table import Channels, FrameTable
-from aces_bus.frames import FD_LENGTHS, Frame
-from aces_bus.recordings import open_recording
+from aces_bus.frame_table import Channels
+from aces_bus.frames import FD_LENGTHS
 from aces_bus.recordings.merge import KeyedTable, merge_by_key
 from aces_bus.recordings.source import ByteSource
 from aces_lab.formats.mf4 import child as child

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from aces_bus.frames import FD_LENGTHS, Frame
+from aces_bus import Frame
+from aces_bus.frames import FD_LENGTHS
 from aces_lab.formats.mf4 import arrays as mdf4
 from aces_lab.formats.mf4 import data as _mdf_data
 from aces_lab.formats.mf4.blocks import HD_AT

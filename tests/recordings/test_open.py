@@ -11,8 +11,10 @@ from typing import Any
 
 import pytest
 
+from aces_bus import open_recording
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
-from aces_bus.recordings import CanRecording, Link, SerialRecording, formats, open_recording
+from aces_bus.recordings.base import CanRecording, Link, SerialRecording
+from aces_bus.recordings.open import formats
 
 LOG = b"(1436509052.249713) can0 044#2A366C2BBA\n"
 DUMP = b'Port opened by process "DXCONF.exe" (PID: 2568)\n\n FF FF   \xc3\xbf\xc3\xbf\n\nPort closed\n'
@@ -242,7 +244,7 @@ def test_reading_that_fails_is_a_capture_error() -> None:
 def test_standard_input_is_a_source() -> None:
     """`candump can0 | aces decode … -`."""
     program = (
-        "from aces_bus.recordings import open_recording\n"
+        "from aces_bus import open_recording\n"
         "for frame in open_recording('-', link='can'): print(frame.channel, hex(frame.arbitration_id))\n"
     )
     root = Path(__file__).resolve().parents[2]

@@ -11,10 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import Frame, FrameTable, open_recording
 from aces_bus.errors import CaptureError
-from aces_bus.frame_table import NO_TIME, Channels, FrameTable
-from aces_bus.frames import FD_LENGTHS, Frame
-from aces_bus.recordings import CanRecording, open_recording
+from aces_bus.frame_table import NO_TIME, Channels
+from aces_bus.frames import FD_LENGTHS
+from aces_bus.recordings.base import CanRecording
 from aces_lab.formats.pcap.writer import PcapngWriter
 
 BIG_ENDIAN, LITTLE_ENDIAN = ">", "<"

@@ -13,9 +13,8 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import FD_LENGTHS, Frame
-from aces_bus.recordings import open_recording
+from aces_bus import Frame, FrameTable, open_recording
+from aces_bus.frames import FD_LENGTHS
 from aces_bus.recordings.write import open_writer
 
 #: Suffix, python-can's writer and reader, and the reader's options.

@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import FD_LENGTHS, Frame
-from aces_bus.recordings import open_recording
+from aces_bus import Frame, FrameTable, open_recording
+from aces_bus.frames import FD_LENGTHS
 from aces_bus.recordings.write import open_writer
 
 if importlib.util.find_spec("scapy") is None:

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from aces_bus.recordings import Chunk, SerialRecording, open_recording
+from aces_bus import open_recording
+from aces_bus.recordings.base import Chunk, SerialRecording
 
 OPENED = b'Port opened by process "DXCONF.exe" (PID: 2568)\n\n'
 CLOSED = b"\nPort closed\n\n"

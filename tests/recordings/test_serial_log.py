@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import open_recording
 from aces_bus.errors import CaptureError
-from aces_bus.recordings import Chunk, SerialRecording, open_recording
+from aces_bus.recordings.base import Chunk, SerialRecording
 from aces_bus.recordings.write.serial import SerialLogWriter
 
 LOG = b"""# aces serial capture 1

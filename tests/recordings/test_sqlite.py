@@ -13,11 +13,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import Frame, open_recording
 from aces_bus.errors import CaptureError
 from aces_bus.frame_table import ns_of, to_ns
-from aces_bus.frames import FD_LENGTHS, Frame
-from aces_bus.recordings import CanRecording, open_recording
+from aces_bus.frames import FD_LENGTHS
 from aces_bus.recordings import sqlite as reader
+from aces_bus.recordings.base import CanRecording
 
 SCHEMA = (
     "CREATE TABLE messages (ts REAL, arbitration_id INTEGER, extended INTEGER, remote INTEGER, error INTEGER,"

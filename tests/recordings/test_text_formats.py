@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import Frame, FrameTable, open_recording
 from aces_bus.errors import CaptureError
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import FD_LENGTHS, Frame
-from aces_bus.recordings import CanRecording, open_recording
+from aces_bus.frames import FD_LENGTHS
+from aces_bus.recordings.base import CanRecording
 from tests.recordings.formats import SAMPLES, Sample, accounted
 
 

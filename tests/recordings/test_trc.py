@@ -11,9 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.recordings import CanRecording, open_recording
+from aces_bus import Frame, FrameTable, open_recording
+from aces_bus.recordings.base import CanRecording
 from tests.recordings.formats import accounted
 
 DAY = 86_400_000_000_000

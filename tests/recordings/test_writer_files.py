@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import Frame, FrameTable, open_recording
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.recordings import Chunk, formats, open_recording
+from aces_bus.recordings.base import Chunk
+from aces_bus.recordings.open import formats
 from aces_bus.recordings.write import open_writer, writer_format, writer_formats
 
 

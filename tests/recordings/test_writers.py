@@ -23,6 +23,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from aces_bus import Frame, FrameTable, open_recording
 from aces_bus.errors import CallerError
 from aces_bus.frame_table import (
     BITRATE_SWITCH,
@@ -34,11 +35,10 @@ from aces_bus.frame_table import (
     RX,
     TX,
     Channels,
-    FrameTable,
     ns_of,
 )
-from aces_bus.frames import FD_LENGTHS, Frame
-from aces_bus.recordings import formats, open_recording
+from aces_bus.frames import FD_LENGTHS
+from aces_bus.recordings.open import formats
 from aces_bus.recordings.write import open_writer, writer_formats
 from aces_bus.recordings.write.base import ChannelNumbers, WrittenChannels
 

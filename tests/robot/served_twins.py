@@ -21,13 +21,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from aces_bus import load_robot
-from aces_bus.frames import Frame
-from aces_bus.hardware import CanGate, port_of
+from aces_bus import Frame, load_robot
+from aces_bus.hardware import CanGate
+from aces_bus.hardware.ports import port_of
 from aces_bus.hardware.served.channel import ServedChannel
 from aces_bus.hardware.served.server import BusServer
-from aces_bus.robot import simulate
-from aces_bus.runtime import Loop
+from aces_bus.robot.rig import simulate
+from aces_bus.runtime.loop import Loop
 from tests.robot.walking import hubo_leg
 
 #: A limit that a machine twenty times slower keeps, too.

@@ -20,7 +20,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from aces_bus.controller import parse_reactions
+from aces_bus.controller.reactions import parse_reactions
 from aces_bus.controller.trip import Action
 from aces_bus.errors import CallerError
 from aces_bus.robot import Runner, run_virtual

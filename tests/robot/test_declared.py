@@ -12,7 +12,9 @@ from aces_bus.access import UdpStates
 from aces_bus.controller import controller
 from aces_bus.device import Robot
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
-from aces_bus.robot import States, VirtualRobot, parse_robot, print_robot, run_virtual
+from aces_bus.robot import VirtualRobot, parse_robot, run_virtual
+from aces_bus.robot.file import print_robot
+from aces_bus.robot.states import States
 from aces_bus.state import Kalman
 from tests.device.fan import ROBOT, drivers, robot_of
 

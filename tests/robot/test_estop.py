@@ -15,13 +15,15 @@ from typing import Any
 
 import pytest
 
+from aces_bus import load_protocol
 from aces_bus.controller import IGNORE, Controller
 from aces_bus.device.config import Input
 from aces_bus.errors import AcesError, CallerError, DeviceError
 from aces_bus.hardware.ports import port_of
-from aces_bus.protocol import load_protocol
-from aces_bus.robot import ActLog, Rig, Runner, VirtualRobot, parse_robot, print_robot, run_virtual
+from aces_bus.robot import ActLog, Runner, VirtualRobot, parse_robot, run_virtual
 from aces_bus.robot.estop import objection
+from aces_bus.robot.file import print_robot
+from aces_bus.robot.rig import Rig
 from aces_tools.main import main
 
 CELL = """

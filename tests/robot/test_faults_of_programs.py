@@ -10,9 +10,12 @@ import pytest
 
 from aces_bus.controller import IGNORE, Controller, stop
 from aces_bus.controller.base import known_value
-from aces_bus.hardware import CanGate, port_of
-from aces_bus.robot import Runner, VirtualRobot, run_real, run_virtual, simulate
-from aces_bus.runtime import Loop, VirtualClock
+from aces_bus.hardware import CanGate
+from aces_bus.hardware.ports import port_of
+from aces_bus.robot import Runner, VirtualRobot, run_real, run_virtual
+from aces_bus.robot.rig import simulate
+from aces_bus.runtime import VirtualClock
+from aces_bus.runtime.loop import Loop
 from tests.device.fan import ROBOT, drivers, robot_of
 from tests.robot.walking import (
     HUBO,

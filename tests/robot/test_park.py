@@ -11,9 +11,11 @@ import pytest
 
 from aces_bus.controller import controller
 from aces_bus.controller.trip import Action
-from aces_bus.device.config import Park, Robot
+from aces_bus.device import Robot
+from aces_bus.device.config import Park
 from aces_bus.errors import CallerError
-from aces_bus.robot import Ended, Runner, parse_robot, print_robot, run_virtual
+from aces_bus.robot import Ended, Runner, parse_robot, run_virtual
+from aces_bus.robot.file import print_robot
 from tests.robot.walking import hubo_leg
 
 POSE = {"RKN": 0.1, "RHP": -0.1}

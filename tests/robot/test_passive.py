@@ -11,11 +11,11 @@ from msgspec.structs import replace
 
 from aces_bus import load_robot
 from aces_bus.controller import controller
+from aces_bus.device import UNKNOWN
 from aces_bus.errors import CallerError, DeviceError
-from aces_bus.hardware.simulated.bus import ListeningNode
+from aces_bus.hardware import ListeningNode
 from aces_bus.robot import VirtualRobot, connect, open_gates, run_real
-from aces_bus.runtime import Loop
-from aces_bus.state import UNKNOWN
+from aces_bus.runtime.loop import Loop
 from tests.device.fan import ROBOT, drivers, robot_of
 
 
@@ -83,8 +83,9 @@ def test_a_run_looks_on_beside_a_master() -> None:
         seen.append(states["A.left"][0])
         return {"A.left": 300.0}
 
-    from aces_bus.hardware import CanGate, port_of
-    from aces_bus.robot import simulate
+    from aces_bus.hardware import CanGate
+    from aces_bus.hardware.ports import port_of
+    from aces_bus.robot.rig import simulate
 
     with Loop() as loop, simulate(robot, {"line": port_of(CanGate(options), loop)}, load=drivers):
         ports = open_gates(robot, loop, {"line": options}, load=drivers)
@@ -126,7 +127,7 @@ def test_an_allow_list_is_the_robots_files() -> None:
     with Loop() as loop:
         (port,) = open_gates(robot_of(text), loop, load=drivers).values()
         allow = port._gate.allow  # type: ignore[attr-defined]
-    from aces_bus.frames import Frame
+    from aces_bus import Frame
     from aces_bus.robot import parse_robot
 
     assert [allow.matches(Frame(number, b"")) for number in (0x101, 0x111)] == [True, False]

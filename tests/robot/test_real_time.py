@@ -13,9 +13,11 @@ import pytest
 
 from aces_bus import load_robot
 from aces_bus.controller import IGNORE, Player, Trajectory
-from aces_bus.hardware import CanGate, port_of
-from aces_bus.robot import run_real, simulate
-from aces_bus.runtime import Loop
+from aces_bus.hardware import CanGate
+from aces_bus.hardware.ports import port_of
+from aces_bus.robot import run_real
+from aces_bus.robot.rig import simulate
+from aces_bus.runtime.loop import Loop
 
 SECONDS = float(os.environ.get("ACES_REAL_SECONDS", "60"))
 RATE = 200.0

@@ -7,22 +7,16 @@ from typing import Any
 
 import pytest
 
+from aces_bus import Frame
 from aces_bus.controller import IGNORE, Controller, controller
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.frames import Frame
-from aces_bus.hardware import CanGate, ListeningNode, port_of
-from aces_bus.robot import (
-    Replay,
-    States,
-    VirtualRobot,
-    connect,
-    parse_robot,
-    run_real,
-    run_replay,
-    run_virtual,
-    simulate,
-)
-from aces_bus.runtime import Loop
+from aces_bus.hardware import CanGate, ListeningNode
+from aces_bus.hardware.ports import port_of
+from aces_bus.robot import VirtualRobot, connect, parse_robot, run_real, run_replay, run_virtual
+from aces_bus.robot.rig import simulate
+from aces_bus.robot.states import States
+from aces_bus.robot.worlds import Replay
+from aces_bus.runtime.loop import Loop
 from aces_devices.dynamixel import EXAMPLE as DYNAMIXEL
 from tests.device.fan import ROBOT, drivers, robot_of
 

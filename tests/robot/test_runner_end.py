@@ -12,13 +12,17 @@ from typing import Any
 import pytest
 
 from aces_bus import load_robot
-from aces_bus.controller import IGNORE, Controller, Reaction, stop
+from aces_bus.controller import IGNORE, Controller, stop
+from aces_bus.controller.reactions import Reaction
 from aces_bus.device import Job, Steps
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError
-from aces_bus.hardware import CanGate, port_of
-from aces_bus.robot import Runner, run_real, run_virtual, simulate
+from aces_bus.hardware import CanGate
+from aces_bus.hardware.ports import port_of
+from aces_bus.robot import Runner, run_real, run_virtual
+from aces_bus.robot.rig import simulate
 from aces_bus.robot.run_end import in_time
-from aces_bus.runtime import Loop, VirtualClock
+from aces_bus.runtime import VirtualClock
+from aces_bus.runtime.loop import Loop
 from tests.device.fan import ROBOT, drivers, robot_of
 from tests.interpreted import replaces_methods
 
@@ -524,7 +528,7 @@ def test_a_stop_that_cannot_begin_names_every_device(
 @replaces_methods
 def test_a_stop_that_was_interrupted_is_begun_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C while a stop begins comes out, and nobody counts as not stopped who was stopped after it."""
-    from aces_bus.device import stop_devices
+    from aces_bus.device.stopping import stop_devices
 
     raised = [KeyboardInterrupt()]
 

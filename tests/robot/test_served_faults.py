@@ -16,7 +16,7 @@ import pytest
 from aces_bus.controller import stop
 from aces_bus.errors import AcesError
 from aces_bus.robot import Runner, connect, open_gates
-from aces_bus.runtime import Loop
+from aces_bus.runtime.loop import Loop
 from tests.robot.served_twins import PATIENCE_S, Twins
 from tests.robot.test_served_stops import BOARDS, Leg, give_time, run_on
 from tests.robot.test_served_stops import patience as patience

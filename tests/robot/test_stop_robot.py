@@ -13,23 +13,17 @@ from typing import Any
 import pytest
 
 from aces_bus.controller import IGNORE, controller
-from aces_bus.device import Device, Driver, list_drivers, load_driver, stop_devices
-from aces_bus.device.stopping import can_be_stopped
+from aces_bus.device import Device, Driver, load_driver
+from aces_bus.device.drivers import list_drivers
+from aces_bus.device.stopping import can_be_stopped, stop_devices
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError
-from aces_bus.hardware import CanGate, port_of
-from aces_bus.robot import (
-    Rig,
-    VirtualRobot,
-    connect,
-    parse_robot,
-    run_real,
-    run_virtual,
-    simulate,
-    stop_robot,
-)
+from aces_bus.hardware import CanGate
+from aces_bus.hardware.ports import port_of
+from aces_bus.robot import VirtualRobot, connect, parse_robot, run_real, run_virtual, stop_robot
 from aces_bus.robot.exits import stop_at_exit, stop_forgotten
 from aces_bus.robot.file import print_robot
-from aces_bus.runtime import Loop
+from aces_bus.robot.rig import Rig, simulate
+from aces_bus.runtime.loop import Loop
 from tests.robot.served_twins import PATIENCE_S, Twins
 from tests.robot.walking import hubo_leg
 

@@ -17,14 +17,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from aces_bus import load_robot
-from aces_bus.controller import ControlEvent, Controller, parse_reactions
+from aces_bus import load_robot, make_scanner
+from aces_bus.controller import ControlEvent, Controller
+from aces_bus.controller.reactions import parse_reactions
 from aces_bus.controller.trip import Action
-from aces_bus.device import Bus, DeviceConfig, Robot
-from aces_bus.device.config import Input
+from aces_bus.device import Robot
+from aces_bus.device.config import Bus, DeviceConfig, Input
 from aces_bus.errors import CallerError
 from aces_bus.hardware import ListeningNode
-from aces_bus.protocol import make_scanner
 from aces_bus.robot import Runner, VirtualRobot, run_virtual
 from aces_bus.robot.checks import KINDS_OF_FAULTS
 from aces_bus.robot.rig import bus_variants

@@ -23,9 +23,9 @@ from aces_bus.controller import (
     Trajectory,
     Transition,
     degrade,
-    parse_reactions,
     stop,
 )
+from aces_bus.controller.reactions import parse_reactions
 from aces_bus.errors import NotStoppedError, UnknownNameError
 from aces_bus.robot import Ended, Runner, run_virtual
 from aces_bus.robot.checks import KINDS_OF_FAULTS

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from aces_bus.controller import controller
-from aces_bus.device import Robot
-from aces_bus.device.reading import UNKNOWN
+from aces_bus.device import UNKNOWN, Robot
 from aces_bus.errors import CallerError
 from aces_bus.robot import VirtualRobot, parse_robot, run_virtual
 

@@ -14,7 +14,8 @@ from aces_bus import load_robot
 from aces_bus.controller import Controller
 from aces_bus.controller.base import known_value
 from aces_bus.device import Robot
-from aces_bus.robot import Ended, Runner, VirtualRobot, run_virtual, simulate
+from aces_bus.robot import Ended, Runner, VirtualRobot, run_virtual
+from aces_bus.robot.rig import simulate
 
 MS = 1_000_000
 CYCLE = 10 * MS

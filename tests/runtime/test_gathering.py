@@ -11,11 +11,12 @@ from typing import Any
 
 import pytest
 
-from aces_bus.frames import Frame
-from aces_bus.hardware import CanGate, port_of
+from aces_bus import Frame
+from aces_bus.hardware import CanGate
+from aces_bus.hardware.ports import port_of
 from aces_bus.hardware.served import packets
 from aces_bus.robot import connect
-from aces_bus.runtime import Loop
+from aces_bus.runtime.loop import Loop
 from tests.device.fan import ROBOT, drivers, fan, robot_of
 
 US = 1_000

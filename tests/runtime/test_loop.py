@@ -9,8 +9,10 @@ from functools import partial
 import pytest
 
 from aces_bus.errors import CallerError
-from aces_bus.runtime import EventClock, Loop, VirtualClock
+from aces_bus.runtime import VirtualClock
 from aces_bus.runtime import loop as loop_module
+from aces_bus.runtime.clock import EventClock
+from aces_bus.runtime.loop import Loop
 
 
 @pytest.mark.parametrize("kind", [Loop, VirtualClock])

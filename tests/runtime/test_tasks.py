@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from aces_bus.errors import CallerError
-from aces_bus.runtime import RealClock, Task, ThreadTasks, VirtualClock, VirtualTasks
+from aces_bus.runtime import RealClock, ThreadTasks, VirtualClock
+from aces_bus.runtime.tasks import Task, VirtualTasks
 
 
 def test_virtual_components_tick_exactly() -> None:

@@ -20,17 +20,19 @@ import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import can
 import msgspec
 import pytest
 
+from aces_bus import Frame, open_recording
 from aces_bus.errors import CallerError
-from aces_bus.frames import Frame
-from aces_bus.hardware import BusEvent, CanGate, Received
+from aces_bus.hardware import CanGate
 from aces_bus.hardware.backends import SocketcanReader
-from aces_bus.recordings import open_recording, parse_filter
+from aces_bus.hardware.gate import Received
+from aces_bus.hardware.gate_events import BusEvent
+from aces_bus.recordings.filters import parse_filter
 
 NAMED = os.environ.get("ACES_SOCKETCAN", "")
 pytestmark = pytest.mark.skipif(not NAMED, reason="real SocketCAN: run `make test-socketcan`")
@@ -288,7 +290,7 @@ def test_the_gate_tells_what_the_kernel_dropped(wire: socket.socket) -> None:
     """As an event, and in its counters."""
     with CanGate(OPTIONS) as gate:
         seen, inbox = Seen(gate), gate.subscribe()
-        gate._bus.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        cast(Any, gate._bus).socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         held, go_on = threading.Event(), threading.Event()
 
         def hold(frame: Frame) -> bool:  # the receive thread, in the middle of its work

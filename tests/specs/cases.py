@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from aces_bus.frames import Frame
+from aces_bus import Frame
 
 
 @dataclass(frozen=True)

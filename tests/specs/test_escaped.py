@@ -20,9 +20,10 @@ from construct import (
     this,
 )
 
+from aces_bus import Unknown
 from aces_bus.errors import FieldError, SpecError
-from aces_bus.protocol import Escaped, Protocol, Slip, Sum, Unknown
-from aces_bus.protocol.explain import Tracer
+from aces_bus.protocol import Escaped, Protocol, Slip, Sum
+from aces_bus.protocol.explain.tracer import Tracer
 from aces_bus.protocol.reference import Reference
 from tests.specs.xbus_like import xbus_like
 

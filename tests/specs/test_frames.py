@@ -6,9 +6,10 @@ from typing import Any
 
 import pytest
 
+from aces_bus import Frame, Unknown, as_dict, make_scanner
 from aces_bus.errors import FieldError
-from aces_bus.frames import Frame
-from aces_bus.protocol import CanScanner, Crc, Reference, Unknown, as_dict, make_scanner
+from aces_bus.protocol import CanScanner, Crc
+from aces_bus.protocol.reference import Reference
 from tests.specs.automotive import automotive
 from tests.specs.cases import FRAMES, Case
 from tests.specs.catalogue import SPECS

@@ -6,9 +6,12 @@ from typing import Any
 
 import pytest
 
+from aces_bus import Unknown, as_dict
 from aces_bus.errors import FieldError
-from aces_bus.protocol import Cobs, Insert, Protocol, Reference, Slip, StreamScanner, Unknown, as_dict
+from aces_bus.protocol import Cobs, Insert, Protocol, Slip
 from aces_bus.protocol.declare.stuffing import Stuffing
+from aces_bus.protocol.live.stream import StreamScanner
+from aces_bus.protocol.reference import Reference
 from aces_protocols.nmea0183.spec import nmea0183
 from tests.specs.cobs import cobs
 from tests.specs.dynamixel2 import dynamixel2

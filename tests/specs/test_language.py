@@ -8,20 +8,11 @@ from operator import xor
 import pytest
 from construct import Byte, Const, GreedyRange, If, Int16ul, Int32ul, Struct, this
 
+from aces_bus import Frame, Unknown, as_dict
 from aces_bus.errors import FieldError, SpecError
-from aces_bus.frames import Frame
-from aces_bus.protocol import (
-    Crc,
-    Extra,
-    IdField,
-    Multiplexed,
-    Protocol,
-    StreamScanner,
-    Unknown,
-    Xor,
-    as_dict,
-)
+from aces_bus.protocol import Crc, Extra, IdField, Multiplexed, Protocol, Xor
 from aces_bus.protocol.declare.checks import xor_of
+from aces_bus.protocol.live.stream import StreamScanner
 
 
 def test_a_captured_part_may_have_names() -> None:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import pytest
 from construct import Byte, Float32l, Int8sl, Int16sl, Int16ul, Int32ul, Int64ul, Struct
 
+from aces_bus import Frame, FrameTable
 from aces_bus.errors import FieldError, SpecError
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
 from aces_bus.protocol import BitLayout, Protocol, Quantity, SignMagnitude, bits, top
-from aces_bus.protocol.exchange.export_dbc import print_dbc
+from aces_bus.protocol.exchange import print_dbc
 from aces_bus.protocol.lint import check_protocol
 from aces_bus.protocol.reference import Reference
 

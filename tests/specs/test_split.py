@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import BitLayout, Protocol, Quantity, SignMagnitude, Split, bits
-from aces_bus.testing.fuzz import Fuzzer
+from aces_bus.testing import Fuzzer
 
 #: Pieces of 3 or 4 whole bytes: whole ones in an order of their own, and nibbles.
 PIECES = [

@@ -7,7 +7,10 @@ from typing import Any
 
 import pytest
 
-from aces_bus.protocol import Protocol, Reference, StreamScanner, Unknown, as_dict, make_scanner
+from aces_bus import Unknown, as_dict, make_scanner
+from aces_bus.protocol import Protocol
+from aces_bus.protocol.live.stream import StreamScanner
+from aces_bus.protocol.reference import Reference
 from tests.specs.cases import STREAMS, Case
 from tests.specs.catalogue import SPECS
 

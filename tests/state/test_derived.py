@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus.device import UNKNOWN
 from aces_bus.runtime import RealClock, VirtualClock
-from aces_bus.state import UNKNOWN, ConstantVelocity, LowPass, State, StateError, derived
+from aces_bus.state import ConstantVelocity, LowPass, State, StateError, derived
 from aces_bus.state.units import are_same, multiplied, raise_unit
 
 from .feeding import MS, S, accumulated, fed, instants, made, sine

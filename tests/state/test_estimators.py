@@ -12,8 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus.device import UNKNOWN
 from aces_bus.runtime import VirtualClock
-from aces_bus.state import UNKNOWN, ConstantAcceleration, ConstantVelocity, Hold, Kalman, State, StateError
+from aces_bus.state import ConstantAcceleration, ConstantVelocity, Hold, Kalman, State, StateError
 
 from .feeding import MS, S, fed, instants, made
 

@@ -14,9 +14,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus.device import UNKNOWN
 from aces_bus.device.signals import Signal
 from aces_bus.runtime import RealClock, VirtualClock
-from aces_bus.state import UNKNOWN, ConstantVelocity, Estimation, Kalman, State, StateError
+from aces_bus.state import ConstantVelocity, Kalman, State, StateError
+from aces_bus.state.estimators import Estimation
 
 from .feeding import MS, S, fed, instants, made
 

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from aces_bus.protocol import Protocol, StreamScanner
+from aces_bus.protocol import Protocol
 from aces_bus.protocol.columns import rows
 from aces_bus.protocol.counts import ScanCounts
 from aces_bus.protocol.generate import load
@@ -24,6 +24,7 @@ from aces_bus.protocol.live import can, find, stream
 from aces_bus.protocol.live import decide as decider
 from aces_bus.protocol.live.candidates import Segments
 from aces_bus.protocol.live.context import Context
+from aces_bus.protocol.live.stream import StreamScanner
 from tests.testing.victims import (
     a_bus,
     a_line,

@@ -8,11 +8,10 @@ from typing import Any, ClassVar
 
 from construct import Byte, GreedyBytes, Int16sl, Int16ul, Struct, this
 
-from aces_bus.device import Device, Driver, Job, Poll, Twin, on, signal
-from aces_bus.device.ticket import Steps
+from aces_bus.device import Device, Driver, Job, Poll, Steps, Twin, on, signal
 from aces_bus.errors import DeviceError
 from aces_bus.protocol import Enumeration, IdField, InvertedSum, Protocol, Quantity
-from aces_bus.runtime import Timer
+from aces_bus.runtime.clock import Timer
 from aces_lab.device_fuzz.trial import Expectations
 
 #: Without a set-point for so long (ns) the pump stops.

@@ -9,13 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus import plugins
+from aces_bus import list_robots, plugins
 from aces_bus.controller.log.formats import log_formats
 from aces_bus.export.open import table_formats
 from aces_bus.hardware.backends import backend_of
 from aces_bus.plugins import PluginWarning
 from aces_bus.protocol.exchange import database_suffixes
-from aces_bus.robot.installed import list_robots
 
 #: Group → a plug-in of it that works, in their module.
 THEIRS = """

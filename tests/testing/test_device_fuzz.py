@@ -8,9 +8,9 @@ from typing import Any, cast
 
 import pytest
 
+from aces_bus import make_scanner
 from aces_bus.device import Driver, load_driver, on
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError, UnknownNameError
-from aces_bus.protocol import make_scanner
 from aces_bus.robot import VirtualRobot
 from aces_bus.runtime import VirtualClock
 from aces_lab.device_fuzz.fuzzer import DeviceFuzzer, capture_steps, example_of, fuzz_device

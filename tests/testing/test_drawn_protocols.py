@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 
-from aces_bus.protocol import Protocol, make_scanner
-from aces_bus.testing import laws, strategies
-from aces_bus.testing.fuzz import Fuzzer
+from aces_bus import make_scanner
+from aces_bus.protocol import Protocol
+from aces_bus.testing import Fuzzer, laws, strategies
 from aces_bus.testing.source import spread
 from aces_bus.testing.specs import Link, draw_spec, protocol_of
 

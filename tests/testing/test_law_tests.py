@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from construct import Float32l, Int16ul, Struct
 
+from aces_bus import load_protocol
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
-from aces_bus.protocol import Protocol, load_protocol
-from aces_bus.testing import laws
+from aces_bus.protocol import Protocol
+from aces_bus.testing import law_tests, laws
 from aces_bus.testing.bench import Bench
-from aces_bus.testing.pytest_laws import law_tests
 from aces_bus.testing.saved import load_scene, save_scene
 from aces_bus.testing.source import spread
 from aces_bus.testing.trial import comparable

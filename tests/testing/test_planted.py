@@ -13,9 +13,10 @@ from typing import Any
 import pytest
 
 from aces_bus.protocol import Protocol
+from aces_bus.testing import LAWS, Fuzzer
 from aces_bus.testing.bench import Bench
-from aces_bus.testing.fuzz import Failure, Fuzzer, judged
-from aces_bus.testing.laws import LAWS, Trial
+from aces_bus.testing.fuzz import Failure, judged
+from aces_bus.testing.trial import Trial
 from tests.testing.encoder_faults import ENCODER_FAULTS
 from tests.testing.faults import (
     FAULTS,

@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
+from aces_bus import FrameTable
 from aces_bus.export.open import table_formats
-from aces_bus.frame_table import FrameTable
 from aces_bus.plugins import installed_points
-from aces_bus.recordings import formats
+from aces_bus.recordings.open import formats
 from aces_bus.recordings.write import open_writer, writer_formats
 from aces_bus.testing import (
     backend_tests,

@@ -7,9 +7,9 @@ from typing import Any
 
 from construct import Array, Byte, Int16sl, Int32sl, Struct
 
-from aces_bus.frames import Frame
-from aces_bus.hardware import Received
-from aces_bus.protocol import IdField, Protocol, Quantity, make_scanner
+from aces_bus import Frame, make_scanner
+from aces_bus.hardware.gate import Received
+from aces_bus.protocol import IdField, Protocol, Quantity
 from aces_tools.screen.model import Model, RepeatedFrame
 from aces_tools.screen.paint import Needs, StyledText, visible_columns
 

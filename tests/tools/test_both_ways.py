@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus.recordings import Chunk
+from aces_bus.recordings.base import Chunk
 from aces_bus.recordings.write import open_writer
 from tests.tools.conftest import Aces
 

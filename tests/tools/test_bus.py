@@ -19,10 +19,11 @@ from typing import Any
 import can
 import pytest
 
+from aces_bus import Frame
 from aces_bus.errors import AcesError
-from aces_bus.frames import Frame
-from aces_bus.hardware.served import BusServer, ServedChannel
-from aces_bus.hardware.simulated.bus import Faults
+from aces_bus.hardware import Faults
+from aces_bus.hardware.served.channel import ServedChannel
+from aces_bus.hardware.served.server import BusServer
 from aces_bus.hardware.simulated.frame_time import INTERMISSION, frame_bits
 from aces_tools.bus import parse_faults
 from aces_tools.bus_arg import chosen_end

@@ -15,11 +15,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.recordings import formats, open_recording, parse_filter
-from aces_bus.recordings.filters import passing
+from aces_bus import Frame, FrameTable, open_recording
+from aces_bus.recordings.filters import parse_filter, passing
 from aces_bus.recordings.merge import merge_by_time
+from aces_bus.recordings.open import formats
 from aces_tools import console, convert
 
 from .conftest import LOG, Aces
@@ -104,7 +103,7 @@ def test_our_serial_log(aces: Aces, tmp_path: Path) -> None:
     """A serial log of ours becomes raw bytes, with what these do not hold counted, and a part of it by time."""
     if "slog" not in formats():
         pytest.skip("no reader of slog")
-    from aces_bus.recordings import Chunk
+    from aces_bus.recordings.base import Chunk
     from aces_bus.recordings.write import open_writer
 
     log, raw = tmp_path / "a.slog", tmp_path / "a.bin"

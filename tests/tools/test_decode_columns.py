@@ -341,7 +341,7 @@ def test_what_was_read_before_an_error_is_written(
     aces: Aces, arm: str, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A recording that breaks off: one line, status 2, and all that came before is counted and in the tables."""
-    from aces_bus.recordings import CanRecording
+    from aces_bus.recordings.base import CanRecording
 
     whole = CanRecording.tables
 
@@ -406,7 +406,7 @@ def test_an_interrupted_file_is_not_written(
     end: signal.Signals,
 ) -> None:
     """Ctrl-C or SIGTERM on a file, also twice: status 130, the summary of what was read, and what was there before."""
-    from aces_bus.recordings import CanRecording
+    from aces_bus.recordings.base import CanRecording
 
     out = tmp_path / "out.npz"
     out.write_bytes(b"before")

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from aces_bus.protocol import load_protocol
+from aces_bus import load_protocol
 
 from .conftest import Aces
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from aces_bus.device import list_drivers
+from aces_bus.device.drivers import list_drivers
 from aces_bus.errors import SpecError
 from tests.tools.conftest import Aces
 

@@ -113,7 +113,7 @@ def test_its_devices_are_found(robot: Path, tmp_path: Path, monkeypatch: pytest.
     """By the protocol's file and the driver's, which here is the same; the robot's file that is written works with them."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     own, found = tmp_path / "own.py", tmp_path / "found.toml"
-    head = "from dataclasses import replace\nfrom aces_bus.device import DeviceConfig\n"
+    head = "from dataclasses import replace\nfrom aces_bus.device.config import DeviceConfig\n"
     future = "from __future__ import annotations\n"
     source = DRIVER.read_text().partition("def main()")[0]
     own.write_text(source.replace(future, future + head) + SCAN)

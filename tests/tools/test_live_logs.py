@@ -18,13 +18,9 @@ import can
 import numpy as np
 import pytest
 
+from aces_bus import Frame, FrameTable, load_protocol, make_column_scanner, open_recording
 from aces_bus.errors import CallerError
 from aces_bus.export import open_export, recover_parts
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.protocol import load_protocol
-from aces_bus.protocol.columns.scanner import make_column_scanner
-from aces_bus.recordings import open_recording
 from aces_tools.live_log import LiveRecording, LogSeries, PendingFile
 from aces_tools.rotation import Rotation
 from tests.tools.live import WAIT_S, Node, Opened

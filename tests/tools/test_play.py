@@ -14,7 +14,7 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus.hardware import BusEvent
+from aces_bus.hardware.gate_events import BusEvent
 from aces_tools.patience import Patience
 from tests.tools.live import WAIT_S, Node, Opened, interrupt
 

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import Frame, FrameTable
 from aces_bus.errors import CallerError
-from aces_bus.frame_table import Channels, FrameTable
-from aces_bus.frames import Frame
+from aces_bus.frame_table import Channels
 from aces_bus.traffic import BusIdentifier
 from aces_tools.plotting.bit_image import BINS, BitImages
 from aces_tools.plotting.bits import BitPicture, bit_order, flip_rates, terminal_bits
@@ -178,7 +178,7 @@ def test_a_terminal_shows_bits_that_flip(aces: Aces, bus: Path) -> None:
 
 def test_a_narrow_terminal_is_kept_to(bus: Path) -> None:
     """Whatever the width, and with ASCII alone."""
-    from aces_bus.recordings import open_recording
+    from aces_bus import open_recording
 
     images = BitImages()
     with open_recording(str(bus), link="can") as capture:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus.protocol import list_protocols, load_protocol
+from aces_bus import list_protocols, load_protocol
 from aces_tools import protocols as verb
 
 from .conftest import Aces

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from aces_bus import load_protocol
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
-from aces_bus.protocol import load_protocol
 from aces_tools.protocols_arg import named_protocol, parse_protocols, read_configuration
 
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from aces_bus import load_robot
-from aces_bus.device import Joint, Robot
-from aces_bus.protocol import load_protocol
-from aces_bus.robot import list_robots, robot_text
+from aces_bus import list_robots, load_protocol, load_robot
+from aces_bus.device import Robot
+from aces_bus.device.config import Joint
+from aces_bus.robot.installed import robot_text
 from aces_tools.protocols_arg import named_protocol, read_configuration
 
 from .conftest import Aces

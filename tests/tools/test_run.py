@@ -14,9 +14,11 @@ import pytest
 
 from aces_bus.controller import Player, Supervisor, Trajectory
 from aces_bus.device import Robot
-from aces_bus.hardware import CanGate, port_of
-from aces_bus.robot import parse_robot, run_virtual, simulate
-from aces_bus.runtime import Loop
+from aces_bus.hardware import CanGate
+from aces_bus.hardware.ports import port_of
+from aces_bus.robot import parse_robot, run_virtual
+from aces_bus.robot.rig import simulate
+from aces_bus.runtime.loop import Loop
 from aces_tools.running.figures import Watch
 from aces_tools.running.loading import default_states, load_controllers, make_loggers
 from aces_tools.running.panel import panel, plain_line, to_rich

@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from aces_bus import load_robot
 from aces_bus.errors import SpecError
-from aces_bus.robot import load_robot
 from aces_tools.robot_arg import chosen_robot
 from aces_tools.sim import SimulatedRobot
 from tests.tools.conftest import Aces

@@ -15,10 +15,10 @@ from typing import Any
 
 import pytest
 
+from aces_bus import Frame
 from aces_bus.errors import CallerError
-from aces_bus.frames import Frame
-from aces_bus.hardware import BusEvent, Received
-from aces_bus.hardware.gate_events import GateCounters
+from aces_bus.hardware.gate import Received
+from aces_bus.hardware.gate_events import BusEvent, GateCounters
 from aces_bus.hardware.queues import Inbox
 from aces_bus.runtime import VirtualClock
 from aces_tools.screen import check_screen, make_screen

@@ -6,11 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from aces_bus import Frame, make_scanner
 from aces_bus.errors import CallerError
-from aces_bus.frames import Frame
-from aces_bus.hardware import Received, frame_bits
-from aces_bus.hardware.simulated.frame_time import INTERMISSION
-from aces_bus.protocol import make_scanner
+from aces_bus.hardware.gate import Received
+from aces_bus.hardware.simulated.frame_time import INTERMISSION, frame_bits
 from aces_tools.screen import ModelFeed
 from aces_tools.screen.model import CHANNELS, Meter, Model, changed_bits
 from aces_tools.screen.paint import FADE_NS

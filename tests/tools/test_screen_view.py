@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus.frames import Frame
-from aces_bus.hardware import BusEvent
+from aces_bus import Frame
+from aces_bus.hardware.gate_events import BusEvent
 from aces_tools.screen.head import Status, detail, head, plain_text
 from aces_tools.screen.model import Model
 from aces_tools.screen.paint import bar, line, styles, title

@@ -12,8 +12,8 @@ from typing import Any
 import can
 import pytest
 
+from aces_bus import Frame
 from aces_bus.errors import AcesError, CallerError
-from aces_bus.frames import Frame
 from aces_tools.live import SendQueue
 from aces_tools.live_text import notation
 from aces_tools.patience import Patience

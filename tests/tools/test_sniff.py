@@ -21,10 +21,13 @@ from hypothesis import strategies as st
 import aces_tools.live_text
 import aces_tools.recorder
 import aces_tools.sniff
+from aces_bus import Frame, open_recording
 from aces_bus.errors import CallerError
-from aces_bus.frames import FD_LENGTHS, Frame
-from aces_bus.hardware import AcesBus, BusEvent, CanGate, Received
-from aces_bus.recordings import open_recording
+from aces_bus.frames import FD_LENGTHS
+from aces_bus.hardware import CanGate
+from aces_bus.hardware.gate import Received
+from aces_bus.hardware.gate_events import BusEvent
+from aces_bus.hardware.simulated.backend import AcesBus
 from aces_tools.live import BusEventLines
 from aces_tools.live_text import CandumpLines
 from aces_tools.options import duration

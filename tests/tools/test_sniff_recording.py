@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-from aces_bus.recordings import open_recording
+from aces_bus import open_recording
 from aces_bus.recordings.write.candump import CandumpWriter
 from tests.limits import small_disk
 from tests.tools.live import Node, Opened, posix

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 import serial
 
+from aces_bus import open_recording
 from aces_bus.errors import CallerError
-from aces_bus.recordings import open_recording
 from tests.limits import small_disk
 from tests.tools.live import Opened, posix
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from aces_bus.protocol import Message, Protocol
-from aces_bus.protocol.lint import Finding
+from aces_bus.protocol.lint.finding import Finding
 from aces_tools.authoring import check
 from aces_tools.authoring.check import LEAST, example_numbers
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus.protocol import load_protocol
+from aces_bus import load_protocol
 from aces_tools.console import Output, terminal_width
 
 from .conftest import Aces

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus.frames import Frame
+from aces_bus import Frame
 from aces_bus.protocol.exchange import load_database
 from tests.tools.conftest import Aces
 

@@ -21,11 +21,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
+from aces_bus import Frame, make_scanner
 from aces_bus.errors import AcesError
-from aces_bus.frames import Frame
-from aces_bus.protocol import Protocol, make_scanner
-from aces_bus.protocol.exchange import load_database
-from aces_bus.protocol.exchange.export_source import print_source
+from aces_bus.protocol import Protocol
+from aces_bus.protocol.exchange import load_database, print_source
 from aces_bus.protocol.exchange.names import python_name
 from aces_bus.protocol.plan.flatten import flatten
 from aces_tools.main import main

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus.protocol import draw, load_protocol
+from aces_bus import load_protocol
+from aces_bus.protocol.draw.svg import picture_svg
+from aces_bus.protocol.draw.text import picture
 
 from .conftest import Aces
 
@@ -46,7 +48,7 @@ def test_all_messages_are_drawn(aces: Aces) -> None:
     robotis = load_protocol("robotis")
     for message in robotis.declared:
         assert f"robotis.{message.name}  " in out
-        assert "\n".join(draw.picture(message)) in out
+        assert "\n".join(picture(message)) in out
 
 
 def test_one_message_is_as_protocols_has_it(aces: Aces) -> None:
@@ -67,7 +69,7 @@ def test_a_picture_is_svg(aces: Aces, tmp_path: Path) -> None:
     assert "hubo.NameInfo" in texts
     for cell in ("period", "limit.0", "z_phase.1 11…8", "z_phase.0 11…8"):
         assert any(cell in str(text) for text in texts), cell
-    every = draw.picture_svg(load_protocol("hubo").declared)
+    every = picture_svg(load_protocol("hubo").declared)
     ET.fromstring(every)
     assert "<script" not in every
     assert all(f"hubo.{m.name}<" in every for m in load_protocol("hubo").declared)

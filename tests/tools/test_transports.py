@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aces_bus.frames import Frame
+from aces_bus import Frame
 from aces_bus.recordings import open as parts
 from aces_tools import decode_jobs
 from aces_tools.screen.model import Model

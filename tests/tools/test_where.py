@@ -7,11 +7,9 @@ from typing import Any
 import pytest
 from construct import Array, Byte, Bytes, Float32l, GreedyRange, Int16sl, Struct
 
+from aces_bus import Frame, FrameTable, make_column_scanner
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
 from aces_bus.protocol import BitLayout, Enumeration, Flags, Multiplexed, Protocol, Quantity, Text, bits
-from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.recordings.where import Where, WhereColumns, parse_condition
 from aces_tools.output.shape import plans_of
 

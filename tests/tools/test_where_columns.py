@@ -10,10 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from aces_bus import FrameTable, Unknown, make_column_scanner, make_scanner
 from aces_bus.errors import CallerError
-from aces_bus.frame_table import FrameTable
-from aces_bus.protocol import Unknown, make_scanner
-from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.recordings.where import Where, WhereColumns
 from aces_bus.recordings.window import TimeWindow
 from aces_bus.testing import strategies

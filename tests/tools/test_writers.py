@@ -13,18 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from aces_bus.frames import Frame
+from aces_bus import Frame, Unknown, as_dict, list_protocols, load_protocol, make_scanner
 from aces_bus.plain_text import cell_text
-from aces_bus.protocol import (
-    FlagSet,
-    Protocol,
-    Unknown,
-    Variant,
-    as_dict,
-    list_protocols,
-    load_protocol,
-    make_scanner,
-)
+from aces_bus.protocol import FlagSet, Protocol, Variant
 from aces_bus.testing import laws, strategies
 from aces_tools.output import Writer
 from aces_tools.output.columns import beside, column_output

@@ -24,9 +24,10 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from aces_bus import Unknown, make_scanner
 from aces_bus.errors import CallerError
-from aces_bus.protocol import Unknown, Variant, make_scanner
-from aces_bus.recordings import parse_filter
+from aces_bus.protocol import Variant
+from aces_bus.recordings.filters import parse_filter
 from aces_bus.recordings.pieces import check_direction, has_requests
 from aces_bus.recordings.where import Where
 

@@ -41,7 +41,7 @@ from .options import (
 from .patience import Patience
 
 if TYPE_CHECKING:
-    from aces_bus.hardware.simulated.bus import Faults
+    from aces_bus.hardware import Faults
 
 #: python-can's backends that `list` does not ask: ours is asked better, and the other is of one process.
 _NOT_ASKED = frozenset({"aces", "virtual"})
@@ -213,7 +213,7 @@ def _ratio(channel: dict[str, Any]) -> float:
 
 def parse_faults(text: str | None, seed: int) -> Faults:
     """`drop=0.01,delay=0.1,delay_us=500` as faults."""
-    from aces_bus.hardware.simulated.bus import Faults
+    from aces_bus.hardware import Faults
 
     chances: dict[str, float] = {}
     for part in (text or "").split(","):
@@ -324,7 +324,8 @@ def _load(arguments: argparse.Namespace) -> int:
 
 def _served_address(text: str | None, interface: str | None) -> str | None:
     """Return the address of a served bus, when that is what is meant."""
-    from aces_bus.hardware.served import is_served, served_channels
+    from aces_bus.hardware.served.address import is_served
+    from aces_bus.hardware.served.stream import served_channels
 
     if interface not in (None, "aces"):
         return None

@@ -247,14 +247,15 @@ def _take_name(arguments: argparse.Namespace) -> None:
 
 def served_address(channel: str) -> str | None:
     """Return the address of a channel that is served on this machine, by its name or address; None of any other."""
-    from aces_bus.hardware.served import is_served, served_channels
+    from aces_bus.hardware.served.address import is_served
+    from aces_bus.hardware.served.stream import served_channels
 
     return channel if is_served(channel) else served_channels().get(channel)
 
 
 def buses_here() -> list[str]:
     """Return the names of this machine's CAN buses: those that are served, then network interfaces that are called so."""
-    from aces_bus.hardware.served import served_channels
+    from aces_bus.hardware.served.stream import served_channels
 
     return [*served_channels(), *sorted(map(os.path.basename, glob("/sys/class/net/*can*")))]
 
@@ -265,7 +266,7 @@ def near_buses(channel: str) -> str:
     """
     from difflib import get_close_matches
 
-    from aces_bus.hardware.served import served_channels
+    from aces_bus.hardware.served.stream import served_channels
 
     near = get_close_matches(channel, buses_here(), n=1)
     return f"served: {first_names(served_channels())}" + (f"; did you mean {near[0]}?" if near else "")

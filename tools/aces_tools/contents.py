@@ -13,12 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from aces_bus import FrameTable
 from aces_bus.errors import CallerError, CaptureError
-from aces_bus.frame_table import NO_TIME, FrameTable, widened
+from aces_bus.frame_table import NO_TIME, widened
 from aces_bus.plain_text import printable
 from aces_bus.protocol.fitting import TRIED_BYTES, TRIED_FRAMES, fitting_protocols
-from aces_bus.recordings import CanFilter, CanRecording, Chunk, parse_filter
-from aces_bus.recordings.filters import passing
+from aces_bus.recordings.base import CanRecording, Chunk
+from aces_bus.recordings.filters import CanFilter, parse_filter, passing
 from aces_bus.recordings.pieces import open_any
 from aces_bus.traffic import BusIdentifier, FrameCount, IdentifierCounts
 

@@ -27,11 +27,13 @@ from typing import Any
 
 import numpy as np
 
+from aces_bus import FrameTable, open_recording
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
-from aces_bus.frame_table import ERROR, NO_TIME, FrameTable, to_ns
-from aces_bus.recordings import CanRecording, SerialRecording, formats, open_recording, parse_filter
-from aces_bus.recordings.filters import passing
+from aces_bus.frame_table import ERROR, NO_TIME, to_ns
+from aces_bus.recordings.base import CanRecording, SerialRecording
+from aces_bus.recordings.filters import parse_filter, passing
 from aces_bus.recordings.merge import Relabel, merge_by_time
+from aces_bus.recordings.open import formats
 from aces_bus.recordings.window import TimeWindow
 from aces_bus.recordings.write import (
     FormatOut,

@@ -23,13 +23,14 @@ from contextlib import suppress
 from itertools import repeat
 from typing import TYPE_CHECKING, Any
 
+from aces_bus import Frame, Unknown, make_scanner
 from aces_bus.errors import CallerError
 from aces_bus.export.open import table_formats
 from aces_bus.frame_table import to_ns
-from aces_bus.frames import Frame
-from aces_bus.protocol import Record, Scanner, Unknown, make_scanner
+from aces_bus.protocol import Record
 from aces_bus.protocol.keys import key_of
-from aces_bus.recordings import CanRecording, Link, Recording, SerialRecording
+from aces_bus.protocol.live.scanner import Scanner
+from aces_bus.recordings.base import CanRecording, Link, Recording, SerialRecording
 from aces_bus.recordings.pieces import Direction, check_direction
 from aces_bus.recordings.totals import Totals
 

@@ -18,15 +18,15 @@ from typing import Any
 
 import numpy as np
 
+from aces_bus import FrameTable, make_column_scanner, open_recording
 from aces_bus.errors import CallerError, CaptureError
-from aces_bus.export import Export, open_export
-from aces_bus.frame_table import FrameTable
+from aces_bus.export import open_export
+from aces_bus.export.base import Export
 from aces_bus.protocol.columns.can import CanColumns
 from aces_bus.protocol.columns.can_channels import ChannelColumns
 from aces_bus.protocol.columns.decode import feed
-from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.columns.table import MessageTable, kinds_of
-from aces_bus.recordings import CanRecording, Recording, SerialRecording, open_recording
+from aces_bus.recordings.base import CanRecording, Recording, SerialRecording
 from aces_bus.recordings.pieces import Direction, make_can_scanner, pieces_of
 from aces_bus.recordings.selection import AdoptedPieces, KeptFrames, RecordingSelection, part_of
 from aces_bus.recordings.totals import Totals

@@ -26,12 +26,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from aces_bus import FrameTable
 from aces_bus.errors import AcesError, CaptureError
-from aces_bus.export import Export
+from aces_bus.export.base import Export
 from aces_bus.export.files import Staging, telling
-from aces_bus.frame_table import FrameTable
 from aces_bus.protocol.columns.table import MessageTable
-from aces_bus.recordings import CanRecording, UnreadableEntry
+from aces_bus.recordings.base import CanRecording, UnreadableEntry
 from aces_bus.recordings.open import open_part, split_capture
 from aces_bus.recordings.pieces import pieces_of
 from aces_bus.recordings.selection import part_of

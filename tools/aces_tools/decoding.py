@@ -12,18 +12,12 @@ from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
+from aces_bus import open_recording
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
 from aces_bus.frame_table import to_ns
 from aces_bus.protocol import Variant
-from aces_bus.recordings import (
-    CanFilter,
-    CanRecording,
-    Link,
-    Recording,
-    SerialRecording,
-    open_recording,
-    parse_filter,
-)
+from aces_bus.recordings.base import CanRecording, Link, Recording, SerialRecording
+from aces_bus.recordings.filters import CanFilter, parse_filter
 from aces_bus.recordings.pieces import CaptureReading, Direction, SerialWays, open_any
 from aces_bus.recordings.totals import Totals
 from aces_bus.recordings.window import TimeWindow

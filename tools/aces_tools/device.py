@@ -29,7 +29,8 @@ import argparse
 from contextlib import ExitStack
 from typing import Any
 
-from aces_bus.device import Device, DeviceConfig, Robot
+from aces_bus.device import Device, Robot
+from aces_bus.device.config import DeviceConfig
 from aces_bus.device.config import alone as alone
 from aces_bus.errors import CallerError, NotStoppedError, UnknownNameError
 

@@ -16,7 +16,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from aces_bus.device import Device, Signal, stop_devices, wait_stopped
+from aces_bus.device import Device
+from aces_bus.device.signals import Signal
+from aces_bus.device.stopping import stop_devices, wait_stopped
 from aces_bus.errors import CallerError, DeviceError, NotStoppedError, UnknownNameError
 
 from .console import ENDLESS, StatusLine, print_json, say, say_note

@@ -16,7 +16,8 @@ from .output.text import no_paint
 from .values import parse_value
 
 if TYPE_CHECKING:
-    from aces_bus.device import Device, Signal
+    from aces_bus.device import Device
+    from aces_bus.device.signals import Signal
 
 #: Words for yes and no.
 WORDS: Mapping[str, bool] = {"true": True, "false": False, "yes": True, "no": False, "on": True, "off": False}

@@ -12,7 +12,10 @@ import inspect
 from collections.abc import Sequence
 from typing import Any
 
-from aces_bus.device import Device, DeviceConfig, Driver, Robot, Signal, list_drivers, load_driver
+from aces_bus.device import Device, Driver, Robot, load_driver
+from aces_bus.device.config import DeviceConfig
+from aces_bus.device.drivers import list_drivers
+from aces_bus.device.signals import Signal
 from aces_bus.device.station import credential_text
 from aces_bus.device.twin import FAULTS
 from aces_bus.errors import AcesError

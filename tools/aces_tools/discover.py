@@ -24,10 +24,13 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from aces_bus.device import Bus, Driver, Host, Job, Robot, list_drivers, load_driver
+from aces_bus import load_protocol
+from aces_bus.device import Driver, Job, Robot, load_driver
+from aces_bus.device.config import Bus
+from aces_bus.device.drivers import list_drivers
+from aces_bus.device.host import Host
 from aces_bus.device.station import credential_text
 from aces_bus.errors import AcesError, CallerError
-from aces_bus.protocol import load_protocol
 from aces_bus.protocol.files import python_file
 from aces_bus.protocol.live.scanner import adopt_protocol
 
@@ -173,9 +176,8 @@ def open_hosts(
         stack.enter_context(virtual.simulation)
         ports: dict[str, Any] = virtual.ports("scan")
     else:
-        from aces_bus.robot import gate_of, port_for
-        from aces_bus.robot.buses import lock_of
-        from aces_bus.runtime import Loop
+        from aces_bus.robot.buses import gate_of, lock_of, port_for
+        from aces_bus.runtime.loop import Loop
 
         loop = stack.enter_context(Loop())
         options = bus_options(robot, arguments)
@@ -240,7 +242,7 @@ def scan_bus(name: str, host: Host, driver: Driver, patience: Patience) -> list[
 
 
 def _write(robot: Robot, found: list[Any], arguments: argparse.Namespace) -> None:
-    from aces_bus.robot import print_robot
+    from aces_bus.robot.file import print_robot
 
     options = bus_options(robot, arguments)
     stated = {k: v for k, v in options["bus"].items() if k in ("channel", "interface")}

@@ -20,12 +20,13 @@ from typing import Any
 
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Variant
-from aces_bus.testing import laws
+from aces_bus.testing import Fuzzer, laws
 from aces_bus.testing.coverage import KINDS, Coverage, Feature
 from aces_bus.testing.drawing import scene_drawing
-from aces_bus.testing.fuzz import Failure, Fuzzer
-from aces_bus.testing.laws import Law, Way
+from aces_bus.testing.fuzz import Failure
 from aces_bus.testing.saved import load_scene, save_scene
+from aces_bus.testing.scenes import Way
+from aces_bus.testing.trial import Law
 
 from .protocols_arg import named_protocol
 
@@ -208,8 +209,8 @@ PIECES = {True: (32, 200), False: (512, 200)}
 
 
 def _captured(fuzzer: Fuzzer, name: str) -> None:
-    from aces_bus.recordings import CanRecording
-    from aces_bus.recordings.open import open_recording
+    from aces_bus import open_recording
+    from aces_bus.recordings.base import CanRecording
 
     for is_can in sorted({bench.is_can for bench in fuzzer.benches}):
         size, most = PIECES[is_can]

@@ -12,15 +12,18 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from aces_bus.frames import Frame
+from aces_bus import Frame
 
 from .console import say
 from .patience import Patience
 
 if TYPE_CHECKING:
-    from aces_bus.device import DeviceEvent, Robot
-    from aces_bus.hardware import BusEvent, CanGate, DatagramGate, Received, SerialGate
-    from aces_bus.robot import Rig
+    from aces_bus.device import Robot
+    from aces_bus.device.events import DeviceEvent
+    from aces_bus.hardware import CanGate, DatagramGate, SerialGate
+    from aces_bus.hardware.gate import Received
+    from aces_bus.hardware.gate_events import BusEvent
+    from aces_bus.robot.rig import Rig
 
 
 #: Seconds that a bus stays open after the last frame was handed over: an adapter may still hold it.

@@ -22,15 +22,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from aces_bus import FrameTable, open_recording
 from aces_bus.errors import AcesError, CallerError
 from aces_bus.export import open_export
 from aces_bus.export.files import AppendFile, size_on_disk, telling
 from aces_bus.export.sqlite import JournaledDatabase
-from aces_bus.frame_table import FrameTable
 from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.scanner import RecordColumns
-from aces_bus.recordings import CanRecording, open_recording
-from aces_bus.recordings.base import Link
+from aces_bus.recordings.base import CanRecording, Link
 from aces_bus.recordings.write import PACKED, open_writer, writer_format, writer_formats
 from aces_bus.recordings.write.canlog import CREATE, INSERT, CanlogSqliteWriter
 

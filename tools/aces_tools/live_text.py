@@ -14,9 +14,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from aces_bus.frames import Frame
+from aces_bus import Frame
 from aces_bus.plain_text import LOOKALIKES
-from aces_bus.recordings import Chunk
+from aces_bus.recordings.base import Chunk
 
 from .output.text import Paint, Times, no_paint, printable
 

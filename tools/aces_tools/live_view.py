@@ -17,9 +17,9 @@ from .verbs import wanted_options
 if TYPE_CHECKING:
     from aces_bus.controller.events import EventLike
     from aces_bus.device.station import BusEndpoint
-    from aces_bus.kinematics import Body
+    from aces_bus.kinematics.body import Body
     from aces_bus.protocol import Variant
-    from aces_bus.robot.runner import RunLogger
+    from aces_bus.robot.run import RunLogger
 
     Link = Literal["can", "serial", "datagram"]
 

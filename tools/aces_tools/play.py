@@ -19,10 +19,11 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, Literal
 
+from aces_bus import Frame, open_recording
 from aces_bus.errors import CallerError, CaptureError
 from aces_bus.frame_table import NO_TIME, to_ns
-from aces_bus.frames import Frame
-from aces_bus.recordings import CanRecording, Chunk, SerialRecording, open_recording, parse_filter
+from aces_bus.recordings.base import CanRecording, Chunk, SerialRecording
+from aces_bus.recordings.filters import parse_filter
 
 from .bus_arg import BUS_ARGUMENTS, CAN_OPTIONS, ChosenBus, chosen_bus
 from .console import ENDLESS, StatusLine, report_unreadable, say, say_note

@@ -21,10 +21,11 @@ from typing import Any
 
 import numpy as np
 
+from aces_bus import FrameTable
 from aces_bus.errors import CallerError
-from aces_bus.frame_table import NO_TIME, FrameTable
+from aces_bus.frame_table import NO_TIME
 from aces_bus.protocol.columns.table import MessageTable
-from aces_bus.recordings import Recording
+from aces_bus.recordings.base import Recording
 from aces_bus.recordings.totals import Totals
 
 from .console import check_not_read, counted, say, say_note

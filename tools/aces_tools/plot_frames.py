@@ -9,10 +9,11 @@ from abc import ABC, abstractmethod
 
 import numpy as np
 
+from aces_bus import FrameTable
 from aces_bus.errors import CallerError, CaptureError
-from aces_bus.frame_table import KEY_REMOTE, NO_TIME, FrameTable
+from aces_bus.frame_table import KEY_REMOTE, NO_TIME
 from aces_bus.protocol.columns.table import ColumnKind
-from aces_bus.recordings import CanRecording
+from aces_bus.recordings.base import CanRecording
 from aces_bus.recordings.pieces import open_any
 from aces_bus.recordings.window import TimeWindow
 from aces_bus.traffic import BusIdentifier, identifier_groups

@@ -21,21 +21,17 @@ from typing import Any
 
 from construct import ConstructError
 
+from aces_bus import list_protocols, make_scanner
 from aces_bus.errors import AcesError, UnknownNameError
-from aces_bus.protocol import (
-    Framing,
-    Message,
-    Protocol,
-    Register,
-    StreamScanner,
-    Variant,
-    draw,
-    list_protocols,
-    make_scanner,
-)
+from aces_bus.protocol import Message, Protocol, Variant
+from aces_bus.protocol.declare.framing import Framing
+from aces_bus.protocol.declare.registers import Register
+from aces_bus.protocol.draw.table import captured_values, field_table, row_of
+from aces_bus.protocol.draw.text import picture
 from aces_bus.protocol.exchange.read_once import problems_of
 from aces_bus.protocol.generate.decode import Decoder
 from aces_bus.protocol.generate.load import print_decoders
+from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.protocol.plan.flatten import flatten
 from aces_bus.protocol.plan.scalars import NotFlat, scalar_of
 
@@ -223,7 +219,7 @@ def _recognised_by(message: Message) -> str:
             covered |= set(range(head.offset, head.offset + head.size))
             own = head.wanted
             if head.is_own and not head.is_constant:
-                own = draw.captured_values(message)[head.pattern.captures[0].name]
+                own = captured_values(message)[head.pattern.captures[0].name]
             parts.append(f"{head.name}={own}" if head.name else own)
     framing = message.framing
     start = len(framing.sync) if framing is not None else 0
@@ -258,7 +254,7 @@ def _print_registers(registers: Sequence[Register], page: Page) -> None:
 
 def _of_register(register: Register) -> dict[str, Any]:
     try:
-        row = draw.row_of(register.name, scalar_of(register.field, register.address), register.doc)
+        row = row_of(register.name, scalar_of(register.field, register.address), register.doc)
         kind, span, names = row.type, row.range, row.names
     except NotFlat:
         kind, span, names = counted(register.size, "byte"), "", ""
@@ -295,8 +291,8 @@ def _print_messages(messages: Sequence[Message], page: Page) -> None:
         page.beside(f"{message.protocol.name}.{message.name}", [_first_line(message.doc)], "message")
         for name, text in _template(message):
             page.beside(f"  {name:<13}", [text], "place")
-        page.lines(["", *draw.picture(message), ""])
-        rows = draw.field_table(flatten(message), draw.captured_values(message))
+        page.lines(["", *picture(message), ""])
+        rows = field_table(flatten(message), captured_values(message))
         cells = [
             (
                 r.name,
@@ -315,7 +311,7 @@ def _print_messages(messages: Sequence[Message], page: Page) -> None:
 
 def _template(message: Message) -> list[tuple[str, str]]:
     """Return what says which frames or packets are this message."""
-    values = draw.captured_values(message) if message.protocol.link == "can" else {}
+    values = captured_values(message) if message.protocol.link == "can" else {}
     kinds = (("29 bits", message.extended), ("remote", message.remote), ("CAN FD", message.fd))
     parts = [
         f"{name} {values[name]}"
@@ -415,7 +411,7 @@ def _of_message(message: Message, *, is_whole: bool) -> dict[str, Any]:
         "fields": list(message.fields),
     }
     if is_whole:
-        rows = draw.field_table(plan, draw.captured_values(message))
+        rows = field_table(plan, captured_values(message))
         found["fields"] = [{name: getattr(row, name) for name in row.__dataclass_fields__} for row in rows]
-        found["picture"] = draw.picture(message)
+        found["picture"] = picture(message)
     return found

@@ -34,9 +34,11 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any, NamedTuple
 
+from aces_bus import load_protocol
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.protocol import Protocol, Variant, load_protocol
-from aces_bus.protocol.exchange import ImportedProtocol, database_suffixes
+from aces_bus.protocol import Protocol, Variant
+from aces_bus.protocol.exchange import database_suffixes
+from aces_bus.protocol.exchange.problems import ImportedProtocol
 from aces_bus.protocol.exchange.read_once import known_database
 
 from .console import say_note
@@ -157,7 +159,8 @@ def read_configuration(path: str, protocol: Protocol) -> tuple[dict[str, Mapping
 
 def _of_robot(path: str, data: bytes, protocol: Protocol) -> tuple[dict[str, Mapping[int, Any]], str | None]:
     """Return what a robot's file says of a protocol; raises `CallerError` with all that is wrong with the file."""
-    from aces_bus.robot import RobotError, parse_robot
+    from aces_bus.robot import parse_robot
+    from aces_bus.robot.file import RobotError
 
     robot, problems = parse_robot(data, path)
     if robot is None:

@@ -16,10 +16,9 @@ import time
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
+from aces_bus import FrameTable
 from aces_bus.errors import AcesError, CallerError
-from aces_bus.frame_table import FrameTable
-from aces_bus.recordings import Chunk
-from aces_bus.recordings.base import Direction, Link
+from aces_bus.recordings.base import Chunk, Direction, Link
 
 from .live import received_frame
 from .live_log import LiveRecording, LogSeries

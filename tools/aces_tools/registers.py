@@ -16,8 +16,10 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
+from aces_bus import Unknown
 from aces_bus.errors import CallerError, FieldError, UnknownNameError
-from aces_bus.protocol import Message, Protocol, Record, Register, RegisterMap, Unknown, Variant
+from aces_bus.protocol import Message, Protocol, Record, Variant
+from aces_bus.protocol.declare.registers import Register, RegisterMap
 from aces_bus.protocol.plan.scalars import NotFlat, scalar_of
 from aces_bus.protocol.record import protocol_name_of
 

@@ -86,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _check(names: Sequence[str], arguments: argparse.Namespace) -> int:
     """Problems on stdout, as they are the result; the status says whether one is an error."""
-    from aces_bus.robot import check_robot
+    from aces_bus.robot.installed import check_robot
 
     status, objects = 0, list[dict[str, Any]]()
     for name in names:
@@ -168,7 +168,7 @@ def _page(arguments: argparse.Namespace) -> Any:
 
 
 def _list(arguments: argparse.Namespace) -> int:
-    from aces_bus.robot import list_robots, load_robot
+    from aces_bus import list_robots, load_robot
 
     status, found = 0, list[Any]()
     for name in list_robots():
@@ -231,7 +231,8 @@ def _show(names: Sequence[str], arguments: argparse.Namespace) -> int:
 
 def _looked_at(name: str) -> Robot:
     """Return a robot without running the Python files that it names; raises `RobotError`."""
-    from aces_bus.robot import RobotError, check_robot
+    from aces_bus.robot.file import RobotError
+    from aces_bus.robot.installed import check_robot
 
     robot, problems = check_robot(name)
     if robot is None:
@@ -421,7 +422,7 @@ def _speed(bus: Any) -> str:
 
 
 def _import(paths: Sequence[str], arguments: argparse.Namespace) -> int:
-    from aces_bus.robot import print_robot
+    from aces_bus.robot.file import print_robot
     from aces_devices.robots import import_robot
 
     check_suffix("--output", arguments.output, ".json" if arguments.json else ".toml")

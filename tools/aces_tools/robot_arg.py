@@ -33,8 +33,9 @@ from .options import SEED, Group, argument, at_least, flag, several
 
 if TYPE_CHECKING:
     from aces_bus.device import Robot
-    from aces_bus.robot import Rig, VirtualRobot
-    from aces_bus.runtime import EventClock
+    from aces_bus.robot import VirtualRobot
+    from aces_bus.robot.rig import Rig
+    from aces_bus.runtime.clock import EventClock
 
 VARIABLE = "ACES_ROBOT"
 
@@ -100,7 +101,7 @@ def at_reduced_speed(robot: Robot, is_wanted: bool) -> Robot:
 def use_driver_files(paths: Sequence[str]) -> None:
     """Have the drivers of these files beside those that are installed; raises as `use_driver_file`."""
     if paths:
-        from aces_bus.device import use_driver_file
+        from aces_bus.device.drivers import use_driver_file
 
         for path in paths:
             use_driver_file(path)
@@ -114,7 +115,7 @@ def chosen_robot(
     Raises `CallerError` when there is none, `RobotError` for a bad file.
     """
     use_driver_files(driver_files)
-    from aces_bus.robot import list_robots, load_robot
+    from aces_bus import list_robots, load_robot
 
     wanted = name or os.environ.get(VARIABLE)
     if not wanted:
@@ -206,7 +207,7 @@ def open_robot(
     options = bus_options(robot, arguments)
     check_channels(robot, options)
     from aces_bus.robot import connect, open_gates
-    from aces_bus.runtime import Loop
+    from aces_bus.runtime.loop import Loop
 
     with ExitStack() as stack:
         loop = stack.enter_context(Loop())

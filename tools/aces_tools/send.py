@@ -24,12 +24,13 @@ from typing import Any
 
 import msgspec
 
+from aces_bus import Frame, Unknown, make_scanner
 from aces_bus.errors import CallerError, DeviceError, UnknownNameError
-from aces_bus.frames import Frame, message_to_frame
-from aces_bus.protocol import CanScanner, Meta, Unknown, Variant, make_scanner
-from aces_bus.protocol.declare.message import Message
-from aces_bus.protocol.draw import picture
-from aces_bus.recordings import Chunk
+from aces_bus.frames import message_to_frame
+from aces_bus.protocol import CanScanner, Message, Variant
+from aces_bus.protocol.draw.text import picture
+from aces_bus.protocol.record import Meta
+from aces_bus.recordings.base import Chunk
 from aces_bus.recordings.candump.line import read_line
 from aces_bus.recordings.text.rows import UnreadableRow
 

@@ -47,7 +47,7 @@ from .robot_arg import (
 if TYPE_CHECKING:
     from aces_bus.device import Robot
     from aces_bus.device.twin import JointModel
-    from aces_bus.robot import Simulation
+    from aces_bus.robot.rig import Simulation
 
     from .live_view import LiveView
 
@@ -194,9 +194,9 @@ class SimulatedRobot:
         *,
         homed: bool = True,
     ) -> None:
-        from aces_bus.robot import gate_of, port_for, simulate
-        from aces_bus.robot.rig import spoken_on
-        from aces_bus.runtime import Loop
+        from aces_bus.robot.buses import gate_of, port_for
+        from aces_bus.robot.rig import simulate, spoken_on
+        from aces_bus.runtime.loop import Loop
 
         self.robot = robot
         self.loop = stack.enter_context(Loop())
@@ -260,9 +260,9 @@ class SimulatedRobot:
         """Return a simulated line for each of these buses, with a pseudo-terminal as its other end."""
         if not names:
             return {}
-        from aces_bus.hardware import SerialPort
+        from aces_bus.hardware.ports import SerialPort
         from aces_bus.hardware.simulated.serial_line import PtyPort
-        from aces_bus.robot import wire_of
+        from aces_bus.robot.buses import wire_of
         from aces_bus.robot.rig import spoken_on
         from aces_bus.runtime import VirtualClock
 
@@ -284,7 +284,7 @@ class SimulatedRobot:
 
     def _wanted(self, name: str, options: Mapping[str, Any]) -> str | None:
         """Return the served bus's address for a CAN bus, `unix:NAME`; None: it is a bus that is there."""
-        from aces_bus.hardware.served import is_served
+        from aces_bus.hardware.served.address import is_served
 
         written = self.robot.buses[name].channel or name
         if not options and not written.startswith("tcp:"):
@@ -356,7 +356,7 @@ class SimulatedRobot:
 
     def listen_with(self, name: str, robot: str) -> str:
         """Return a command line that shows what happens on a bus; a serial line, which has one other end, is scanned."""
-        from aces_bus.protocol import list_protocols
+        from aces_bus import list_protocols
         from aces_bus.protocol.files import python_file
         from aces_bus.robot.rig import spoken_on
 
@@ -398,7 +398,7 @@ def _answers(address: Any) -> bool:
 
 def _warm() -> None:
     """Fill the tables of frame times before the first request: it would be answered late."""
-    from aces_bus.frames import Frame
+    from aces_bus import Frame
     from aces_bus.hardware.simulated.frame_time import frame_bits
 
     frame_bits(Frame(arbitration_id=0x123, data=bytes(8)))

@@ -22,13 +22,15 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from aces_bus import Frame, FrameTable, Unknown
 from aces_bus.errors import CallerError
 from aces_bus.export.files import telling
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.protocol import CanScanner, Meta, Scanner, Unknown
+from aces_bus.protocol import CanScanner
 from aces_bus.protocol.counts import ScanCounts
-from aces_bus.recordings import CanFilter, Chunk, Link, parse_filter
+from aces_bus.protocol.live.scanner import Scanner
+from aces_bus.protocol.record import Meta
+from aces_bus.recordings.base import Chunk, Link
+from aces_bus.recordings.filters import CanFilter, parse_filter
 from aces_bus.recordings.totals import Totals
 
 from .bus_arg import BUS, BUS_ARGUMENTS, ChosenBus, chosen_bus

@@ -23,9 +23,11 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from typing import Any
 
-from aces_bus.device import Bus, Device, DeviceConfig, Driver, Robot, list_drivers, load_driver
+from aces_bus import load_protocol
+from aces_bus.device import Device, Driver, Robot, load_driver
+from aces_bus.device.config import Bus, DeviceConfig
+from aces_bus.device.drivers import list_drivers
 from aces_bus.errors import AcesError, CallerError, NotStoppedError, UnknownNameError
-from aces_bus.protocol import load_protocol
 
 from .console import say
 from .options import PROTOCOL, Arguments, argument, at_least

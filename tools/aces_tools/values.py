@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol import Message
 from aces_bus.protocol.numbers import parse_number
 from aces_bus.protocol.plan import nodes as p
 

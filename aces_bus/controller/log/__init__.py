@@ -6,22 +6,7 @@ docs/logging.md.
 
 from __future__ import annotations
 
-from .base import About, Log, LogError, LogSink, Row
-from .columns import ATTRIBUTES, LogColumn, parse_column
-from .formats import log_format, read_log, recover
+from .formats import read_log, recover
 from .logger import Logger
 
-__all__ = [
-    "ATTRIBUTES",
-    "About",
-    "Log",
-    "LogColumn",
-    "LogError",
-    "LogSink",
-    "Logger",
-    "Row",
-    "log_format",
-    "parse_column",
-    "read_log",
-    "recover",
-]
+__all__ = ["Logger", "read_log", "recover"]

@@ -21,9 +21,10 @@ import msgspec
 
 from ...errors import CallerError, UnknownNameError
 from ...export.files import telling
-from ...runtime import Clock, RealClock, VirtualClock
-from ...state import TimeSeries
+from ...runtime import RealClock, VirtualClock
+from ...runtime.clock import Clock
 from ...state.errors import raise_first
+from ...state.quantity import TimeSeries
 from ..base import checked_rate
 from ..events import ControlEvent, Listeners
 from .base import About, LogSink, Row

@@ -24,15 +24,6 @@ The rules, by the name in brackets behind an observation:
 
 from __future__ import annotations
 
-from .finding import Moment, Observation
-from .recording import RecordingCheck, check_recordings
-from .suggest import SuggestedExample, suggest_examples
+from .recording import check_recordings
 
-__all__ = [
-    "Moment",
-    "Observation",
-    "RecordingCheck",
-    "SuggestedExample",
-    "check_recordings",
-    "suggest_examples",
-]
+__all__ = ["check_recordings"]

@@ -23,8 +23,9 @@ from msgspec.structs import force_setattr
 from ...errors import FieldError, SpecError
 from ...frames import FD_LENGTHS, Frame
 from ..keys import EXTENDED, REMOTE
+from . import handshake
 from .checks import Crc
-from .handshake import AnswerTimes, GivenUp, Steering
+from .handshake import AnswerTimes, GivenUp
 from .pattern import IdPattern
 from .place import caller
 
@@ -175,6 +176,12 @@ class Transport:
     """
 
     #: For people, in messages and docs.
+    #: What a transport of one's own is written with: a kind of frame, a number in it, what `part` and `steering` give.
+    Kind = FrameKind
+    Number = FrameNumber
+    Part = FramePart
+    Steering = handshake.Steering
+    AnswerTimes = handshake.AnswerTimes
     title: ClassVar[str] = "transport"
     #: Why devices and twins send no packets of several frames ("" where they do).
     unsendable: ClassVar[str] = ""
@@ -360,7 +367,7 @@ class Transport:
     # ------------------------------------------------------------------ handshakes
 
     @property
-    def answer_times(self) -> AnswerTimes:
+    def answer_times(self) -> handshake.AnswerTimes:
         """Times that both ends of a packet with a handshake wait for each other."""
         return AnswerTimes(*[self.timeout_s] * 4)
 
@@ -398,7 +405,7 @@ class Transport:
         """Return the frame by which one end gives up the packet with this first frame; None where ends fall silent."""
         return None
 
-    def steering(self, key: int, data: bytes) -> Steering | None:
+    def steering(self, key: int, data: bytes) -> handshake.Steering | None:
         """Return what a frame says to the sender of a packet; None of frames that steer nothing."""
         return None
 

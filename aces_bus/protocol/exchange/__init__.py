@@ -18,11 +18,19 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from importlib import import_module
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from ..._lazy import lazy_names
 from ...errors import CallerError
 from ...plugins import installed_items
-from .problems import ImportedProtocol, ImportProblem, Loss
+from .problems import ImportedProtocol
+
+if TYPE_CHECKING:
+    from .export_c import print_c_source
+    from .export_dbc import print_dbc
+    from .export_markdown import print_markdown
+    from .export_source import print_source
+    from .export_wireshark import print_dissector
 
 
 class DatabaseFormat(NamedTuple):
@@ -75,4 +83,22 @@ def load_database(path: str | os.PathLike[str]) -> ImportedProtocol:
     )
 
 
-__all__ = ["ImportProblem", "ImportedProtocol", "Loss", "load_database"]
+__all__ = [
+    "load_database",
+    "print_c_source",
+    "print_dbc",
+    "print_dissector",
+    "print_markdown",
+    "print_source",
+]
+
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        ".export_c": "print_c_source",
+        ".export_dbc": "print_dbc",
+        ".export_markdown": "print_markdown",
+        ".export_source": "print_source",
+        ".export_wireshark": "print_dissector",
+    },
+)

@@ -11,13 +11,14 @@ from collections.abc import Iterable, Sequence
 
 import construct as c
 
-from .. import draw
 from ..declare.bits import BitLayout
 from ..declare.fields import Quantity
 from ..declare.framing import Framing
 from ..declare.message import Message
 from ..declare.pattern import describe_values
 from ..declare.protocol import Variant
+from ..draw.table import captured_values, field_table
+from ..draw.text import picture
 from ..plan import nodes as p
 from .problems import clean_text
 
@@ -119,9 +120,9 @@ class _Page:
         plan = message.plan
         lines = [_escaped(message.doc), ""] if message.doc else []
         lines += [f"- {fact}" for fact in self._facts(message, plan)]
-        picture = draw.picture(message)
-        fence = "`" * max([3, *(len(run) + 1 for run in re.findall(r"`+", "\n".join(picture)))])
-        lines += ["", f"{fence}text", *picture, fence]
+        drawing = picture(message)
+        fence = "`" * max([3, *(len(run) + 1 for run in re.findall(r"`+", "\n".join(drawing)))])
+        lines += ["", f"{fence}text", *drawing, fence]
         sources = _sources(message)
         rows = [
             (
@@ -134,7 +135,7 @@ class _Page:
                 _escaped(row.range),
                 _escaped(_joined(row.doc, sources.get(row.name.partition(".")[0], ""))),
             )
-            for row in draw.field_table(plan, draw.captured_values(message))
+            for row in field_table(plan, captured_values(message))
         ]
         if rows:
             lines += [
@@ -149,7 +150,7 @@ class _Page:
     def _facts(self, message: Message, plan: p.MessagePlan) -> list[str]:
         facts: list[str] = []
         if self.is_can:
-            values = draw.captured_values(message)
+            values = captured_values(message)
             ranges = [f"`{c.name}` {values[c.name]}" for c in message.identifier.captures]
             kinds = [
                 kind

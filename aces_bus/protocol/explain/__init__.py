@@ -1,6 +1,6 @@
 """Why bytes are decoded as they are: the scanner's decisions, template by template, part by part (the paper's Fig. 5).
 
->>> from aces_bus.protocol.explain import Tracer
+>>> from aces_bus.protocol.explain.tracer import Tracer
 >>> from aces_protocols.robotis.spec import robotis
 >>> tracer = Tracer([robotis.variant()], direction="to device")
 >>> (attempt,) = tracer.explain_stream(bytes.fromhex("FF FF 01 02 01 FB"))
@@ -12,8 +12,6 @@
 
 from __future__ import annotations
 
-from .attempt import Attempt, Death, FieldRead, Step, TemplateTrace, candump_text
-from .tracer import Tracer
 from .unknown import why_unknown
 
-__all__ = ["Attempt", "Death", "FieldRead", "Step", "TemplateTrace", "Tracer", "candump_text", "why_unknown"]
+__all__ = ["why_unknown"]

@@ -20,7 +20,7 @@ from ..declare.framing import Framing, Judgement, Verdict
 from ..declare.message import Message
 from ..declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, error_text
 from ..declare.pattern import describe_values
-from ..draw import Mark, marks_of
+from ..draw.cells import Mark, marks_of
 from ..plan import nodes as p
 
 #: The value of a constant behind its name.

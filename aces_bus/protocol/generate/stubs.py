@@ -17,7 +17,7 @@ from ...errors import SpecError
 from ..declare.message import Message
 from ..declare.multiplexed import number_runs
 from ..declare.protocol import Protocol
-from ..draw import row_of
+from ..draw.table import row_of
 from ..plan import nodes as p
 from ..plan.scalars import NotFlat, scalar_of
 from .source import NameScope, SourceText

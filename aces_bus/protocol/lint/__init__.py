@@ -31,9 +31,9 @@ from collections.abc import Iterator
 from ..declare.protocol import Protocol
 from .examples import check_examples
 from .fields import check_fields
-from .finding import LEVELS, Finding, Level, sort_key
+from .finding import Finding, sort_key
 from .framings import check_framings
-from .templates import check_templates, check_wire
+from .templates import check_templates
 
 
 def check_protocol(protocol: Protocol) -> list[Finding]:
@@ -52,4 +52,4 @@ def every_finding(protocol: Protocol) -> Iterator[Finding]:
                 yield finding
 
 
-__all__ = ["LEVELS", "Finding", "Level", "check_protocol", "check_wire", "every_finding", "sort_key"]
+__all__ = ["check_protocol"]

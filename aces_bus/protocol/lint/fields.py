@@ -30,7 +30,7 @@ from ..declare.pattern import IdField, describe_values
 from ..declare.place import SourceLine
 from ..declare.protocol import Protocol
 from ..declare.wire_number import raw_limits, wire_number
-from ..draw import bits_place
+from ..draw.table import bits_place
 from .finding import Finding, Level
 
 #: One number, or so few of all, against so many of the other byte order is remarked upon; of signs against more, for a

@@ -37,17 +37,8 @@ from ...frame_table import ERROR, EXTENDED, FrameTable
 from ...plugins import installed_items
 from ..base import Chunk, Link
 from ._file import OutFile
-from .base import RecordingWriter
 
-__all__ = [
-    "FormatOut",
-    "OpenWriter",
-    "RecordingWriter",
-    "open_writer",
-    "split_suffix",
-    "writer_format",
-    "writer_formats",
-]
+__all__ = ["open_writer"]
 
 
 @dataclass(frozen=True)
@@ -244,7 +235,7 @@ def open_writer(
     when the library that a format needs is not installed.
 
     >>> import io
-    >>> from aces_bus.frames import Frame
+    >>> from aces_bus import Frame
     >>> out = io.BytesIO()
     >>> with open_writer(out, "candump") as writer:
     ...     writer.write(FrameTable.from_frames([Frame(0x60, b"\\x0a", 1.5, "can0")]))

@@ -10,7 +10,7 @@ from typing import Any
 
 from canopen.network import Network
 
-from aces_bus.runtime import EventClock
+from aces_bus.runtime.clock import EventClock
 
 
 class Periodic:

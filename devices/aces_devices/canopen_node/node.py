@@ -11,7 +11,8 @@ from abc import abstractmethod
 from dataclasses import replace
 from typing import Any
 
-from aces_bus.device import UNKNOWN, Device, HostLoss, Job, Signal, Steps
+from aces_bus.device import UNKNOWN, Device, HostLoss, Job, Steps
+from aces_bus.device.signals import Signal
 from aces_bus.errors import AcesError, CallerError, NoReplyError
 from aces_bus.protocol import Record
 

@@ -6,8 +6,9 @@
 
 from __future__ import annotations
 
-from aces_bus.device import Device, Host, Job, Steps
+from aces_bus.device import Device, Job, Steps
 from aces_bus.device.config import DeviceConfig
+from aces_bus.device.host import Host
 from aces_bus.errors import AcesError
 
 from .sdo import SdoChannel

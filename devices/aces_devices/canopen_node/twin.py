@@ -11,11 +11,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any, ClassVar
 
-from aces_bus import Frame
+from aces_bus import Frame, as_dict, make_scanner
 from aces_bus.device import Twin
-from aces_bus.protocol import Record, make_scanner
-from aces_bus.protocol.record import as_dict
-from aces_bus.runtime import Timer
+from aces_bus.protocol import Record
+from aces_bus.runtime.clock import Timer
 
 from .pdo import RECEIVED, SENT, PdoEntry, PdoLayout, layouts
 from .watchdog import CONSUMER

@@ -14,8 +14,9 @@ from collections.abc import Iterable
 from functools import partial
 from typing import Any, ClassVar
 
-from aces_bus.device import HostLoss, Job, Signal, Steps
+from aces_bus.device import HostLoss, Job, Steps
 from aces_bus.device.settings import settings_of
+from aces_bus.device.signals import Signal
 from aces_bus.errors import AcesError, DeviceError
 from aces_bus.protocol import Record
 

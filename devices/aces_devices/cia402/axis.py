@@ -13,7 +13,8 @@ from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from aces_bus.device import Joint, Signal
+from aces_bus.device.config import Joint
+from aces_bus.device.signals import Signal
 from aces_bus.errors import CallerError
 
 from .states import (

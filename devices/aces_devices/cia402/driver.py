@@ -14,8 +14,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-from aces_bus.device import HostLoss, Job, MotorDevice, Poll, Signal, Steps
+from aces_bus.device import HostLoss, Job, MotorDevice, Poll, Steps
 from aces_bus.device.settings import settings_of
+from aces_bus.device.signals import Signal
 from aces_bus.errors import AcesError, CallerError, DeviceError
 from aces_bus.protocol import Record
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import copysign, sqrt
 
-from aces_bus.device import Joint
+from aces_bus.device.config import Joint
 
 from ..joint_model import STEP, STEP_NS, MotorJoint, MotorModel
 from .states import (

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from aces_bus.device import Joint
+from aces_bus.device.config import Joint
 from aces_bus.errors import CallerError
 
 from ..canopen_node.settings import NodeSettings

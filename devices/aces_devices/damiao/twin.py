@@ -12,7 +12,8 @@ import math
 from random import Random
 from typing import Any, ClassVar
 
-from aces_bus.device import JointScale, Twin, on
+from aces_bus.device import Twin, on
+from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
 from aces_protocols.damiao.spec import INTEGERS, MODELS, READ_ONLY, REGISTERS, SHARE, Master
 

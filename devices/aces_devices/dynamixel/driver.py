@@ -15,9 +15,10 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from msgspec import Meta
 
-from aces_bus.device import HostLoss, Job, Signal, Steps
+from aces_bus.device import HostLoss, Job, Steps
 from aces_bus.device.config import Joint
 from aces_bus.device.register_device import RegisterSpan
+from aces_bus.device.signals import Signal
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 from aces_bus.protocol import Record
 from aces_protocols.dynamixel.control_table import ACCELERATION, ANGLE, HARDWARE_ERRORS, SPEED, WATCHDOG_ERROR

@@ -11,7 +11,9 @@ import math
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-from aces_bus.device import DeviceConfig, Host, HostLoss, Job, Robot, Steps
+from aces_bus.device import HostLoss, Job, Robot, Steps
+from aces_bus.device.config import DeviceConfig
+from aces_bus.device.host import Host
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Record, Variant
 from aces_protocols.feetech.control_table import ERRORS, SCS_ANGLE, STS_ANGLE

@@ -11,7 +11,9 @@ from datetime import UTC, datetime, timedelta
 from math import cos, hypot, radians, sin
 from typing import ClassVar
 
-from aces_bus.device import DeviceConfig, Driver, Host, Job, Steps
+from aces_bus.device import Driver, Job, Steps
+from aces_bus.device.config import DeviceConfig
+from aces_bus.device.host import Host
 from aces_bus.device.settings import described
 from aces_bus.protocol import Record
 

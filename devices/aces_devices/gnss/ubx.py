@@ -14,7 +14,9 @@ from typing import Annotated, Any, ClassVar
 
 from msgspec import Meta
 
-from aces_bus.device import DeviceConfig, Driver, Host, Job, Steps, Ticket, on
+from aces_bus.device import Driver, Job, Steps, Ticket, on
+from aces_bus.device.config import DeviceConfig
+from aces_bus.device.host import Host
 from aces_bus.device.settings import described
 from aces_bus.errors import DeviceError
 from aces_bus.protocol import Record

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from aces_bus.compiling import mypyc_attr
-from aces_bus.device import Joint, Signal
+from aces_bus.device.config import Joint
+from aces_bus.device.signals import Signal
 from aces_bus.errors import CallerError
 
 #: Home flags that say that a joint is homed: 6, and 2 of a wrist roll (hubo-ach).

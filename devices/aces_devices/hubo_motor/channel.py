@@ -15,7 +15,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from aces_bus.device import Joint
+from aces_bus.device.config import Joint
 
 from ..joint_model import STEP_NS, MotorJoint, MotorModel
 from .parameters import ChannelParameters, StoredBoard, StoredChannel

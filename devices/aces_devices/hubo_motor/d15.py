@@ -15,21 +15,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
-from aces_bus.device import (
-    UNKNOWN,
-    Driver,
-    Host,
-    HostLoss,
-    Job,
-    Joint,
-    MotorDevice,
-    Poll,
-    Signal,
-    Steps,
-    Twin,
-    on,
-    together,
-)
+from aces_bus.device import UNKNOWN, Driver, HostLoss, Job, MotorDevice, Poll, Steps, Twin, on, together
+from aces_bus.device.config import Joint
+from aces_bus.device.host import Host
+from aces_bus.device.signals import Signal
 from aces_bus.errors import CallerError, DeviceError
 from aces_bus.protocol import Record
 from aces_protocols.hubo.d15 import NUMBERS, POWER

@@ -40,8 +40,10 @@ from typing import Any, ClassVar, Literal
 import msgspec
 
 from aces_bus.compiling import mypyc_attr
-from aces_bus.device import HostLoss, Job, Joint, MotorDevice, Poll, Signal, Steps, Ticket
+from aces_bus.device import HostLoss, Job, MotorDevice, Poll, Steps, Ticket
+from aces_bus.device.config import Joint
 from aces_bus.device.settings import settings_of
+from aces_bus.device.signals import Signal
 from aces_bus.device.ticket import Awaited
 from aces_bus.errors import CallerError, DeviceError, NoReplyError
 from aces_bus.protocol import Record

@@ -11,7 +11,9 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import Any
 
-from aces_bus.device import DeviceConfig, Host, Job, Steps
+from aces_bus.device import Job, Steps
+from aces_bus.device.config import DeviceConfig
+from aces_bus.device.host import Host
 from aces_bus.errors import AcesError, CallerError
 from aces_bus.protocol import Record
 

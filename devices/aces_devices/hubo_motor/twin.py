@@ -13,7 +13,8 @@ from collections.abc import Mapping
 from math import pi, tau
 from typing import Any, ClassVar
 
-from aces_bus.device import Joint, Twin, on
+from aces_bus.device import Twin, on
+from aces_bus.device.config import Joint
 from aces_bus.protocol import Record
 from aces_protocols.hubo.spec import hubo
 

@@ -11,8 +11,9 @@ from typing import Annotated, ClassVar
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Device, Driver, Host, HostLoss, Job, Poll, Steps, Ticket
+from aces_bus.device import Device, Driver, HostLoss, Job, Poll, Steps, Ticket
 from aces_bus.device.config import DeviceConfig
+from aces_bus.device.host import Host
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Record

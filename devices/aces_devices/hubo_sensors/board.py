@@ -16,9 +16,11 @@ from typing import Annotated, Any, ClassVar
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Device, Host, HostLoss, Job, Poll, Sensor, Signal, Steps, Ticket
-from aces_bus.device.config import DeviceConfig
+from aces_bus.device import Device, HostLoss, Job, Poll, Steps, Ticket
+from aces_bus.device.config import DeviceConfig, Sensor
+from aces_bus.device.host import Host
 from aces_bus.device.settings import settings_of
+from aces_bus.device.signals import Signal
 from aces_bus.errors import CallerError, DeviceError
 
 #: The NameInfo tail of the hands' boards, of unknown meaning (acesHubo config.ops).

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from math import sin
 from typing import Final
 
-from aces_bus.device import Robot, World
+from aces_bus.device import Robot
+from aces_bus.device.twin import World
 from aces_bus.errors import UnknownNameError
 
 #: How long a pose holds (ns).

@@ -13,7 +13,8 @@ from functools import partial
 from math import degrees
 from typing import Any, ClassVar
 
-from aces_bus.device import Device, Driver, HostLoss, Joint, Ticket
+from aces_bus.device import Device, Driver, HostLoss, Ticket
+from aces_bus.device.config import Joint
 from aces_bus.errors import CallerError
 
 from .twin import MotorTwin

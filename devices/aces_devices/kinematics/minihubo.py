@@ -15,10 +15,10 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 
-from aces_bus.controller.motion import Interpolation, Trajectory
-from aces_bus.controller.motion_file import read_trajectory
+from aces_bus.controller import Trajectory, read_trajectory
+from aces_bus.controller.motion import Interpolation
 from aces_bus.errors import CallerError
-from aces_bus.kinematics import Body, Chain, Move, Revolute
+from aces_bus.kinematics.body import Body, Chain, Move, Revolute
 
 JOINTS = (
     *("HY", "LHY", "LHR", "LHP", "LKP", "LAP", "LAR", "RHY", "RHR", "RHP", "RKP", "RAP", "RAR"),

@@ -17,20 +17,11 @@ from typing import Annotated, Any, ClassVar, Literal
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import (
-    Device,
-    Driver,
-    HostLoss,
-    Job,
-    OutgoingMessage,
-    Poll,
-    Setpoint,
-    Signal,
-    Steps,
-    Ticket,
-)
+from aces_bus.device import Device, Driver, HostLoss, Job, OutgoingMessage, Poll, Steps, Ticket
+from aces_bus.device.coalesce import Setpoint
 from aces_bus.device.host_loss import Outcome
 from aces_bus.device.settings import described, settings_of
+from aces_bus.device.signals import Signal
 from aces_bus.errors import CallerError, DeviceError
 from aces_bus.protocol import Record
 from aces_protocols.moteus.registers import BY_NAME

@@ -13,7 +13,8 @@ from random import Random
 from struct import unpack
 from typing import Any, ClassVar
 
-from aces_bus.device import JointScale, Twin, on
+from aces_bus.device import Twin, on
+from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
 from aces_protocols.odrive.spec import Node
 

@@ -19,20 +19,10 @@ from typing import Annotated, Any, ClassVar, Literal
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import (
-    Device,
-    Driver,
-    Host,
-    HostLoss,
-    Job,
-    OutgoingMessage,
-    Poll,
-    Setpoint,
-    Steps,
-    Ticket,
-    together,
-)
+from aces_bus.device import Device, Driver, HostLoss, Job, OutgoingMessage, Poll, Steps, Ticket, together
+from aces_bus.device.coalesce import Setpoint
 from aces_bus.device.config import DeviceConfig
+from aces_bus.device.host import Host
 from aces_bus.device.host_loss import Outcome
 from aces_bus.device.settings import described, settings_of
 from aces_bus.errors import CallerError, DeviceError

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from aces_bus.errors import CallerError
-from aces_bus.robot import RobotFileProblem
 from aces_bus.robot.checks import near
+from aces_bus.robot.file import RobotFileProblem
 
 #: Bytes of a description file; those of the sources have 7 kB at most.
 LARGEST: Final = 2**20

@@ -12,9 +12,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from aces_bus import list_robots
 from aces_bus.device import Robot
 from aces_bus.errors import CallerError
-from aces_bus.robot import RobotError, RobotFileProblem, list_robots, make_robot, robot_text
+from aces_bus.robot.file import RobotError, RobotFileProblem, make_robot
+from aces_bus.robot.installed import robot_text
 
 from . import _hubo_ach, _hubocan
 from ._description import RobotDescription, read_lines

@@ -18,8 +18,9 @@ from typing import Annotated, Any, ClassVar, Literal
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Driver, HostLoss, Job, Poll, Signal, Steps, Ticket
+from aces_bus.device import Driver, HostLoss, Job, Poll, Steps, Ticket
 from aces_bus.device.settings import described, settings_of
+from aces_bus.device.signals import Signal
 from aces_bus.errors import CallerError, DeviceError, UnknownNameError
 from aces_bus.protocol import Record
 from aces_protocols.robstride.spec import (

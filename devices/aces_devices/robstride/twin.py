@@ -12,7 +12,8 @@ from __future__ import annotations
 from random import Random
 from typing import Any, ClassVar
 
-from aces_bus.device import JointScale, Twin, on
+from aces_bus.device import Twin, on
+from aces_bus.device.single_motor import JointScale
 from aces_bus.protocol import Record
 from aces_protocols.robstride.spec import BYTES, DIALECTS, FAMILY, KINDS, MODELS, READ_ONLY
 

@@ -10,9 +10,11 @@ from collections.abc import Callable
 
 import msgspec
 
-from aces_bus.device import Device, DeviceConfig, Host, Job, Steps
+from aces_bus.device import Device, Job, Steps
+from aces_bus.device.config import DeviceConfig
+from aces_bus.device.host import Host
 from aces_bus.errors import NoReplyError
-from aces_bus.protocol import RegisterMap
+from aces_bus.protocol.declare.registers import RegisterMap
 
 #: The longest return delay: 254 × 2 µs (RX-28 manual; ROBOTIS e-manual; the same register in Feetech's servos).
 LONGEST_DELAY_S = 254 * 2e-6

@@ -17,7 +17,8 @@ from aces_bus.device import Twin, on
 from aces_bus.device.register_device import RegisterCodec
 from aces_bus.device.settings import settings_of
 from aces_bus.errors import CallerError
-from aces_bus.protocol import Enumeration, Flags, Quantity, Record, RegisterMap
+from aces_bus.protocol import Enumeration, Flags, Quantity, Record
+from aces_bus.protocol.declare.registers import RegisterMap
 
 from .driver import BROADCAST, ServoSettings
 

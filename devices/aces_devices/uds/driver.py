@@ -14,8 +14,9 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any, ClassVar
 
-from aces_bus.device import Device, Driver, HostLoss, Job, Poll, Signal, Steps
+from aces_bus.device import Device, Driver, HostLoss, Job, Poll, Steps
 from aces_bus.device.settings import described, settings_of
+from aces_bus.device.signals import Signal
 from aces_bus.errors import AcesError, CallerError, DeviceError, UnknownNameError
 from aces_bus.protocol import Record
 from aces_protocols.uds.spec import SESSIONS

@@ -16,10 +16,12 @@ from typing import Annotated, Any, ClassVar, Literal
 import msgspec
 from msgspec import Meta
 
-from aces_bus.device import Device, Driver, Host, HostLoss, Job, Poll, Signal, Steps, Ticket
+from aces_bus.device import Device, Driver, HostLoss, Job, Poll, Steps, Ticket
 from aces_bus.device.config import DeviceConfig
+from aces_bus.device.host import Host
 from aces_bus.device.host_loss import Outcome
 from aces_bus.device.settings import described, settings_of
+from aces_bus.device.signals import Signal
 from aces_bus.errors import CallerError, DeviceError
 from aces_bus.protocol import Record
 from aces_protocols.vesc_uart.spec import mask_of

@@ -12,7 +12,7 @@ from typing import Any
 
 from aces_bus.device import Twin
 from aces_bus.protocol import Record
-from aces_bus.runtime import Timer
+from aces_bus.runtime.clock import Timer
 from aces_devices.wheel_model import TurningWheel
 from aces_protocols.vesc_uart.spec import FAULTS, VALUES
 

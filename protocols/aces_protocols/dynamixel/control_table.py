@@ -13,7 +13,8 @@ from functools import partial
 
 from construct import Byte, Int16sl, Int16ul, Int32sl, Int32ul
 
-from aces_bus.protocol import Enumeration, Flags, RegisterMap
+from aces_bus.protocol import Enumeration, Flags
+from aces_bus.protocol.declare.registers import RegisterMap
 from aces_protocols.robotis.fields import RateTable, switch
 
 from .models import MODELS

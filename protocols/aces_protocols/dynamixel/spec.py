@@ -13,8 +13,7 @@ from typing import Any
 
 from construct import Byte, Bytes, Const, GreedyBytes, GreedyRange, Int16ul, Struct, this
 
-from aces_bus.protocol import BitLayout, Crc, Enumeration, Insert, Protocol, bits
-from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol import BitLayout, Crc, Enumeration, Insert, Message, Protocol, bits
 
 from .control_table import add_x_registers
 

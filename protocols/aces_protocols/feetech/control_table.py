@@ -13,7 +13,8 @@ from typing import Any
 
 from construct import Byte, Int16ub, Int16ul
 
-from aces_bus.protocol import Enumeration, Flags, RegisterMap
+from aces_bus.protocol import Enumeration, Flags
+from aces_bus.protocol.declare.registers import RegisterMap
 from aces_protocols.robotis.fields import Directed, RateTable, switch
 
 from .models import MODELS

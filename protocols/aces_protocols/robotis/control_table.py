@@ -13,8 +13,8 @@ from typing import Any
 from construct import Byte, Int16ul
 
 from aces_bus.errors import FieldError
-from aces_bus.protocol import Enumeration, Flags, RegisterMap
-from aces_bus.protocol.declare.fields import Field
+from aces_bus.protocol import Enumeration, Field, Flags
+from aces_bus.protocol.declare.registers import RegisterMap
 
 from .fields import TOLERANCE, Directed, switch
 

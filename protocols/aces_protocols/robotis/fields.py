@@ -8,8 +8,7 @@ from typing import Any
 from construct import Byte, Construct
 
 from aces_bus.errors import FieldError
-from aces_bus.protocol import Enumeration
-from aces_bus.protocol.declare.fields import Field
+from aces_bus.protocol import Enumeration, Field
 
 #: A rate is taken for the nearest setting when it is off by less: what a receiver tolerates (RX-28 manual).
 TOLERANCE = 0.03

@@ -11,8 +11,7 @@ from typing import Any
 
 from construct import Byte, Bytes, GreedyBytes, GreedyRange, Struct, this
 
-from aces_bus.protocol import Flags, InvertedSum, Protocol
-from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol import Flags, InvertedSum, Message, Protocol
 
 BROADCAST = 0xFE
 #: Identifiers of single servos; 0xFF cannot occur.

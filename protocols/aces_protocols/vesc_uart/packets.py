@@ -8,7 +8,7 @@ from __future__ import annotations
 from binascii import crc_hqx
 from typing import Any, Literal
 
-from aces_bus.protocol import Unknown
+from aces_bus import Unknown
 
 from .spec import long, short, vesc_uart
 

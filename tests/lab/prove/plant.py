@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 
 from msgspec.structs import replace
 
-from aces_bus.protocol import load_protocol
-from aces_bus.protocol.declare.message import Message
-from aces_bus.protocol.declare.protocol import Variant
+from aces_bus import load_protocol
+from aces_bus.protocol import Message, Variant
 from aces_bus.protocol.generate.decode import Decoder
-from aces_bus.protocol.generate.load import decoders_of, load_source, print_decoder
+from aces_bus.protocol.generate.load import decoders_of, print_decoder
+from aces_bus.protocol.generate.load_text import load_source
 from aces_bus.protocol.plan import nodes as p
 from aces_lab.prove import witness as w
 from aces_lab.prove.decoding import Witness, drawn, proof_lengths, source_of

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus.protocol import Protocol, list_protocols, load_protocol
+from aces_bus import list_protocols, load_protocol
+from aces_bus.protocol import Protocol
 from aces_tools import proofs
 
 

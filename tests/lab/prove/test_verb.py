@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("z3")
 
-from aces_bus.protocol import load_protocol
+from aces_bus import load_protocol
 from aces_lab.prove import witness as w
 from aces_lab.prove.c_export import check_c
 from aces_lab.prove.columns import check_columns

@@ -10,8 +10,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from aces_bus import Frame
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.frames import FD_LENGTHS, Frame
+from aces_bus.frames import FD_LENGTHS
 from aces_bus.hardware.simulated.bus import arbitration
 from aces_bus.hardware.simulated.frame_time import INTERMISSION, longest_bits
 

@@ -14,8 +14,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import lcm
 
+from aces_bus import Frame
 from aces_bus.errors import UnknownNameError
-from aces_bus.frames import Frame
 from aces_bus.hardware.simulated.bus import arbitration
 from aces_bus.hardware.simulated.serial_line import BITS
 

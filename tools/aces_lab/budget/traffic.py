@@ -20,18 +20,16 @@ from typing import Any, Literal
 
 from msgspec import structs
 
-from aces_bus.device.config import Robot
-from aces_bus.device.drivers import Driver, load_driver
+from aces_bus import Frame, Unknown, make_scanner
+from aces_bus.device import Driver, Robot, load_driver
 from aces_bus.device.host import Host
 from aces_bus.device.poll import PollSlot
 from aces_bus.errors import AcesError, CallerError
-from aces_bus.frames import Frame
+from aces_bus.hardware import SimulatedBus
 from aces_bus.hardware.ports import port_of
-from aces_bus.hardware.simulated.bus import SimulatedBus
-from aces_bus.protocol import make_scanner
-from aces_bus.protocol.record import Unknown
+from aces_bus.robot import connect
 from aces_bus.robot.buses import is_half_duplex, wire_of
-from aces_bus.robot.rig import Rig, Simulation, connect, simulate, spoken_on
+from aces_bus.robot.rig import Rig, Simulation, simulate, spoken_on
 from aces_bus.runtime import VirtualClock
 
 #: What the host is called among the nodes of a bus; no device may have this name and a queue of its own.

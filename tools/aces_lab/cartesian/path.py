@@ -20,14 +20,12 @@ from typing import Literal
 
 import numpy as np
 
-from aces_bus.controller.base import NOTHING, Controller, known_value
-from aces_bus.controller.events import ControlEvent
-from aces_bus.controller.motion import Motion, Trajectory
+from aces_bus.controller import ControlEvent, Controller, Limits, Trajectory, ViaPath
+from aces_bus.controller.base import NOTHING, known_value
+from aces_bus.controller.motion import Motion
 from aces_bus.controller.player import GENTLE
-from aces_bus.controller.via import Limits, ViaPath
 from aces_bus.errors import CallerError
-from aces_bus.kinematics import Body, Pose, roll_pitch_yaw, rotation_of
-from aces_bus.kinematics.body import Floats
+from aces_bus.kinematics.body import Body, Floats, Pose, roll_pitch_yaw, rotation_of
 
 from .inverse import Goal, Solution, solve
 

@@ -14,15 +14,15 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from aces_bus import FrameTable, load_protocol, make_column_scanner, open_recording
 from aces_bus.errors import CallerError
-from aces_bus.frame_table import NO_TIME, FrameTable, Ints, joined_tables, to_ns
-from aces_bus.protocol import Protocol, Variant, load_protocol
+from aces_bus.frame_table import NO_TIME, Ints, joined_tables, to_ns
+from aces_bus.protocol import Protocol, Variant
 from aces_bus.protocol.columns.decode import feed
-from aces_bus.protocol.columns.scanner import make_column_scanner
 from aces_bus.protocol.columns.table import Array, MessageTable
 from aces_bus.protocol.exchange import database_suffixes, load_database
-from aces_bus.recordings import CanFilter, CanRecording, SerialRecording, open_recording
-from aces_bus.recordings.filters import passing
+from aces_bus.recordings.base import CanRecording, SerialRecording
+from aces_bus.recordings.filters import CanFilter, passing
 from aces_bus.recordings.pieces import Direction, SerialWays
 from aces_bus.recordings.source import PathSource
 from aces_bus.recordings.window import TimeWindow

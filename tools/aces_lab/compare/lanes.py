@@ -14,7 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from aces_bus.frame_table import NO_TIME, FrameTable
+from aces_bus import FrameTable
+from aces_bus.frame_table import NO_TIME
 from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.table import MessageTable
 from aces_bus.traffic import identifier_groups

@@ -7,8 +7,9 @@
 
 from __future__ import annotations
 
+from aces_bus import FrameTable
 from aces_bus._lazy import np
-from aces_bus.frame_table import KEY_REMOTE, FrameTable, Ints, widened
+from aces_bus.frame_table import KEY_REMOTE, Ints, widened
 from aces_bus.traffic import FrameCount, IdentifierCounts
 
 

@@ -22,11 +22,13 @@ from typing import Any
 
 import numpy as np
 
+from aces_bus import open_recording
 from aces_bus.errors import CallerError, CaptureError
 from aces_bus.plain_text import printable
 from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.table import Array, MessageTable
-from aces_bus.recordings import CanRecording, SerialRecording, open_recording, parse_filter
+from aces_bus.recordings.base import CanRecording, SerialRecording
+from aces_bus.recordings.filters import parse_filter
 from aces_bus.recordings.pieces import open_any
 from aces_bus.recordings.where import WhereColumns
 from aces_bus.recordings.window import TimeWindow

@@ -26,13 +26,21 @@ from typing import Any
 import construct as c
 
 from aces_bus.errors import AcesError, CallerError
-from aces_bus.protocol.declare.bits import BitLayout, bits, float_bits
-from aces_bus.protocol.declare.fast_packet import FastPacket
-from aces_bus.protocol.declare.fields import Enumeration, Flags, Quantity, Text
-from aces_bus.protocol.declare.message import Message
-from aces_bus.protocol.declare.pattern import IdField, IdPattern
+from aces_bus.protocol import (
+    BitLayout,
+    Enumeration,
+    FastPacket,
+    Flags,
+    IdField,
+    Message,
+    Protocol,
+    Quantity,
+    Text,
+    bits,
+    float_bits,
+)
+from aces_bus.protocol.declare.pattern import IdPattern
 from aces_bus.protocol.declare.place import SourceLine
-from aces_bus.protocol.declare.protocol import Protocol
 from aces_bus.protocol.exchange.import_build import TRAILING
 from aces_bus.protocol.exchange.import_dbc import protocol_name, read_text
 from aces_bus.protocol.exchange.names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused

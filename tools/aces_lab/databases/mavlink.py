@@ -22,12 +22,9 @@ from typing import Any, Final
 import construct as c
 
 from aces_bus.errors import AcesError, CallerError
-from aces_bus.protocol.declare.checks import Crc, Extra
-from aces_bus.protocol.declare.fields import Enumeration, Flags, Quantity, Text
-from aces_bus.protocol.declare.framing import Framing, Trailer
+from aces_bus.protocol import Crc, CutZeros, Enumeration, Extra, Flags, Protocol, Quantity, Text, Trailer
+from aces_bus.protocol.declare.framing import Framing
 from aces_bus.protocol.declare.place import SourceLine
-from aces_bus.protocol.declare.protocol import Protocol
-from aces_bus.protocol.declare.stuffing import CutZeros
 from aces_bus.protocol.declare.wire_number import wire_number
 from aces_bus.protocol.exchange.import_dbc import protocol_name
 from aces_bus.protocol.exchange.names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused

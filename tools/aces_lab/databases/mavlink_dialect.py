@@ -16,7 +16,7 @@ from xml.parsers import expat
 import construct as c
 
 from aces_bus.errors import CallerError
-from aces_bus.protocol.declare.checks import Crc
+from aces_bus.protocol import Crc
 from aces_bus.protocol.exchange.problems import ImportProblem, clean_text, one_line
 
 #: Bytes and number of the files that are read, elements inside one another, messages.

@@ -19,14 +19,14 @@ from typing import Any
 
 from msgspec import structs
 
+from aces_bus import Frame, FrameTable, make_scanner, open_recording
 from aces_bus.device import Driver, Robot, load_driver
 from aces_bus.device.config import alone
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.frame_table import Channels, FrameTable
-from aces_bus.frames import Frame
-from aces_bus.protocol import Variant, make_scanner
-from aces_bus.recordings import Chunk, SerialRecording, open_recording
-from aces_bus.robot.file import parse_robot
+from aces_bus.frame_table import Channels
+from aces_bus.protocol import Variant
+from aces_bus.recordings.base import Chunk, SerialRecording
+from aces_bus.robot import parse_robot
 from aces_bus.testing.bench import Bench
 from aces_bus.testing.shrinking import simpler_frames, smaller_packets
 from aces_bus.testing.source import Dice

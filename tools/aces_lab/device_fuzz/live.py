@@ -12,11 +12,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
-from aces_bus.device import Device, Driver, Robot, load_driver, stop_devices, wait_stopped
+from aces_bus.device import Device, Driver, Robot, load_driver
 from aces_bus.device.config import alone
 from aces_bus.device.port import Port
+from aces_bus.device.stopping import stop_devices, wait_stopped
 from aces_bus.errors import CallerError, DeviceError
-from aces_bus.robot.rig import Rig, connect
+from aces_bus.robot import connect
+from aces_bus.robot.rig import Rig
 from aces_bus.testing.source import Dice
 
 from .fuzzer import BETWEEN, DeviceFinding, rules_of

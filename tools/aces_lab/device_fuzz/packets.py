@@ -14,12 +14,12 @@ from typing import Any
 
 import construct as c
 
+from aces_bus import Frame, make_scanner
+from aces_bus import Unknown as UnknownRecord
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
-from aces_bus.frames import Frame
-from aces_bus.protocol import Record, StreamScanner, Variant, make_scanner
-from aces_bus.protocol import Unknown as UnknownRecord
-from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol import Message, Record, Variant
 from aces_bus.protocol.declare.pattern import IdPattern
+from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.protocol.plan.nodes import NodePath
 from aces_bus.testing.packets import DrawnPacket, UndrawableError, draw_values, image_frame
 from aces_bus.testing.scenes import (

@@ -13,14 +13,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal
 
+from aces_bus import Unknown as UnknownRecord
 from aces_bus.device import Poll, Robot
 from aces_bus.device.config import DeviceConfig
 from aces_bus.device.port import Left, Port
 from aces_bus.device.station import BusEndpoint, EndpointMember, credential_text
-from aces_bus.protocol import Unknown as UnknownRecord
-from aces_bus.protocol import Variant
-from aces_bus.protocol.declare.message import Message
-from aces_bus.protocol.plan.nodes import ValueNames
+from aces_bus.protocol import Message, Variant
+from aces_bus.protocol.plan.steps import ValueNames
 from aces_bus.runtime import VirtualClock
 
 from .packets import AnyPacket, plain_way

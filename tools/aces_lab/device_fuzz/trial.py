@@ -19,8 +19,9 @@ from aces_bus.device.ticket import Awaited
 from aces_bus.errors import AcesError
 from aces_bus.hardware.ports import port_of
 from aces_bus.hardware.simulated.serial_line import SimulatedSerialLine
+from aces_bus.robot import connect
 from aces_bus.robot.buses import wire_of
-from aces_bus.robot.rig import Rig, connect, simulate, spoken_on
+from aces_bus.robot.rig import Rig, simulate, spoken_on
 from aces_bus.runtime import VirtualClock
 from aces_bus.tracebacks import innermost_line
 

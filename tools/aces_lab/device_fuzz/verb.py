@@ -262,7 +262,7 @@ class Searching:
         """Search on a bus, slowly."""
         from aces_bus.device.config import alone
         from aces_bus.robot import open_gates
-        from aces_bus.runtime import Loop
+        from aces_bus.runtime.loop import Loop
         from aces_tools.patience import Patience
         from aces_tools.robot_arg import bus_options, check_channels
 
@@ -449,7 +449,7 @@ def step_lines(found: DeviceFinding) -> list[str]:
 
 
 def _shown(record: Record) -> str:
-    from aces_bus.protocol import Unknown
+    from aces_bus import Unknown
     from aces_bus.protocol.record import field_names
     from aces_tools.device_text import shown_value
     from aces_tools.output.shape import json_value

@@ -15,12 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from aces_bus.errors import CaptureError
+from aces_bus.export import open_export
 from aces_bus.export.base import Export
-from aces_bus.export.open import open_export
 from aces_bus.frame_table import NO_TIME
+from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.arrow import is_absolute
 from aces_bus.protocol.columns.table import MessageTable
-from aces_bus.protocol.declare.protocol import Variant
 
 from .recipe import Recipe
 

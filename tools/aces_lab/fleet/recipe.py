@@ -20,10 +20,9 @@ from typing import Any, Literal
 
 import msgspec
 
-from aces_bus import __version__
+from aces_bus import __version__, load_protocol
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.protocol import load_protocol
-from aces_bus.protocol.declare.protocol import Variant
+from aces_bus.protocol import Variant
 from aces_bus.protocol.exchange import database_suffixes
 from aces_bus.protocol.files import python_file
 from aces_bus.protocol.record_plans import plans_of

@@ -16,10 +16,10 @@ from typing import Any
 
 import msgspec
 
+from aces_bus import open_recording
 from aces_bus.errors import CallerError, CaptureError
 from aces_bus.frame_table import NO_TIME
 from aces_bus.protocol.columns.arrow import load_pyarrow
-from aces_bus.recordings import open_recording
 from aces_bus.recordings.base import Link
 from aces_bus.recordings.open import LEAST, may_be_split
 from aces_bus.recordings.pieces import Direction

@@ -21,15 +21,13 @@ from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 
-from aces_bus import __version__
+from aces_bus import __version__, make_column_scanner, open_recording
 from aces_bus.errors import AcesError, CallerError, CaptureError
 from aces_bus.frame_table import NO_TIME, to_ns
+from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.decode import feed
 from aces_bus.protocol.columns.layout import ABSOLUTE_NS
-from aces_bus.protocol.columns.scanner import make_column_scanner
-from aces_bus.protocol.declare.protocol import Variant
-from aces_bus.recordings import CanRecording, SerialRecording, UnreadableEntry, open_recording
-from aces_bus.recordings.base import Link
+from aces_bus.recordings.base import CanRecording, Link, SerialRecording, UnreadableEntry
 from aces_bus.recordings.open import open_part
 from aces_bus.recordings.pieces import (
     CaptureReading,

@@ -24,7 +24,8 @@ from datetime import datetime
 
 import numpy as np
 
-from aces_bus.frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, REMOTE, TX, FrameTable, Ints
+from aces_bus import FrameTable
+from aces_bus.frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, REMOTE, TX, Ints
 from aces_bus.recordings.write.base import DLC_OF_LENGTH, StartedWriter, rows_by_kind
 from aces_bus.recordings.write.text import (
     Column,

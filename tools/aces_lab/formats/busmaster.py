@@ -25,7 +25,7 @@ from __future__ import annotations
 import re
 from datetime import datetime
 
-from aces_bus.frames import Frame
+from aces_bus import Frame
 from aces_bus.recordings.text.rows import (
     CLASSIC_LENGTHS,
     FD_LENGTHS_BY_CODE,

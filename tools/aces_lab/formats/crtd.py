@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import re
 
-from aces_bus.frames import Frame
+from aces_bus import Frame
 from aces_bus.recordings.base import printable_start
 from aces_bus.recordings.text.rows import (
     FrameRow,

@@ -19,8 +19,8 @@ import re
 
 import numpy as np
 
-from aces_bus.frame_table import EXTENDED, FD, RX, TX, FrameTable
-from aces_bus.frames import Frame
+from aces_bus import Frame, FrameTable
+from aces_bus.frame_table import EXTENDED, FD, RX, TX
 from aces_bus.recordings.base import printable_start
 from aces_bus.recordings.text.rows import (
     FrameRow,

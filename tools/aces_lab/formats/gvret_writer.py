@@ -15,7 +15,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from aces_bus.frame_table import ERROR, EXTENDED, REMOTE, RX, TX, FrameTable
+from aces_bus import FrameTable
+from aces_bus.frame_table import ERROR, EXTENDED, REMOTE, RX, TX
 from aces_bus.recordings.write.base import ChannelNumbers, FrameWriter
 from aces_bus.recordings.write.text import choices, decimal_text, hexadecimal_text, join_columns
 

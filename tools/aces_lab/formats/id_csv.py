@@ -25,9 +25,9 @@ import re
 from dataclasses import dataclass
 from datetime import datetime
 
+from aces_bus import Frame
 from aces_bus.errors import CaptureError
 from aces_bus.frame_table import NO_TIME
-from aces_bus.frames import Frame
 from aces_bus.recordings.base import printable_start
 from aces_bus.recordings.source import MAX_LINE, ByteSource
 from aces_bus.recordings.text.rows import (

@@ -35,8 +35,8 @@ from decimal import Decimal
 
 import numpy as np
 
-from aces_bus.frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, RX, TX, FrameTable
-from aces_bus.frames import Frame
+from aces_bus import Frame, FrameTable
+from aces_bus.frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, RX, TX
 from aces_bus.recordings.base import printable_start
 from aces_bus.recordings.text.rows import (
     CLASSIC_LENGTHS,

@@ -25,17 +25,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from aces_bus.frame_table import (
-    BITRATE_SWITCH,
-    ERROR,
-    ERROR_STATE,
-    EXTENDED,
-    FD,
-    REMOTE,
-    TX,
-    FrameTable,
-    Ints,
-)
+from aces_bus import FrameTable
+from aces_bus.frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, TX, Ints
 from aces_bus.recordings.write.base import DLC_OF_LENGTH, StartedWriter
 from aces_bus.recordings.write.text import (
     choices,

@@ -26,15 +26,18 @@ from typing import Protocol as Interface
 import msgspec
 import numpy as np
 
+from aces_bus import make_scanner
 from aces_bus.device import UNKNOWN
 from aces_bus.errors import CallerError
 from aces_bus.export.base import Dataset, Datasets, Options
-from aces_bus.kinematics import Body, Links
+from aces_bus.kinematics.body import Body
+from aces_bus.kinematics.links import Links
 from aces_bus.loopback import is_loopback
-from aces_bus.protocol import CanScanner, Variant, make_scanner
+from aces_bus.protocol import CanScanner, Variant
 from aces_bus.protocol.columns.scanner import RecordColumns
 from aces_bus.protocol.declare.message import GivenWay
-from aces_bus.runtime import Clock, RealClock
+from aces_bus.runtime import RealClock
+from aces_bus.runtime.clock import Clock
 from aces_lab.tables.topics import STATES_TOPIC, TableTopics, states_schema
 
 from .origins import OriginGate, hidden_host

@@ -13,13 +13,10 @@ from itertools import chain
 
 from construct import GreedyBytes, Struct
 
+from aces_bus import FrameTable, make_column_scanner
 from aces_bus._lazy import np
-from aces_bus.frame_table import FrameTable
-from aces_bus.protocol import IdField, Protocol
-from aces_bus.protocol.columns.scanner import make_column_scanner
-from aces_bus.protocol.declare.j1939 import CONNECTION, DATA, J1939Transport
-from aces_bus.protocol.declare.tail_byte import TailByte
-from aces_bus.protocol.declare.transport import Transport
+from aces_bus.protocol import IdField, J1939Transport, Protocol, TailByte, Transport
+from aces_bus.protocol.declare.j1939 import CONNECTION, DATA
 from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
 
 from .fields import Array

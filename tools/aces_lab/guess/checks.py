@@ -21,8 +21,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from aces_bus.protocol import Check, Crc, Fletcher, IdBytes, Sum, Xor
 from aces_bus.protocol.columns.table import Array
-from aces_bus.protocol.declare.checks import Check, Covered, Crc, Fletcher, IdBytes, Order, Sum, Xor
+from aces_bus.protocol.declare.checks import Covered, Order
 
 from .check_evidence import entropy_bits, independent_rows, stored_numbers, sum_bits
 from .crc_families import CrcFamily, CrcModel, bytes_giving, crc_families, stacked_tables

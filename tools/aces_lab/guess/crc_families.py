@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from aces_bus.protocol import Crc
 from aces_bus.protocol.columns.checks import CrcColumns
 from aces_bus.protocol.columns.table import Array
-from aces_bus.protocol.declare.checks import Crc
 
 #: CRCs that are named first where bytes of several of the same polynomial fit as well (AUTOSAR's libraries, SAE J1850).
 USUAL = frozenset({"CRC8-SAE-J1850", "CRC8-AUTOSAR", "CRC16-IBM-3740", "CRC32-ISO-HDLC"})

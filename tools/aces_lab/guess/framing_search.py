@@ -19,8 +19,7 @@ from math import log2
 import numpy as np
 
 from aces_bus.errors import AcesError
-from aces_bus.protocol.declare.checks import Check, InvertedSum, Sum, Xor
-from aces_bus.protocol.declare.stuffing import Cobs, Slip
+from aces_bus.protocol import Check, Cobs, InvertedSum, Slip, Sum, Xor
 
 from .framings import LONGEST, PACKETS, FramingGuess, spans_of, with_check
 from .sample import Sample, Span

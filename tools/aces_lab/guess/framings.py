@@ -14,11 +14,10 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from construct import Byte, GreedyBytes, Int16ub, Int16ul, Struct, this
 
+from aces_bus.protocol import Check, Crc, Insert, Protocol
 from aces_bus.protocol.columns.table import Array
-from aces_bus.protocol.declare.checks import Check, Crc
 from aces_bus.protocol.declare.framing import Framing
-from aces_bus.protocol.declare.protocol import Protocol
-from aces_bus.protocol.declare.stuffing import Insert, Stuffing
+from aces_bus.protocol.declare.stuffing import Stuffing
 
 from .checks import CheckGuess, check_source, checks_of_packets
 from .sample import Span

@@ -10,8 +10,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from aces_bus import FrameTable
 from aces_bus._lazy import np
-from aces_bus.frame_table import FrameTable, rows_at
+from aces_bus.frame_table import rows_at
 from aces_bus.protocol.keys import EXTENDED
 
 from .fields import Array

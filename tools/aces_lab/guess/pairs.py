@@ -10,8 +10,9 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from aces_bus import FrameTable
 from aces_bus._lazy import np
-from aces_bus.frame_table import NO_TIME, FrameTable
+from aces_bus.frame_table import NO_TIME
 from aces_bus.protocol.keys import EXTENDED, REMOTE
 
 from .fields import Array

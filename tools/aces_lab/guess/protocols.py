@@ -11,8 +11,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
+from aces_bus import FrameTable
 from aces_bus._lazy import np
-from aces_bus.frame_table import FrameTable
 from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
 
 from .carried import CarriedGuess, cyphal_packets, j1939_packets

@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from aces_bus.protocol import Insert
 from aces_bus.protocol.columns.table import Array
-from aces_bus.protocol.declare.stuffing import Insert
 
 from .framings import LONGEST, PACKETS, FramingGuess, LengthRule, with_check
 from .sample import Sample

@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from aces_bus import FrameTable
 from aces_bus._lazy import np
-from aces_bus.frame_table import ERROR, FrameTable, rows_at
+from aces_bus.frame_table import ERROR, rows_at
 from aces_bus.protocol.fitting import FittingProtocol, fitting_protocols, undecoded
 from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
 from aces_bus.traffic import BusIdentifier, FrameCount, GapCounts, rows_of_each

@@ -31,7 +31,7 @@ from pathlib import Path
 from aces_bus.errors import CallerError, CaptureError
 from aces_bus.plain_text import printable
 from aces_bus.protocol.fitting import FittingProtocol
-from aces_bus.recordings import CanRecording
+from aces_bus.recordings.base import CanRecording
 from aces_bus.recordings.pieces import open_any
 from aces_tools.console import (
     check_suffix,

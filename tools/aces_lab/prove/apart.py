@@ -12,9 +12,8 @@ from functools import partial
 
 import z3
 
+from aces_bus.protocol import Message, Variant
 from aces_bus.protocol.declare.ambiguity import contexts_exclude, ordered, ordered_by_spec
-from aces_bus.protocol.declare.message import Message
-from aces_bus.protocol.declare.protocol import Variant
 from aces_bus.protocol.live.can_keys import CanDecider
 
 from .account import Outcome

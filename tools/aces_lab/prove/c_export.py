@@ -16,8 +16,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from aces_bus.protocol.declare.protocol import Variant
-from aces_bus.protocol.exchange.export_c import CMessage, print_c_source
+from aces_bus.protocol import Variant
+from aces_bus.protocol.exchange import print_c_source
+from aces_bus.protocol.exchange.export_c import CMessage
 from aces_bus.protocol.generate.load import decoders_of
 
 from .account import Outcome

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from aces_bus.protocol import Message, Variant
 from aces_bus.protocol.columns.rows import PacketRows, RowDecoder
-from aces_bus.protocol.declare.message import Message
-from aces_bus.protocol.declare.protocol import Variant
 from aces_bus.protocol.generate.load import decoders_of
 from aces_bus.protocol.record import plain_value
 

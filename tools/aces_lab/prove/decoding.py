@@ -20,9 +20,7 @@ import msgspec
 import z3
 
 from aces_bus.frames import FD_LENGTHS
-from aces_bus.protocol.declare.delimited import Delimited
-from aces_bus.protocol.declare.message import Message
-from aces_bus.protocol.declare.protocol import Variant
+from aces_bus.protocol import Delimited, Message, Variant
 from aces_bus.protocol.encoder import USUAL_FAILURES
 from aces_bus.protocol.keys import FD, key_of
 

@@ -14,13 +14,21 @@ from typing import Any
 import construct as c
 import z3
 
+from aces_bus.protocol import (
+    BitLayout,
+    Check,
+    Extra,
+    Fletcher,
+    IdBytes,
+    Items,
+    Message,
+    Multiplexed,
+    Sum,
+    Xor,
+)
 from aces_bus.protocol.declare import fields as f
-from aces_bus.protocol.declare.bits import BitLayout, Bits, ByteSplit
-from aces_bus.protocol.declare.checks import Check, Extra, Fletcher, IdBytes, Sum, Xor
+from aces_bus.protocol.declare.bits import Bits, ByteSplit
 from aces_bus.protocol.declare.head import Head
-from aces_bus.protocol.declare.items import Items
-from aces_bus.protocol.declare.message import Message
-from aces_bus.protocol.declare.multiplexed import Multiplexed
 from aces_bus.protocol.declare.pattern import IdPattern
 
 from .symbols import (

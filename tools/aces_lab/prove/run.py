@@ -14,8 +14,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from aces_bus.protocol.declare.message import Message
-from aces_bus.protocol.declare.protocol import Variant
+from aces_bus.protocol import Message, Variant
 from aces_bus.protocol.encoder import quick_encoders
 
 from . import witness as w

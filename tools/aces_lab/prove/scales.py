@@ -14,9 +14,8 @@ from typing import Any, Literal
 import construct as c
 import numpy as np
 
-from aces_bus.protocol.declare.bits import BitLayout
-from aces_bus.protocol.declare.fields import ROUNDING_ERROR, Quantity
-from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol import BitLayout, Message, Quantity
+from aces_bus.protocol.declare.fields import ROUNDING_ERROR
 from aces_bus.protocol.declare.normalise import inner_constructs
 from aces_bus.protocol.declare.wire_number import raw_limits
 

@@ -12,8 +12,7 @@ from typing import Any
 
 import z3
 
-from aces_bus import __version__
-from aces_bus.protocol import list_protocols, load_protocol
+from aces_bus import __version__, list_protocols, load_protocol
 from aces_tools.proofs import badges_path, protocol_hash, read_badges
 
 from .account import ORDER, Outcome, summary

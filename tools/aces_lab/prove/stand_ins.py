@@ -17,9 +17,9 @@ from typing import Any
 import msgspec
 
 from aces_bus.errors import FieldError
-from aces_bus.protocol.declare.fields import Enumeration, Flags, Quantity, truncated
+from aces_bus.protocol import Enumeration, Flags, Message, Quantity
+from aces_bus.protocol.declare.fields import truncated
 from aces_bus.protocol.declare.head import Head
-from aces_bus.protocol.declare.message import Message
 from aces_bus.protocol.declare.pattern import IdPattern
 from aces_bus.protocol.generate.load import OnDemand
 

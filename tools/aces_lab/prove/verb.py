@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from aces_bus.errors import CallerError
-from aces_bus.protocol.declare.protocol import Variant
+from aces_bus.protocol import Variant
 from aces_tools.console import print_json, say, say_note
 from aces_tools.options import COLOR, JSON, Arguments, argument, at_least, positive
 from aces_tools.output.columns import Page

@@ -7,12 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from aces_bus import Frame, FrameTable
 from aces_bus.errors import AcesError
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol import Message, Variant
 from aces_bus.protocol.declare.packet import key_image
-from aces_bus.protocol.declare.protocol import Variant
 from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
 from aces_bus.protocol.record import plain_value
 
@@ -97,7 +95,7 @@ def explained(
     variant: Variant, message: Message, witness: Witness, width: int | None, paint: Any
 ) -> list[str]:
     """Return the witness as `aces spec explain` shows it."""
-    from aces_bus.protocol.explain import Tracer
+    from aces_bus.protocol.explain.tracer import Tracer
     from aces_tools.authoring.explain_text import attempt_lines
 
     tracer = Tracer([variant])
@@ -126,7 +124,7 @@ def save(variant: Variant, message: Message, witness: Witness, folder: Path) -> 
 
 def scanned(variant: Variant, message: Message, witness: Witness) -> tuple[str, str]:
     """Return what the live scanner and the reference make of the witness alone, each in one line."""
-    from aces_bus.protocol import make_scanner
+    from aces_bus import make_scanner
     from aces_bus.protocol.reference import Reference
 
     scanner: Any = make_scanner([variant], direction=message.direction, include_unknown=True, raw=True)

@@ -15,8 +15,8 @@ from collections.abc import Sequence
 from aces_bus.errors import CallerError
 from aces_bus.export.base import Dataset, Export, Options
 from aces_bus.export.files import telling
+from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.table import MessageTable
-from aces_bus.protocol.declare.protocol import Variant
 
 from .mcap_file import McapWriter
 from .topics import TableTopics

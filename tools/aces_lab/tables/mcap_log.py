@@ -16,8 +16,17 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from aces_bus.controller.log import About, Log, LogError, LogSink, Row
-from aces_bus.controller.log.base import MOST_NUMBERS, NOT_CLOSED, about_of, made_log
+from aces_bus.controller.log.base import (
+    MOST_NUMBERS,
+    NOT_CLOSED,
+    About,
+    Log,
+    LogError,
+    LogSink,
+    Row,
+    about_of,
+    made_log,
+)
 from aces_bus.errors import CallerError
 
 from .mcap_file import CHANNEL, MESSAGE, Fields, McapFault, McapReader, McapWriter

@@ -26,9 +26,9 @@ import numpy as np
 
 from aces_bus.export.base import Buffered, Dataset, Options
 from aces_bus.export.files import FilePool
+from aces_bus.protocol import Variant
 from aces_bus.protocol.columns.arrow import field_metadata, json_text, schema_metadata
 from aces_bus.protocol.columns.layout import Block, DatasetColumn
-from aces_bus.protocol.declare.protocol import Variant
 
 COPY = 1 << 20
 

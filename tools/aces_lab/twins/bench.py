@@ -20,15 +20,12 @@ from typing import Any, Literal, NamedTuple, Self, TypeVar
 import can
 import msgspec
 
+from aces_bus import Frame, FrameTable, Unknown, make_scanner
 from aces_bus.device import Driver, Robot, Twin
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.frame_table import FrameTable
-from aces_bus.frames import Frame
-from aces_bus.protocol import Unknown, make_scanner
 from aces_bus.recordings.base import Chunk
 from aces_bus.recordings.write import open_writer
-from aces_bus.robot import simulate
-from aces_bus.robot.rig import spoken_on
+from aces_bus.robot.rig import simulate, spoken_on
 from aces_bus.runtime import VirtualClock
 
 from .catalogue import Injection

@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, Literal
 
-from aces_bus.device import Twin, Twins
+from aces_bus import Frame
+from aces_bus.device import Twin
+from aces_bus.device.twin import Twins
 from aces_bus.errors import UnknownNameError
-from aces_bus.frames import Frame
 
 from .lines import Line, SerialLine
 from .tap import Answers, Sendings, flipped, shortened

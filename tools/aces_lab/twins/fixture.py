@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 
 import pytest
 
+from aces_bus import load_robot
 from aces_bus.device import Driver, Robot
-from aces_bus.robot import load_robot
 from aces_bus.testing.plugin import FAILURES
 
 from .bench import TwinBench, open_bench

@@ -20,17 +20,19 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TypeVar
 
-from aces_bus.device import Bus
+from aces_bus.device.config import Bus
 from aces_bus.device.port import Port
 from aces_bus.errors import CallerError
-from aces_bus.hardware import CanGate, port_of
+from aces_bus.hardware import CanGate, virtual_clock
+from aces_bus.hardware.ports import port_of
 from aces_bus.hardware.served.channel import ServedChannel
 from aces_bus.hardware.served.server import BusServer
-from aces_bus.hardware.simulated.backend import AcesBus, virtual_clock
+from aces_bus.hardware.simulated.backend import AcesBus
 from aces_bus.hardware.simulated.serial_line import PtyPort, SimulatedSerialLine
 from aces_bus.protocol import Protocol
-from aces_bus.robot import wire_of
-from aces_bus.runtime import Loop, VirtualClock
+from aces_bus.robot.buses import wire_of
+from aces_bus.runtime import VirtualClock
+from aces_bus.runtime.loop import Loop
 
 T = TypeVar("T")
 #: CAN FD's data bit rate where a robot's file states none (bit/s): moteus' and most adapters' default.

@@ -11,9 +11,11 @@ from typing import Any
 
 import msgspec
 
-from aces_bus.device import Driver, Robot, list_drivers, load_driver
+from aces_bus.device import Driver, Robot, load_driver
+from aces_bus.device.drivers import list_drivers
 from aces_bus.errors import CallerError, UnknownNameError
-from aces_bus.robot import make_robot, parse_robot
+from aces_bus.robot import parse_robot
+from aces_bus.robot.file import make_robot
 
 #: What may be said of a robot's bus and of its devices.
 BUS_KEYS = ("bitrate", "data_bitrate", "baud", "dialect", "half_duplex")

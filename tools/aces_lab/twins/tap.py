@@ -13,12 +13,12 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from aces_bus.device import Twins
+from aces_bus import Frame, Unknown, as_dict, make_scanner
 from aces_bus.device.port import Left, Port, UpperPort
-from aces_bus.device.twin import with_data
+from aces_bus.device.twin import Twins, with_data
 from aces_bus.errors import AcesError
-from aces_bus.frames import FD_LENGTHS, Frame
-from aces_bus.protocol import Unknown, Variant, as_dict, make_scanner
+from aces_bus.frames import FD_LENGTHS
+from aces_bus.protocol import Variant
 
 #: What comes so long behind a request (ns) is no answer to it.
 ASKED_NS = 50_000_000

@@ -15,9 +15,11 @@ from typing import Any, Self
 import msgspec
 
 from aces_bus.access.inlet import AccessEvent, AccessEvents
+from aces_bus.device import UNKNOWN
 from aces_bus.errors import CallerError, NoReplyError, UnknownNameError
-from aces_bus.runtime import Clock, RealClock, VirtualClock
-from aces_bus.state import UNKNOWN, State
+from aces_bus.runtime import RealClock, VirtualClock
+from aces_bus.runtime.clock import Clock
+from aces_bus.state import State
 
 from .publisher import (
     ANSWER_S,

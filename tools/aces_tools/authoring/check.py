@@ -49,16 +49,21 @@ from typing import TYPE_CHECKING, Any
 
 from construct import Construct
 
+from aces_bus import list_protocols, load_protocol, open_recording
 from aces_bus.errors import AcesError, CallerError, SpecError, UnknownNameError
 from aces_bus.plain_text import printable, printable_lines
-from aces_bus.protocol import Message, Protocol, Variant, list_protocols, load_protocol
-from aces_bus.protocol.against import Observation, RecordingCheck, suggest_examples
+from aces_bus.protocol import Message, Protocol, Variant
+from aces_bus.protocol.against.finding import Observation
+from aces_bus.protocol.against.recording import RecordingCheck
+from aces_bus.protocol.against.suggest import suggest_examples
 from aces_bus.protocol.declare.place import SourceLine
 from aces_bus.protocol.exchange.read_once import problems_of
 from aces_bus.protocol.files import load_file, python_file
-from aces_bus.protocol.lint import LEVELS, Finding, check_protocol, check_wire, sort_key
+from aces_bus.protocol.lint import check_protocol
 from aces_bus.protocol.lint.fields import Written
-from aces_bus.recordings import CanRecording, SerialRecording, open_recording
+from aces_bus.protocol.lint.finding import LEVELS, Finding, sort_key
+from aces_bus.protocol.lint.templates import check_wire
+from aces_bus.recordings.base import CanRecording, SerialRecording
 from aces_bus.tracebacks import exception_text, innermost_line
 
 from ..console import counted, print_json, report_unreadable, say, say_note
@@ -224,7 +229,7 @@ def _is_robot(name: str) -> bool:
         return True
     if name in list_protocols() or not re.fullmatch(r"[\w-]+", name):
         return False
-    from aces_bus.robot import list_robots
+    from aces_bus import list_robots
 
     robots = list_robots()
     if name not in robots and not os.path.exists(name):
@@ -233,7 +238,7 @@ def _is_robot(name: str) -> bool:
 
 
 def _check_robot(name: str, result: Checked) -> None:
-    from aces_bus.robot import check_robot
+    from aces_bus.robot.installed import check_robot
 
     robot, problems = check_robot(name)
     for problem in problems:
@@ -470,7 +475,7 @@ def prove(protocol: Protocol, name: str, seconds: float) -> ProofResult:
     proved = ProofResult()
     end = time.monotonic() + seconds
     try:
-        from aces_bus.testing.fuzz import Fuzzer
+        from aces_bus.testing import Fuzzer
         from aces_bus.testing.packets import UndrawableError
 
         try:

@@ -11,10 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from aces_bus.protocol import Message, Quantity, draw
+from aces_bus.protocol import Message, Quantity
 from aces_bus.protocol.declare.bits import Bits
 from aces_bus.protocol.declare.wire_number import wire_number
-from aces_bus.protocol.draw import FieldRow
+from aces_bus.protocol.draw.table import FieldRow, captured_values, field_table
 from aces_bus.protocol.lint.fields import Written, payload_fields
 from aces_bus.protocol.plan.flatten import flatten
 
@@ -123,7 +123,7 @@ def _exactly(message: Message) -> Any:
     return (
         _template_key(message),
         plan.lengths,
-        tuple((row.name, *(getattr(row, column) for column in COMPARED)) for row in draw.field_table(plan)),
+        tuple((row.name, *(getattr(row, column) for column in COMPARED)) for row in field_table(plan)),
     )
 
 
@@ -155,7 +155,7 @@ def _compared(old: Message, new: Message) -> Changed:
 def _rows(message: Message) -> dict[str, FieldRow]:
     """Return the lines of a message's fields; of those that only construct takes apart, what is in them too."""
     plan = flatten(message)
-    rows = {row.name: row for row in draw.field_table(plan, draw.captured_values(message))}
+    rows = {row.name: row for row in field_table(plan, captured_values(message))}
     opaque = set(plan.opaque_names)
     for written in payload_fields(message):
         name = written.name

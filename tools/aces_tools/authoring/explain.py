@@ -28,7 +28,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from aces_bus.errors import CallerError
-from aces_bus.protocol.explain import Attempt
+from aces_bus.protocol.explain.attempt import Attempt
 from aces_bus.protocol.record import plain_value
 
 from ..console import check_suffix, print_json, say, write_text

@@ -13,12 +13,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from aces_bus import Unknown, make_scanner, open_recording
 from aces_bus.errors import CallerError
-from aces_bus.protocol import Unknown, Variant, make_scanner
+from aces_bus.protocol import Variant
 from aces_bus.protocol.declare.examples import parse_packet
-from aces_bus.protocol.explain import Attempt, Tracer
+from aces_bus.protocol.explain.attempt import Attempt
+from aces_bus.protocol.explain.tracer import Tracer
 from aces_bus.protocol.lint.examples import example_frame
-from aces_bus.recordings import CanRecording, SerialRecording, open_recording
+from aces_bus.recordings.base import CanRecording, SerialRecording
 from aces_bus.recordings.pieces import Direction, check_direction, has_requests
 
 #: Bytes of a stream that are read; frames are read one by one.

@@ -21,7 +21,7 @@ from aces_bus.protocol.draw.svg import (
     fitted,
     text_width,
 )
-from aces_bus.protocol.explain import Attempt, Step, TemplateTrace
+from aces_bus.protocol.explain.attempt import Attempt, Step, TemplateTrace
 from aces_bus.protocol.lint.examples import show_value
 from aces_bus.protocol.record import plain_value
 

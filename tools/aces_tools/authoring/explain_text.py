@@ -10,7 +10,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-from aces_bus.protocol.explain import Attempt, Death, FieldRead, Step
+from aces_bus.protocol.explain.attempt import Attempt, Death, FieldRead, Step
 from aces_bus.protocol.lint.examples import show_value
 from aces_bus.protocol.record import plain_value
 

@@ -28,11 +28,9 @@ from collections.abc import Sequence
 
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Variant
-from aces_bus.protocol.exchange import Loss
-from aces_bus.protocol.exchange.export_c import print_c_source
-from aces_bus.protocol.exchange.export_dbc import print_dbc
-from aces_bus.protocol.exchange.export_markdown import print_markdown
-from aces_bus.protocol.exchange.export_wireshark import Way, print_dissector
+from aces_bus.protocol.exchange import print_c_source, print_dbc, print_dissector, print_markdown
+from aces_bus.protocol.exchange.export_wireshark import Way
+from aces_bus.protocol.exchange.problems import Loss
 
 from ..console import check_suffix, print_json, say, say_note, write_text
 from ..options import (

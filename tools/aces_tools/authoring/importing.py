@@ -19,8 +19,7 @@ import sys
 from pathlib import Path
 
 from aces_bus.errors import CallerError
-from aces_bus.protocol.exchange import database_suffixes, load_database
-from aces_bus.protocol.exchange.export_source import print_source
+from aces_bus.protocol.exchange import database_suffixes, load_database, print_source
 from aces_bus.protocol.exchange.import_dbc import read_text
 from aces_bus.protocol.exchange.import_statements import split_statements
 from aces_bus.protocol.exchange.problems import ImportProblem, excerpt

@@ -28,8 +28,11 @@ from typing import Any
 import msgspec
 
 from aces_bus.errors import CallerError
-from aces_bus.protocol import Message, draw
+from aces_bus.protocol import Message
 from aces_bus.protocol.declare.ambiguity import needing_context
+from aces_bus.protocol.draw.svg import picture_svg
+from aces_bus.protocol.draw.table import FieldRow, bits_place, field_table
+from aces_bus.protocol.draw.text import picture
 from aces_bus.protocol.plan import nodes as p
 
 from .. import protocols
@@ -70,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.protocol is None:
         raise CallerError("name a protocol or a file; 'aces protocols' lists the installed ones")
     if arguments.svg:
-        write_text(arguments.svg, draw.picture_svg(chosen_messages(arguments)))
+        write_text(arguments.svg, picture_svg(chosen_messages(arguments)))
     elif arguments.plan:
         _plan(arguments)
     elif arguments.paths:
@@ -92,7 +95,7 @@ def _pictures(arguments: argparse.Namespace) -> None:
             page.lines([""])
         doc = message.doc.strip().partition("\n")[0]
         page.beside(f"{message.protocol.name}.{message.name}", [doc], "message")
-        page.lines(draw.picture(message))
+        page.lines(picture(message))
 
 
 # ---------------------------------------------------------------------- the plan
@@ -132,7 +135,7 @@ def _facts(plan: p.MessagePlan) -> Iterator[tuple[str, str]]:
             f"{values[0]}…{values[-1]}" if isinstance(values, range) else ", ".join(map(str, values[:16]))
         )
         more = "" if isinstance(values, range) or len(values) <= 16 else ", …"
-        yield "one of", f"{draw.bits_place(choice.number.bits)}: {listed}{more}"
+        yield "one of", f"{bits_place(choice.number.bits)}: {listed}{more}"
     if plan.lengths_by is not None:
         selector, table, other = plan.lengths_by
         yield (
@@ -147,10 +150,10 @@ def _facts(plan: p.MessagePlan) -> Iterator[tuple[str, str]]:
         yield "opaque", plan.opaque
 
 
-def _with_nodes(plan: p.MessagePlan) -> Iterator[tuple[draw.FieldRow, p.Node]]:
+def _with_nodes(plan: p.MessagePlan) -> Iterator[tuple[FieldRow, p.Node]]:
     """Yield the lines of the field table, each with the node that it comes from."""
     nodes = {node.path: node.node for node in (*plan.walk(), *plan.columns)}
-    for row in draw.field_table(plan):
+    for row in field_table(plan):
         yield row, nodes.get(row.name, p.Opaque(""))
 
 

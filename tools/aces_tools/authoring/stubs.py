@@ -22,8 +22,9 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
+from aces_bus import list_protocols
 from aces_bus.errors import CallerError
-from aces_bus.protocol import Protocol, list_protocols
+from aces_bus.protocol import Protocol
 from aces_bus.protocol.files import load_file, python_file
 from aces_bus.protocol.generate.stubs import print_module, print_stub
 

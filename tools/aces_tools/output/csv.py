@@ -20,8 +20,9 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from aces_bus import Unknown
 from aces_bus.plain_text import cell_text
-from aces_bus.protocol import FlagSet, Record, Unknown
+from aces_bus.protocol import FlagSet, Record
 from aces_bus.protocol.generate.load import OnDemand
 from aces_bus.protocol.keys import EXTENDED
 from aces_bus.protocol.plan import nodes as p

@@ -16,7 +16,8 @@ from typing import Any
 
 import msgspec
 
-from aces_bus.protocol import Record, Unknown
+from aces_bus import Unknown
+from aces_bus.protocol import Record
 from aces_bus.protocol.generate.load import OnDemand
 from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
 from aces_bus.protocol.plan import nodes as p

@@ -15,9 +15,10 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
+from aces_bus import Unknown
 from aces_bus.plain_text import LOOKALIKES
 from aces_bus.plain_text import printable as printable
-from aces_bus.protocol import Record, Unknown
+from aces_bus.protocol import Record
 from aces_bus.protocol.generate.load import OnDemand
 from aces_bus.protocol.keys import EXTENDED
 from aces_bus.protocol.record import message_of

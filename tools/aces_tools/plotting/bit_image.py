@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from aces_bus.frame_table import KEY_REMOTE, NO_TIME, FrameTable, widened
+from aces_bus import FrameTable
+from aces_bus.frame_table import KEY_REMOTE, NO_TIME, widened
 from aces_bus.traffic import BusIdentifier, identifier_groups
 
 from .series import Array

@@ -11,12 +11,13 @@ from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import Any
 
-from aces_bus.controller import Bounds, Clipped
-from aces_bus.device import Joint
-from aces_bus.frames import Frame
-from aces_bus.hardware.simulated.bus import SimulatedBus
+from aces_bus import Frame
+from aces_bus.controller import Bounds
+from aces_bus.controller.trip import Clipped
+from aces_bus.device.config import Joint
+from aces_bus.hardware import SimulatedBus
 from aces_bus.robot import Runner
-from aces_bus.runtime import Task
+from aces_bus.runtime.tasks import Task
 
 from ..console import counted
 

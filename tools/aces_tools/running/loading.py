@@ -14,17 +14,11 @@ from fnmatch import fnmatchcase
 from inspect import isfunction
 from typing import Any, cast
 
-from aces_bus.controller import (
-    ControllerLike,
-    Player,
-    Reaction,
-    Trajectory,
-    parse_reactions,
-    read_trajectory,
-)
+from aces_bus.controller import Player, Trajectory, read_trajectory
+from aces_bus.controller.base import ControllerLike
 from aces_bus.controller.log import Logger
 from aces_bus.controller.motion_file import MOST_RAD
-from aces_bus.controller.reactions import ACTION_OF
+from aces_bus.controller.reactions import ACTION_OF, Reaction, parse_reactions
 from aces_bus.controller.trip import Action
 from aces_bus.device import Robot
 from aces_bus.errors import AcesError, CallerError, UnknownNameError

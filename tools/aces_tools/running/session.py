@@ -16,12 +16,12 @@ from collections.abc import Generator, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
-from aces_bus.controller import ControllerLike
+from aces_bus import Frame, open_recording
+from aces_bus.controller.base import ControllerLike
 from aces_bus.controller.log import Logger
 from aces_bus.device import Device, Robot
 from aces_bus.errors import CallerError, DeviceError
-from aces_bus.frames import Frame
-from aces_bus.recordings import CanRecording, open_recording
+from aces_bus.recordings.base import CanRecording
 from aces_bus.robot import ActLog, Ended, Runner, run_real, run_replay, run_virtual
 
 from ..console import abandon_stdout, say, say_note, terminal_width, wants_colour
@@ -34,7 +34,7 @@ from .loading import own_functions, reactions_of
 from .panel import panel, plain_line, to_rich
 
 if TYPE_CHECKING:
-    from aces_bus.robot.runner import RunLogger
+    from aces_bus.robot.run import RunLogger
 
     from ..live_view import LiveView
 

@@ -23,8 +23,8 @@ from .model import Model
 
 if TYPE_CHECKING:
     from aces_bus.hardware import CanGate, DatagramGate, SerialGate
-    from aces_bus.protocol import Scanner
-    from aces_bus.recordings import CanFilter
+    from aces_bus.protocol.live.scanner import Scanner
+    from aces_bus.recordings.filters import CanFilter
 
 
 def check_screen() -> None:

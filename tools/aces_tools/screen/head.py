@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from rich.cells import cell_len
 
-from aces_bus.hardware import BusEvent
+from aces_bus.hardware.gate_events import BusEvent
 
 from ..output.text import printable
 from .model import ChannelRates, Model, RepeatedFrame

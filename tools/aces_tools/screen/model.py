@@ -25,12 +25,13 @@ from math import exp, sqrt
 from operator import attrgetter
 from typing import Any
 
+from aces_bus import Frame, Unknown
 from aces_bus.errors import CallerError
-from aces_bus.frames import Frame
-from aces_bus.hardware import BusEvent, Received
+from aces_bus.hardware.gate import Received
+from aces_bus.hardware.gate_events import BusEvent
 from aces_bus.hardware.simulated.frame_time import INTERMISSION, frame_bits
-from aces_bus.protocol import Scanner, Unknown
 from aces_bus.protocol.keys import key_of
+from aces_bus.protocol.live.scanner import Scanner
 
 from ..output.shape import OfKind
 from .values import FieldFormat, FieldsOfKinds

@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from aces_bus.protocol import Record, Variant, draw
-from aces_bus.protocol.declare.message import Message
+from aces_bus.protocol import Message, Record, Variant
+from aces_bus.protocol.draw.table import FieldRow, captured_values, field_table
+from aces_bus.protocol.draw.text import picture
 from aces_bus.protocol.generate.load import records_of
 from aces_bus.protocol.plan import nodes as p
 
@@ -60,7 +61,7 @@ class FieldFormat:
             for field in plan.fields
         ]
         self._leaves: list[tuple[RecordLeaf, Callable[[Any], str], str]] | None = None
-        self._rows: dict[str, draw.FieldRow] = {}
+        self._rows: dict[str, FieldRow] = {}
         self._picture: list[str] | None = None
 
     def page_of(self, record: Record) -> list[tuple[str, Any]]:
@@ -83,8 +84,8 @@ class FieldFormat:
             self._leaves = [
                 (leaf, value_printer(leaf.node), leaf.node.unit) for leaf in record_leaves(self._plan)
             ]
-            captured = draw.captured_values(self._message)
-            self._rows = {row.name: row for row in draw.field_table(self._plan, captured)}
+            captured = captured_values(self._message)
+            self._rows = {row.name: row for row in field_table(self._plan, captured)}
         found: list[Value] = []
         for leaf, shown, unit in self._leaves:
             value = leaf.get(record)
@@ -110,7 +111,7 @@ class FieldFormat:
     def picture(self) -> list[str]:
         """The message's layout, bit by bit, 79 columns wide."""
         if self._picture is None:
-            self._picture = draw.picture(self._message)
+            self._picture = picture(self._message)
         return self._picture
 
 

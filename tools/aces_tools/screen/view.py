@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Any
 
 from aces_bus.errors import CallerError
-from aces_bus.recordings import CanFilter, parse_filter
+from aces_bus.recordings.filters import CanFilter, parse_filter
 
 from .model import Model, RepeatedFrame
 

@@ -58,7 +58,7 @@ def _points(group: str) -> Callable[[str], Iterable[str]]:
 
 
 def _robots(words: str) -> Iterable[str]:
-    from aces_bus.robot import list_robots
+    from aces_bus import list_robots
 
     return list_robots()
 
@@ -91,7 +91,7 @@ def _placed(words: str, verb: str) -> list[str]:
 
 def _robot(words: str) -> Robot | None:
     """Return the robot that the line names, or that $ACES_ROBOT does."""
-    from aces_bus.robot import check_robot
+    from aces_bus.robot.installed import check_robot
 
     from ..robot_arg import VARIABLE
 

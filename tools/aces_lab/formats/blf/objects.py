@@ -37,6 +37,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from aces_bus import FrameTable
 from aces_bus.frame_table import (
     BITRATE_SWITCH,
     ERROR,
@@ -48,7 +49,6 @@ from aces_bus.frame_table import (
     RX,
     TX,
     Channels,
-    FrameTable,
     Ints,
 )
 from aces_bus.frames import FD_LENGTHS

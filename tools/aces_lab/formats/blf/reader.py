@@ -32,8 +32,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from aces_bus import FrameTable
 from aces_bus.errors import CaptureError
-from aces_bus.frame_table import FrameTable, Ints, joined_tables
+from aces_bus.frame_table import Ints, joined_tables
 from aces_bus.recordings.base import CanRecording, keep_freed_memory
 from aces_bus.recordings.inflate import inflate_whole
 from aces_bus.recordings.merge import merge_in_order

@@ -26,17 +26,8 @@ from typing import Any, BinaryIO
 import numpy as np
 import numpy.typing as npt
 
-from aces_bus.frame_table import (
-    BITRATE_SWITCH,
-    ERROR,
-    ERROR_STATE,
-    EXTENDED,
-    REMOTE,
-    TX,
-    FrameTable,
-    Ints,
-    widened,
-)
+from aces_bus import FrameTable
+from aces_bus.frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, REMOTE, TX, Ints, widened
 from aces_bus.recordings.write.base import (
     DLC_OF_LENGTH,
     EARLIEST,

@@ -17,7 +17,8 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from typing import Any, BinaryIO, NamedTuple
 
-from aces_bus.frame_table import FrameTable, Ints
+from aces_bus import FrameTable
+from aces_bus.frame_table import Ints
 from aces_bus.recordings.base import CanRecording
 from aces_bus.recordings.merge import KeyedTable, merge_by_key
 

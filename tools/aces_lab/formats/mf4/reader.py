@@ -25,8 +25,8 @@ import threading
 from collections.abc import Iterator
 from typing import Any, BinaryIO, ClassVar
 
+from aces_bus import FrameTable
 from aces_bus.errors import CaptureError
-from aces_bus.frame_table import FrameTable
 from aces_bus.recordings.base import PROBLEMS_KEPT, CanRecording, UnreadableEntry, printable_start
 from aces_bus.recordings.source import ByteSource, on_disk
 

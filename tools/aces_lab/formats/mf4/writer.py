@@ -18,6 +18,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from aces_bus import FrameTable
 from aces_bus.frame_table import (
     BITRATE_SWITCH,
     ERROR,
@@ -28,7 +29,6 @@ from aces_bus.frame_table import (
     REMOTE,
     RX,
     TX,
-    FrameTable,
     Ints,
 )
 from aces_bus.recordings.write.base import DLC_OF_LENGTH, ChannelNumbers, RecordingWriter

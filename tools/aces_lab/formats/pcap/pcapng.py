@@ -22,8 +22,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
+from aces_bus import FrameTable
 from aces_bus.errors import CaptureError
-from aces_bus.frame_table import NO_TIME, RX, TX, FrameTable, Ints
+from aces_bus.frame_table import NO_TIME, RX, TX, Ints
 from aces_bus.recordings.source import ByteSource
 
 from .reader import MAX_BLOCK, PacketCapture, as_tables, padded, run_length

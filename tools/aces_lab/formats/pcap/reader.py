@@ -19,8 +19,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from aces_bus import FrameTable
 from aces_bus.errors import CaptureError
-from aces_bus.frame_table import FrameTable, Ints
+from aces_bus.frame_table import Ints
 from aces_bus.recordings.base import CanRecording
 from aces_bus.recordings.source import ByteSource
 

@@ -14,18 +14,8 @@ from typing import BinaryIO
 
 import numpy as np
 
-from aces_bus.frame_table import (
-    BITRATE_SWITCH,
-    ERROR,
-    ERROR_STATE,
-    EXTENDED,
-    FD,
-    REMOTE,
-    RX,
-    TX,
-    FrameTable,
-    Ints,
-)
+from aces_bus import FrameTable
+from aces_bus.frame_table import BITRATE_SWITCH, ERROR, ERROR_STATE, EXTENDED, FD, REMOTE, RX, TX, Ints
 from aces_bus.recordings.write.base import FrameWriter, records_in_order
 
 from .pcapng import BYTE_ORDER, ENHANCED, INTERFACE, NAME_BYTES, SECTION, interface_name
