@@ -79,11 +79,6 @@ class Host(BusEndpoint[Device]):
         self.rules = dict(rules or {})
         self.events = events if events is not None else EventLog()
         self.counts = HostCounts()
-        self.unknown_traffic = UnknownTraffic(self)
-        #: Packets that were not understood, by reason; records of unknown devices, by message and credentials.
-        self.unknown, self.unknown_devices = self.unknown_traffic.reasons, self.unknown_traffic.devices
-        #: Called with each packet that was not understood: by scans, which do not know yet what is there.
-        self.unknown_handlers = self.unknown_traffic.handlers
         #: Called in each tick, and when set-points were given without one, before these are gathered.
         self.before_set_points: list[Callable[[int], None]] = []
         #: Called when it has been opened, and when it has been closed.
@@ -92,8 +87,13 @@ class Host(BusEndpoint[Device]):
         #: Whether it has a rate, and asks; how long a tick is (ns; 0: it has none).
         self.is_ticked = rate_hz is not None and not passive
         self.period_ns = round(1e9 / rate_hz) if rate_hz is not None and not passive else 0
-        #: When it was opened (ns).
-        self.opened_at = 0
+        self.unknown_traffic = UnknownTraffic(
+            self.emit, port.link, self.variants, self.members, self.period_ns
+        )
+        #: Packets that were not understood, by reason; records of unknown devices, by message and credentials.
+        self.unknown, self.unknown_devices = self.unknown_traffic.reasons, self.unknown_traffic.devices
+        #: Called with each packet that was not understood: by scans, which do not know yet what is there.
+        self.unknown_handlers = self.unknown_traffic.handlers
         self._tick_at = 0
         self._loop = self.clock if isinstance(self.clock, Loop) else None
         self._next_tick: Timer | None = None
@@ -103,8 +103,8 @@ class Host(BusEndpoint[Device]):
         #: Why nothing reaches its devices: "lost", "bus-off"; "" while the bus is there.
         self.outage = ""
         port.on_event(self._bus_event)
-        self.polling, self.unanswered = Polling(self), Unanswered(self)
-        self._silences = SilenceWatch(self)
+        self.polling, self.unanswered = Polling(self), Unanswered(self, self.unknown_traffic.duplicate)
+        self._silences = SilenceWatch(self.clock, self.members, self.emit)
         #: Called with each record of a device, its message's name and the instant: who asked for it gets it.
         self.answered = self.unanswered.answered
         #: Called with each packet that was sent, as replies may hang on it.
@@ -243,7 +243,7 @@ class Host(BusEndpoint[Device]):
 
         `is_started` False sends nothing by itself: a stop is the first that leaves.
         """
-        self.opened_at = self.clock.now()
+        self.unknown_traffic.opened_at = self.clock.now()
         super().open()
         for begin in self.when_open:
             begin()

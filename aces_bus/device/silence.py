@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
 
-from ..runtime.clock import Timer
-
-if TYPE_CHECKING:
-    from .device import Device
-    from .host import Host
+from ..runtime.clock import EventClock, Timer
+from .device import Device
+from .events import Kind
 
 #: Between two looks (ns).
 LOOK_NS = 50_000_000
 
 
 class SilenceWatch:
-    """Looks at the devices of a host that say how often they send (`Device.sends_every_s`), once they have sent."""
+    """Looks at devices that say how often they send (`Device.sends_every_s`), once they have sent.
 
-    def __init__(self, host: Host) -> None:
-        self.host = host
+    `emit` reports: kind, a device's name, details.
+    """
+
+    def __init__(
+        self, clock: EventClock, devices: Mapping[str, Device], emit: Callable[[Kind, str, str], None]
+    ) -> None:
+        self._clock, self._devices, self._emit = clock, devices, emit
         self._timer: Timer | None = None
 
     def begin(self) -> None:
         """Look from now on, where some device sends by itself."""
-        if any(device.sends_every_s is not None for device in self.host.members.values()):
-            self._timer = self.host.clock.call_in(LOOK_NS, self._look)
+        if any(device.sends_every_s is not None for device in self._devices.values()):
+            self._timer = self._clock.call_in(LOOK_NS, self._look)
 
     def end(self) -> None:
         """Look no more."""
@@ -33,14 +36,14 @@ class SilenceWatch:
             self._timer = None
 
     def _look(self) -> None:
-        clock = self.host.clock
+        clock = self._clock
         self._timer = clock.call_in(LOOK_NS, self._look)
         now = clock.now()
-        for device in self.host.members.values():
+        for device in self._devices.values():
             last = device.last_received
             if last is not None and not device.is_silent and self._is_missed(device, now - last):
                 device.is_silent = True
-                self.host.emit(
+                self._emit(
                     "silent",
                     device.name,
                     f"nothing came for {(now - last) / 1e9:.3f} s; it sends every {device.sends_every_s:g} s",

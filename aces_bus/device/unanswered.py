@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from heapq import heappop, heappush
 from typing import TYPE_CHECKING
 
@@ -34,10 +34,11 @@ MOST_LISTEN_NS = 100_000_000
 
 
 class Unanswered:
-    """Made by `Host`, for its bus."""
+    """Requests of a host that wait for answers."""
 
-    def __init__(self, host: Host) -> None:
-        self.host, self.clock = host, host.clock
+    def __init__(self, host: Host, duplicate: Callable[[Device, str, int], None]) -> None:
+        """`duplicate` is called with a second answer: its device, details, the instant (ns)."""
+        self.host, self.clock, self._duplicate = host, host.clock, duplicate
         #: When an answer was last received.
         self.received_at = 0
         #: By deadline, who waits until then, and who did: polls of one tick have few; and the deadlines as a heap.
@@ -245,4 +246,4 @@ class Unanswered:
         elif expected:  # this one was asked for, too: on a full bus the first was only slow
             device.second_answers[name] = expected - 1
         elif before is not None and instant - before < DUPLICATE_REPLY_NS:
-            self.host.unknown_traffic.duplicate(device, f"{name} came twice", instant)
+            self._duplicate(device, f"{name} came twice", instant)

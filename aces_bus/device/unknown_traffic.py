@@ -8,18 +8,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
+from typing import Literal
 
-from ..protocol import Record
+from ..protocol import Record, Variant
 from ..protocol.record import Unknown as UnknownRecord
 from .device import Device
 from .events import Kind
 from .half_duplex import HalfDuplexLine
 from .station import credential_text
-
-if TYPE_CHECKING:
-    from .host import Host
 
 #: So many second answers within so long (ns), or within so many rounds of polls, are another device's: a receiver gets a
 #: frame twice now and then (an error in its last bit).
@@ -33,10 +30,20 @@ UNKNOWN_DEVICES = 10_000
 
 
 class UnknownTraffic:
-    """Made by `Host`, for its bus."""
+    """What one bus has had of it. `emit` reports: kind, a device's name, details; `period_ns` is how long a tick is."""
 
-    def __init__(self, host: Host) -> None:
-        self.host = host
+    def __init__(
+        self,
+        emit: Callable[[Kind, str, str], None],
+        link: Literal["can", "serial", "datagram"],
+        variants: Mapping[str, Variant],
+        members: Mapping[str, Device],
+        period_ns: int,
+    ) -> None:
+        self._emit, self._link, self._variants = emit, link, variants
+        self._members, self._period_ns = members, period_ns
+        #: When the bus was opened (ns).
+        self.opened_at = 0
         #: Packets that were not understood, by reason; records of unknown devices, by message and credentials.
         self.reasons: Counter[str] = Counter()
         self.devices: Counter[str] = Counter()
@@ -53,13 +60,11 @@ class UnknownTraffic:
                 self._answered_twice(line.spoke_last, unknown, instant)
             return
         device = self._suspect(unknown, line)
-        is_garbled = self.host.port.link == "serial" and unknown.reason in GARBLED
+        is_garbled = self._link == "serial" and unknown.reason in GARBLED
         raw = unknown.meta.raw.hex(" ") + " …" * is_garbled
         where = f"{unknown.meta.identifier:#05x} " if unknown.meta.identifier is not None else ""
         kind: Kind = "garbled" if is_garbled else "malformed"
-        self.host.emit(
-            kind, device.name if device is not None else "", f"{where}{raw}: {unknown.reason[11:]}"
-        )
+        self._emit(kind, device.name if device is not None else "", f"{where}{raw}: {unknown.reason[11:]}")
         if device is not None:
             device.malformed(unknown.reason, instant)
 
@@ -69,17 +74,17 @@ class UnknownTraffic:
         """
         detail = f"{unknown.meta.raw.hex(' ')}: was not requested"
         if device is None:
-            self.host.emit("duplicate reply", "", detail)
+            self._emit("duplicate reply", "", detail)
         else:
             self.duplicate(device, detail, instant)
 
     def duplicate(self, device: Device, detail: str, instant: int) -> None:
         """Count a second answer to one request: once it is a fault of the bus, again and again a second device."""
-        self.host.emit("duplicate reply", device.name, detail)
-        if instant - self.host.opened_at < OPENING_NS:
+        self._emit("duplicate reply", device.name, detail)
+        if instant - self.opened_at < OPENING_NS:
             return
         device.duplicates = came = [*device.duplicates, instant][-DUPLICATES:]
-        tick_s = self.host.period_ns / 1e9
+        tick_s = self._period_ns / 1e9
         round_s = min((poll.every_s or tick_s for poll in device.all_polls), default=0.0)
         lately = instant - max(DUPLICATES_NS, round(DUPLICATES_ROUNDS * round_s * 1e9))
         if len(came) == DUPLICATES and came[0] > lately:
@@ -94,10 +99,10 @@ class UnknownTraffic:
         identifier = unknown.meta.identifier
         if identifier is None:
             return line.speaker if line is not None else None
-        for variant in self.host.variants.values():
+        for variant in self._variants.values():
             for message in variant.messages_for("from device"):
                 captures = message.identifier.match(identifier) or {}
-                for device in self.host.members.values():
+                for device in self._members.values():
                     if device.variant is variant and any(
                         device.credentials.get(name) == value for name, value in captures.items()
                     ):
@@ -107,7 +112,7 @@ class UnknownTraffic:
     def unaddressed(self, record: Record) -> None:
         """Count a record of a device that is not in the robot's file."""
         kind = type(record)
-        names = {name for device in self.host.members.values() for name in device.credentials}
+        names = {name for device in self._members.values() for name in device.credentials}
         who = ", ".join(
             f"{n} {getattr(record, n):#04x}"
             for n in sorted(names)
@@ -116,7 +121,7 @@ class UnknownTraffic:
         name = f"{kind.__name__} {who}"
         if name in self.devices or len(self.devices) < UNKNOWN_DEVICES:
             self.devices[name] += 1
-        self.host.emit(
+        self._emit(
             "unknown device",
             "",
             f"{kind.__name__} of {who or 'an unknown device'}, which is not on this bus in the robot's file",

@@ -29,7 +29,9 @@ class MotorAxis:
         "count",
         "counts",
         "direction",
+        "drive",
         "duty",
+        "failed",
         "goal",
         "instant",
         "is_on",
@@ -62,6 +64,9 @@ class MotorAxis:
         self.was_homed = False
         #: Whether the last status had its drive on; None: there was none.
         self.is_on: bool | None = None
+        #: Of D15: names of the switch bits and of the error bits in the last status.
+        self.drive: frozenset[str] = frozenset()
+        self.failed: frozenset[str] = frozenset()
         #: What the status says.
         self.signals: dict[str, Signal] = {}
         self.position: Signal | None = None

@@ -42,18 +42,7 @@ HOME_S = 20.0
 LOOK_NS = 100_000_000
 
 
-class D15Axis(MotorAxis):
-    """One channel, with what its status said last."""
-
-    __slots__ = ("drive", "failed")
-
-    def __init__(self, channel: int, joint: Joint) -> None:
-        super().__init__(channel, joint, joint.name)
-        self.drive: frozenset[str] = frozenset()
-        self.failed: frozenset[str] = frozenset()
-
-
-class HuboMotorD15(MotorDevice[D15Axis]):
+class HuboMotorD15(MotorDevice[MotorAxis]):
     """Signals of each joint: position (set, read), temperature, errors, driver_on, control_on, homed; the board's
     temperature.
     """
@@ -74,7 +63,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
 
     def setup(self) -> None:
         """Add the signals of the board's joints, and the polls."""
-        self.axes = [D15Axis(joint.channel, joint) for joint in self.joints]
+        self.axes = [MotorAxis(joint.channel, joint, joint.name) for joint in self.joints]
         self.is_enabled = False
         temperature: dict[str, Any] = {"unit": "°C", "stale_s": 5 * TEMPERATURE_S}
         for joint, axis in zip(self.joints, self.axes, strict=True):
@@ -131,12 +120,12 @@ class HuboMotorD15(MotorDevice[D15Axis]):
         return 0
 
     @staticmethod
-    def _here(axis: D15Axis) -> int | None:
+    def _here(axis: MotorAxis) -> int | None:
         """Return the count at which a joint is; None: not known."""
         assert axis.position is not None
         return None if axis.position.last is UNKNOWN else axis.to_counts(axis.position.last)
 
-    def _hold_here(self, axes: Sequence[D15Axis]) -> None:
+    def _hold_here(self, axes: Sequence[MotorAxis]) -> None:
         self.epoch += 1
         for axis in axes:
             self.want("ReferenceD15", f"position.{axis.channel}", self._here(axis))
@@ -249,7 +238,7 @@ class HuboMotorD15(MotorDevice[D15Axis]):
 
         return self.lead("home", steps)
 
-    def _searched(self, axis: D15Axis, timeout_s: float) -> Steps:
+    def _searched(self, axis: MotorAxis, timeout_s: float) -> Steps:
         end = self.clock.now() + round(timeout_s * 1e9)
         while True:
             yield self._status()
