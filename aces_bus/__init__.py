@@ -13,20 +13,23 @@ if TYPE_CHECKING:
     from .frame_table import FrameTable
     from .frames import Frame
     from .protocol.columns.scanner import make_column_scanner
-    from .protocol.live.scanner import list_protocols, load_protocol, make_scanner
+    from .protocol.files import list_protocols, load_protocol
+    from .protocol.live.scanner import make_scanner
     from .protocol.record import Unknown, as_dict
+    from .python_can import frame_to_message
     from .recordings.decode import decode
     from .recordings.open import open_recording
     from .robot.installed import list_robots, load_robot
     from .testing.twin import twin
+    from .version import __version__ as __version__
 
-__version__ = "0.1.0"
 __all__ = [
     "Frame",
     "FrameTable",
     "Unknown",
     "as_dict",
     "decode",
+    "frame_to_message",
     "list_protocols",
     "list_robots",
     "load_protocol",
@@ -40,11 +43,14 @@ __all__ = [
 __getattr__, __dir__ = lazy_names(
     __name__,
     {
+        ".version": "__version__",
         ".frame_table": "FrameTable",
         ".frames": "Frame",
         ".protocol.columns.scanner": "make_column_scanner",
-        ".protocol.live.scanner": "list_protocols load_protocol make_scanner",
+        ".protocol.files": "list_protocols load_protocol",
+        ".protocol.live.scanner": "make_scanner",
         ".protocol.record": "Unknown as_dict",
+        ".python_can": "frame_to_message",
         ".recordings.decode": "decode",
         ".recordings.open": "open_recording",
         ".robot.installed": "list_robots load_robot",

@@ -27,8 +27,9 @@ Tare = scale.message("Tare", id=0x200 + Node, direction="to device", payload=Str
 
 
 def main() -> None:
-    # Encode: fields in the sheet's units, out comes a python-can message.
-    print(scale.encode("Tare", node=3))
+    # Encode: fields in the sheet's units, out comes a frame; `frame_to_message` makes it a python-can message.
+    frame = scale.encode("Tare", node=3)
+    print(f"{frame.arbitration_id:03X}#", frame.data.hex())
 
     # Scan: frames in, records out; with `include_unknown`, what is no message comes too, with the reason.
     frames = [

@@ -23,10 +23,7 @@ BUDGETS: dict[str, tuple[int, str]] = {
     "public names": (185, "tests of each kind of plug-in, for who writes them"),
     "members of public names": (900, ""),
     "names of seams": (470, "names that left the surface"),
-    "files in a knot of imports": (
-        121,
-        "host_loss, silence, estop and parking are beside the devices and the runner",
-    ),
+    "files in a knot of imports": (16, ""),
     "files that ask nodes for their class": (12, ""),
     "bases with one subclass": (49, ""),
     "test files that import the inside": (125, "plug-ins that are broken"),

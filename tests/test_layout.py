@@ -38,6 +38,8 @@ FLOORS: dict[str, set[str]] = {
     "loopback": set(),  # which addresses are of this machine
     "tracebacks": set(),  # the line of a user's program that an exception came from
     "compiling": set(),  # what modules that may be compiled say of their classes
+    "version": set(),
+    "python_can": set(),  # frames as messages of python-can
     "_lazy": set(),  # public names imported on use
     "plugins": set(),  # what installed packages bring
     "runtime": set(),
@@ -83,6 +85,8 @@ EVERYONE = {
     "tracebacks",
     "compiling",
     "_lazy",
+    "version",
+    "python_can",
     "plugins",
 }
 

@@ -21,7 +21,8 @@ from typing import Any
 from ..errors import CallerError, NoReplyError
 from ..protocol import Protocol, Record, Variant
 from ..protocol.declare.protocol import Configuration
-from ..protocol.live.scanner import load_protocol, make_scanner
+from ..protocol.files import load_protocol
+from ..protocol.live.scanner import make_scanner
 
 #: Records that wait for `listen`; the oldest go first.
 KEPT = 10_000
@@ -72,7 +73,9 @@ class Client:
             (packet,) = packet
         self._scanner.sent(packet)
         if self.variant.link == "can":
-            self.bus.send(packet)
+            from ..python_can import frame_to_message
+
+            self.bus.send(frame_to_message(packet))
         else:
             self.bus.write(packet)
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 from ..errors import CallerError, SpecError
 from ..plugins import InstalledPoint, Plugins
-from ..protocol.declare.protocol import Protocol
-from ..protocol.files import load_file
-from ..protocol.live.scanner import PROTOCOLS
+from ..protocol.files import PROTOCOLS, load_file
+from ..protocol.protocol import Protocol
 from .device import Device
 from .host import Host
 from .ticket import Job, Steps

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any, Literal, Self
 
 from ..errors import AcesError, CallerError, DeviceError, NoReplyError
-from ..frames import Frame, message_to_frame
+from ..frames import Frame
 from ..protocol import Variant
 from ..runtime.loop import Loop
 from .carried_port import CarriedPort
@@ -55,13 +55,13 @@ class PacketSender:
         self._loop.call(self._port.close)
         self._loop.stop()
 
-    def send(self, frames: Sequence[Any], *, timeout_s: float = 30.0) -> None:
+    def send(self, frames: Sequence[Frame], *, timeout_s: float = 30.0) -> None:
         """Send what `encode` gave, until all of it has left, and is acknowledged where the transport has that.
 
         Raises what the gate raises; `CallerError` for frames that are no packet; `NoReplyError` where the receiver gives no
         go-ahead or acknowledgement in time, `DeviceError` where it cannot take the packet.
         """
-        packet = tuple(frame if isinstance(frame, Frame) else message_to_frame(frame) for frame in frames)
+        packet = tuple(frames)
         if not packet or not self._port.may_begin(packet):
             raise CallerError("no packet: give all frames that encode gave, in their order")
         over = threading.Event()

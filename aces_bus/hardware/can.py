@@ -415,7 +415,7 @@ class CanGate(Gate[Frame, Frame, "can.BusABC"]):
         return f"{frame.arbitration_id:#x}"
 
     def _put_out(self, frame: Frame) -> None:
-        from .python_can import frame_to_message
+        from ..python_can import frame_to_message
 
         if self._pause:
             self._due = max(self._due, self.clock.now()) + self._pause

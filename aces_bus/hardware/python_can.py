@@ -1,4 +1,4 @@
-"""python-can's side: frames as its messages, and what the virtual buses of this process and of others have in common.
+"""python-can's side: what the virtual buses of this process and of others have in common.
 
 1. A queue that is full drops its oldest frames and counts them.
 2. What cannot be sent is a `CanOperationError` that says why.
@@ -12,7 +12,6 @@ from typing import Any
 
 from can import BusABC, BusState, CanOperationError, CanProtocol, Message
 
-from ..frames import Frame
 from .simulated.bus_event import SimulatedBusEvent
 
 #: Frames a receiver may leave unread; after that the oldest is dropped and counted.
@@ -24,35 +23,6 @@ _STATES = {
     "error-passive": BusState.PASSIVE,
     "bus-off": BusState.ERROR,
 }
-
-
-def frame_to_message(
-    frame: Frame, seconds: float = 0.0, channel: str | None = None, *, is_rx: bool = True
-) -> Message:
-    """Return a message with what a frame carries."""
-    return copy_message(frame, frame.length, seconds, channel, is_rx)
-
-
-def copy_message(
-    frame: Frame | Message, dlc: int, seconds: float, channel: str | None, is_rx: bool
-) -> Message:
-    """Return a message with what a frame or another message carries, without the constructor, which costs more than
-    the rest.
-    """
-    made = Message.__new__(Message)
-    made.timestamp = seconds
-    made.arbitration_id = frame.arbitration_id
-    made.is_extended_id = frame.is_extended_id
-    made.is_remote_frame = frame.is_remote_frame
-    made.is_error_frame = frame.is_error_frame
-    made.channel = channel
-    made.dlc = dlc
-    made.data = bytearray(frame.data)
-    made.is_fd = frame.is_fd
-    made.is_rx = is_rx
-    made.bitrate_switch = frame.bitrate_switch
-    made.error_state_indicator = frame.error_state_indicator
-    return made
 
 
 class VirtualBus(BusABC):
@@ -150,4 +120,4 @@ class VirtualBus(BusABC):
         )
 
 
-__all__ = ["QUEUE", "VirtualBus", "copy_message", "frame_to_message"]
+__all__ = ["QUEUE", "VirtualBus"]

@@ -15,11 +15,11 @@ from can import BusABC, CanInitializationError, CanOperationError, CanProtocol, 
 from ..errors import AcesError, CallerError
 from ..frame_table import NO_TIME, to_ns
 from ..frames import Frame
+from ..python_can import frame_to_message
 from ..recordings.base import CanRecording
 from ..recordings.open import open_recording
 from ..runtime import RealClock, VirtualClock
 from ..runtime.clock import Clock
-from .python_can import frame_to_message
 
 Frames = CanRecording | Iterable[Frame]
 

@@ -42,13 +42,15 @@ if TYPE_CHECKING:
     from .declare.multiplexed import Multiplexed
     from .declare.pattern import IdField
     from .declare.present import Present
-    from .declare.protocol import Protocol, Variant
+    from .declare.protocol import Variant
     from .declare.sdo import SdoTransfer
     from .declare.stuffing import Cobs, CutZeros, Insert, Slip
     from .declare.tail_byte import TailByte
     from .declare.transport import Transport
     from .live.can import CanScanner
-    from .record import Part, Record, record_types
+    from .protocol import Protocol
+    from .record import Part, Record
+    from .record_plans import record_types
 
 __all__ = [
     "AsciiDegrees",
@@ -123,12 +125,14 @@ __getattr__, __dir__ = lazy_names(
         ".declare.multiplexed": "Multiplexed",
         ".declare.present": "Present",
         ".declare.pattern": "IdField",
-        ".declare.protocol": "Protocol Variant",
+        ".declare.protocol": "Variant",
         ".declare.sdo": "SdoTransfer",
         ".declare.stuffing": "Cobs CutZeros Insert Slip",
         ".declare.tail_byte": "TailByte",
         ".declare.transport": "Transport",
         ".live.can": "CanScanner",
-        ".record": "Part Record record_types",
+        ".protocol": "Protocol",
+        ".record": "Part Record",
+        ".record_plans": "record_types",
     },
 )

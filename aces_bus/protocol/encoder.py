@@ -45,11 +45,11 @@ class Encoder:
         self._unsaid = {name: found for name in self._quick if (found := unsaid(variant[name].payload))}
 
     def encode(self, message: str, /, **fields: Any) -> Any:
-        """Return a python-can message (CAN), a list of them (with a transport), or a packet's bytes, from
-        values in the sheet's units.
+        """Return a frame (CAN), a list of frames where a transport carries the message, or the packet's bytes, from
+        values in the sheet's units. `aces_bus.frame_to_message` makes a frame a python-can message.
 
-        Raises `UnknownNameError` for a message or field that does not exist, `FieldError` for a value that
-        does not fit or is missing.
+        Raises `UnknownNameError` for a message or field that does not exist, `FieldError` for a value that does not fit
+        or is missing.
         """
         return self.build(self.variant[message], fields)
 
@@ -71,16 +71,15 @@ class Encoder:
 
     def build(
         self, message: Message, fields: dict[str, Any], *, raw: bool = False, number: int | None = 0
-    ) -> Any:
-        """Return the frame (a python-can message) or packet of `message`; a list of frames where a transport
-        carries it, with the sequence number `number` (None: the next one).
-        """
+    ) -> Frame | bytes | list[Frame]:
+        """Return the frame or packet of `message`; a list of frames where a transport carries it, whose sequence number
+        is `number` (None: the next one)."""
         built = self._built(message, fields, raw=raw)
         if isinstance(built, bytes):
             return built
         if message.transport is None:
-            return new_can(*built)
-        return [new_can(*parts) for parts in self._carried(message, built, number)]
+            return _frame(built)
+        return [_frame(parts) for parts in self._carried(message, built, number)]
 
     def packet(self, message: Message, fields: dict[str, Any]) -> Frame | bytes:
         """Return what goes out: an immutable frame (CAN) or the packet's bytes. Raises as `encode`; of a message that
@@ -255,20 +254,6 @@ def quick_encoders(
 def _frame(parts: CanParts) -> Frame:
     identifier, data, extended, remote, fd = parts
     return Frame(identifier, data, is_extended_id=extended, is_remote_frame=remote, is_fd=fd)
-
-
-def new_can(identifier: int, data: bytes, extended: bool, remote: bool, fd: bool) -> Any:
-    """Return a python-can message."""
-    import can
-
-    return can.Message(
-        arbitration_id=identifier,
-        is_extended_id=extended,
-        is_remote_frame=remote,
-        is_fd=fd,
-        data=data,
-        dlc=len(data),
-    )
 
 
 def can_parts(image: bytes) -> CanParts:

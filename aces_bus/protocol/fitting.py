@@ -19,7 +19,7 @@ from . import Variant
 from .columns.decode import feed
 from .columns.scanner import make_column_scanner
 from .columns.table import Array, MessageTable
-from .live.scanner import list_protocols, load_protocol
+from .files import list_protocols, load_protocol
 from .plausible import is_opaque, plausible
 
 #: Frames and bytes among which protocols are tried, where a recording is not kept; the share from which on one fits.

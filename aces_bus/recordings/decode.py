@@ -12,9 +12,10 @@ from typing import BinaryIO
 from ..errors import CallerError
 from ..protocol.columns.decode import DecodedRecording
 from ..protocol.declare.message import GivenWay
-from ..protocol.declare.protocol import Configuration, Protocol
+from ..protocol.declare.protocol import Configuration
 from ..protocol.exchange import database_suffixes, load_database
-from ..protocol.live.scanner import load_protocol
+from ..protocol.files import load_protocol
+from ..protocol.protocol import Protocol
 from .open import open_recording
 from .source import PathSource
 

@@ -25,8 +25,7 @@ from ..errors import AcesError, CallerError, UnknownNameError
 from ..hardware.served.address import is_served, parse_address
 from ..kinematics.bodies import BODIES
 from ..protocol import Protocol
-from ..protocol.files import python_file
-from ..protocol.live.scanner import list_protocols, load_protocol
+from ..protocol.files import list_protocols, load_protocol, python_file
 from .keys import KEYS, character_of
 
 #: Where a slip of the pen ends and another name begins (difflib's ratio).

@@ -13,8 +13,7 @@ from typing import Any, Final, TypeVar
 
 from ..errors import CallerError
 from ..protocol.exchange import database_suffixes
-from ..protocol.files import is_loaded, python_file
-from ..protocol.live.scanner import adopt_protocol
+from ..protocol.files import adopt_protocol, is_loaded, python_file
 
 T = TypeVar("T")
 

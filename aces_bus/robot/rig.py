@@ -31,7 +31,7 @@ from ..errors import CallerError, DeviceError, NotStoppedError, UnknownNameError
 from ..hardware.bell import StopRequest
 from ..hardware.lock import program_name
 from ..protocol import Protocol, Variant
-from ..protocol.live.scanner import load_protocol
+from ..protocol.files import load_protocol
 from ..runtime.clock import EventClock
 from .estop import EnableChain
 from .exits import is_ended, stop_at_exit

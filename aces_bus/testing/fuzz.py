@@ -23,7 +23,8 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ..errors import CallerError
-from ..protocol.declare.protocol import Protocol, Variant
+from ..protocol.declare.protocol import Variant
+from ..protocol.protocol import Protocol
 from .bench import Bench
 from .coverage import Coverage
 from .laws import LAWS, Law, wires

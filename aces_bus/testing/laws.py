@@ -28,10 +28,11 @@ from ..protocol.declare.ambiguity import Conflict, conflict, unresolved
 from ..protocol.declare.framing import Verdict
 from ..protocol.declare.message import DIRECTIONS, Message
 from ..protocol.declare.packet import frame_image
-from ..protocol.declare.protocol import Protocol, Variant
+from ..protocol.declare.protocol import Variant
 from ..protocol.keys import EXTENDED
 from ..protocol.live.can import CanScanner
 from ..protocol.live.stream import StreamScanner
+from ..protocol.protocol import Protocol
 from ..protocol.record import Unknown
 from .allowed_work import candidates_in, unstuffing_allowed, work_allowed
 from .bench import bench_of, reads

@@ -28,9 +28,8 @@ except ImportError as missing:
     ) from missing
 
 from ..errors import CallerError
-from ..protocol.declare.protocol import Protocol
-from ..protocol.files import python_file
-from ..protocol.live.scanner import load_protocol
+from ..protocol.files import load_protocol, python_file
+from ..protocol.protocol import Protocol
 from ..tracebacks import shown_path
 from .bench import Bench
 from .drawing import scene_drawing

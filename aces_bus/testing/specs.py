@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from typing import Any, Literal
 
 from ..errors import SpecError
-from ..protocol.declare.protocol import Protocol
+from ..protocol.protocol import Protocol
 from .source import ChoiceSource
 
 Link = Literal["can", "serial"]

@@ -19,7 +19,8 @@ except ImportError as missing:
     ) from missing
 
 from ..protocol.declare.message import Message
-from ..protocol.declare.protocol import Protocol, Variant
+from ..protocol.declare.protocol import Variant
+from ..protocol.protocol import Protocol
 from .laws import Law, draw_arguments
 from .packets import DrawnPacket, draw_packet, draw_values
 from .scenes import Scene, Way, Wire, adversary, draw_cuts, draw_frames, draw_scene, draw_stream

@@ -224,7 +224,8 @@ def _built(
     read = _expected(messages, node, data, raw=False, seen=seen)
     assert read is not None
     if not seen.negative_zero and not seen.nan:
-        again = bytes(variant.encoder.build(variant[name], raws, raw=True).data)
+        built: Any = variant.encoder.build(variant[name], raws, raw=True)
+        again = bytes(built.data)
         if again != data:
             raise Difference(f"built from raw values: {again.hex(' ')}, wanted {data.hex(' ')}")
     fields = {"node": node, **read[1]}
@@ -284,7 +285,8 @@ def _stream(
         seen = plain.Seen()
         _expected(messages, key, payload, raw=False, seen=seen)
         if not seen.negative_zero and not seen.nan:
-            again = bytes(variant.encoder.build(variant[name], raws, raw=True))
+            built: Any = variant.encoder.build(variant[name], raws, raw=True)
+            again = bytes(built)
             if again != data[o : o + size]:
                 raise Difference(f"built: {again.hex(' ')}, wanted {data[o : o + size].hex(' ')}")
     return sum(one is not None for *_, one in expected)

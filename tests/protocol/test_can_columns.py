@@ -12,7 +12,7 @@ from construct import Byte, Bytes, Const, Int16sl, Struct
 from hypothesis import given
 from hypothesis import strategies as st
 
-from aces_bus import Frame, FrameTable, Unknown, load_protocol
+from aces_bus import Frame, FrameTable, Unknown, load_protocol, make_scanner
 from aces_bus.protocol import CanScanner, Counter, IdField, Protocol, Variant
 from aces_bus.protocol.columns.can import CanColumns
 from aces_bus.protocol.columns.table import MessageTable
@@ -149,7 +149,7 @@ def test_missing_counts_are_found_across_pieces(ticks: list[tuple[int, int]], da
     variant = counting().variant()
     frames = [Frame(0x100 + node, bytes([count, 1, 0]), None, "can0") for node, count in ticks]
     table = FrameTable.from_frames(frames)
-    live = variant.protocol.scanner()
+    live = make_scanner([variant])
     live.feed(frames)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(frames)), max_size=3)))
     _, counts = apart(variant, table, cuts)

@@ -73,7 +73,7 @@ def everywhere(protocol: Protocol, data: bytes, identifier: int = 1) -> Any:
     image = Frame(identifier, data).data
     for raw in (False, True):
         (seen,) = make_scanner([variant], raw=raw).feed([frame])
-        built = variant.encoder.build(variant[found.message], as_dict(seen), raw=raw)
+        built: Any = variant.encoder.build(variant[found.message], as_dict(seen), raw=raw)
         assert bytes(built.data) == image
     return record
 

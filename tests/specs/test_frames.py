@@ -66,10 +66,11 @@ def test_the_same_frame_comes_back(case: Case) -> None:
     variant = protocol.variant(case.dialect)
     (record,) = scanner_of(case).feed([case.frame])
     (raw,) = scanner_of(case, raw=True).feed([case.frame])
-    for frame in (
+    built: list[Any] = [
         protocol.encode(case.message, dialect=case.dialect, **as_dict(record)),
         variant.encoder.build(variant[case.message], as_dict(raw), raw=True),
-    ):
+    ]
+    for frame in built:
         assert (frame.arbitration_id, bytes(frame.data)) == (case.id, case.data)
         assert (frame.is_extended_id, frame.is_remote_frame) == (case.extended, case.remote)
 

@@ -6,6 +6,7 @@ import pytest
 from construct import Array, Byte, Int16ul, Struct
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import BitLayout, Protocol, Quantity, SignMagnitude, Split, bits
@@ -52,8 +53,8 @@ def test_it_is_the_number_of_a_layout(
     """The same bytes are the same value either way, live, in columns and back."""
     one, other = (make(pieces, signed=signed, order=order) for make in (alone, in_a_layout))
     assert one["Place"].plan.leaves[1].node.place == other["Place"].plan.leaves[1].node.place
-    frame = one.encode("Place", before=0, number=0, behind=0)
-    frame.data[:] = data[: len(frame.data)]
+    made = one.encode("Place", before=0, number=0, behind=0)
+    frame = replace(made, data=data[: len(made.data)])
     (mine,), (theirs,) = (protocol.scanner().feed([frame]) for protocol in (one, other))
     fields = {name: getattr(mine, name) for name in ("before", "number", "behind")}
     assert fields == {name: getattr(theirs, name) for name in fields}

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from aces_bus.device.drivers import DRIVERS
-from aces_bus.protocol.live.scanner import PROTOCOLS
+from aces_bus.protocol.files import PROTOCOLS
 from aces_tools.robot_arg import chosen_robot
 from aces_tools.sim import SimulatedRobot
 from tests.testing.faulty_pumps import HangsOnABoundary, Pump, SerialPump, pump

@@ -124,7 +124,7 @@ def test_a_protocol_that_cannot_be_imported_does_not_hide_the_others(
         "broken": list_protocols()["robotis"]._replace(name="broken", value="no_such_module_here:x"),
     }
     monkeypatch.setattr(verb, "list_protocols", lambda: points)
-    monkeypatch.setattr("aces_bus.protocol.live.scanner.PROTOCOLS.points", lambda: points)
+    monkeypatch.setattr("aces_bus.protocol.files.PROTOCOLS.points", lambda: points)
     result = aces("protocols")
     assert result.status == 2
     assert "no_such_module_here" in result.err

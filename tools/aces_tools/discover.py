@@ -31,8 +31,7 @@ from aces_bus.device.drivers import list_drivers
 from aces_bus.device.host import Host
 from aces_bus.device.station import credential_text
 from aces_bus.errors import AcesError, CallerError
-from aces_bus.protocol.files import python_file
-from aces_bus.protocol.live.scanner import adopt_protocol
+from aces_bus.protocol.files import adopt_protocol, python_file
 
 from .console import StatusLine, check_suffix, print_json, say, write_text
 from .options import JSON, OUTPUT, PROTOCOL, Arguments

@@ -18,7 +18,7 @@ from typing import Any
 
 from aces_bus import Unknown
 from aces_bus.errors import CallerError, FieldError, UnknownNameError
-from aces_bus.protocol import Message, Protocol, Record, Variant
+from aces_bus.protocol import Message, Record, Variant
 from aces_bus.protocol.declare.registers import Register, RegisterMap
 from aces_bus.protocol.plan.scalars import NotFlat, scalar_of
 from aces_bus.protocol.record import protocol_name_of
@@ -39,7 +39,9 @@ class RegisterNotes:
     def __init__(self, variants: Iterable[Variant]) -> None:
         protocols = {variant.protocol.name: variant.protocol for variant in variants}
         self._tables = {
-            name: _Tables(protocol) for name, protocol in protocols.items() if protocol.register_maps
+            name: _Tables(protocol.register_maps)
+            for name, protocol in protocols.items()
+            if protocol.register_maps
         }
         self._notes: dict[int, list[PrintedField]] = {}
 
@@ -62,8 +64,8 @@ class RegisterNotes:
 class _Tables:
     """The tables of one protocol, and what was asked of each device."""
 
-    def __init__(self, protocol: Protocol) -> None:
-        self._maps = protocol.register_maps
+    def __init__(self, maps: Sequence[RegisterMap]) -> None:
+        self._maps = maps
         self._replies = {
             table.reply_message: table.reply_field for table in self._maps if table.reply_message
         }

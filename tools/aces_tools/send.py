@@ -398,10 +398,8 @@ def raw_packet(text: str) -> Packet:
 
 
 def _packets(made: Any) -> list[Packet]:
-    """Return what an encoder made: python-can messages as frames, bytes as they are."""
-    if isinstance(made, bytes):
-        return [made]
-    return [message_to_frame(frame) for frame in (made if isinstance(made, list) else [made])]
+    """Return all frames or packets of what an encoder made."""
+    return made if isinstance(made, list) else [made]
 
 
 # ---------------------------------------------------------------------- replies

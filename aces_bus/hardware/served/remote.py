@@ -25,7 +25,8 @@ from can import CanInitializationError, CanOperationError, CanTimeoutError, Mess
 
 from ...errors import AcesError, CallerError
 from ...frames import Frame
-from ..python_can import QUEUE, VirtualBus, frame_to_message
+from ...python_can import frame_to_message
+from ..python_can import QUEUE, VirtualBus
 from ..simulated.bus_event import SimulatedBusEvent
 from . import packets
 from .address import parse_address

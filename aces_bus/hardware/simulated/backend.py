@@ -30,8 +30,9 @@ from can import CanInitializationError, CanOperationError, Message
 
 from ...errors import CallerError
 from ...frames import Frame, message_to_frame
+from ...python_can import copy_message, frame_to_message
 from ...runtime import VirtualClock
-from ..python_can import QUEUE, VirtualBus, copy_message, frame_to_message
+from ..python_can import QUEUE, VirtualBus
 from ..served.address import is_served
 from .bus import NO_FAULTS, BusNode, Faults, SimulatedBus
 from .bus_event import SimulatedBusEvent

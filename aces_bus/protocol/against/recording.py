@@ -16,8 +16,9 @@ from ..columns.decode import capture_pieces, feed
 from ..columns.scanner import ColumnScanner, make_column_scanner
 from ..columns.table import MessageTable
 from ..declare.message import GivenWay, Message, Way, way_of
-from ..declare.protocol import Protocol, Variant
+from ..declare.protocol import Variant
 from ..lint.finding import sort_key
+from ..protocol import Protocol
 from .fields import AGAIN, MessageWatch
 from .finding import Moment, Observation
 from .hidden import KEPT, PacketSample, hidden_check

@@ -19,10 +19,12 @@ from ..columns.decode import capture_pieces
 from ..declare.examples import Example, ExampleFrame
 from ..declare.fields import FlagSet
 from ..declare.message import GivenWay, Message, Way, way_of
-from ..declare.protocol import Protocol, Variant
+from ..declare.protocol import Variant
 from ..lint.examples import failure, read_example
 from ..live.scanner import make_scanner
-from ..record import Meta, Record, Unknown, field_names, message_of, plain_value
+from ..protocol import Protocol
+from ..record import Meta, Record, Unknown, field_names, plain_value
+from ..record_plans import message_of
 
 #: Candidates of a message that are kept, and requests of a kind and channel.
 CANDIDATES, REQUESTS = 6, 8

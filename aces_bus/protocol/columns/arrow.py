@@ -26,9 +26,9 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from ... import __version__
 from ...errors import CallerError
 from ...frame_table import NO_TIME
+from ...version import __version__
 from .layout import (
     ABSOLUTE_NS,
     Block,

@@ -21,7 +21,8 @@ from ..generate.load import OnDemand
 from ..keys import key_of
 from ..live.scanner import Scanner, make_scanner
 from ..plan import nodes as p
-from ..record import Record, Unknown, WayStep, getter, message_of, plain_value, protocol_name_of
+from ..record import Record, Unknown, WayStep, getter, plain_value, protocol_name_of
+from ..record_plans import message_of
 from .table import Array, Column, ColumnKind, MessageTable, dtype_of, kinds_of, lost_table, object_array
 
 

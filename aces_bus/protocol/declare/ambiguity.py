@@ -21,7 +21,7 @@ from construct import ConstructError
 
 from ...errors import AcesError, SpecError
 from .framing import Framing
-from .message import Message, Request
+from .message import Message, Request, may_coexist, share_dialect
 from .packet import WrongCheckError, can_image
 from .pattern import IdPattern, meet
 from .place import SourceLine
@@ -135,8 +135,6 @@ def check_against(made: Message, declared: Iterable[Message]) -> None:
 
 def check_carrier(carried: Message, other: Message, place: SourceLine) -> None:
     """Raise `SpecError` where the frames by which a transport carries a message are another message."""
-    from .protocol import share_dialect
-
     transport = carried.transport
     if transport is None or transport == other.transport or not share_dialect(carried, other):
         return
@@ -151,8 +149,6 @@ def check_carrier(carried: Message, other: Message, place: SourceLine) -> None:
 
 def _check_apart(made: Message, other: Message) -> None:
     """Raise `SpecError` where one transport would take the frames of another, or of a message that is a frame."""
-    from .protocol import share_dialect
-
     if not share_dialect(made, other) or made.extended != other.extended:
         return
     if (number := meet(made.identifier, other.identifier, 29 if made.extended else 11)) is not None:
@@ -168,8 +164,6 @@ def _check_apart(made: Message, other: Message) -> None:
 
 def unresolved(one: Message, other: Message) -> Conflict | None:
     """Return the conflict of two messages when neither the bytes nor anything else in the spec settles it."""
-    from .protocol import may_coexist
-
     is_apart = None not in (one.direction, other.direction) and one.direction != other.direction
     if is_apart or not may_coexist(one, other) or ordered_by_spec(one, other) or contexts_exclude(one, other):
         return None

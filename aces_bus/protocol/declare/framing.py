@@ -35,7 +35,7 @@ from .wire_number import innermost, wire_number
 
 if TYPE_CHECKING:
     from .message import Message
-    from .protocol import Protocol
+    from .protocol import DeclaredProtocol
 
 
 class Verdict(enum.Enum):
@@ -244,7 +244,7 @@ class Framing:
 
     def __init__(
         self,
-        protocol: Protocol,
+        protocol: DeclaredProtocol,
         *,
         sync: bytes = b"",
         not_next: bytes = b"",

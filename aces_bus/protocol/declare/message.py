@@ -35,7 +35,7 @@ from .wire_number import innermost, wire_number
 
 if TYPE_CHECKING:
     from ..plan.nodes import MessagePlan
-    from .protocol import Protocol
+    from .protocol import DeclaredProtocol
 
 Direction = Literal["to device", "from device"]
 DIRECTIONS: tuple[Direction, ...] = ("to device", "from device")
@@ -104,7 +104,7 @@ class Message:
 
     def __init__(
         self,
-        protocol: Protocol,
+        protocol: DeclaredProtocol,
         name: str,
         *,
         place: SourceLine,
@@ -561,7 +561,7 @@ def _numbers(values: range) -> frozenset[int]:
     return frozenset(values)
 
 
-def as_requests(given: Any, protocol: Protocol, place: SourceLine) -> tuple[Request, ...]:
+def as_requests(given: Any, protocol: DeclaredProtocol, place: SourceLine) -> tuple[Request, ...]:
     """Return what a spec may write for `reply_to` and `after`: a message, a request, a name, or several of them."""
     if given is None:
         return ()
@@ -587,3 +587,13 @@ def as_requests(given: Any, protocol: Protocol, place: SourceLine) -> tuple[Requ
             )
         found.append(request)
     return tuple(found)
+
+
+def share_dialect(one: Message, other: Message) -> bool:
+    """Return whether some dialect has both messages."""
+    return one.dialects is None or other.dialects is None or bool(one.dialects & other.dialects)
+
+
+def may_coexist(one: Message, other: Message) -> bool:
+    """Return whether some dialect and configuration has both messages for one device."""
+    return share_dialect(one, other) and not any(a.excludes(b) for a in one.when for b in other.when)

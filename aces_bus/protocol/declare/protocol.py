@@ -19,30 +19,30 @@ from . import ambiguity
 from .checks import Check
 from .examples import as_examples
 from .framing import Framing
-from .message import DIRECTIONS, ConfigurationCondition, Direction, GivenWay, Message, as_requests, way_of
+from .message import (
+    DIRECTIONS,
+    ConfigurationCondition,
+    Direction,
+    GivenWay,
+    Message,
+    as_requests,
+    share_dialect,
+    way_of,
+)
 from .pattern import as_pattern
 from .place import caller, caller_scope
 from .transport import Transport
 
 if TYPE_CHECKING:
-    from ..columns.decode import DecodedRecording
     from ..encoder import Encoder
-    from ..live.scanner import Scanner
     from .registers import RegisterMap
 
 Link = Literal["can", "serial", "datagram"]
 Configuration = Mapping[str, Mapping[int, Any]]
 
 
-class Protocol:
-    """A protocol's declaration; see docs/tutorial.md, and docs/reference/templates.md for all keywords.
-
-    `dialects` maps names to what they are; `dialect` is the default one. `configurations` maps a name to its tables, each
-    from a captured number to an entry (`{"hubo2": {"channels": {0x00: 2, …}}}`); `configuration` is the default one.
-    `broadcast` gives the value of a captured field that addresses every device. `bitrate` (CAN) is
-    in bit/s, `baud` (serial) in baud; `half_duplex`: all share one pair of wires, and who was asked answers next. `source`
-    says where the facts come from.
-    """
+class DeclaredProtocol:
+    """The declarations of a protocol, and its variants; see `Protocol`, which has scanners and columns too."""
 
     def __init__(
         self,
@@ -268,7 +268,7 @@ class Protocol:
 
     def check_keywords(self, name: str, declared: Mapping[str, Any], heads: Collection[str | None]) -> None:
         """Raise `SpecError` for keywords that `message` has not; `heads` are fields that `match` could name."""
-        known = Protocol.message.__kwdefaults__ or {}
+        known = DeclaredProtocol.message.__kwdefaults__ or {}
         for keyword, value in declared.items():
             if keyword in known:
                 continue
@@ -351,56 +351,6 @@ class Protocol:
         names: list[str | None] = [*self.configurations] or [None]
         return [self.variant(dialect, name) for dialect in dialects for name in names]
 
-    def scanner(
-        self,
-        *,
-        dialect: str | None = None,
-        configuration: str | Configuration | None = None,
-        direction: GivenWay | None = None,
-        include_unknown: bool = False,
-        raw: bool = False,
-        check_thread: bool = False,
-    ) -> Scanner:
-        """Return a scanner of this protocol alone, for one thread; see `make_scanner`, which takes several on one wire.
-
-        With `raw`, records have the numbers on the wire, without units, scales and names.
-        """
-        from ..live.scanner import make_scanner
-
-        return make_scanner(
-            [self.variant(dialect, configuration)],
-            direction=direction,
-            include_unknown=include_unknown,
-            raw=raw,
-            check_thread=check_thread,
-        )
-
-    def decode(
-        self,
-        capture: Any,
-        *,
-        message: str | Collection[str] | None = None,
-        dialect: str | None = None,
-        configuration: str | Configuration | None = None,
-        direction: GivenWay | None = None,
-        include_unknown: bool = False,
-        raw: bool = False,
-    ) -> DecodedRecording:
-        """Return a whole capture as columns: a mapping from messages to tables; see `columns.decode.decode_tables`.
-
-        `capture` is opened already (`aces_bus.decode` takes a path), or an iterable of frames, frame tables or bytes.
-        """
-        from ..columns.decode import decode_tables
-
-        return decode_tables(
-            self.variant(dialect, configuration),
-            capture,
-            message=message,
-            direction=direction,
-            include_unknown=include_unknown,
-            raw=raw,
-        )
-
     def encode(
         self,
         message: str,
@@ -409,7 +359,7 @@ class Protocol:
         configuration: str | Configuration | None = None,
         **fields: Any,
     ) -> Any:
-        """Return a frame (a python-can message) or a packet (bytes) from field values in the sheet's units.
+        """Return a frame or a packet (bytes) from field values in the sheet's units; see `Encoder.encode`.
 
         Raises `UnknownNameError` for names that do not exist and `FieldError` for values that do not fit.
         """
@@ -423,7 +373,11 @@ class Variant:
     """A protocol in one dialect and one configuration: the messages that can occur, narrowed to where they can."""
 
     def __init__(
-        self, protocol: Protocol, dialect: str | None, configuration: str | None, tables: Configuration
+        self,
+        protocol: DeclaredProtocol,
+        dialect: str | None,
+        configuration: str | None,
+        tables: Configuration,
     ) -> None:
         self.protocol = protocol
         self.name = protocol.name
@@ -512,13 +466,3 @@ class Variant:
 def _listed(given: Any) -> list[Any]:
     """Several things that a spec may write, or one thing that is none of several."""
     return list(given) if isinstance(given, Iterable) else [given]
-
-
-def share_dialect(one: Message, other: Message) -> bool:
-    """Return whether some dialect has both messages."""
-    return one.dialects is None or other.dialects is None or bool(one.dialects & other.dialects)
-
-
-def may_coexist(one: Message, other: Message) -> bool:
-    """Return whether some dialect and configuration has both messages for one device."""
-    return share_dialect(one, other) and not any(a.excludes(b) for a in one.when for b in other.when)

@@ -19,7 +19,7 @@ from .place import SourceLine, caller
 
 if TYPE_CHECKING:
     from .message import Message
-    from .protocol import Protocol
+    from .protocol import DeclaredProtocol
 
 Access = Literal["read", "write", "read-write"]
 
@@ -62,7 +62,7 @@ class RegisterMap(Mapping[str, Register]):
 
     def __init__(
         self,
-        protocol: Protocol,
+        protocol: DeclaredProtocol,
         *,
         read: str | Message,
         write: str | Message,

@@ -25,8 +25,8 @@ from ..declare.fields import Enumeration, Quantity
 from ..declare.message import Message
 from ..declare.multiplexed import Multiplexed
 from ..declare.pattern import IdField, IdPattern
-from ..declare.protocol import Protocol
 from ..declare.transport import Transport
+from ..protocol import Protocol
 from .names import TAKEN_BY_CODE, unused
 from .problems import ImportProblem, one_line
 

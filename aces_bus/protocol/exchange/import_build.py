@@ -40,8 +40,8 @@ from ..declare.j1939 import J1939Transport
 from ..declare.multiplexed import Multiplexed
 from ..declare.pattern import IdField, IdPattern
 from ..declare.place import SourceLine
-from ..declare.protocol import Protocol
 from ..keys import EXTENDED
+from ..protocol import Protocol
 from .names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
 from .problems import ImportProblem, clean_text, without_place
 

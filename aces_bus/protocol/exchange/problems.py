@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import msgspec
 
-from ..declare.protocol import Protocol
+from ..protocol import Protocol
 
 #: Characters of an excerpt.
 EXCERPT = 80

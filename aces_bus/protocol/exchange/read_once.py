@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 
-from ..declare.protocol import Protocol
+from ..protocol import Protocol
 from . import load_database
 from .problems import ImportedProtocol, ImportProblem
 

@@ -16,10 +16,10 @@ import construct as c
 from ...errors import SpecError
 from ..declare.message import Message
 from ..declare.multiplexed import number_runs
-from ..declare.protocol import Protocol
 from ..draw.table import row_of
 from ..plan import nodes as p
 from ..plan.scalars import NotFlat, scalar_of
+from ..protocol import Protocol
 from .source import NameScope, SourceText
 
 #: What a stub's annotations call.

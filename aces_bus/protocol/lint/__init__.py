@@ -28,7 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ..declare.protocol import Protocol
+from ..protocol import Protocol
 from .examples import check_examples
 from .fields import check_fields
 from .finding import Finding, sort_key

@@ -21,7 +21,8 @@ from ..declare.examples import Example, ExampleFrame
 from ..declare.fields import FlagSet
 from ..declare.message import Message
 from ..declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, error_text
-from ..declare.protocol import Protocol, Variant
+from ..declare.protocol import Variant
+from ..protocol import Protocol
 from ..record import plain_value
 from ..reference import Reference, ReferenceItem
 from .finding import Finding

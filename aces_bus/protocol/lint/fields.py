@@ -28,9 +28,9 @@ from ..declare.multiplexed import Multiplexed
 from ..declare.normalise import inner_constructs
 from ..declare.pattern import IdField, describe_values
 from ..declare.place import SourceLine
-from ..declare.protocol import Protocol
 from ..declare.wire_number import raw_limits, wire_number
 from ..draw.table import bits_place
+from ..protocol import Protocol
 from .finding import Finding, Level
 
 #: One number, or so few of all, against so many of the other byte order is remarked upon; of signs against more, for a

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Iterator
 from ..declare.checks import Check, Covered
 from ..declare.framing import Framing
 from ..declare.message import Message
-from ..declare.protocol import Protocol
 from ..plan.nodes import MessagePlan
+from ..protocol import Protocol
 from .finding import Finding, Level
 
 

@@ -15,7 +15,8 @@ from ..declare.ambiguity import Conflict, Demands, conflict, demands, needing_co
 from ..declare.examples import ExampleFrame
 from ..declare.message import Message, Request
 from ..declare.pattern import IdPattern
-from ..declare.protocol import Protocol, Variant
+from ..declare.protocol import Variant
+from ..protocol import Protocol
 from .finding import Finding, Level
 
 #: Patterns of more numbers than this are not walked.

@@ -1,19 +1,16 @@
-"""Scanners for any link, and the protocols that are installed (see `aces_bus.plugins`)."""
+"""Scanners for any link."""
 
 from __future__ import annotations
 
-import re
 import typing
-import warnings
 from collections.abc import Callable, Sequence
 from threading import Lock, current_thread
 from typing import Any
 
-from ...errors import CallerError, UnknownNameError
-from ...plugins import InstalledPoint, Plugins
+from ...errors import CallerError
 from ..counts import ScanCounts
 from ..declare.message import GivenWay
-from ..declare.protocol import Protocol, Variant
+from ..declare.protocol import Variant
 from ..record import Record
 from .can import CanScanner
 from .stream import StreamScanner
@@ -139,76 +136,3 @@ def _guard(scanner: Any) -> None:
         method = getattr(scanner, name, None)
         if method is not None:
             scanner.__dict__[name] = guarded(name, method)
-
-
-#: The protocols that are installed.
-PROTOCOLS = Plugins("aces_bus.protocols", "protocol", Protocol)
-
-
-def list_protocols() -> dict[str, InstalledPoint]:
-    """Return the installed protocols, by name, without importing them."""
-    return PROTOCOLS.points()
-
-
-#: Protocols of files that are known by name too, since a robot's file names them by path.
-_adopted: dict[str, Protocol] = {}
-
-
-def load_protocol(name: str) -> Protocol:
-    """Return the installed protocol `name`, or that of a file by its path: `lamp.py` (`lamp.py:NAME` of several), `car.dbc`,
-    `common.xml` and the other kinds of docs/captures.md. A warning says what of a database could not be taken over.
-
-    Raises `UnknownNameError` with the names that exist, `CallerError` for what a file raises or cannot be read.
-    """
-    from ..files import protocol_of_file, python_file
-
-    path, attribute = python_file(name)
-    if path:
-        names = [attribute] if attribute else []
-        protocol = protocol_of_file(path, names)
-        if names:  # the only protocol of the file has another name
-            raise UnknownNameError(f"protocol in {path}", attribute, [protocol.name])
-        return protocol
-    if name in _adopted:
-        return _adopted[name]
-    from ..exchange import database_suffixes
-
-    if not name.lower().endswith(database_suffixes()):
-        _refuse_variant(name, (*database_suffixes(), ".py"))
-        return PROTOCOLS.load(name)
-    from ..exchange.read_once import known_database
-
-    return known_database(name, lambda imported: warnings.warn(imported.summary, stacklevel=4))
-
-
-def _refuse_variant(name: str, suffixes: tuple[str, ...]) -> None:
-    """Raise `CallerError` for what `-p` takes and says more than a protocol: `hubo:D08`, `common.xml:v1`."""
-    found = re.fullmatch(r"(.+?)(?::([^:@/\\]+))?(?:@(.+))?", name)
-    if found is None or found[1] == name:
-        return
-    if found[1].lower().endswith(suffixes) or found[1] in list_protocols():
-        which = ", ".join(
-            f"{key}={value!r}"
-            for key, value in (("dialect", found[2]), ("configuration", found[3]))
-            if value is not None
-        )
-        raise CallerError(
-            f"{name}: is a protocol in one of its variants; load_protocol({found[1]!r}).variant({which}) gives it,"
-            f" and decode(…, {found[1]!r}, {which}) decodes with it"
-        )
-
-
-def adopt_protocol(path: str) -> str:
-    """Load the protocol of a Python file, and have `load_protocol` find it by its name, which is given.
-
-    Raises `CallerError` where another protocol has this name.
-    """
-    protocol = load_protocol(path)
-    name = protocol.name
-    known = _adopted.get(name) or (load_protocol(name) if name in list_protocols() else protocol)
-    if known is not protocol:
-        raise CallerError(
-            f"{path}: another protocol is named {name!r} already ({known.place}); rename one of them"
-        )
-    _adopted[name] = protocol
-    return name

@@ -26,7 +26,8 @@ from aces_bus.protocol import FlagSet, Record
 from aces_bus.protocol.generate.load import OnDemand
 from aces_bus.protocol.keys import EXTENDED
 from aces_bus.protocol.plan import nodes as p
-from aces_bus.protocol.record import message_of, protocol_name_of
+from aces_bus.protocol.record import protocol_name_of
+from aces_bus.protocol.record_plans import message_of
 
 from .printing import HEADS, LinePrinter, Read, decimal, has_few_values
 from .shape import (

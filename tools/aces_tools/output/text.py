@@ -21,7 +21,7 @@ from aces_bus.plain_text import printable as printable
 from aces_bus.protocol import Record
 from aces_bus.protocol.generate.load import OnDemand
 from aces_bus.protocol.keys import EXTENDED
-from aces_bus.protocol.record import message_of
+from aces_bus.protocol.record_plans import message_of
 
 from .field_text import GAP, PrintedField, RecordTokens, TokenPrinter
 from .printing import HEADS
