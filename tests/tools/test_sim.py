@@ -42,6 +42,17 @@ def test_how_to_join_is_said(aces: Aces, leg: str) -> None:
     assert made.summary == {"requests": 0, "replies": 0, "others": 0}
 
 
+def test_devices_of_one_kind_without_a_file(aces: Aces) -> None:
+    """`-p`: the line that a program needs is what stdout says first."""
+    made = aces("sim", "-p", "moteus", "--id", "1,2", "--fd", "--for", "10ms")
+    assert made.out.splitlines()[0].startswith("channel: unix:moteus ")
+    assert made.messages == ["moteus: 2 devices are there; runs until Ctrl-C"]
+    made = aces("sim", "-p", "feetech", "--model", "STS3215", "--for", "10ms")
+    assert made.out.startswith("port: /dev/pts/")
+    for wrong in (["--id", "3"], ["-p", "moteus", "-r", "so101"], ["-p", "nothing"]):
+        assert aces("sim", *wrong).status == 2
+
+
 def test_as_json(aces: Aces, leg: str) -> None:
     """As JSON: the buses, and at the end the counts."""
     first, last = aces("sim", "-r", leg, "--for", "10ms", "--json").objects

@@ -1,5 +1,8 @@
 """Put a robot's simulated devices on a bus, for programs and people to talk to.
 
+  aces sim -p moteus --id 1           one device, without a robot's file: the line
+                                      printed is what a program takes
+  aces sim -p feetech --id 1,2 --model STS3215
   aces sim -r hubo2plus               serve its buses, with its devices on them;
                                       others join with -i aces -c unix:can0
   aces sim -r minihubo_1              its serial line is a pseudo-terminal
@@ -32,7 +35,7 @@ from aces_bus.errors import CallerError, UnknownNameError
 
 from .console import ENDLESS, counted, print_json, say, say_note
 from .live_view import live_view, show_bus, show_bus_event
-from .options import FOR, JSON, SEED, Arguments, flag, several
+from .options import FOR, JSON, SEED, Arguments, argument, flag, several
 from .patience import Patience
 from .robot_arg import (
     POSE,
@@ -42,6 +45,7 @@ from .robot_arg import (
     chosen_pose,
     chosen_robot,
     open_host,
+    use_driver_files,
 )
 
 if TYPE_CHECKING:
@@ -52,6 +56,11 @@ if TYPE_CHECKING:
     from .live_view import LiveView
 
 
+def _numbers(text: str) -> list[int]:
+    """Read numbers with commas, decimal or hexadecimal. Raises `ValueError`."""
+    return [int(part, 0) for part in text.split(",")]
+
+
 SUMMARY = "put a robot's simulated devices on a bus"
 
 EPILOG = """\
@@ -60,6 +69,20 @@ exit status: 0; 2 a wrong call, or a bus that cannot be served or opened
 
 
 ARGUMENTS: Arguments = (
+    argument(
+        "-p",
+        "--protocol",
+        metavar="DRIVER",
+        help="devices of one kind in place of a robot: a name of `aces devices`, or a protocol that one of them speaks",
+    ),
+    argument(
+        "--id",
+        type=_numbers,
+        metavar="N[,N]",
+        help="with -p: their numbers (default: as the driver's example)",
+    ),
+    argument("--model", metavar="MODEL", help="with -p: which model"),
+    flag("--fd", help="with -p: the kind that speaks CAN FD, where there are two"),
     several(
         "--fault", metavar="DEVICE:FAULT[=AMOUNT]", help="make a device misbehave; * for all; may be repeated"
     ),
@@ -74,7 +97,7 @@ ARGUMENTS: Arguments = (
 
 
 def run(arguments: argparse.Namespace) -> int:
-    robot = chosen_robot(arguments.robot, arguments.driver)
+    robot = _chosen(arguments)
     if arguments.list_faults:
         return _list_faults(robot, arguments.json)
     duration = arguments.duration
@@ -96,6 +119,22 @@ def run(arguments: argparse.Namespace) -> int:
             following = time.monotonic_ns() + 500_000_000
             patience.wait_until(following if end is None else min(following, end))
     return 0
+
+
+def _chosen(arguments: argparse.Namespace) -> Robot:
+    """Return the robot that the call names, or one of the devices of `-p`. Raises as `chosen_robot` and `robot_of`."""
+    if arguments.protocol is None:
+        for word in ("id", "model", "fd"):
+            if getattr(arguments, word):
+                raise CallerError(f"--{word} is of the devices of one kind: say which, such as -p moteus")
+        return chosen_robot(arguments.robot, arguments.driver)
+    from .one_kind import robot_of
+
+    if arguments.robot:
+        raise CallerError("-p in place of --robot, not beside it")
+    use_driver_files(arguments.driver)
+    numbers = {"id": arguments.id} if arguments.id else {}
+    return robot_of(arguments.protocol, numbers, fd=arguments.fd, model=arguments.model)
 
 
 # ---------------------------------------------------------------------- faults
@@ -153,7 +192,12 @@ def _list_faults(robot: Robot, as_json: bool) -> int:
 def _announce(robot: Robot, arguments: argparse.Namespace, stand: SimulatedRobot) -> None:
     """Print how to join each bus to stdout, for programs and people."""
     given = arguments.robot or robot.name
-    if arguments.json:
+    if arguments.protocol is not None and not arguments.json:
+        for way in stand.reached.values():
+            baud = f"   ({way['baud']} bit/s)" if way.get("baud") else ""
+            of_can = f"   (python-can: interface {way['interface']})" if way.get("interface") else ""
+            print(f"{'port' if way['kind'] == 'serial' else 'channel'}: {way['address']}{baud}{of_can}")
+    elif arguments.json:
         print_json({"robot": robot.name, "buses": stand.reached}, None)
     else:
         for name in stand.simulation.buses:

@@ -217,10 +217,13 @@ class AcesBus(VirtualBus):
         with medium.changed:
             until = None if timeout is None else time.monotonic_ns() + max(0, round(timeout * 1e9))
             while True:
+                is_over = (
+                    until is not None and time.monotonic_ns() >= until
+                )  # not later: what was due by then has come
                 if medium.physics:
                     medium.move_on()
                 found = self._next()
-                if found is not None or (until is not None and time.monotonic_ns() >= until):
+                if found is not None or is_over:
                     return found
                 following = medium.clock.next_event if medium.physics else None
                 ends = [end for end in (following, until) if end is not None]

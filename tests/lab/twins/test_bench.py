@@ -19,8 +19,8 @@ from aces_bus.device import load_driver
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_lab.twins import TwinBench, open_bench
 from aces_lab.twins.catalogue import CATALOGUE, Injection
-from aces_lab.twins.robots import robot_of
 from aces_protocols.modbus.spec import modbus
+from aces_tools.one_kind import robot_of
 
 serial: Any = pytest.importorskip("serial")
 
@@ -347,7 +347,12 @@ def test_bus_off_is_an_error_of_the_program_s_bus() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [name for name, fault in CATALOGUE.items() if "serial" in fault.links and fault.effect]
+    "name",
+    [
+        name
+        for name, fault in CATALOGUE.items()
+        if "serial" in fault.links and fault.effect and name != "overdue"
+    ],
 )
 def test_what_a_fault_does_to_bytes(name: str) -> None:
     """Each fault of a serial line changes what is read, or when; the second answer is as it should be."""
@@ -370,6 +375,23 @@ def test_what_a_fault_does_to_bytes(name: str) -> None:
     else:
         assert first != good
         assert second == good
+
+
+def test_an_overdue_answer_comes_before_the_right_one() -> None:
+    """The answer before, with other numbers, stands before the second answer; the first has none before it."""
+    injection = Injection(CATALOGUE["overdue"])
+    with open_bench(
+        "odrive", node=3, time="virtual", settings={"estimates": "asked"}, injection=injection
+    ) as motor:
+        for command in (0x17, 0x14):
+            motor.bus.send(
+                can.Message(
+                    arbitration_id=3 << 5 | command, is_remote_frame=True, is_extended_id=False, dlc=8
+                )
+            )
+            motor.wait(0.02)
+        names = [type(one.record).__name__ for one in motor.frames if one.is_answer]
+    assert names == ["BusVoltageCurrent", "BusVoltageCurrent", "Iq"]
 
 
 def test_every_fault_is_said_and_every_driver_has_a_robot() -> None:

@@ -21,16 +21,17 @@ import can
 import msgspec
 
 from aces_bus import Frame, FrameTable, Unknown, make_scanner
-from aces_bus.device import Driver, Robot, Twin
+from aces_bus.device import Driver, Robot, Twin, load_driver
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.recordings.base import Chunk
 from aces_bus.recordings.write import open_writer
 from aces_bus.robot.rig import simulate, spoken_on
 from aces_bus.runtime import VirtualClock
+from aces_tools.one_kind import BUS_KEYS, DEVICE_KEYS, robot_of
 
 from .catalogue import Injection
 from .lines import Line, line_of
-from .robots import BUS_KEYS, DEVICE_KEYS, robot_of
+from .recorded import RecordedTwin, recorded_robot
 from .tap import Passed, TwinTap
 
 T = TypeVar("T")
@@ -166,6 +167,7 @@ class TwinBench:
         fd: bool = False,
         tcp: bool = False,
         injection: Injection | None = None,
+        load: Callable[[str], Driver] = load_driver,
     ) -> None:
         self.robot = robot
         self.clock = VirtualClock() if time == "virtual" else None
@@ -175,12 +177,12 @@ class TwinBench:
         self._is_open = False
         self._expected = 0
         try:
-            for name, protocol in spoken_on(robot).items():
+            for name, protocol in spoken_on(robot, load).items():
                 made = line_of(robot.buses[name], protocol, shared=shared, fd=fd, tcp=tcp, clock=self.clock)
                 self.lines[name] = made
                 self._taps[name] = TwinTap(made.port)
             self._simulation = self._in_all(
-                lambda: simulate(robot, self._taps, seed=seed, pose=pose, homed=homed)
+                lambda: simulate(robot, self._taps, seed=seed, pose=pose, homed=homed, load=load)
             )
             self.twins: dict[str, Twin] = dict(self._simulation.twins)
             self._readers = {
@@ -357,6 +359,9 @@ class TwinBench:
         lines = [f"({len(seen) - SHOWN} before)"] if len(seen) > SHOWN else []
         lines += [str(one) for one in seen[-SHOWN:]]
         lines += [f"{name}: {said}" for name, line in self.lines.items() if (said := line.complaint())]
+        lines += [
+            said for twin in self.twins.values() if isinstance(twin, RecordedTwin) and (said := twin.report())
+        ]
         return "\n".join(lines) or "nothing has passed"
 
     def save(self, path: str | Path) -> list[Path]:
@@ -429,12 +434,17 @@ def open_bench(driver: str | Driver | Robot, /, *, fd: bool = False, **options: 
     `channels`, `kind` say what the device is, `bitrate`, `baud`, `dialect` what its bus is, as in a robot's file; `fd`: a
     bus for CAN FD, and the kind of device that speaks it, where there are two.
 
+    With `protocol` it is a recording that answers as its device did: `open_bench("talk.slog", protocol="modbus")`.
+
     `shared`: on a CAN bus that other processes join too. `time="virtual"`: see the module. `seed`, `pose` (joint → rad) and
     `homed` are `simulate`'s. `tcp`: a serial line as a TCP port (a URL of pyserial) though there are terminals.
 
     Raises `UnknownNameError` and `CallerError` for what there is not or cannot be.
     """
     own = {name: options.pop(name) for name in _BENCH if name in options}
+    if isinstance(driver, str) and (protocol := options.pop("protocol", None)) is not None:
+        robot, made = recorded_robot(driver, protocol, **options)
+        return TwinBench(robot, fd=fd, load=lambda name: made, **own)
     if isinstance(driver, Robot):
         robot = driver
     else:

@@ -34,6 +34,8 @@ class Hit:
     """An answer that is hit: what an effect may know and touch."""
 
     packet: Any
+    #: The answer before this one; None: it is the first.
+    before: Any
     dice: random.Random
     line: Line
     twins: Twins
@@ -64,7 +66,7 @@ def _short(hit: Hit) -> Sendings:
 
 
 def _wrong_number(hit: Hit) -> Sendings | None:
-    other = hit.answers.of_another(hit.packet)
+    other = hit.answers.of_another(hit.answers.with_other_values(hit.packet) or hit.packet)
     return None if other is None else ((0, other),)
 
 
@@ -76,6 +78,11 @@ def _others(hit: Hit) -> Sendings | None:
 def _stale(hit: Hit) -> Sendings | None:
     old = hit.answers.with_other_values(hit.packet)
     return None if old is None else ((0, hit.packet), (BEHIND_NS, old))
+
+
+def _overdue(hit: Hit) -> Sendings | None:
+    old = None if hit.before is None else hit.answers.with_other_values(hit.before)
+    return None if old is None else ((0, old), (BEHIND_NS, hit.packet))
 
 
 def _noise(hit: Hit) -> Sendings:
@@ -130,6 +137,7 @@ CATALOGUE: dict[str, Fault] = {
         Fault("late", "an answer comes late", "an answer comes at once", _late),
         Fault("twice", "an answer comes twice", "every request has one answer", _twice),
         Fault("stale", "an old answer comes behind a new one", "what comes next is the answer to the last request", _stale),
+        Fault("overdue", "the answer before comes again, before the right one", "an answer says what it answers", _overdue),
         Fault("wrong_number", "another device answers instead", "an answer is of the device asked", _wrong_number),
         Fault("short", "an answer is a byte short", "an answer is as long as it should be", _short),
         Fault("garbled", "a bit of an answer is wrong", "an answer arrives as it was sent", _garbled, links=("serial",)),
@@ -153,6 +161,14 @@ def chosen(names: str) -> list[Fault]:
     return [CATALOGUE[name] for name in names.split(",")]
 
 
+class Mirrored(random.Random):
+    """Draws the other end of what `random.Random` draws."""
+
+    def random(self) -> float:
+        """Return 1 less what would be drawn."""
+        return 1.0 - super().random()
+
+
 @dataclass
 class Injection:
     """A fault in one run: the answers that it hits (None: all), the seed, and the share of a range that values have."""
@@ -166,7 +182,11 @@ class Injection:
 
     def dice(self, *about: object) -> random.Random:
         """Return what draws for one purpose: others change nothing of it."""
-        return random.Random(f"{self.seed} {self.fault.name} {about}")
+        if self.fault.name != "values":
+            return random.Random(f"{self.seed} {self.fault.name} {about}")
+        # Two runs draw values that mirror one another: both halves of a range are met, and both signs.
+        kind = Mirrored if self.seed % 2 else random.Random
+        return kind(f"{self.seed // 2} {about}")
 
     def is_hit(self, number: int) -> bool:
         """Return whether the answer of this number is hit."""
@@ -191,11 +211,14 @@ class Injection:
         if effect is None:
             return None
         answers = Answers(twins)
+        before: Any = None
 
         def alter(number: int, packet: Any) -> tuple[str, Sendings] | None:
+            nonlocal before
+            last, before = before, packet if number >= 0 else before
             if not self.is_hit(number):
                 return None
-            sendings = effect(Hit(packet, self.dice(number), line, twins, answers))
+            sendings = effect(Hit(packet, last, self.dice(number), line, twins, answers))
             return None if sendings is None else (fault.name, sendings)
 
         return alter

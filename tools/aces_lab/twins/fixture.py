@@ -40,6 +40,11 @@ class TwinMaker:
         made = load_robot(robot) if isinstance(robot, str) else robot
         return self._keep(open_bench(made, injection=self._injection, **options))
 
+    def replay(self, recording: str | Path, protocol: str, **options: Any) -> TwinBench:
+        """Return a recording of a device as one that answers; its bus's `bitrate`, `baud` and `dialect` may be said."""
+        options = {"injection": self._injection, **options}
+        return self._keep(open_bench(str(recording), protocol=protocol, **options))
+
     def _keep(self, bench: TwinBench) -> TwinBench:
         self.benches.append(bench)
         return bench
@@ -50,8 +55,7 @@ class TwinMaker:
         if injection is None or injection.fault.name != "values":
             return usual
         self._values += 1
-        dice = injection.dice("value", self._values)
-        drawn = dice.randint(lower, upper) if isinstance(usual, int) else dice.uniform(lower, upper)  # type: ignore[arg-type]
+        drawn = injection.dice("value", self._values).uniform(lower, upper)
         moved = usual + (drawn - usual) * injection.share
         return type(usual)(round(moved) if isinstance(usual, int) else moved)
 

@@ -20,6 +20,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TypeVar
 
+from aces_bus import Frame
 from aces_bus.device.config import Bus
 from aces_bus.device.port import Port
 from aces_bus.errors import CallerError
@@ -28,6 +29,7 @@ from aces_bus.hardware.ports import port_of
 from aces_bus.hardware.served.channel import ServedChannel
 from aces_bus.hardware.served.server import BusServer
 from aces_bus.hardware.simulated.backend import AcesBus
+from aces_bus.hardware.simulated.frame_time import frame_bits
 from aces_bus.hardware.simulated.serial_line import PtyPort, SimulatedSerialLine
 from aces_bus.protocol import Protocol
 from aces_bus.robot.buses import wire_of
@@ -93,6 +95,8 @@ class CanLine(Line):
             rx_queue_size=1,
         )
         self._stack.callback(self._holder.shutdown)
+        for is_extended in (False, True):  # tables that the first frame would wait for
+            frame_bits(Frame(arbitration_id=0x123, data=bytes(8), is_extended_id=is_extended, is_fd=is_fd))
         self._own = {self._holder.node}
         self.port = port_of(self._holder.node.wire, name=bus.name)
 

@@ -115,6 +115,8 @@ class Answers:
     def __init__(self, twins: Twins) -> None:
         self._variants: dict[str, Variant] = dict(twins.variants)
         self._twins = twins
+        #: Fields that requests and answers share: whom an answer is for, and what it is about.
+        self._addresses = _shared_fields(twins)
         self._credentials = {name for twin in twins.members.values() for name in twin.credentials}
 
     def record(self, packet: Any) -> Any:
@@ -156,13 +158,27 @@ class Answers:
             return None
         changed: dict[str, Any] = {}
         for name, value in as_dict(record).items():
-            if name in self._credentials:
+            if name in self._credentials or name in self._addresses:
                 continue
             for other in _others(value):
                 if (made := self.built(record, {**changed, name: other})) is not None and made != packet:
                     changed[name] = other
                     break
         return self.built(record, changed) if changed else None
+
+
+def _shared_fields(twins: Twins) -> set[str]:
+    """Return the names of whole numbers and bytes that messages of both ways have."""
+    ways: dict[str, set[str]] = {"to device": set(), "from device": set()}
+    for variant in twins.variants.values():
+        for message in variant.messages.values():
+            if message.direction in ways:
+                ways[message.direction].update(capture.name for capture in _captures(message))
+    return ways["to device"] & ways["from device"]
+
+
+def _captures(message: Any) -> Any:
+    return getattr(message.identifier, "captures", ()) if message.identifier is not None else ()
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:

@@ -51,7 +51,7 @@ function _shtab_aces_using
 end
 
 set -g _shtab_aces_commands decode plot diff convert sniff send play bridge bus 'bus budget' robot devices device 'device fuzz' stop discover sim run protocols spec 'spec check' 'spec explain' 'spec export' 'spec guess' 'spec import' 'spec new' 'spec prove' 'spec show' 'spec stubs' fuzz demo fleet 'fleet status' completion
-set -g _shtab_aces_opts_with_value --a --acts --against --answer --at --at-end --b --base --baud --bitrate --bits --break-time --bus --bus-kwargs --channel --cluster --corpus --count --data-bitrate --diff --direction --driver --errors --every --examples --expand --failures --fault --faults --filter --for --format --foxglove --foxglove-origin --frames --from --gap --hold-for --id --input-format --interface --jitter --jobs --latency --law --least --link --list --log --loop --map --marks --message --most --name --not --on-trip --only --output --port --pose --protocol --queue --rate --raw --record --rename --replay --reply --rests-after --robot --rotate --rows-hz --seconds --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --then --time --timing --title --to --udp --unix --unknown --where --witnesses --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
+set -g _shtab_aces_opts_with_value --a --acts --against --answer --at --at-end --b --base --baud --bitrate --bits --break-time --bus --bus-kwargs --channel --cluster --corpus --count --data-bitrate --diff --direction --driver --errors --every --examples --expand --failures --fault --faults --filter --for --format --foxglove --foxglove-origin --frames --from --gap --hold-for --id --input-format --interface --jitter --jobs --latency --law --least --link --list --log --loop --map --marks --message --model --most --name --not --on-trip --only --output --port --pose --protocol --queue --rate --raw --record --rename --replay --reply --rests-after --robot --rotate --rows-hz --seconds --seed --serial --signals --socketcand --speed --style --suggest --svg --tcp --then --time --timing --title --to --udp --unix --unknown --where --witnesses --words --xlabel --ylabel --ylim --ymax --ymin -b -c -i -m -n -o -p -r -t
 
 complete -c aces -e
 complete -c aces -f
@@ -62,7 +62,7 @@ complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a dec
 complete -c aces -n '_shtab_aces_using decode' -s h -l help -d 'show this help message and exit'
 complete -c aces -n '_shtab_aces_using decode' -s p -l protocol -xka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'what is spoken; see below; the first wins. Without: what the recording holds'
 complete -c aces -n '_shtab_aces_using decode' -l direction -x -d 'which way the bytes went: to or from the device; both pairs requests and replies'
-complete -c aces -n '_shtab_aces_using decode' -l format -xka "text jsonl csv parquet arrow feather npz sqlite mcap" -d 'text, jsonl, csv, or one of the tables below (default: by the suffix of --output, else text)'
+complete -c aces -n '_shtab_aces_using decode' -l format -xka "text jsonl csv parquet arrow feather sqlite npz mcap" -d 'text, jsonl, csv, or one of the tables below (default: by the suffix of --output, else text)'
 complete -c aces -n '_shtab_aces_using decode' -s o -l output -xka "(__fish_complete_path (commandline -ct))" -d 'write there instead of on standard output; see tables below'
 complete -c aces -n '_shtab_aces_using decode' -l filter -x -d 'CAN: only what candump'"'"'s filters pass, such as 060:7F0 or can0,150~7FF'
 complete -c aces -n '_shtab_aces_using decode' -s m -l message -x -d 'only this message, in any case, also Motor*; may be given several times'
@@ -362,6 +362,10 @@ complete -c aces -n '_shtab_aces_using discover' -l pose -x -d 'where a twin'"'"
 complete -c aces -n '_shtab_aces_using discover' -s q -l quiet -d 'no notes, no progress: only results, and what is wrong'
 complete -c aces -n '_shtab_aces_using; and test $_shtab_aces_npos -eq 0' -a sim -d 'put a robot'"'"'s simulated devices on a bus'
 complete -c aces -n '_shtab_aces_using sim' -s h -l help -d 'show this help message and exit'
+complete -c aces -n '_shtab_aces_using sim' -s p -l protocol -xka "(aces completion --list protocols --words (commandline -p | string collect) 2>/dev/null; __fish_complete_path (commandline -ct))" -d 'devices of one kind in place of a robot: a name of `aces devices`, or a protocol that one of them speaks'
+complete -c aces -n '_shtab_aces_using sim' -l id -x -d 'with -p: their numbers (default: as the driver'"'"'s example)'
+complete -c aces -n '_shtab_aces_using sim' -l model -x -d 'with -p: which model'
+complete -c aces -n '_shtab_aces_using sim' -l fd -d 'with -p: the kind that speaks CAN FD, where there are two'
 complete -c aces -n '_shtab_aces_using sim' -l fault -x -d 'make a device misbehave; * for all; may be repeated'
 complete -c aces -n '_shtab_aces_using sim' -l list-faults -d 'list how the devices can misbehave'
 complete -c aces -n '_shtab_aces_using sim' -l for -x -d 'end after so long (default: Ctrl-C)'

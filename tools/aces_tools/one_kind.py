@@ -1,4 +1,4 @@
-"""Robots of one kind of device, made of a driver's name and numbers: what `open_bench("feetech", ids=[1, 2])` means.
+"""Robots of one kind of device, made of a driver's name and numbers: `aces sim -p feetech --id 1,2`, and twins for tests.
 
 1. With no number it is the first device of the driver's example, as it stands there: its settings and its joints are there.
 2. With numbers a device has these, and what the call says; nothing of the example but its bus.
@@ -69,7 +69,7 @@ def robot_of(
     devices: dict[str, Any] = {}
     joints: dict[str, Any] = {}
     for place, credentials in enumerate(each, 1):
-        own: dict[str, Any] = {"driver": made.name, "bus": "bus"}
+        own: dict[str, Any] = {"driver": made.name, "bus": made.name}
         if not numbers:
             own |= {k: v for k, v in _stated(first).items() if k not in ("driver", "bus")}
             joints = {joint.name: _stated(joint) for joint in example.joints_of(first.name)}
@@ -77,7 +77,7 @@ def robot_of(
             own["credentials"] = credentials
         own |= {key: said[key] for key in DEVICE_KEYS if said.get(key) is not None}
         devices[first.name if not numbers else f"{made.name.upper()}{place}"] = own
-    content = {"name": made.name, "buses": {"bus": bus}, "devices": devices, "joints": joints}
+    content = {"name": made.name, "buses": {made.name: bus}, "devices": devices, "joints": joints}
     robot, wrong = make_robot(content, lambda path: ("", 0))
     if robot is None:
         raise CallerError("; ".join(problem.text for problem in wrong if not problem.is_warning))
