@@ -55,8 +55,8 @@ class Recorded:
     def find(self, record: Any, times: Counter[Key]) -> tuple[list[Answer] | None, bool]:
         """Return the answers of a request, and whether they are those of one with other measured numbers; None: none."""
         for known, key, is_alike in (
-            (self.answers, key_of(record), False),
-            (self.alike, loose_key_of(record), True),
+            (self.answers, request_key(record), False),
+            (self.alike, request_key_without_numbers(record), True),
         ):
             rounds = known.get(key)
             if rounds is not None:
@@ -65,12 +65,12 @@ class Recorded:
         return None, False
 
 
-def key_of(record: Any) -> Key:
+def request_key(record: Any) -> Key:
     """Return what a request is known by: its message and all its fields."""
     return (type(record).__name__, repr(as_dict(record)))
 
 
-def loose_key_of(record: Any) -> Key:
+def request_key_without_numbers(record: Any) -> Key:
     """Return what a request is known by without its measured numbers."""
     fields = {name: value for name, value in as_dict(record).items() if not isinstance(value, float)}
     return (type(record).__name__, "alike", repr(fields))
@@ -100,8 +100,8 @@ def read_recorded(path: str | Path, variant: Variant) -> Recorded:
             if not is_answer:
                 asked, asked_at = [], when
                 scanners[True].sent(whole)
-                found.answers.setdefault(key_of(record), []).append(asked)
-                found.alike.setdefault(loose_key_of(record), []).append(asked)
+                found.answers.setdefault(request_key(record), []).append(asked)
+                found.alike.setdefault(request_key_without_numbers(record), []).append(asked)
                 continue
             if asked is None or when - asked_at > ANSWERED_S:
                 spontaneous.add(name)
