@@ -6,15 +6,27 @@ The badges of shipped protocols are in `proved.json` beside their specs; `make p
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
+import msgspec
 from msgspec.structs import replace
 
 from aces_bus.protocol import Protocol
+
+
+class Badge(msgspec.Struct, frozen=True):
+    """What was proved of a protocol, counted by status: its messages, that they are apart and reachable, its scanners."""
+
+    summary: str
+    apart: str
+    date: str
+    version: str
+    z3: str
+    #: Of `protocol_hash`, when it was proved.
+    hash: str
+    streams: str = ""
 
 
 def badges_path() -> Path | None:
@@ -23,13 +35,12 @@ def badges_path() -> Path | None:
     return None if found is None or found.origin is None else Path(found.origin).parent / "proved.json"
 
 
-def read_badges() -> dict[str, Any]:
+def read_badges() -> dict[str, Badge]:
     """Return the badges of shipped protocols, by name."""
     path = badges_path()
     if path is None or not path.exists():
         return {}
-    found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    return found
+    return msgspec.json.decode(path.read_bytes(), type=dict[str, Badge])
 
 
 def protocol_hash(protocol: Protocol) -> str:
@@ -52,7 +63,8 @@ def badge_text(protocol: Protocol) -> str:
     found = read_badges().get(protocol.name)
     if found is None:
         return "not proved: aces spec prove"
-    what = f"{found['summary']} ({found['date']}, aces-bus {found['version']}, z3 {found['z3']})"
-    if found["hash"] != protocol_hash(protocol):
+    streams = f"; streams: {found.streams}" if found.streams else ""
+    what = f"{found.summary}{streams} ({found.date}, aces-bus {found.version}, z3 {found.z3})"
+    if found.hash != protocol_hash(protocol):
         return f"stale: changed since this was proved: {what}; run aces spec prove {protocol.name}"
     return what

@@ -15,12 +15,13 @@ from typing import Any, NamedTuple
 
 from msgspec.structs import replace
 
-from aces_bus import load_protocol
+from aces_bus import load_protocol, make_scanner
 from aces_bus.protocol import Message, Variant
 from aces_bus.protocol.generate.decode import Decoder
 from aces_bus.protocol.generate.load import decoders_of, print_decoder
 from aces_bus.protocol.generate.load_text import load_source
 from aces_bus.protocol.plan import nodes as p
+from aces_bus.testing.laws import Way
 from aces_lab.prove import witness as w
 from aces_lab.prove.decoding import Witness, drawn, proof_lengths, source_of
 
@@ -199,3 +200,36 @@ def planted(protocols: Sequence[str], make: Any, most: int, seed: int) -> list[P
             if len(found) == most:
                 return found
     return found
+
+
+# ---------------------------------------------------------------------- scanners of streams
+
+#: Protocol, direction, what the printed text has, and what is planted.
+SCANNERS: list[tuple[str, Way, str, str]] = [
+    ("minihubo_adc", None, "i = j\n                    continue", "i = j + 1\n                    continue"),
+    ("minihubo_adc", None, "j = i + 8", "j = i + 9"),
+    ("minihubo_adc", None, "!= 0xff", "!= 0xfe"),
+    ("minihubo_adc", None, "end - i < 8", "end - i < 7"),
+    ("hubovia", None, "packet[-1]", "packet[-2]"),
+    ("hubovia", None, "packet[3:7]", "packet[2:7]"),
+    ("hubovia", None, "& 0xff", "& 0x7f"),
+    ("robotis", "to device", "buffer[i + 3]", "buffer[3]"),
+    ("robotis", "to device", "+ 4\n", "+ 5\n"),
+    ("robotis", "to device", "not 5 <= size", "not 4 <= size"),
+    ("robotis", "to device", "lose(base + i, j - i, 'unknown')", "lose(base + i, 1, 'unknown')"),
+    ("ubx", None, '"little")', '"big")'),
+    ("vesc_uart", "to device", "'malformed: checksum'", "'malformed: length'"),
+]
+
+
+def faulty_scanner(name: str, way: Way, right: str, wrong: str) -> Any:
+    """Return a scanner whose printed text has a fault."""
+    scanner: Any = make_scanner(
+        [load_protocol(name).variant()], direction=way, include_unknown=True, raw=True
+    )
+    assert right in scanner.source, scanner.source
+    scanner.source = scanner.source.replace(right, wrong, 1)
+    names = {n: value for n, value in scanner._scan.__globals__.items() if n != "__builtins__"}
+    space = load_source(scanner.source, f"aces planted {name} {wrong}", names)
+    scanner._scan, scanner._failure = space["scan"], scanner._failure and space["check_0"]
+    return scanner

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from aces_bus import list_protocols, load_protocol
@@ -16,7 +16,7 @@ from aces_tools import proofs
 def test_no_badge_of_a_shipped_protocol_is_stale() -> None:
     """After a change of a spec or of the generator: make prove."""
     badges = proofs.read_badges()
-    stale = [n for n, badge in badges.items() if badge["hash"] != proofs.protocol_hash(load_protocol(n))]
+    stale = [n for n, badge in badges.items() if badge.hash != proofs.protocol_hash(load_protocol(n))]
     assert stale == [], "run make prove"
     assert set(badges) == {
         n for n in list_protocols() if (load_protocol(n).place.file).count("aces_protocols")
@@ -33,9 +33,8 @@ def test_a_change_makes_a_badge_stale(tmp_path: Path, monkeypatch: pytest.Monkey
         return protocol
 
     file = tmp_path / "proved.json"
-    badge = {"summary": "proved 1", "date": "2026-01-01", "version": "1", "z3": "4", "hash": ""}
-    badge["hash"] = proofs.protocol_hash(made(b"\x01"))
-    file.write_text(json.dumps({"toy": badge}), encoding="utf-8")
+    badge = proofs.Badge("proved 1", "proved 1", "2026-01-01", "1", "4", proofs.protocol_hash(made(b"\x01")))
+    file.write_bytes(msgspec.json.encode({"toy": badge}))
     monkeypatch.setattr(proofs, "badges_path", lambda: file)
     assert proofs.badge_text(made(b"\x01")).startswith("proved 1 (2026-01-01")
     assert proofs.badge_text(made(b"\x02")).startswith("stale: ")

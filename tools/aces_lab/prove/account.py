@@ -34,8 +34,6 @@ class Outcome:
     seconds: float = 0.0
     paths: int = 0
     count: int = 1
-    #: What was found of its columns; None where these are made by the decoder, record by record.
-    columns: Outcome | None = None
 
     @property
     def status(self) -> Status:

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import z3
@@ -63,6 +64,25 @@ class _Formulas:
         return self._made[message.name]
 
 
+@dataclass(frozen=True)
+class ApartJob:
+    """All messages of one variant."""
+
+    variant: Variant
+    patience: float = 20.0
+
+    def prove(self, seconds: float) -> list[Outcome]:
+        """Prove them apart and reachable."""
+        return list(prove_apart(self.variant, seconds))
+
+    def lost(self, reason: str) -> list[Outcome]:
+        """Return that nothing was proved."""
+        found = [Outcome(self.variant.label, name) for name in self.variant.messages]
+        for outcome in found:
+            outcome.add("apart", "unknown", reason)
+        return found
+
+
 def prove_apart(variant: Variant, seconds: float = 60.0) -> Iterator[Outcome]:
     """Yield an outcome for each message of a variant: apart from all others, and reachable."""
     messages = ordered(variant.messages.values())
@@ -107,7 +127,12 @@ def _apart(outcome: Outcome, message: Message, near: Sequence[Message], formulas
         for packet, both in _shared(mine, theirs):
             found = solver.check(both)
             if found == z3.sat:
-                outcome.witness = packet.witness(f"{other.name} accepts it, too", solver.model())
+                witness = packet.witness(f"{other.name} accepts it, too", solver.model())
+                image = image_of(message, witness)
+                if by_reference(message, image) is None or by_reference(other, image) is None:
+                    undecided.append(f"{other.name}: {witness.data.hex()}, which running it does not confirm")
+                    continue
+                outcome.witness = witness
                 outcome.add("apart", "refuted", f"{other.name} accepts the same bytes")
                 return
             if found == z3.unknown:

@@ -12,6 +12,7 @@ import random
 import shutil
 import subprocess
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -49,6 +50,25 @@ CASES
 """
 
 
+@dataclass(frozen=True)
+class CJob:
+    """The C export of one variant."""
+
+    variant: Variant
+    patience: float = 10.0
+
+    def prove(self, seconds: float) -> list[Outcome]:
+        """Compile it and compare it."""
+        return list(check_c(self.variant))
+
+    def lost(self, reason: str) -> list[Outcome]:
+        """Return that nothing was compared."""
+        found = [Outcome(self.variant.label, name) for name in self.variant.messages]
+        for outcome in found:
+            outcome.add("C", "unknown", reason)
+        return found
+
+
 def check_c(variant: Variant) -> Iterator[Outcome]:
     """Compare the C export of a variant with its decoders; yield an outcome for each message that C has, and has not."""
     compiler = shutil.which("cc") or shutil.which("gcc")
@@ -61,6 +81,10 @@ def check_c(variant: Variant) -> Iterator[Outcome]:
         )
         yield outcome
     if compiler is None:
+        for one in made.messages:
+            outcome = Outcome(variant.label, one.message.name)
+            outcome.add("C", "unknown", "there is no C compiler (cc, gcc) here")
+            yield outcome
         return
     with TemporaryDirectory() as name:
         folder = Path(name)

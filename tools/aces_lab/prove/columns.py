@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import random
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,30 @@ from .witness import by_reference, image_of
 
 #: Bits of a field of which every number is tried.
 MOST_BITS = 16
+
+
+@dataclass(frozen=True)
+class ColumnsJob:
+    """The columns of one message, and of others with the same functions."""
+
+    variant: Variant
+    message: Message
+    count: int
+    patience: float = 10.0
+
+    def prove(self, seconds: float) -> list[Outcome]:
+        """Compare them with the decoder; nothing where that makes them, record by record."""
+        outcome = check_columns(self.variant, self.message)
+        if outcome is None:
+            return []
+        outcome.count = self.count
+        return [outcome]
+
+    def lost(self, reason: str) -> list[Outcome]:
+        """Return that nothing was compared."""
+        outcome = Outcome(self.variant.label, self.message.name, count=self.count)
+        outcome.add("columns", "unknown", reason)
+        return [outcome]
 
 
 def check_columns(variant: Variant, message: Message) -> Outcome | None:

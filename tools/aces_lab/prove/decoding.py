@@ -23,6 +23,7 @@ from aces_bus.frames import FD_LENGTHS
 from aces_bus.protocol import Delimited, Message, Variant
 from aces_bus.protocol.encoder import USUAL_FAILURES
 from aces_bus.protocol.keys import FD, key_of
+from aces_bus.testing.laws import Way
 
 from .meaning import Captures, holds, meaning
 from .stand_ins import StandIns
@@ -44,11 +45,15 @@ LONGEST = 40
 
 
 class Witness(NamedTuple):
-    """Bytes on which a claim fails: a frame's key and data, or a packet's bytes without stuffing (key None)."""
+    """Bytes on which a claim fails: a frame's key and data, or a packet's bytes without stuffing (key None).
+
+    Where they are a whole stream, `way` is the direction in which it is scanned.
+    """
 
     what: str
     key: int | None
     data: bytes
+    way: Way = None
 
 
 class Failed(Exception):

@@ -28,6 +28,7 @@ from aces_bus.protocol import (
 )
 from aces_bus.protocol.declare import fields as f
 from aces_bus.protocol.declare.bits import Bits, ByteSplit
+from aces_bus.protocol.declare.checks import Covered
 from aces_bus.protocol.declare.head import Head
 from aces_bus.protocol.declare.pattern import IdPattern
 
@@ -512,9 +513,14 @@ def holds(message: Message, data: Any, key: Any) -> bool:
     stored = bits_number(data, byte_bits(start, size, order))
     if type(data) is bytes:
         return bool(stored == check.compute(message.covered(data, key & 0x1FFF_FFFF)))
+    cells = covered_cells(message.check_over, data[: len(data) - message.behind], key, message.check_extra)
+    return bool(stored == check_number_of(check, cells))
+
+
+def covered_cells(over: Sequence[Covered], data: Any, key: Any = 0, extra: bytes = b"") -> list[Any]:
+    """Return the bytes that a check covers, of a packet and its key."""
     cells: list[Any] = []
-    data = data[: len(data) - message.behind]
-    for part in message.check_over:
+    for part in over:
         match part:
             case slice():
                 cells += list(data[part])
@@ -526,10 +532,10 @@ def holds(message: Message, data: Any, key: Any) -> bool:
                     else part.bytes(number)
                 )
             case Extra():
-                cells += list(message.check_extra)
+                cells += list(extra)
             case _:
                 cells += list(part)
-    return bool(stored == check_number_of(check, cells))
+    return cells
 
 
 def check_number_of(check: Check, cells: Sequence[Any]) -> Any:

@@ -7,19 +7,18 @@
 
 from __future__ import annotations
 
-import hashlib
+import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from aces_bus.protocol import Message, Variant
 from aces_bus.protocol.encoder import quick_encoders
 
 from . import witness as w
 from .account import Outcome
-from .columns import check_columns
 from .decoding import (
     Failed,
     Witness,
@@ -33,6 +32,11 @@ from .decoding import (
 from .meaning import meaning
 from .scales import scale_claims
 from .symbols import NoAnswer, NotProvable, PathSearch
+from .witness import by_reference, image_of
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+    from multiprocessing.context import ForkProcess
 
 SECONDS, MEGABYTES = 60.0, 2048
 #: Packets drawn for what is not proved.
@@ -40,23 +44,31 @@ DRAWN = 3000
 
 
 @dataclass
-class ProofJob:
+class MessageJob:
     """One message to prove, with the others that have the same functions and declaration."""
 
     variant: Variant
     message: Message
     encode: Any = None
     no_encoder: str = ""
-    same: list[str] = field(default_factory=list)
-    #: Whether its columns are compared, too.
-    with_columns: bool = False
+    #: How many messages it stands for.
+    count: int = 0
+    patience: float = 2.0
+
+    def prove(self, seconds: float) -> list[Outcome]:
+        """Prove it in this process."""
+        return [prove_message(self, seconds)]
+
+    def lost(self, reason: str) -> list[Outcome]:
+        """Return that nothing was proved."""
+        outcome = Outcome(self.variant.label, self.message.name, count=self.count or 1)
+        outcome.add("proof", "unknown", reason)
+        return [outcome]
 
 
-def jobs_of(
-    variants: Sequence[Variant], only: str | None = None, *, with_columns: bool = False
-) -> list[ProofJob]:
+def jobs_of(variants: Sequence[Variant], only: str | None = None) -> list[MessageJob]:
     """Return the messages of some variants; equal ones are one job."""
-    found: dict[Any, ProofJob] = {}
+    found: dict[Any, MessageJob] = {}
     for variant in variants:
         encoders, _, others = quick_encoders(variant)
         for name, message in variant.messages.items():
@@ -65,10 +77,8 @@ def jobs_of(
             encode = encoders.get(name)
             key = signature(variant, message, encode)
             if key not in found:
-                found[key] = ProofJob(
-                    variant, message, encode, others.get(name, ""), with_columns=with_columns
-                )
-            found[key].same.append(variant.label)
+                found[key] = MessageJob(variant, message, encode, others.get(name, ""))
+            found[key].count += 1
     return list(found.values())
 
 
@@ -109,9 +119,9 @@ def text_of_encoder(encode: Any) -> str:
 # ---------------------------------------------------------------------- one message
 
 
-def prove_message(job: ProofJob, seconds: float = SECONDS) -> Outcome:
+def prove_message(job: MessageJob, seconds: float = SECONDS) -> Outcome:
     """Prove one message in this process."""
-    outcome = Outcome(job.variant.label, job.message.name, count=len(job.same) or 1)
+    outcome = Outcome(job.variant.label, job.message.name, count=job.count or 1)
     start = time.process_time()
     message = job.message
     sizes, bound = proof_lengths(message)
@@ -154,19 +164,31 @@ def prove_message(job: ProofJob, seconds: float = SECONDS) -> Outcome:
         attempt("encode", lambda s: prove_encoder(message, job.encode, s, sizes))
     elif job.no_encoder:
         outcome.add("encode", "unknown", f"construct itself builds it ({job.no_encoder})")
-    for _, status, reason in scale_claims(message):
-        outcome.add("scale", status, reason)
+    for scale in scale_claims(message):
+        outcome.add("scale", scale.status, scale.reason)
+        if scale.raw is not None:
+            outcome.witness = packet_with(message, scale.field, scale.raw)
     if outcome.status == "unknown":
         _sample(job, outcome, sizes)
     outcome.seconds = time.process_time() - start
-    if job.with_columns:
-        outcome.columns = check_columns(job.variant, message)
-    if outcome.columns is not None:
-        outcome.columns.count = outcome.count
     return outcome
 
 
-def _refuted(job: ProofJob, outcome: Outcome, what: str, found: Witness) -> None:
+def packet_with(message: Message, name: str, raw: int) -> Witness | None:
+    """Return a packet in which a field has a raw number; None where the field has no bits of its own."""
+    places = [leaf.node.place for leaf in message.plan.leaves if leaf.path.split(".")[-1] == name]
+    for found in drawn(message, proof_lengths(message)[0], DRAWN):
+        if places and places[0] and max(places[0]) < 8 * len(found.data):
+            data = bytearray(len(found.data))
+            for weight, at in enumerate(places[0]):
+                data[at // 8] |= (raw >> weight & 1) << at % 8
+            witness = Witness(f"{name} has the raw number {raw}", found.key, bytes(data))
+            if by_reference(message, image_of(message, witness)) is not None:
+                return witness
+    return None
+
+
+def _refuted(job: MessageJob, outcome: Outcome, what: str, found: Witness) -> None:
     """Enter a witness, if function and reference differ on it."""
     outcome.witness = found
     if differs(job, found, what):
@@ -175,7 +197,7 @@ def _refuted(job: ProofJob, outcome: Outcome, what: str, found: Witness) -> None
         outcome.add(what, "unknown", f"{found.what}, which running it does not confirm")
 
 
-def differs(job: ProofJob, found: Witness, what: str = "decode") -> bool:
+def differs(job: MessageJob, found: Witness, what: str = "decode") -> bool:
     """Return whether a generated function and the reference differ on a witness."""
     message = job.message
     image = w.image_of(message, found)
@@ -189,7 +211,7 @@ def differs(job: ProofJob, found: Witness, what: str = "decode") -> bool:
     )
 
 
-def _sample(job: ProofJob, outcome: Outcome, sizes: Sequence[int]) -> None:
+def _sample(job: MessageJob, outcome: Outcome, sizes: Sequence[int]) -> None:
     """Draw packets for what is not proved: decoder, reference and, where it can be read, the declaration agree."""
     message = job.message
     accepted = 0
@@ -241,82 +263,93 @@ def _no_container(values: dict[str, Any]) -> bool:
 # ---------------------------------------------------------------------- processes with limits
 
 
+class ProofJob(Protocol):
+    """What one process proves; it is ended after `patience` times the seconds that a proof may take."""
+
+    @property
+    def variant(self) -> Variant: ...
+
+    @property
+    def patience(self) -> float: ...
+
+    def prove(self, seconds: float) -> list[Outcome]:
+        """Prove it in this process, in about so many seconds of processor time."""
+        ...
+
+    def lost(self, reason: str) -> list[Outcome]:
+        """Return that nothing was proved."""
+        ...
+
+
 def prove_all(
     jobs: Sequence[ProofJob], workers: int, seconds: float = SECONDS, megabytes: int = MEGABYTES
-) -> Iterator[Outcome]:
+) -> Iterator[list[Outcome]]:
     """Prove jobs, each in a process of its own; yield the outcomes in the order of the jobs."""
     import multiprocessing
-    from multiprocessing.connection import wait
+    from multiprocessing.connection import Connection, wait
 
     import z3  # imported once, before the processes part
 
     del z3
     if "fork" not in multiprocessing.get_all_start_methods():
-        yield from (prove_message(job, seconds) for job in jobs)
+        yield from (job.prove(seconds) for job in jobs)
         return
     context = multiprocessing.get_context("fork")
-    running: dict[Any, tuple[int, Any, float]] = {}
-    done: dict[int, Outcome] = {}
+    running: dict[Connection, tuple[int, ForkProcess]] = {}
+    done: dict[int, list[Outcome]] = {}
     following = given = 0
-    while given < len(jobs):
-        while following < len(jobs) and len(running) < workers:
-            mine, theirs = context.Pipe(duplex=False)
-            process = context.Process(
-                target=_work, args=(jobs[following], theirs, seconds, megabytes), daemon=True
-            )
-            process.start()
-            theirs.close()
-            running[mine] = (following, process, time.monotonic() + 4 * seconds + 10)
-            following += 1
-        ready = wait(list(running), timeout=1.0)
-        for pipe in [*running]:
-            number, process, until = running[pipe]
-            if pipe in ready:
+    try:
+        while given < len(jobs):
+            while following < len(jobs) and len(running) < workers:
+                mine, theirs = context.Pipe(duplex=False)
+                process = context.Process(
+                    target=_work, args=(jobs[following], theirs, seconds, megabytes), daemon=True
+                )
+                process.start()
+                theirs.close()
+                running[mine] = (following, process)
+                following += 1
+            for pipe in wait(list(running)):
+                assert isinstance(pipe, Connection)
+                number, process = running.pop(pipe)
                 try:
                     done[number] = pipe.recv()
                 except (EOFError, OSError):
-                    done[number] = _lost(jobs[number], "its process died (memory)")
-            elif time.monotonic() > until:
-                process.kill()
-                done[number] = _lost(jobs[number], "time limit")
-            else:
-                continue
-            process.join(5)
-            pipe.close()
-            del running[pipe]
-        while given in done:
-            yield done.pop(given)
-            given += 1
+                    process.join()
+                    done[number] = jobs[number].lost(_death(process.exitcode, megabytes))
+                process.join()
+                pipe.close()
+            while given in done:
+                yield done.pop(given)
+                given += 1
+    finally:
+        for _, process in running.values():
+            process.kill()
 
 
-def _lost(job: ProofJob, reason: str) -> Outcome:
-    outcome = Outcome(job.variant.label, job.message.name, count=len(job.same) or 1)
-    outcome.add("proof", "unknown", reason)
-    return outcome
+def _death(code: int | None, megabytes: int) -> str:
+    """Return why a process died."""
+    if code == -signal.SIGXCPU:
+        return "time limit"
+    return f"its process died, of {megabytes} MB or less memory (exit status {code})"
 
 
-def _work(job: ProofJob, pipe: Any, seconds: float, megabytes: int) -> None:
+def _work(job: ProofJob, pipe: Connection, seconds: float, megabytes: int) -> None:
+    """Prove a job within limits that the system keeps: a search stops by itself, what runs on is killed."""
     import resource
 
     import z3
 
-    resource.setrlimit(resource.RLIMIT_AS, (megabytes << 20 << 1, megabytes << 20 << 1))
-    z3.set_param("memory_max_size", megabytes)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its processes
+    resource.setrlimit(resource.RLIMIT_DATA, (megabytes << 20, megabytes << 20))
+    limit = int(seconds * job.patience) + 1
+    resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5))
+    z3.set_param("memory_max_size", megabytes * 3 // 4)  # an answer `unknown`, rather than the end
     try:
-        outcome = prove_message(job, seconds)
+        outcomes = job.prove(seconds)
+    except MemoryError:
+        outcomes = job.lost(f"memory limit of {megabytes} MB")
     except Exception as error:  # a fault of ours is no proof
-        outcome = _lost(job, f"{type(error).__name__}: {error}")
-    pipe.send(outcome)
+        outcomes = job.lost(f"{type(error).__name__}: {error}")
+    pipe.send(outcomes)
     pipe.close()
-
-
-def hash_of(variants: Sequence[Variant]) -> str:
-    """Return a hash of the generated text and the declaration of some variants, for badges."""
-    digest = hashlib.sha256()
-    for variant in variants:
-        for name, message in variant.messages.items():
-            for function, _, _ in decoders(variant, name):
-                digest.update(source_of(function).encode())
-            digest.update(f"{variant.label} {name} {message.plan!r} {message.identifier.describe()}".encode())
-        digest.update(quick_encoders(variant)[1].encode())
-    return digest.hexdigest()[:16]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import construct as c
 import numpy as np
@@ -22,6 +22,9 @@ from aces_bus.protocol.declare.wire_number import raw_limits
 MOST = 1 << 24
 _PIECE = 1 << 20
 
+Limits = tuple[int, int]
+#: Operations (× and ÷ as * and /) with their numbers, in order.
+Steps = tuple[tuple[str, float], ...]
 Status = Literal["proved", "bounded", "sampled", "refuted"]
 
 
@@ -40,9 +43,18 @@ def scaled_fields(con: Any, name: str = "") -> Iterator[tuple[str, Quantity]]:
             yield from scaled_fields(inner, name)
 
 
-def scale_claims(message: Message) -> Iterator[tuple[str, Status, str]]:
-    """Yield (field, status, reason) for each scaled integer of a payload: whether each raw value comes back."""
-    seen: dict[tuple[Any, ...], tuple[Status, str]] = {}
+class ScaleClaim(NamedTuple):
+    """Whether each raw value of a field comes back, and the least that does not."""
+
+    field: str
+    status: Status
+    reason: str = ""
+    raw: int | None = None
+
+
+def scale_claims(message: Message) -> Iterator[ScaleClaim]:
+    """Yield a claim for each scaled integer of a payload; equal types and scales are computed once."""
+    seen: dict[tuple[Limits, Steps, str], ScaleClaim] = {}
     for name, quantity in scaled_fields(message.payload):
         limits = raw_limits(quantity.subcon)
         assert limits is not None
@@ -52,24 +64,31 @@ def scale_claims(message: Message) -> Iterator[tuple[str, Status, str]]:
         steps += [("/", scale)] if scale != 1 else []
         key = limits, tuple(steps), quantity.rounding
         if key not in seen:
-            if all(isinstance(number, int) for _, number in steps):
-                seen[key] = "proved", ""  # integers, which Python computes exactly
-            elif limits[1] - limits[0] < MOST:
-                good = comes_back(*key)
-                seen[key] = ("proved", "") if good else ("refuted", _lost_value(*key))
-            elif error_bound(limits, tuple(steps)) < 0.5 and quantity.rounding == "nearest":
-                bound = error_bound(limits, tuple(steps))
-                seen[key] = (
-                    "bounded",
-                    f"{bound:.1g} of a raw unit of float error over {limits[0]}…{limits[1]}",
-                )
-            else:
-                good = all(comes_back((at, at + 9999), key[1], quantity.rounding) for at in _places(*limits))
-                why = f"{limits[0]}…{limits[1]} × {scale} + {offset}, {quantity.rounding}"
-                seen[key] = (
-                    ("sampled", why) if good else ("refuted", f"{why}: a raw value does not come back")
-                )
-        yield name, *seen[key]
+            seen[key] = _claim(name, *key)
+        claim = seen[key]
+        yield claim._replace(field=name, reason=claim.reason and f"{name}: {claim.reason}")
+
+
+def _claim(name: str, limits: Limits, steps: Steps, rounding: str) -> ScaleClaim:
+    """Return whether the raw values of one type, scale and rounding come back."""
+    low, high = limits
+    if all(isinstance(number, int) for _, number in steps):
+        return ScaleClaim(name, "proved")  # integers, which Python computes exactly
+    if high - low < MOST:
+        if comes_back(limits, steps, rounding):
+            return ScaleClaim(name, "proved")
+        raw = _lost_value(limits, steps, rounding)
+        return ScaleClaim(name, "refuted", f"raw {raw} does not come back ({rounding})", raw)
+    bound = error_bound(limits, steps)
+    if bound < 0.5:
+        return ScaleClaim(name, "bounded", f"{bound:.1g} of a raw unit of float error over {low}…{high}")
+    why = f"{low}…{high} {' '.join(f'{operation} {number}' for operation, number in steps)}, {rounding}"
+    for at in _places(low, high):
+        run = at, at + 9999
+        if not comes_back(run, steps, rounding):
+            raw = _lost_value(run, steps, rounding)
+            return ScaleClaim(name, "refuted", f"{why}: raw {raw} does not come back", raw)
+    return ScaleClaim(name, "sampled", why)
 
 
 def _places(low: int, high: int) -> list[int]:
@@ -78,7 +97,7 @@ def _places(low: int, high: int) -> list[int]:
     return [*range(low, high - 9999, step), high - 9999, max(low, -5000)]
 
 
-def _lost_value(limits: tuple[int, int], steps: tuple[tuple[str, float], ...], rounding: str) -> str:
+def _lost_value(limits: Limits, steps: Steps, rounding: str) -> int:
     """Return the least raw value that does not come back."""
     low, high = limits
     while high > low:
@@ -87,15 +106,17 @@ def _lost_value(limits: tuple[int, int], steps: tuple[tuple[str, float], ...], r
             low = middle + 1
         else:
             high = middle
-    return f"raw {low} does not come back ({rounding})"
+    return low
 
 
 @lru_cache(maxsize=4096)
-def comes_back(limits: tuple[int, int], steps: tuple[tuple[str, float], ...], rounding: str) -> bool:
+def comes_back(limits: Limits, steps: Steps, rounding: str) -> bool:
     """Return whether rounding the last of `steps` gives every raw number in `limits` again."""
     low, high = limits
     if high - low >= MOST:
-        return error_bound(limits, steps) < (0.5 if rounding == "nearest" else 0)
+        return (
+            error_bound(limits, steps) < 0.5
+        )  # so small an error `truncated` rounds away, too; see `error_bound`
     for start in range(low, high + 1, _PIECE):
         raw: Any = np.arange(start, min(high + 1, start + _PIECE), dtype=np.int64)
         found = raw.astype(np.float64)
@@ -107,24 +128,26 @@ def comes_back(limits: tuple[int, int], steps: tuple[tuple[str, float], ...], ro
             )
         whole = np.rint(found)
         if rounding != "nearest":  # as `truncated` has it
-            near = np.abs(found - whole) <= ROUNDING_ERROR * (np.abs(found) + _shift(steps))
+            near = np.abs(found - whole) <= ROUNDING_ERROR * (np.abs(found) + shift_of(steps))
             whole = np.where(near, whole, np.trunc(found))
         if not bool((whole == raw).all()):
             return False
     return True
 
 
-def _shift(steps: tuple[tuple[str, float], ...]) -> float:
+def shift_of(steps: Steps) -> float:
     """Return the size of the offset in raw numbers, of steps that end with − offset ÷ scale."""
     numbers = dict(steps)
     return abs(numbers.get("+", 0.0) / numbers.get("/", 1.0))
 
 
-def error_bound(limits: tuple[int, int], steps: tuple[tuple[str, float], ...]) -> float:
+def error_bound(limits: Limits, steps: Steps) -> float:
     """Return a bound on how far the last of `steps` is from the raw number, in raw units; infinite where a premise fails.
 
     Premises: the steps are × scale, + offset, + −offset, ÷ scale; raw numbers below 2**53; no overflow, no subnormal
     number. Each operation errs by at most half a unit in the last place of its result: u = 2**-53 of its magnitude.
+    For one raw number r the error is below 5 u (|r| + |offset ÷ scale|), a third of what `truncated` takes for rounding
+    error (`ROUNDING_ERROR`, 16 u): where the bound is below one half, truncating gives r as rounding does.
     """
     most = float(max(abs(limits[0]), abs(limits[1])))
     if most > 1 << 53:

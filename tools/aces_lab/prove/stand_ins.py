@@ -23,8 +23,10 @@ from aces_bus.protocol.declare.head import Head
 from aces_bus.protocol.declare.pattern import IdPattern
 from aces_bus.protocol.generate.load import OnDemand
 
+from .scales import shift_of
 from .symbols import (
     Among,
+    ConstantBytes,
     IntegerType,
     NotProvable,
     PathSearch,
@@ -235,7 +237,7 @@ class StandIns:
         """Return the same code over stand-ins for its globals."""
         given = real.__globals__
         space = self._made.setdefault(id(given), {"__builtins__": _BUILTINS, "__name__": given["__name__"]})
-        code, names = _code(real.__code__)
+        code, names = code_with_constants(real.__code__)
         made = types.FunctionType(code, space, real.__name__, real.__defaults__)
         if given.get(real.__name__) is real:
             space[real.__name__] = made
@@ -275,7 +277,7 @@ class StandIns:
             if real.__globals__.get(name) is real and real.__code__.co_filename.startswith("<aces "):
                 return self.function(real)
         if value is truncated:
-            return lambda number, offset: number.rounded("truncate")
+            return rounded_down
         if value is struct.Struct:
             return SymbolicStruct
         if isinstance(value, type) and issubclass(value, Exception):
@@ -319,16 +321,23 @@ class StandIns:
         return write
 
 
-def _code(code: types.CodeType) -> tuple[types.CodeType, set[str]]:
-    """Return a code object with its sets of numbers replaced (in inner functions too), and the names that it uses."""
+def code_with_constants(code: types.CodeType) -> tuple[types.CodeType, set[str]]:
+    """Return a code object with its constants replaced (in inner functions too), and the names that it uses."""
     names = set(code.co_names)
     consts: list[Any] = []
     for value in code.co_consts:
         if isinstance(value, types.CodeType):
-            value, more = _code(value)
+            value, more = code_with_constants(value)
             names |= more
         consts.append(constant(value))
     return code.replace(co_consts=tuple(consts)), names
+
+
+def rounded_down(number: SymbolicReal, offset: float) -> SymbolicInt:
+    """Return the integer part of a quotient, as `truncated`: of a quantity whose offset in raw numbers is this."""
+    if abs(offset) != shift_of(number.steps):
+        raise NotProvable(f"truncated by an offset of {offset}")
+    return number.rounded("truncate")
 
 
 def number_of(quantity: Any, given: Any) -> Any:
@@ -397,12 +406,10 @@ class _Missing:
 
 
 def constant(value: Any) -> Any:
-    """Return a constant of a code object: sets of numbers in which a symbolic one may be."""
-    if (
-        isinstance(value, tuple | frozenset)
-        and value
-        and all(isinstance(item, int | float) for item in value)
-    ):
+    """Return a constant of a code object: sets in which a symbolic number may be, bytes that may begin with such."""
+    if type(value) is bytes:
+        return ConstantBytes(value)
+    if isinstance(value, tuple | frozenset) and value and all(isinstance(one, int | float) for one in value):
         return Among(value)
     return value
 

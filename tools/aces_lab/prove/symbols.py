@@ -14,6 +14,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, NoReturn
 
 import z3
+import z3.z3util
 
 
 class NotProvable(Exception):
@@ -42,12 +43,16 @@ class PathSearch:
         self.most_paths = most_paths
         self.paths = 0
         self.solver: z3.Solver = z3.SimpleSolver()
-        self.solver.set("timeout", max(1, int(seconds * 1000)))
-        self._prefix: list[bool] = []
-        self._trail: list[bool] = []
+        # The solver's clock is the wall's: other programs may have the processor most of the time.
+        self.solver.set("timeout", max(1, int(3000 * seconds)))
+        #: What was decided on this path, and what was to be at its beginning: truths, and numbers that were picked.
+        self._prefix: list[int] = []
+        self._trail: list[int] = []
         self._known: dict[int, bool] = {}
         self._kept: list[z3.BoolRef] = []
-        self._open: list[list[bool]] = []
+        self._open: list[list[int]] = []
+        #: Variables that have one value on this path.
+        self._fixed: list[tuple[z3.BitVecRef, z3.BitVecNumRef]] = []
         #: For whoever searches: the last length that is done, and how many paths were accepted.
         self.reached, self.accepted = -1, 0
         #: Conditions on this path under which bytes need not come back: negative zero.
@@ -60,7 +65,7 @@ class PathSearch:
         count = 0
         while self._open:
             self._prefix, self._trail = self._open.pop(), []
-            self._known, self._kept, self.exempt = {}, [], []
+            self._known, self._kept, self._fixed, self.exempt = {}, [], [], []
             count += 1
             self.paths += 1
             if self.paths > self.most_paths:
@@ -95,7 +100,7 @@ class PathSearch:
             return known
         step = len(self._trail)
         if step < len(self._prefix):
-            chosen = self._prefix[step]
+            chosen = bool(self._prefix[step])
         elif not self.check(condition):
             chosen = False
         else:
@@ -107,6 +112,35 @@ class PathSearch:
         self._kept.append(condition)  # its number stays its own while it is kept
         self.solver.add(condition if chosen else z3.Not(condition))
         return chosen
+
+    def value_of(self, term: z3.BitVecRef) -> int:
+        """Return the signed number that a term has on this path, splitting the path by its values."""
+        for _ in range(4096):
+            known = z3.simplify(z3.substitute(term, *self._fixed))
+            if z3.is_bv_value(known):
+                return int(known.as_signed_long())
+            step = len(self._trail)
+            if step < len(self._prefix):  # the number that was picked before: models need not come back
+                value = self._prefix[step]
+            elif not self.check(z3.BoolVal(True)):
+                raise NotProvable("a path without inputs")
+            else:
+                value = int(self.solver.model().eval(term, model_completion=True).as_signed_long())
+            self._trail.append(value)
+            if self.decide(term == value):
+                self._fix(term)
+                return value
+        raise NotProvable("a number of more than 4096 values decides where bytes are")
+
+    def _fix(self, term: z3.BitVecRef) -> None:
+        """Note the variables of a decided term that have one value now."""
+        if not self.check(z3.BoolVal(True)):
+            raise NotProvable("a path without inputs")
+        model = self.solver.model()
+        for variable in z3.z3util.get_vars(term):
+            value = model.eval(variable, model_completion=True)
+            if z3.is_bv_value(value) and not self.check(variable != value):
+                self._fixed.append((variable, value))
 
     def claim(self, condition: z3.BoolRef, what: str) -> None:
         """Prove a condition on this path; raise `Refuted` with a counterexample otherwise."""
@@ -251,6 +285,14 @@ class SymbolicInt:
 
     def __truediv__(self, other: Any) -> Any:
         return SymbolicReal(self) / other
+
+    def over(self, divisor: int) -> SymbolicInt:
+        """Return the quotient by a number that divides this one on the whole path, as the float of it rounds."""
+        width = max(self.width, _bits_of(divisor))
+        wide, by = self.wide(width), z3.BitVecVal(divisor, width)
+        if width > 53 or PathSearch.current.check(z3.SRem(wide, by) != 0):
+            raise NotProvable(f"rounding a quotient by {divisor}")
+        return SymbolicInt(z3.simplify(wide / by))
 
     def __neg__(self) -> SymbolicInt:
         found: SymbolicInt = 0 - self
@@ -408,7 +450,7 @@ class SymbolicBytes:
         """Return bytes as symbolic ones; None for anything else."""
         if type(value) is SymbolicBytes:
             return value
-        if type(value) in (bytes, bytearray):
+        if isinstance(value, bytes | bytearray):
             return cls([z3.BitVecVal(byte, 8) for byte in value])
         return None
 
@@ -467,10 +509,26 @@ class SymbolicBytes:
         part = self[at : len(self) if end is None else end][: len(start)]
         return SymbolicBool(part.same(SymbolicBytes.of(start)))
 
+    def find(self, wanted: bytes, start: int = 0, end: int | None = None) -> int:
+        """Return the first place of some bytes, or -1; a path for each."""
+        stop = len(self) if end is None else min(len(self), concrete(end))
+        places = range(concrete(start), stop - len(wanted) + 1)
+        return next((at for at in places if self.startswith(wanted, at)), -1)
+
     def decode(self, encoding: str = "utf-8") -> SymbolicText:
         if encoding != "latin-1":
             raise NotProvable(f"text in {encoding}")
         return SymbolicText(self)
+
+
+class ConstantBytes(bytes):
+    """Bytes of the text: they may begin with symbolic ones."""
+
+    def startswith(self, start: Any, /, *more: Any) -> Any:
+        if type(start) is not SymbolicBytes:
+            return super().startswith(start, *more)
+        whole = SymbolicBytes([z3.BitVecVal(byte, 8) for byte in self])
+        return SymbolicBool(whole[: len(start)].same(start))
 
 
 class Uncompared:
@@ -581,6 +639,9 @@ class SymbolicReal:
 
         if type(self.base) is not SymbolicInt:
             raise NotProvable("a float of the wire as an integer")
+        operation, divisor = self.steps[0] if len(self.steps) == 1 else ("", 0)
+        if operation == "/" and float(divisor).is_integer() and abs(divisor) > 1:  # of a product of integers
+            return self.base.over(int(divisor))
         limits = self.base.limits()
         if not comes_back(limits, self.steps, rounding):
             raise NotProvable(f"rounding back {limits[0]}…{limits[1]}")
@@ -652,17 +713,7 @@ class SymbolicRecord(Uncompared):
 
 def concrete(number: Any) -> Any:
     """Return the number on this path as Python's own, splitting the path by its values; other values as they are."""
-    if type(number) is not SymbolicInt:
-        return number
-    search = PathSearch.current
-    for _ in range(4096):
-        if not search.check(z3.BoolVal(True)):
-            raise NotProvable("a path without inputs")
-        term = z3.simplify(number.term)
-        value = term if z3.is_bv_value(term) else search.solver.model().eval(term, model_completion=True)
-        if search.decide(number.term == value):
-            return int(value.as_signed_long())
-    raise NotProvable("a number of more than 4096 values decides where bytes are")
+    return PathSearch.current.value_of(number.term) if type(number) is SymbolicInt else number
 
 
 def same_value(got: Any, want: Any) -> z3.BoolRef | str:

@@ -23,16 +23,24 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import textwrap
 import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from aces_bus.errors import CallerError
+from aces_bus.plain_text import printable_lines
 from aces_bus.protocol import Variant
-from aces_tools.console import print_json, say, say_note
+from aces_tools.console import counted, print_json, say, say_note
 from aces_tools.options import COLOR, JSON, Arguments, argument, at_least, positive
 from aces_tools.output.columns import Page
 from aces_tools.protocols_arg import named_protocol
+
+if TYPE_CHECKING:
+    from .account import Outcome
+    from .decoding import Witness
+    from .run import ProofJob
 
 SUMMARY = "prove that generated codecs equal their spec for all payloads"
 
@@ -61,65 +69,100 @@ def variants_of(text: str) -> list[Variant]:
 def run(arguments: argparse.Namespace) -> int:
     if importlib.util.find_spec("z3") is None:
         raise CallerError("proofs need z3: pip install 'aces-bus[prove]'")
-    from .account import summary
-    from .apart import prove_apart
-    from .c_export import check_c
-    from .run import jobs_of, prove_all
-
     variants = variants_of(arguments.protocol)
     if arguments.message is not None and not any(arguments.message in v.messages for v in variants):
         variants[0][arguments.message]  # raises, with the names that there are
+    from .account import summary
+
     start = time.monotonic()
-    jobs = jobs_of(variants, arguments.message, with_columns=arguments.columns)
+    given: list[Outcome] = []
     page = Page(arguments.color)
-    outcomes = []
-    for job, outcome in zip(jobs, prove_all(jobs, arguments.jobs, arguments.seconds), strict=True):
-        outcomes.append(outcome)
+    try:
+        for title, jobs in sections(variants, arguments):
+            found = _proved(jobs, arguments)
+            given += found
+            if found and not arguments.json:
+                _print_wrapped(f"{arguments.protocol}{title}: {summary(found)}", page)
+    except KeyboardInterrupt:
+        say(f"interrupted; what was proved before is above ({counted(len(given), 'outcome')})")
+        return 130
+    if arguments.json:
+        print_json([_as_dict(one) for one in given])
+    say_note(f"{counted(len(variants), 'variant')}, {time.monotonic() - start:.0f} s")
+    return int(any(outcome.status == "refuted" for outcome in given))
+
+
+def sections(
+    variants: Sequence[Variant], arguments: argparse.Namespace
+) -> Iterator[tuple[str, Sequence[ProofJob]]]:
+    """Yield what is to be proved: jobs of one kind, and what their line of the account is called."""
+    from .apart import ApartJob
+    from .c_export import CJob
+    from .columns import ColumnsJob
+    from .run import jobs_of
+    from .streams import StreamJob
+
+    jobs = jobs_of(variants, arguments.message)
+    yield "", jobs
+    if arguments.message is None:
+        yield ", apart and reachable", [ApartJob(variant) for variant in variants]
+        yield ", streams", [StreamJob(variant) for variant in variants if variant.link != "can"]
+    if arguments.columns:
+        yield ", columns", [ColumnsJob(job.variant, job.message, job.count) for job in jobs]
+    if arguments.c:
+        yield ", C", [CJob(variant) for variant in variants]
+
+
+def _proved(jobs: Sequence[ProofJob], arguments: argparse.Namespace) -> list[Outcome]:
+    """Prove jobs, and say at once what is no more than bounded, and what is refuted."""
+    from .run import prove_all
+
+    given: list[Outcome] = []
+    for job, outcomes in zip(jobs, prove_all(jobs, arguments.jobs, arguments.seconds), strict=True):
+        given += outcomes
         if arguments.json:
             continue
-        if arguments.verbose or outcome.status not in ("proved",):
-            more = f" ({outcome.reason})" if outcome.reason else ""
-            time_used = f"{outcome.seconds:.1f} s, {outcome.paths} paths"
-            print(f"{outcome.label} {outcome.message}: {outcome.status}{more}, {time_used}", flush=True)
-        if outcome.status == "refuted" and outcome.witness is not None:
-            _show(job, outcome, page, Path(arguments.witnesses))
-    relations = (
-        []
-        if arguments.message
-        else [outcome for v in variants for outcome in prove_apart(v, arguments.seconds)]
+        for outcome in outcomes:
+            if arguments.verbose or outcome.status != "proved":
+                _print_outcome(outcome, Page(arguments.color), with_time=arguments.verbose)
+            if outcome.status == "refuted" and outcome.witness is not None:
+                _show(job.variant, outcome, outcome.witness, arguments)
+    return given
+
+
+def _print_outcome(outcome: Outcome, page: Page, *, with_time: bool) -> None:
+    """Print what became of one message, with the reason, and the time that it took."""
+    used = f"{outcome.seconds:.1f} s" + (f", {counted(outcome.paths, 'path')}" if outcome.paths else "")
+    text = "; ".join(part for part in (outcome.reason, used if with_time else "") if part)
+    _print_wrapped(f"{outcome.label} {outcome.message}: {outcome.status}{text and f', {text}'}", page)
+
+
+def _print_wrapped(text: str, page: Page) -> None:
+    """Print a line at once, indented where it goes on."""
+    text, width = printable_lines(text), page.width
+    lines = (
+        [text]
+        if width is None
+        else textwrap.wrap(text, width, subsequent_indent="  ", break_on_hyphens=False)
     )
-    columns = [outcome.columns for outcome in outcomes if outcome.columns is not None]
-    in_c = [outcome for v in variants for outcome in check_c(v)] if arguments.c else []
-    if arguments.json:
-        print_json([_as_dict(outcome) for outcome in [*outcomes, *relations, *columns, *in_c]])
-    else:
-        functions = sum(outcome.status == "proved" for outcome in outcomes)
-        print(f"{arguments.protocol}: {summary(outcomes)}")
-        if relations:
-            print(f"{arguments.protocol}, apart and reachable: {summary(relations)}")
-        if columns:
-            print(f"{arguments.protocol}, columns: {summary(columns)}")
-        if in_c:
-            print(f"{arguments.protocol}, C: {summary(in_c)}")
-        say_note(
-            f"{len(jobs)} different messages in {len(variants)} variants, {functions} proved,"
-            f" {time.monotonic() - start:.0f} s"
-        )
-    return int(any(outcome.status == "refuted" for outcome in [*outcomes, *relations, *columns, *in_c]))
+    print("\n".join(lines), flush=True)
 
 
-def _show(job: Any, outcome: Any, page: Page, folder: Path) -> None:
+def _show(variant: Variant, outcome: Outcome, found: Witness, arguments: argparse.Namespace) -> None:
+    """Print a witness as an annotated frame, with what scanner and reference say of it, and save it as a capture."""
     from . import witness as w
 
-    found = outcome.witness
+    page = Page(arguments.color)
+    message = variant.messages.get(outcome.message)
     print(f"  witness: {found.what}")
-    page.lines([f"  {line}" for line in w.explained(job.variant, job.message, found, page.width, page.paint)])
-    live, slow = w.scanned(job.variant, job.message, found)
+    page.lines([f"  {line}" for line in w.explained(variant, message, found, page.width, page.paint)])
+    live, slow = w.scanned(variant, message, found)
     print(f"  scanner:   {live}\n  reference: {slow}")
-    say(f"saved {w.save(job.variant, job.message, found, folder)}")
+    name = f"{outcome.label} {outcome.message}"
+    say(f"saved {w.save(name, message, found, Path(arguments.witnesses))}")
 
 
-def _as_dict(outcome: Any) -> dict[str, Any]:
+def _as_dict(outcome: Outcome) -> dict[str, object]:
     found = outcome.witness
     return {
         "variant": outcome.label,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable
 from pathlib import Path
@@ -13,14 +14,20 @@ from aces_bus.protocol import Message, Variant
 from aces_bus.protocol.declare.packet import key_image
 from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
 from aces_bus.protocol.record import plain_value
+from aces_tools.output.text import Paint
 
 from .decoding import Witness
 
 
-def image_of(message: Message, witness: Witness) -> bytes:
-    """Return what `message.struct` parses: a frame's image, or the packet on the wire with its length and check written."""
-    if message.framing is None:
-        return key_image(witness.key or 0, witness.data)
+def image_of(message: Message | None, witness: Witness) -> bytes:
+    """Return what `message.struct` parses: a frame's image, or the packet on the wire with its length and check written.
+
+    Without a message the bytes are a stream's, as they are.
+    """
+    if witness.key is not None:
+        return key_image(witness.key, witness.data)
+    if message is None or message.framing is None:
+        return witness.data
     framing, data = message.framing, witness.data
     end = len(data) - framing.check_size - len(framing.end)
     head, body = data[len(framing.sync) : message.payload_start], data[message.payload_start : max(end, 0)]
@@ -92,27 +99,27 @@ def text_of(value: Any) -> str:
 
 
 def explained(
-    variant: Variant, message: Message, witness: Witness, width: int | None, paint: Any
+    variant: Variant, message: Message | None, witness: Witness, width: int | None, paint: Paint
 ) -> list[str]:
     """Return the witness as `aces spec explain` shows it."""
     from aces_bus.protocol.explain.tracer import Tracer
     from aces_tools.authoring.explain_text import attempt_lines
 
     tracer = Tracer([variant])
-    if message.framing is None:
+    if witness.key is not None:
         attempts = tracer.explain_frames([frame_of(witness)], 0) + tracer.explain_end()
     else:
         attempts = tracer.explain_stream(image_of(message, witness))
     return [line for attempt in attempts[:3] for line in attempt_lines(attempt, width, paint)]
 
 
-def save(variant: Variant, message: Message, witness: Witness, folder: Path) -> Path:
+def save(name: str, message: Message | None, witness: Witness, folder: Path) -> Path:
     """Write the witness as a capture that `aces decode` and `aces spec explain` read; return its path."""
     from aces_bus.recordings.write import open_writer
 
     folder.mkdir(parents=True, exist_ok=True)
-    name = f"{variant.label.replace(':', '_').replace('@', '_')}_{message.name}"
-    if message.framing is not None:
+    name = re.sub(r"\W+", "_", name)
+    if witness.key is None:
         path = folder / f"{name}.bin"
         path.write_bytes(image_of(message, witness))
         return path
@@ -122,15 +129,16 @@ def save(variant: Variant, message: Message, witness: Witness, folder: Path) -> 
     return path
 
 
-def scanned(variant: Variant, message: Message, witness: Witness) -> tuple[str, str]:
+def scanned(variant: Variant, message: Message | None, witness: Witness) -> tuple[str, str]:
     """Return what the live scanner and the reference make of the witness alone, each in one line."""
     from aces_bus import make_scanner
     from aces_bus.protocol.reference import Reference
 
-    scanner: Any = make_scanner([variant], direction=message.direction, include_unknown=True, raw=True)
-    reference = Reference([variant], direction=message.direction, raw=True)
+    way = witness.way if message is None else message.direction
+    scanner: Any = make_scanner([variant], direction=way, include_unknown=True, raw=True)
+    reference = Reference([variant], direction=way, raw=True)
     image = image_of(message, witness)
-    if message.framing is None:
+    if witness.key is not None:
         records = scanner.feed([frame_of(witness)])
         items = reference.frames([frame_of(witness)])
     else:
