@@ -8,7 +8,7 @@ from typing import Any
 import can
 import pytest
 
-from aces_bus import decode, load_protocol
+from aces_bus import decode, load_protocol, make_scanner
 from aces_bus.errors import CallerError, FieldError, UnknownNameError
 from aces_bus.protocol import BitLayout, Protocol, bits
 from aces_tools.output import SpeltOut
@@ -19,6 +19,20 @@ def test_one_frame_is_not_several() -> None:
     message: Any = can.Message(arbitration_id=1)
     with pytest.raises(CallerError, match=r"feed takes several frames, not one Message: feed\(\[frame\]\)"):
         load_protocol("odrive").scanner().feed(message)
+
+
+def test_a_protocol_is_not_its_variants() -> None:
+    """`make_scanner` says what it takes to whoever gives it a protocol, a name or a single variant."""
+    odrive: Any = load_protocol("odrive")
+    calls: list[tuple[Any, str]] = [
+        ([odrive], "Protocol"),
+        ("odrive", "str"),
+        (odrive.variant(), "Variant"),
+        (["odrive"], "str"),
+    ]
+    for given, what in calls:
+        with pytest.raises(CallerError, match=f"make_scanner takes a list of variants, not {what}: "):
+            make_scanner(given)
 
 
 def test_several_recordings_are_not_one() -> None:
@@ -32,7 +46,10 @@ def test_a_column_s_name_is_proposed(tmp_path: Path) -> None:
     """A misspelt column raises with the nearest; a table's text is one line."""
     log = tmp_path / "walk.log"
     log.write_text("(1.0) can0 063#78000000FCFFFFFF\n")
-    table = decode(str(log), "hubo", configuration="hubo2plus")["Encoder"]
+    tables: Any = decode(str(log), "hubo", configuration="hubo2plus")
+    with pytest.raises(UnknownNameError, match="no message of hubo"):
+        tables[3]
+    table = tables["Encoder"]
     with pytest.raises(
         UnknownNameError, match=r"no column of Encoder named 'postion.0'; did you mean 'position.0'"
     ):

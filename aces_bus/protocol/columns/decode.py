@@ -55,7 +55,7 @@ class DecodedRecording(Mapping[str, MessageTable]):
         if message in self._tables:
             return self._tables[message]
         if message not in self.variant.messages:
-            raise UnknownNameError(f"message of {self.variant.label}", message, self.variant.messages)
+            raise UnknownNameError(f"message of {self.variant.label}", str(message), self.variant.messages)
         return empty_table(self.variant, message)
 
     def __contains__(self, message: object) -> bool:

@@ -78,9 +78,10 @@ def make_scanner(
     A scanner is for one thread. With `check_thread` a call that comes while another is under way raises `CallerError`, at
     the cost of a lock a call; without it such calls give wrong records and counts.
 
-    Raises `CallerError` when the protocols are not of one kind of link, for a word that is no direction, or when a protocol
-    on a stream needs a direction and none is given.
+    Raises `CallerError` for what is not a list of variants, when the protocols are not of one kind of link, for a word that
+    is not a direction, or when a protocol on a stream needs a direction and none is given.
     """
+    _refuse_what_is_no_variant(variants)
     if not variants:
         raise CallerError("a scanner needs at least one protocol")
     links = {"can" if v.link == "can" else "stream" for v in variants}
@@ -99,6 +100,17 @@ def make_scanner(
     if check_thread:
         _guard(made)
     return made
+
+
+def _refuse_what_is_no_variant(given: Any) -> None:
+    """Raise `CallerError` for a protocol, a name or a single variant in place of several variants."""
+    is_one = isinstance(given, (str, Protocol, Variant))
+    wrong = [one for one in ([given] if is_one else given) if is_one or not isinstance(one, Variant)]
+    if wrong:
+        raise CallerError(
+            f"make_scanner takes a list of variants, not {type(wrong[0]).__name__}:"
+            " make_scanner([load_protocol('hubo').variant()])"
+        )
 
 
 def _made(variants: Sequence[Variant], links: set[str], **more: Any) -> Scanner:
