@@ -53,10 +53,16 @@ def test_everything_that_a_message_carries_arrives(opened: Open, physics: bool, 
         assert sender.recv(0) is None
 
 
-def test_frames_for_a_gate_are_what_was_sent(opened: Open) -> None:
-    """A gate takes frames without python-can's messages in between: every flag, length and byte is the sender's."""
+@pytest.mark.parametrize("filtered", [False, True])
+def test_frames_for_a_gate_are_what_was_sent(opened: Open, filtered: bool) -> None:
+    """A gate takes frames without python-can's messages in between: every flag, length and byte is the sender's.
+
+    With filters, plain frames take the way of all others.
+    """
     with serve(ServedChannel(bitrate=1_000_000, data_bitrate=4_000_000, fd=True, physics=False)):
         sender, receiver = opened(fd=True), opened(fd=True)
+        if filtered:
+            receiver.set_filters([{"can_id": 0, "can_mask": 0}])
         for sent in MESSAGES:
             sender.send(sent)
             got: list[Frame] = []
