@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from errno import ENOSPC
 from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,6 +20,7 @@ from aces_bus.hardware.ports import port_of
 from aces_bus.robot import parse_robot, run_virtual
 from aces_bus.robot.rig import simulate
 from aces_bus.runtime.loop import Loop
+from aces_devices.hubo_motor.twin import HuboMotorTwin
 from aces_tools.running.figures import Watch
 from aces_tools.running.loading import default_states, load_controllers, make_loggers
 from aces_tools.running.panel import panel, plain_line, to_rich
@@ -469,6 +471,22 @@ def test_reactions_may_be_functions_of_the_controllers_file(aces: Aces, robot: P
         "no reaction (ignore, degrade, hold, park, zero duty, disable), or function of a controller's file"
         in result.err
     )
+
+
+def test_a_board_that_is_not_switched_off_is_named(
+    aces: Aces, robot: Path, knee: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A board that obeys no ControlOff is named at the end, and the status is 1."""
+    switch = HuboMotorTwin.control
+
+    def deaf(twin: Any, request: Any) -> None:
+        if type(request).__name__ == "ControlOn":
+            switch(twin, request)
+
+    monkeypatch.setattr(HuboMotorTwin, "control", deaf)
+    result = aces("run", "-r", robot, knee, "--virtual", "--for", "0.3s")
+    assert result.status == 1
+    assert "NOT switched off: JMC2" in result.messages
 
 
 def test_a_robot_may_be_left_held(aces: Aces, robot: Path, knee: Path) -> None:
