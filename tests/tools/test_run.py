@@ -559,6 +559,8 @@ def test_logs_have_what_controllers_use(tmp_path: Path) -> None:
     assert default_states([], robot) == ["RHP", "RKN"]
     (log,) = make_loggers([f"{tmp_path}/a.csv:R*.setpoint,RHP.velocity"], [], robot, 100)
     assert log.states == ("RHP.setpoint", "RKN.setpoint", "RHP.velocity")
+    (log,) = make_loggers([f"{tmp_path}/b.csv:RKN,R*.velocity,RHP"], [], robot, 100)
+    assert log.states == ("RKN", "RHP.velocity", "RKN.velocity", "RHP")
 
 
 @pytest.mark.parametrize("width", [20, 33, 50, 80, 200])
