@@ -308,6 +308,21 @@ def test_homing_finds_the_true_zero() -> None:
         assert joint.position(robot.clock.now()) == pytest.approx(0.3, abs=2e-3)
 
 
+def test_a_twin_that_has_found_its_home_stays_there() -> None:
+    """The reference before the search was of another zero: after it the drive holds at 0, though nobody sends one."""
+    with made(homed=False) as robot:
+        up(robot)
+        channel = robot.twins["JMC0"].channels[0]
+        robot.rig.door.takes_unhomed = True
+        robot["RHY.position"].set(0.1)
+        robot.advance(0.5)
+        assert channel.reference > 1000
+        assert robot.devices["JMC0"].home("RHY").wait(30) == ["RHY"]
+        assert channel.reference == 0.0
+        robot.advance(0.3)
+        assert robot["RHY.position"].value == pytest.approx(0.0, abs=2e-3)
+
+
 @pytest.mark.slow
 def test_no_board_of_the_bus_is_sent_references_after_a_home_command() -> None:
     """hubo-ach sends none for 3 s after a home command; a homed joint's set-point is 0 then."""
