@@ -381,6 +381,20 @@ def test_a_drive_of_two_axes(tmp_path: Any) -> None:
         assert (running["J.state"].value, running["K.state"].value) == ("operation enabled", "fault")
 
 
+def test_an_axis_shows_what_its_own_objects_say(tmp_path: Any) -> None:
+    """Both axes' PDOs hold objects of the first alone: of the second, nothing that is polled says anything."""
+    path = tmp_path / "two.eds"
+    path.write_text(_two_axes())
+    text = ONE.replace("SETTINGS", f'counts_per_turn = 100_000, eds = "{path}", pdo = "file"')
+    robot, problems = parse_robot(
+        text.replace("MORE", 'command = "position"') + 'K = { device = "D", channel = 1 }\n', "two.toml"
+    )
+    assert robot is not None, problems
+    device = VirtualRobot(robot, rate_hz=100, load=load_cia402).devices["D"]
+    for name in ("position", "velocity", "torque", "state"):
+        assert (f"J.{name}" in device.readable, f"K.{name}" in device.readable) == (True, False)
+
+
 def test_an_action_without_a_joint_is_every_axis_s(tmp_path: Any) -> None:
     """Enabled, faulted, reset and disabled without a name, both axes of a drive are."""
     path = tmp_path / "two.eds"
