@@ -96,6 +96,19 @@ def test_one_limit_is_met_at_rest(sign: float, speed: float) -> None:
     assert out[-1] == pytest.approx(sign, abs=1e-9)
 
 
+@pytest.mark.parametrize("acceleration", [math.inf, 50.0])
+@pytest.mark.parametrize("speed", [0.8, -0.8, 3.0, -3.0])
+def test_what_is_too_fast_is_led_the_same_way(speed: float, acceleration: float) -> None:
+    """However slow the limit is, a set-point beyond it is followed at it, and never the other way."""
+    out, guard = guarded(Bounds(-9, 9, rate=0.5, acceleration=acceleration), [0.01 * speed * n for n in range(50)])
+    way = math.copysign(1.0, speed)
+    steps = way * np.diff(out) / 0.01
+    assert (steps >= 0.0).all()
+    assert (steps <= 0.5 + 1e-9).all()
+    assert steps[5:] == pytest.approx(0.5)
+    assert guard.clipped("A").rate >= 45
+
+
 def test_a_step_is_reached_without_overshoot() -> None:
     """As quickly as the limits allow: v/a + d/v seconds for a distance d, and never beyond."""
     out, guard = guarded(Bounds(-9, 9, rate=1.0, acceleration=4.0), [0.0] + [1.0] * 200)
@@ -308,10 +321,10 @@ def test_wrong_settings_are_refused(options: dict[str, Any], message: str) -> No
 
 def test_a_speed_that_is_not_named_any_more_becomes_0() -> None:
     """After `unnamed_s` it is led to 0 at its rate, said once; named again it goes on from there."""
-    seen: list[str] = []
+    seen: list[ControlEvent] = []
     bounds = {"wheel": Bounds(-9.0, 9.0, rate=10.0, rest=0.0), "knee": Bounds(-1.0, 1.0)}
-    guard = Guard(bounds, period_s=0.01, dead_man_s=None, unnamed_s=0.1)
-    guard.listeners.add(lambda event: seen.append(f"{event.kind}: {event.detail}"))
+    guard = Guard(bounds, period_s=0.01, dead_man_s=None, unnamed_s=0.1, name="walk")
+    guard.listeners.add(seen.append)
     for tick in range(10):
         guard.apply(tick * 10 * MS, {"wheel": 2.0, "knee": 0.5})
     left = [dict(guard.apply(tick * 10 * MS, {"knee": 0.5})) for tick in range(10, 50)]
@@ -321,7 +334,8 @@ def test_a_speed_that_is_not_named_any_more_becomes_0() -> None:
     assert wheel[-1] == 0.0
     assert len(wheel) < len(left) - 10  # it stands, and nothing more is given
     assert all(one["knee"] == 0.5 for one in left)
-    assert seen == ["unnamed: wheel: no set-point for 110 ms while others come; it stands still"]
+    said = "wheel: no set-point for 110 ms while others come; it stands still"
+    assert seen == [ControlEvent("unnamed", 200 * MS, "walk", said)]
     assert guard.apply(500 * MS, {"wheel": 0.05, "knee": 0.5})["wheel"] == pytest.approx(0.05)
 
 
