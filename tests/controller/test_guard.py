@@ -100,7 +100,9 @@ def test_one_limit_is_met_at_rest(sign: float, speed: float) -> None:
 @pytest.mark.parametrize("speed", [0.8, -0.8, 3.0, -3.0])
 def test_what_is_too_fast_is_led_the_same_way(speed: float, acceleration: float) -> None:
     """However slow the limit is, a set-point beyond it is followed at it, and never the other way."""
-    out, guard = guarded(Bounds(-9, 9, rate=0.5, acceleration=acceleration), [0.01 * speed * n for n in range(50)])
+    out, guard = guarded(
+        Bounds(-9, 9, rate=0.5, acceleration=acceleration), [0.01 * speed * n for n in range(50)]
+    )
     way = math.copysign(1.0, speed)
     steps = way * np.diff(out) / 0.01
     assert (steps >= 0.0).all()

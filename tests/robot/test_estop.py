@@ -510,6 +510,7 @@ def test_acts_are_written_a_line_each(tmp_path: Path) -> None:
         run.open()
         run.do("enable")
         run.rig.door.pace("hip", 1.0)
+        run.rig.door.pace("hip", 1.0)  # no change: no second line
         run.clock.call_in(1_000_000_000, lambda: world.twins["IO"].put("di1", False))
         run.run(2.0)
     text = path.read_text()
