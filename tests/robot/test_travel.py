@@ -190,7 +190,7 @@ def test_nothing_pushes_a_joint_before_it_is_known_where_it_is() -> None:
 def test_a_bus_without_ticks_looks_where_a_pushed_joint_is() -> None:
     """A script without a rate sets a speed once: the joint is asked where it is, and stops at its bound."""
     virtual = VirtualRobot(
-        robot_of("odrive", 'command = "speed", lower = -1.0, upper = 1.0, max_speed = 3.0')
+        robot_of("odrive", 'command = "speed", lower = -1.0, upper = 1.0, max_speed = 3.0'), rate_hz=0
     )
     with virtual:
         virtual.advance(0.3)
@@ -198,6 +198,22 @@ def test_a_bus_without_ticks_looks_where_a_pushed_joint_is() -> None:
         virtual.rig["J.velocity"].set(2.0)
         assert furthest(virtual, 3.0) < 1.02
         assert virtual.rig.door.tripped == {}
+
+
+def test_a_bus_without_ticks_moves_a_goal_on_once_in_a_period() -> None:
+    """However often a script sets a far goal, its joint is led on every 10 ms, no more often."""
+    virtual = VirtualRobot(robot_of("odrive", "lower = -1.0, upper = 1.0, max_speed = 0.5"), rate_hz=0)
+    with virtual:
+        virtual.advance(0.3)
+        virtual.devices["M"].enable().wait(5)
+        joint, given = virtual.rig["J.position"], list[int]()
+        for wanted in (0.8, 0.9, 1.0):
+            joint.set(wanted)
+            virtual.advance(0.003)
+        joint.given.append(lambda value, now: given.append(now))
+        virtual.advance(0.5)
+        assert 45 <= len(given) <= 51
+        assert 0.2 < virtual.rig.door.given("J.position") < 0.3
 
 
 def test_a_speed_that_was_measured_once_is_not_too_fast() -> None:
