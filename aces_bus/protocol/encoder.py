@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -178,6 +179,10 @@ class Encoder:
             raise FieldError(f"{message.name}: {_explain(error, message, fields)}") from None
 
 
+#: What construct says of a value that a number of the struct module does not take.
+_UNFIT = re.compile(r"(.*?):? struct '[<>=]?([bBhHiIlLqQefd])' error during building, given value (.*)")
+
+
 def _short(text: str) -> str:
     """Shorten `(building) -> speed: …` to `speed: …`."""
     return text.replace("(building) -> ", "").replace("(building): ", "")
@@ -188,8 +193,16 @@ def _explain(error: Exception, message: Message, fields: dict[str, Any]) -> str:
     missing = [name for name in message.fields if name not in given]
     if isinstance(error, KeyError) and missing:
         return f"no value given for {', '.join(missing)}"
-    text = _short(str(error)).replace("Error in path ", "").strip()
-    return " ".join(text.split()) or type(error).__name__
+    text = " ".join(_short(str(error)).replace("Error in path ", "").split())
+    unfit = _UNFIT.match(text)
+    if unfit is None:
+        return text or type(error).__name__
+    path, form, value = unfit.groups()
+    if form in "efd" or not re.fullmatch(r"-?\d+", value):
+        return f"{path}: {value} is not a number that fits"
+    width = 8 * struct.calcsize(f"<{form}")
+    low, high = (0, (1 << width) - 1) if form.isupper() else (-(1 << width - 1), (1 << width - 1) - 1)
+    return f"{path}: {value} is outside {low}…{high}"
 
 
 def unsaid(payload: Construct) -> dict[str, Any]:

@@ -111,6 +111,16 @@ def test_what_is_too_fast_is_led_the_same_way(speed: float, acceleration: float)
     assert guard.clipped("A").rate >= 45
 
 
+def test_a_motion_that_ends_at_once_is_ended_within_the_acceleration() -> None:
+    """Set-points that stand still at full speed are passed and come back to: no joint stops within a cycle."""
+    ramp = [0.005 * (0.01 * n) * n for n in range(30)]
+    out, _ = guarded(Bounds(-9, 9, rate=5.0, acceleration=2.0), [*ramp, *[ramp[-1]] * 100])
+    assert out[:30] == pytest.approx(ramp)
+    speeds = np.diff(out) / 0.01
+    assert np.abs(np.diff(speeds)).max() <= 0.02 * (1 + 1e-6)
+    assert out[-1] == pytest.approx(ramp[-1])
+
+
 def test_a_step_is_reached_without_overshoot() -> None:
     """As quickly as the limits allow: v/a + d/v seconds for a distance d, and never beyond."""
     out, guard = guarded(Bounds(-9, 9, rate=1.0, acceleration=4.0), [0.0] + [1.0] * 200)

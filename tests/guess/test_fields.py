@@ -9,7 +9,8 @@ import pytest
 
 from aces_bus.protocol import Crc
 from aces_lab.guess import FieldGuess, fields_of
-from aces_lab.guess.fields import SAMPLE, ByteOrder, positions_of
+from aces_lab.guess.boundaries import merged_pieces
+from aces_lab.guess.fields import SAMPLE, ByteOrder, Rows, positions_of
 
 STEPS = 1500
 
@@ -179,3 +180,12 @@ def test_a_bit_that_changes_in_every_second_message_is_hardly_sure_to_be_a_flag(
         (flag,) = [one for one in fields_of((bit[:, None] * 0x10).astype(np.uint8)) if one.kind == "flag"]
         sure.append(flag.confidence)
     assert sure == [0.5, 0.9, 0.9]
+
+
+@pytest.mark.parametrize("low", [1, 4, 7])
+def test_pieces_of_a_byte_that_change_together_are_one(low: int) -> None:
+    """However short they are: of seven bits and one, too."""
+    rows = np.array([[0x00], [0xFF]] * 20, np.uint8)
+    pieces: list[tuple[list[int], Any]] = [(list(range(low)), "little"), (list(range(low, 8)), "little")]
+    merged = merged_pieces(Rows(rows), pieces, np.ones(8, bool))
+    assert merged == [(list(range(8)), "little")]

@@ -696,3 +696,28 @@ def test_a_scale_of_one_keeps_every_bit() -> None:
     """With an offset, construct multiplied by 1.0 where generated code does not: 64 bits became 53."""
     made = _one(Struct("v" / Quantity(Int64ub, scale=1.0, offset=-7)))
     assert _live_and_columns(made, Frame(1, (1 << 60 | 1).to_bytes(8, "big"))) == [{"v": (1 << 60) - 6}]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("long", 1 << 64, "long: n: 18446744073709551616 is outside 0…18446744073709551615"),
+        ("short", -129, "short: n: -129 is outside -128…127"),
+        ("short", "x", "short: n: 'x' is not a number that fits"),
+        ("list", [{"kind": "k6", "data": -1}], "list: n.0 -> k6: -1 is outside 0…18446744073709551615"),
+        ("list", [{"kind": "one", "data": []}], r"list: n.0 -> one: \[\] is not a number that fits"),
+    ],
+)
+def test_a_number_that_does_not_fit_is_said_with_its_bounds(name: str, value: Any, said: str) -> None:
+    """It was construct's own sentence: struct '<Q' error during building."""
+    from construct import Int8sb, Int64ul
+
+    from aces_bus.protocol import Enumeration, Items
+
+    made = Protocol("unfit", link="can")
+    made.message("long", id=1, payload=Struct("n" / Int64ul))
+    made.message("short", id=2, payload=Struct("n" / Int8sb))
+    kinds = {"k6": (6, Int64ul), "one": (7, Enumeration(Byte, {"a": 1}))}
+    made.message("list", id=3, payload=Struct("n" / Items(tag=Byte, size=Byte, kinds=kinds)))
+    with pytest.raises(FieldError, match=said):
+        made.encode(name, n=value)

@@ -95,6 +95,22 @@ def test_a_controller_that_does_not_come_back_is_stopped() -> None:
     assert ended.failed == []
 
 
+def test_states_are_bound_once() -> None:
+    """Bound before the buses are opened, a controller is not bound again at the start."""
+    bound: list[str] = []
+
+    class Bound(Drive):
+        def bind(self, states: Mapping[str, Any]) -> None:
+            bound.append(self.name)
+            super().bind(states)
+
+    run = run_virtual(robot_of(ROBOT), [Bound()], load=drivers)
+    run.bind()
+    with run:
+        run.run(0.1)
+    assert bound == ["drive"]
+
+
 def test_the_end_goes_on_whatever_fails() -> None:
     """A driver, a controller and a log that fail at the end are told, and keep nobody else from being stopped."""
 

@@ -6,6 +6,7 @@ import math
 from itertools import pairwise
 from typing import Any
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -183,6 +184,10 @@ def test_what_counts_as_not_following() -> None:
     robot, problems = parse_robot(text)
     assert robot is not None, problems
     assert following_of(robot) == {"HIP": Following(0.5, 0.5)}
+    idle = msgspec.structs.replace(robot.joints["HIP"], active=False)
+    by_speed = msgspec.structs.replace(robot.joints["HIP"], command="speed")
+    for joint in (idle, by_speed):
+        assert following_of(msgspec.structs.replace(robot, joints={"HIP": joint})) == {}
     assert set(following_of(load_robot("hubo2plus")).values()) == {Following(0.2, 1.5)}
 
 

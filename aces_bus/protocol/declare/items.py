@@ -199,7 +199,7 @@ class Items(c.Construct):
         except (FieldError, c.ConstructError):
             raise
         except Exception:  # whatever a construct raises for a value of another shape
-            raise FieldError(f"{path}: {value!r} are no data of {name}") from None
+            raise FieldError(f"{path}: {value!r} is not a value of {name}") from None
         return content.getvalue()
 
     def _sizeof(self, context: Any, path: str) -> int:
