@@ -26,11 +26,13 @@ from aces_bus.export.base import Export, Naming
 from aces_bus.export.behind import UNDER_WAY, Behind
 from aces_bus.export.files import ExportFile, FilePool
 from aces_bus.export.open import export_format, table_formats
+from aces_bus.export.parquet import ParquetJournal
 from aces_bus.export.sqlite import SqliteExport
 from aces_bus.frame_table import Channels
 from aces_bus.protocol import Enumeration, Protocol, Quantity, Variant
 from aces_bus.protocol.columns.layout import DatasetLayout
 from aces_bus.protocol.columns.table import MessageTable
+from aces_lab.tables.mcap_file import McapWriter
 from tests.limits import small_disk
 
 pq = pytest.importorskip("pyarrow.parquet")
@@ -572,6 +574,21 @@ def test_sqlite_quotes_foreign_names(tmp_path: Path) -> None:
     ]
     assert base.execute('SELECT "path" FROM "_columns" WHERE "column" = \'order.2\'').fetchone() == ("order",)
     base.close()
+
+
+def test_what_grows_is_brought_to_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A journal of Parquet and an MCAP wait for the disk when they are asked to."""
+    pa = pytest.importorskip("pyarrow")
+    synced: list[int] = []
+    monkeypatch.setattr(export_files.os, "fsync", synced.append)
+    journal = ParquetJournal(str(tmp_path / "a.parquet"), pa.schema([("a", pa.int64())]))
+    journal.sync()
+    assert len(synced) == 1
+    mcap = McapWriter(str(tmp_path / "a.mcap"))
+    mcap.sync()
+    assert len(synced) == 2
+    mcap.close()
+    journal.close()
 
 
 @pytest.fixture
