@@ -10,7 +10,7 @@ from typing import Any
 from ...errors import CallerError
 from ..counts import ScanCounts
 from ..declare.message import GivenWay
-from ..declare.protocol import Variant
+from ..declare.protocol import DeclaredProtocol, Variant
 from ..record import Record
 from .can import CanScanner
 from .stream import StreamScanner
@@ -104,7 +104,7 @@ def make_scanner(
 
 def _refuse_what_is_no_variant(given: Any) -> None:
     """Raise `CallerError` for a protocol, a name or a single variant in place of several variants."""
-    is_one = isinstance(given, (str, Protocol, Variant))
+    is_one = isinstance(given, (str, DeclaredProtocol, Variant))
     wrong = [one for one in ([given] if is_one else given) if is_one or not isinstance(one, Variant)]
     if wrong:
         raise CallerError(
