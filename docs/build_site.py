@@ -81,6 +81,7 @@ CONTENTS: dict[str, list[str]] = {
         "estop",
         "logging",
         "foxglove",
+        "twins",
         "device-fuzzing",
     ],
     "Catalogue": ["catalogue/protocols", "catalogue/devices"],

@@ -16,6 +16,7 @@ import pytest
 import aces_bus
 from aces_bus import decode, load_robot
 from aces_bus.device import load_driver
+from aces_bus.device.drivers import list_drivers
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_lab.twins import TwinBench, open_bench
 from aces_lab.twins.catalogue import CATALOGUE, Injection
@@ -24,6 +25,7 @@ from aces_tools.one_kind import robot_of
 
 serial: Any = pytest.importorskip("serial")
 
+ROOT = Path(__file__).resolve().parents[3]
 #: A Modbus request of unit 5 for one input register, and a meter that has it.
 ASK = modbus.encode("ReadRegisters", unit=5, function=4, start=0, count=1)
 METER: dict[str, Any] = {"registers": {"voltage": {"address": 0, "type": "u16", "table": "input"}}}
@@ -392,6 +394,15 @@ def test_an_overdue_answer_comes_before_the_right_one() -> None:
             motor.wait(0.02)
         names = [type(one.record).__name__ for one in motor.frames if one.is_answer]
     assert names == ["BusVoltageCurrent", "BusVoltageCurrent", "Iq"]
+
+
+@pytest.mark.parametrize("name", list_drivers())
+def test_every_twin_says_how_true_it_is(name: str) -> None:
+    """The page of a driver's twin has what it does, what that was held against, and what it does not do."""
+    room = list_drivers()[name].value.partition(":")[0].split(".")[1]
+    text = (ROOT / "devices" / "aces_devices" / room / "README.md").read_text()
+    said = text.partition("## Fidelity")[2]
+    assert all(f"- {word}" in said for word in ("As the sources say:", "Held against:", "Not done:"))
 
 
 def test_every_fault_is_said_and_every_driver_has_a_robot() -> None:
