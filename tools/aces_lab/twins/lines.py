@@ -167,7 +167,12 @@ class SerialLine(Line):
     def complaint(self) -> str:
         """Return how many bytes came at another speed than the line's."""
         count = getattr(self._end, "mistuned", 0)
-        return f"{count} bytes came at another speed than the line's, {self.baud} bit/s" if count else ""
+        return (
+            f"{count} bytes came at another speed than the line's, {self.baud} bit/s: give the program this one,"
+            " or the twin another: baud=…"
+            if count
+            else ""
+        )
 
 
 class TcpPort:
