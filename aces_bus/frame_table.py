@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 #: What `time` holds where the capture gives none.
 NO_TIME = -(1 << 63)
-#: The 32-bit key's bits above the identifier (`aces_bus.protocol.keys`).
+#: The 32-bit key's bits above the identifier (`aces_bus.frames`).
 KEY_FD, KEY_REMOTE, KEY_EXTENDED = 1 << 29, 1 << 30, 1 << 31
 
 # Bits of `flags`. RX and TX: neither is set where the capture does not say which way a frame went.
@@ -81,7 +81,7 @@ class FrameTable:
 
     @cached_property
     def key(self) -> Ints:
-        """uint32: the identifier with the flags that scanners look messages up by (`aces_bus.protocol.keys`)."""
+        """uint32: the identifier with the flags that scanners look messages up by (`aces_bus.frames`)."""
         flags = self.flags
         if not len(flags) or not int(np.bitwise_or.reduce(flags)) & UNUSUAL:
             return self.id

@@ -14,6 +14,16 @@ import msgspec
 
 from .errors import CallerError
 
+#: Flags above an identifier's 29 bits: together they are a frame's key, by which scanners look messages up. The key of a
+#: standard data frame is its identifier.
+FD, REMOTE, EXTENDED = 1 << 29, 1 << 30, 1 << 31
+
+
+def key_of(identifier: int, *, extended: bool = False, remote: bool = False, fd: bool = False) -> int:
+    """Return the key of a frame."""
+    return identifier | (EXTENDED if extended else 0) | (REMOTE if remote else 0) | (FD if fd else 0)
+
+
 #: Legal numbers of data bytes of a CAN FD frame (ISO 11898-1).
 FD_LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 _FD = frozenset(FD_LENGTHS)

@@ -28,7 +28,7 @@ SMIRNOV = 1.95
 
 
 class BusIdentifier(NamedTuple):
-    """A channel's name (None: the recording has none), a key of `aces_bus.protocol.keys`, whether it is an error frame's."""
+    """A channel's name (None: the recording has none), a key of `aces_bus.frames`, whether it is an error frame's."""
 
     channel: str | None
     key: int

@@ -17,8 +17,8 @@ BUDGETS: dict[str, tuple[int, str]] = {
         "e-stops, stops through the lock, parking, measured limits; formats left for the lab",
     ),
     "statements of the kernel": (
-        9_400,
-        "broadcasts in their order, texts with ends, both words for a direction",
+        9_600,
+        "nodes answer what readers ask",
     ),
     "public names": (185, "tests of each kind of plug-in, for who writes them"),
     "members of public names": (900, ""),

@@ -12,10 +12,13 @@ import ast
 import gc
 import re
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from tests.house import KERNEL, SMALLEST
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -289,6 +292,62 @@ def test_no_circle_between_folders() -> None:
         if one in reach[other] and folders[one] != folders[other]
     )
     assert not circles, "\n".join(circles)
+
+
+#: What the kernel may import beside itself: what it is made of, and its records, counts and encoder.
+KERNEL_NEEDS = {"construct", "msgspec", "anycrc"}
+KERNEL_KNOWS = ("_lazy", "compiling", "protocol.record", "protocol.counts", "protocol.encoder")
+#: Module of the kernel → what else it imports, only when it is needed.
+KERNEL_EXCEPTIONS = {
+    "protocol.live.find": "numpy",  # searches long pieces of a stream
+    "protocol.live.can": "aces_bus.frame_table",  # takes frames as columns
+}
+
+
+def test_the_kernel_needs_little() -> None:
+    """The kernel imports the standard library, construct, msgspec, anycrc and itself."""
+    faults: list[str] = []
+    for path in sorted((ROOT / "aces_bus").rglob("*.py")):
+        name = ".".join(path.relative_to(ROOT / "aces_bus").with_suffix("").parts).removesuffix(".__init__")
+        if not is_within(name, KERNEL):
+            continue
+        for module in imported(path, name):
+            top, _, rest = module.partition(".")
+            allowed = top in sys.stdlib_module_names or top in KERNEL_NEEDS
+            if top == "aces_bus":
+                allowed = is_within(rest, (*KERNEL, *KERNEL_KNOWS))
+            if not allowed and module.removesuffix(".typing") != KERNEL_EXCEPTIONS.get(name):
+                faults.append(f"{name} imports {module}")
+    assert not faults, "\n".join(faults)
+
+
+def is_within(name: str, rooms: tuple[str, ...]) -> bool:
+    return any(name == room or name.startswith(f"{room}.") for room in rooms)
+
+
+def imported(path: Path, name: str) -> Iterator[str]:
+    """Yield the modules that a file of `aces_bus` imports, wherever."""
+    package = ["aces_bus", *name.split(".")][: None if path.name == "__init__.py" else -1]
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            start = package[: len(package) - node.level + 1] if node.level else []
+            base = ".".join([*start, *([node.module] if node.module else [])])
+            # `from ..plan import nodes` imports a module, `from ..plan.nodes import Node` a name.
+            named = [f"{base}.{alias.name}" for alias in node.names]
+            folder = ROOT.joinpath(*base.split("."))
+            yield from named if base.startswith("aces_bus") and folder.is_dir() else [base]
+
+
+def test_the_smallest_use_loads_little() -> None:
+    """A CAN message declared, scanned and encoded loads at most 45 modules of ours, neither python-can nor NumPy."""
+    done = subprocess.run(
+        [sys.executable, "-c", SMALLEST], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    number, *others = done.stdout.split()
+    assert int(number) <= 45
+    assert others == ["False", "False"]
 
 
 def test_source_roots_are_folders_not_packages() -> None:

@@ -19,10 +19,9 @@ from collections.abc import Callable, Hashable, Sequence
 from functools import partial
 from typing import Any
 
-from ..frames import Frame
+from ..frames import EXTENDED, Frame, key_of
 from ..protocol import Variant
 from ..protocol.declare.transport import Transport
-from ..protocol.keys import EXTENDED, key_of
 from .incoming_packet import IncomingPacket
 from .outgoing_packet import OutgoingPacket
 from .port import Left, Port, UpperPort

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
         Field,
         Flags,
         FlagSet,
+        Multiplexed,
+        Present,
         Quantity,
         Reserved,
         SignMagnitude,
@@ -35,13 +37,10 @@ if TYPE_CHECKING:
     )
     from .declare.framing import Escaped, Trailer
     from .declare.isotp import IsoTp
-    from .declare.item_list import ItemList
-    from .declare.items import Items
+    from .declare.items import ItemList, Items
     from .declare.j1939 import J1939Transport
     from .declare.message import Message
-    from .declare.multiplexed import Multiplexed
     from .declare.pattern import IdField
-    from .declare.present import Present
     from .declare.protocol import Variant
     from .declare.sdo import SdoTransfer
     from .declare.stuffing import Cobs, CutZeros, Insert, Slip
@@ -115,15 +114,13 @@ __getattr__, __dir__ = lazy_names(
         ".declare.checks": "Check Crc Extra Fletcher IdBytes InvertedSum Sum Xor",
         ".declare.delimited": "AsciiDegrees AsciiEnumeration AsciiInteger AsciiNumber AsciiText Delimited",
         ".declare.fast_packet": "FastPacket",
-        ".declare.fields": "Counter Enumeration Field Flags FlagSet Quantity Reserved SignMagnitude Text top",
+        ".declare.fields": "Counter Enumeration Field FlagSet Flags Multiplexed Present Quantity Reserved"
+        " SignMagnitude Text top",
         ".declare.framing": "Escaped Trailer",
         ".declare.isotp": "IsoTp",
-        ".declare.item_list": "ItemList",
-        ".declare.items": "Items",
+        ".declare.items": "ItemList Items",
         ".declare.j1939": "J1939Transport",
         ".declare.message": "Message",
-        ".declare.multiplexed": "Multiplexed",
-        ".declare.present": "Present",
         ".declare.pattern": "IdField",
         ".declare.protocol": "Variant",
         ".declare.sdo": "SdoTransfer",

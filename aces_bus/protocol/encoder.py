@@ -15,7 +15,7 @@ from construct import Construct, ConstructError, Default, Renamed
 from construct import Struct as Payload
 
 from ..errors import AcesError, CallerError, FieldError, UnknownNameError
-from ..frames import Frame
+from ..frames import EXTENDED, REMOTE, Frame, key_of
 from .declare.bits import BitLayout
 from .declare.message import Message
 from .declare.packet import FD_FLAG
@@ -23,7 +23,6 @@ from .declare.protocol import Variant
 from .generate.encode import CALLED, NoEncoder, print_encoder
 from .generate.load import load_source
 from .generate.source import NameScope, comment_line
-from .keys import EXTENDED, REMOTE, key_of
 
 #: Identifier, data, whether the identifier has 29 bits, whether remote, whether CAN FD.
 CanParts = tuple[int, bytes, bool, bool, bool]

@@ -4,7 +4,7 @@
 2. Making one costs as little as Python allows: `meta` is put together when it is asked for.
 
 Every record ends with five private fields: `_time`, `_channel`, `_key` (the CAN identifier with the flags of
-`aces_bus.protocol.keys`; of a stream the packet's offset), `_raw` and `_rx`.
+`aces_bus.frames`; of a stream the packet's offset), `_raw` and `_rx`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import msgspec
 
-from .keys import EXTENDED, FD, REMOTE
+from ..frames import EXTENDED, FD, REMOTE
 
 
 class Meta(msgspec.Struct, frozen=True, gc=False):

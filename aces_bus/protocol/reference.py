@@ -17,6 +17,7 @@ from typing import Any
 from construct import ConstructError
 
 from ..errors import AcesError
+from ..frames import EXTENDED
 from .declare.ambiguity import needing_context, ordered, request_names
 from .declare.framing import Framing, Verdict
 from .declare.message import REQUESTS, GivenWay, Message, Request
@@ -24,7 +25,6 @@ from .declare.packet import ContentError, LengthError, NotThisError, WrongCheckE
 from .declare.packet_rule import DecidedFrames, PacketRule, packet_image
 from .declare.protocol import Variant
 from .declare.transport import Transport
-from .keys import EXTENDED
 
 
 @dataclass(frozen=True)

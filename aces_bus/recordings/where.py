@@ -41,11 +41,11 @@ import numpy.typing as npt
 
 from ..errors import CallerError, UnknownNameError
 from ..frame_table import NO_TIME, to_ns
+from ..frames import EXTENDED as KEY_EXTENDED
+from ..frames import FD as KEY_FD
+from ..frames import REMOTE as KEY_REMOTE
 from ..protocol import FlagSet, Record
 from ..protocol.columns.table import Column, ColumnKind, MessageTable
-from ..protocol.keys import EXTENDED as KEY_EXTENDED
-from ..protocol.keys import FD as KEY_FD
-from ..protocol.keys import REMOTE as KEY_REMOTE
 from ..protocol.numbers import parse_number
 from ..protocol.plan import nodes as p
 from ..protocol.record import Meta, getter

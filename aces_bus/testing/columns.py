@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from ..frame_table import Channels, FrameTable, to_ns
+from ..frames import key_of
 from ..protocol.columns.scanner import make_column_scanner
 from ..protocol.columns.table import MessageTable, dtype_of, kinds_of
-from ..protocol.keys import key_of
 from ..protocol.live.can import CanScanner
 from ..protocol.live.scanner import Scanner
 from ..protocol.record import Meta, Unknown, as_dict, getter, plain_value

@@ -25,10 +25,9 @@ from ..protocol.declare.delimited import (
     AsciiNumber,
     Delimited,
 )
-from ..protocol.declare.fields import Enumeration, Field, SignMagnitude
+from ..protocol.declare.fields import Enumeration, Field, Multiplexed, SignMagnitude
 from ..protocol.declare.items import Items
 from ..protocol.declare.message import Message
-from ..protocol.declare.multiplexed import Multiplexed
 from ..protocol.declare.normalise import sizes
 from ..protocol.declare.stuffing import CutZeros
 from .hints import Hints, hints, is_integer

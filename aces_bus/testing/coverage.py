@@ -14,10 +14,10 @@ from typing import Any
 from ..protocol import Record
 from ..protocol.declare.bits import BitLayout
 from ..protocol.declare.delimited import Delimited
+from ..protocol.declare.fields import Multiplexed
 from ..protocol.declare.framing import Framing
 from ..protocol.declare.head import enumeration_of
 from ..protocol.declare.message import Message
-from ..protocol.declare.multiplexed import Multiplexed
 from ..protocol.record import Unknown
 from .bench import Bench
 from .trial import Trial

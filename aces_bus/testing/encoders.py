@@ -16,12 +16,12 @@ from zlib import crc32
 from construct import ConstructError
 
 from ..errors import AcesError, FieldError, UnknownNameError
+from ..frames import key_of
 from ..protocol.declare.fields import FlagSet
 from ..protocol.declare.message import Message
 from ..protocol.declare.packet import frame_image
 from ..protocol.declare.packet_rule import PacketRule, packet_image
 from ..protocol.encoder import Encoder
-from ..protocol.keys import key_of
 from .trial import Trial
 
 #: What construct raises for a value that does not fit.

@@ -11,10 +11,8 @@ from typing import Any
 import construct as c
 
 from ..protocol.declare.bits import BitLayout, Bits
+from ..protocol.declare.fields import Multiplexed, Present, innermost
 from ..protocol.declare.message import Message
-from ..protocol.declare.multiplexed import Multiplexed
-from ..protocol.declare.present import Present
-from ..protocol.declare.wire_number import innermost
 
 
 @dataclass(frozen=True)

@@ -24,12 +24,12 @@ from construct import ConstructError
 
 from ..errors import AcesError
 from ..frame_table import FrameTable
+from ..frames import EXTENDED
 from ..protocol.declare.ambiguity import Conflict, conflict, unresolved
 from ..protocol.declare.framing import Verdict
 from ..protocol.declare.message import DIRECTIONS, Message
 from ..protocol.declare.packet import frame_image
 from ..protocol.declare.protocol import Variant
-from ..protocol.keys import EXTENDED
 from ..protocol.live.can import CanScanner
 from ..protocol.live.stream import StreamScanner
 from ..protocol.protocol import Protocol

@@ -13,12 +13,11 @@ from typing import Any
 import construct as c
 
 from ..errors import FieldError, SpecError
-from ..frames import Frame
+from ..frames import EXTENDED, Frame
 from ..protocol.declare.framing import BitSize
 from ..protocol.declare.head import Head
 from ..protocol.declare.message import Message, Request
 from ..protocol.declare.protocol import Variant
-from ..protocol.keys import EXTENDED
 from .constructs import Room, drawer
 from .hints import Hints, hints
 from .source import ChoiceSource, edge_number, spread

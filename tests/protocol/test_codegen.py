@@ -18,8 +18,7 @@ from construct import Array, Byte, Int16ul, Int32sl, Struct
 from aces_bus import Frame, load_protocol
 from aces_bus.errors import FieldError
 from aces_bus.protocol import BitLayout, Flags, IdField, Protocol, Quantity, bits
-from aces_bus.protocol.generate.load import decoders_of, print_decoders
-from aces_bus.protocol.generate.records import print_records
+from aces_bus.protocol.generate.load import decoders_of, print_decoders, print_records
 from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.protocol.plan.flatten import flatten
 

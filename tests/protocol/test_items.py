@@ -48,7 +48,7 @@ from aces_bus.protocol import (
 from aces_bus.protocol.draw.table import field_table
 from aces_bus.protocol.draw.text import draw_text
 from aces_bus.protocol.exchange import print_dbc, print_dissector
-from aces_bus.protocol.generate.stubs import print_stub
+from aces_bus.protocol.exchange.export_stubs import print_stub
 from aces_bus.protocol.reference import Reference
 from tests.tools.conftest import Aces
 from tests.tools.conftest import aces as aces

@@ -13,8 +13,8 @@ from construct import Byte, GreedyRange, Int16sl, Struct
 
 from aces_bus import list_protocols, load_protocol
 from aces_bus.protocol import Enumeration, Flags, Multiplexed, Protocol, Quantity, Record, record_types
+from aces_bus.protocol.exchange.export_stubs import print_stub
 from aces_bus.protocol.generate.load import records_of
-from aces_bus.protocol.generate.stubs import print_stub
 from aces_bus.protocol.record import field_names
 from tests.specs.catalogue import SPECS
 

@@ -50,7 +50,7 @@ from aces_bus.protocol import (
     bits,
 )
 from aces_bus.protocol.declare.packet import can_image
-from aces_bus.protocol.generate.stubs import print_stub
+from aces_bus.protocol.exchange.export_stubs import print_stub
 from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.protocol.reference import Reference
 

@@ -27,8 +27,8 @@ from aces_bus import Frame, Unknown, make_scanner
 from aces_bus.errors import CallerError
 from aces_bus.export.open import table_formats
 from aces_bus.frame_table import to_ns
+from aces_bus.frames import key_of
 from aces_bus.protocol import Record
-from aces_bus.protocol.keys import key_of
 from aces_bus.protocol.live.scanner import Scanner
 from aces_bus.recordings.base import CanRecording, Link, Recording, SerialRecording
 from aces_bus.recordings.pieces import Direction, check_direction

@@ -32,8 +32,7 @@ from aces_bus.protocol.exchange.read_once import problems_of
 from aces_bus.protocol.generate.decode import Decoder
 from aces_bus.protocol.generate.load import print_decoders
 from aces_bus.protocol.live.stream import StreamScanner
-from aces_bus.protocol.plan.flatten import flatten
-from aces_bus.protocol.plan.scalars import NotFlat, scalar_of
+from aces_bus.protocol.plan.flatten import NotFlat, flatten, scalar_of
 
 from .console import counted, print_json, say
 from .options import COLOR, JSON, Arguments, argument, flag

@@ -20,7 +20,7 @@ from aces_bus import Unknown
 from aces_bus.errors import CallerError, FieldError, UnknownNameError
 from aces_bus.protocol import Message, Record, Variant
 from aces_bus.protocol.declare.registers import Register, RegisterMap
-from aces_bus.protocol.plan.scalars import NotFlat, scalar_of
+from aces_bus.protocol.plan.flatten import NotFlat, scalar_of
 from aces_bus.protocol.record import protocol_name_of
 
 from .output.field_text import PrintedField

@@ -15,12 +15,12 @@ from typing import Literal
 from construct import ConstructError
 
 from ...errors import AcesError
+from ...frames import EXTENDED, FD, REMOTE
 from ..declare.framing import Framing
 from ..declare.message import Direction, Message
 from ..declare.packet import error_text
 from ..declare.place import SourceLine
 from ..declare.protocol import Variant
-from ..keys import EXTENDED, FD, REMOTE
 from ..lint.finding import Level
 from .fields import AGAIN, SHARE
 from .finding import Moment, Observation

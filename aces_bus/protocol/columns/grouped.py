@@ -12,7 +12,7 @@ import numpy as np
 
 from ...frame_table import FD as FD_FLAG
 from ...frame_table import FrameTable, rows_at
-from ..keys import FD
+from ...frames import FD
 from .table import Array
 
 

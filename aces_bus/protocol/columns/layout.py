@@ -24,8 +24,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from ...frame_table import NO_TIME, Channels
+from ...frames import EXTENDED, FD, REMOTE
 from ..declare.protocol import Variant
-from ..keys import EXTENDED, FD, REMOTE
 from ..plan import nodes as p
 from .table import Array, Column, ColumnKind, MessageTable, dtype_of, join_pieces, kinds_of, object_array
 

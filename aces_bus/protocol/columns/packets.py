@@ -15,8 +15,8 @@ import numpy as np
 from ...frame_table import Channels, to_ns
 from ..declare.message import Message
 from ..generate.load import records_of
+from ..generate.scan import Choice, choose
 from ..live.decide import Decider
-from ..plan.choose import Choice, choose
 from .rows import PacketRows, RowDecoder
 from .scanner import Gatherer
 from .table import Array, Column, ColumnKind, MessageTable, concat_columns, packet_rows, take_rows

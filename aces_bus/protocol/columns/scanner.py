@@ -13,12 +13,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from ...frame_table import Channels, FrameTable, to_ns
+from ...frames import key_of
 from ..counts import ScanCounts
 from ..declare.fields import FlagSet
 from ..declare.message import GivenWay
 from ..declare.protocol import Variant
 from ..generate.load import OnDemand
-from ..keys import key_of
 from ..live.scanner import Scanner, make_scanner
 from ..plan import nodes as p
 from ..record import Record, Unknown, WayStep, getter, plain_value, protocol_name_of

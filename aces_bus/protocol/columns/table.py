@@ -129,7 +129,7 @@ class MessageTable:
     """The messages of one kind in a piece of a capture.
 
     `time`: int64, ns, `NO_TIME` where unknown. `channel`: number in `channels`. `key`: uint32, the CAN identifier with the
-    flags of `aces_bus.protocol.keys`; of a stream int64, the packet's offset in bytes. `row`: int64, the frame's number in
+    flags of `aces_bus.frames`; of a stream int64, the packet's offset in bytes. `row`: int64, the frame's number in
     the capture from 0; of a stream the same as `key`. `rx`: uint8, 1 received, 0 sent, 2 not said.
 
     Columns are computed when asked for, and kept; `table["speed"]` raises `UnknownNameError` with the nearest name.

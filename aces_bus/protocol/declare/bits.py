@@ -22,10 +22,8 @@ from typing import Any
 from construct import Construct, Container, IntegerError, ListContainer, Renamed, stream_read
 
 from ...errors import FieldError, SpecError
-from .multiplexed import Multiplexed, number_runs
+from .fields import Multiplexed, Present, innermost, number_runs, plain_number
 from .place import caller
-from .present import Present
-from .wire_number import innermost, plain_number
 
 #: `struct` formats of numbers of so many bits (IEEE 754 binary16, binary32, binary64).
 #: Bytes of a layout: far more than any frame, few enough for a bound on the work.

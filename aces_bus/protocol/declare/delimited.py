@@ -15,9 +15,8 @@ from typing import Any
 from construct import Construct, Container, GreedyBytes, ListContainer, ValidationError, stream_read_entire
 
 from ...errors import FieldError, SpecError
-from .fields import Field, is_raw
+from .fields import Field, is_raw, plain_number
 from .place import caller
-from .wire_number import plain_number
 
 
 class AsciiField(Field):

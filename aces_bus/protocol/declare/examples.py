@@ -23,7 +23,7 @@ from typing import Any
 import msgspec
 
 from ...errors import SpecError
-from ..keys import EXTENDED
+from ...frames import EXTENDED
 from .place import SourceLine
 from .transport import Transport
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import numbers
 from collections.abc import Collection, Iterator, Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import msgspec
 from construct import (
@@ -20,15 +20,187 @@ from construct import (
     BytesInteger,
     Construct,
     Default,
+    FormatField,
     GreedyBytes,
     IntegerError,
     Renamed,
     Struct,
+    Subconstruct,
 )
 
 from ...errors import FieldError, SpecError
 from .place import SourceLine, caller
-from .wire_number import innermost, integer_width, is_float, plain_number, raw_limits
+
+# ---------------------------------------------------------------------- fields that are there only while another has a value
+
+
+class Multiplexed(Construct):
+    """A field that is there only while the field `selector` has (one of) the raw value(s) `when`; else None, no bytes.
+
+    The selector may be multiplexed itself: while it is not there, neither is this field.
+    """
+
+    def __init__(self, selector: str, when: int | Collection[int], subcon: Construct) -> None:
+        super().__init__()
+        self.selector = selector
+        self.when = frozenset((when,) if isinstance(when, int) else when)
+        self.body = subcon
+        self.place = caller()
+        self.flagbuildnone = True
+        self.enumeration: Enumeration | None = None
+
+    def is_present(self, context: Any) -> bool:
+        value = context[self.selector]
+        if isinstance(value, str) and self.enumeration is not None:
+            value = self.enumeration.names.get(value)
+        return value in self.when
+
+    def _parse(self, stream: Any, context: Any, path: str) -> Any:
+        return self.body._parsereport(stream, context, path) if self.is_present(context) else None
+
+    def _build(self, obj: Any, stream: Any, context: Any, path: str) -> Any:
+        if self.is_present(context):
+            return self.body._build(obj, stream, context, path)
+        if obj is not None:
+            raise self.absent(path)
+        return None
+
+    def around(self, body: Construct) -> Multiplexed:
+        """Return the same condition around another field."""
+        made = type(self)(self.selector, self.when, body)
+        made.place = self.place
+        return made
+
+    def absent(self, path: str) -> FieldError:
+        """Return the error for a value that is given while the field is not there."""
+        return FieldError(f"{path}: only there while {self.selector} is {number_runs(self.when)}")
+
+    def _sizeof(self, context: Any, path: str) -> Any:
+        return self.body._sizeof(context, path) if self.is_present(context) else 0
+
+
+class Present(Multiplexed):
+    """A field that is there only while bit `bit` of the field `selector` is set; else None, no bytes.
+
+    `selector` is an integer field or `Flags` before it in the same `Struct`, or a field of the header. It may be
+    `Present` itself: while it is not there, neither is this field. Several in a row stand one behind the other, each
+    where those before it end.
+    """
+
+    def __init__(self, selector: str, bit: int, subcon: Construct) -> None:
+        if not isinstance(bit, int) or not 0 <= bit < 64:  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise SpecError(f"{caller()}: a bit has a number from 0 to 63, not {bit!r}")
+        super().__init__(selector, 1 << bit, subcon)
+        self.bit = bit
+
+    def around(self, body: Construct) -> Present:
+        made = Present(self.selector, self.bit, body)
+        made.place = self.place
+        return made
+
+    def is_present(self, context: Any) -> bool:
+        value = context[self.selector] if self.selector in context else context._.get(self.selector)
+        return value is not None and bool(int(value) >> self.bit & 1)
+
+    def absent(self, path: str) -> FieldError:
+        return FieldError(f"{path}: only there while bit {self.bit} of {self.selector} is set")
+
+
+def runs_of_numbers(values: Collection[int]) -> list[tuple[int, int]]:
+    """Return the first and the last of each run of numbers that follow one another."""
+    runs: list[tuple[int, int]] = []
+    for value in sorted(values):
+        if runs and value == runs[-1][1] + 1:
+            runs[-1] = runs[-1][0], value
+        else:
+            runs.append((value, value))
+    return runs
+
+
+def number_runs(values: Collection[int]) -> str:
+    """Numbers as their runs, shortest form: `0…15, 32`."""
+    runs = runs_of_numbers(values)
+    texts = [
+        f"{low}…{high}" if high - low > 1 else str(low) if low == high else f"{low}, {high}"
+        for low, high in runs[:12]
+    ]
+    return ", ".join(texts) + (f", … ({len(values)} values)" if len(runs) > 12 else "")
+
+
+# ---------------------------------------------------------------------- numbers on the wire: kind, size, byte order, limits
+
+
+def plain_number(value: Any) -> Any:
+    """Return a number of any kind (NumPy's, a fraction) as Python's int or float; None for what is none."""
+    if isinstance(value, (int, float)):
+        return value
+    if isinstance(value, numbers.Integral):
+        return int(value)
+    return float(value) if isinstance(value, numbers.Real) else None
+
+
+def innermost(subcon: Construct) -> Construct:
+    """Return the construct that touches the bytes, below all names and adapters."""
+    while hasattr(subcon, "subcon"):
+        subcon = subcon.subcon
+    return subcon
+
+
+class WireNumber(NamedTuple):
+    """What a number is on the wire; `size` in bytes."""
+
+    kind: Literal["uint", "int", "float"]
+    size: int
+    order: Literal["little", "big"]
+
+    @property
+    def limits(self) -> tuple[int, int]:
+        """The least and the greatest integer of this size."""
+        top = 1 << 8 * self.size - 1
+        return (-top, top - 1) if self.kind == "int" else (0, 2 * top - 1)
+
+
+def wire_number(inner: Any) -> WireNumber | None:
+    """Return what number an innermost construct reads; None where it is none, or of a size that is not fixed."""
+    if isinstance(inner, FormatField) and inner.fmtstr[-1:] in "efdBbHhLlQq":
+        mark = inner.fmtstr[-1:]
+        order: Literal["little", "big"] = "little" if inner.fmtstr.startswith("<") else "big"
+        return WireNumber(
+            "float" if mark in "efd" else "int" if mark.islower() else "uint", inner.length, order
+        )
+    if isinstance(inner, BytesInteger) and isinstance(inner.length, int) and isinstance(inner.swapped, bool):
+        return WireNumber(
+            "int" if inner.signed else "uint", inner.length, "little" if inner.swapped else "big"
+        )
+    return None
+
+
+def is_float(subcon: Construct) -> bool:
+    inner = innermost(subcon)
+    fmt = getattr(inner, "fmtstr", "")
+    return fmt[-1:] in ("e", "f", "d") or bool(getattr(inner, "is_float", False))
+
+
+def integer_width(subcon: Construct) -> int:
+    """Width in bits of an integer construct."""
+    inner = innermost(subcon)
+    width = getattr(inner, "width", None)
+    return width if isinstance(width, int) else int(inner.sizeof()) * 8
+
+
+def raw_limits(con: Any) -> tuple[int, int] | None:
+    """Return the least and the greatest number that a construct gives; None where it is no integer of fixed size."""
+    while isinstance(con, Subconstruct) and not isinstance(con, Adapter):
+        con = con.subcon
+    wire = wire_number(con)
+    if wire is not None:
+        return wire.limits if wire.kind != "float" else None
+    found: tuple[int, int] | None = getattr(con, "raw_limits", None)
+    return found
+
+
+# ---------------------------------------------------------------------- fields
+
 
 #: As many values that mean unknown are listed in generated code and tables; more are a range.
 MOST_LISTED = 8

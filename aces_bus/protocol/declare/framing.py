@@ -25,13 +25,13 @@ from msgspec.structs import replace
 
 from ...errors import SpecError
 from .checks import Check, Covered
+from .fields import innermost, wire_number
 from .head import Head, heads_of
 from .normalise import sizes
 from .pattern import describe_values
 from .place import SourceLine, caller
 from .shapes import Shapes
 from .stuffing import Cobs, CutZeros, Insert, Slip, Stuffing
-from .wire_number import innermost, wire_number
 
 if TYPE_CHECKING:
     from .message import Message

@@ -12,10 +12,9 @@ from construct import Bytes, Const, Construct, Renamed, Struct
 from msgspec.structs import replace
 
 from ...errors import SpecError
-from .fields import Enumeration, Field
+from .fields import Enumeration, Field, WireNumber, innermost, wire_number
 from .pattern import IdPattern, as_pattern
 from .place import SourceLine
-from .wire_number import WireNumber, innermost, wire_number
 
 
 class Head(msgspec.Struct, frozen=True):

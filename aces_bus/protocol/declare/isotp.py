@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 from ...errors import SpecError
-from ..keys import EXTENDED
+from ...frames import EXTENDED
 from .handshake import Steering
 from .pattern import IdPattern, as_pattern
 from .place import caller

@@ -15,14 +15,32 @@ import copy
 import io
 from collections.abc import Callable, Mapping
 from operator import index
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import construct as c
 
 from ...errors import FieldError, SpecError
-from .fields import is_raw, named_number, names_by_value
+from .fields import WireNumber, is_raw, named_number, names_by_value, wire_number
 from .place import caller
-from .wire_number import WireNumber, wire_number
+
+
+class ItemList(c.Construct):
+    """Items up to the end of the payload, by a construct of your own: subclass it, with `_parse` and `_build`.
+
+    `_parse` gives a list of containers with `kind`, `data` and `reason`, as `Items` does: None for a good item, else why it
+    was not read. The data of good items may be containers of values by name. `values` are these names, each with its number,
+    its unit ("" for none) and the names of its values, {} for none; None says that it is measured, and always a float. A
+    table has a column of each, `FIELD.NAME`: the first one in each packet.
+
+        class Runs(ItemList):
+            values = {"position": (1, "turn", None), "mode": (0, "", {0: "stopped", 10: "position"})}
+    """
+
+    values: ClassVar[Mapping[str, tuple[int, str, Mapping[int, str] | None]]] = {}
+
+    def _sizeof(self, context: object, path: str) -> int:
+        raise c.SizeofError("depends on the items", path=path)
+
 
 #: What the size of an item counts.
 Counted = Literal["data", "tag and data", "item"]

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 from ...errors import FieldError
-from ..keys import EXTENDED
+from ...frames import EXTENDED
 from .handshake import AnswerTimes, GivenUp, Steering
 from .pattern import IdField, IdPattern
 from .transport import FrameKind, FrameNumber, FramePart, Transport

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 from construct import ConstError, Construct, ConstructError, Container, StreamError, stream_read_entire
 
 from ...errors import FieldError
-from ..keys import FD, key_of
+from ...frames import FD, key_of
 from .checks import Check
 from .fields import is_raw
 from .framing import Framing, Verdict

@@ -11,7 +11,7 @@ from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from ..keys import EXTENDED
+from ...frames import EXTENDED
 from .packet import can_image
 from .transport import FramePart, Transport
 

@@ -17,7 +17,6 @@ import construct as c
 from ...errors import CallerError, SpecError, UnknownNameError
 from . import ambiguity
 from .checks import Check
-from .examples import as_examples
 from .framing import Framing
 from .message import (
     DIRECTIONS,
@@ -30,11 +29,12 @@ from .message import (
     way_of,
 )
 from .pattern import as_pattern
-from .place import caller, caller_scope
+from .place import SourceLine, caller, caller_scope
 from .transport import Transport
 
 if TYPE_CHECKING:
     from ..encoder import Encoder
+    from .examples import Example
     from .registers import RegisterMap
 
 Link = Literal["can", "serial", "datagram"]
@@ -205,9 +205,7 @@ class DeclaredProtocol:
             check_extra=check_extra,
             doc=doc,
             source=source,
-            examples=as_examples(
-                examples, place, is_can=self.link == "can", transport=transport, extra=check_extra
-            ),
+            examples=self._examples(examples, place, transport, check_extra) if examples else (),
         )
         for other in self.declared if name in self.messages else ():
             # Also where `when` keeps them apart: a variant with boards of both kinds has one message of a name.
@@ -226,6 +224,13 @@ class DeclaredProtocol:
         # Scanners that exist keep what they know; the next one knows this message too.
         self._variants.clear()
         return made
+
+    def _examples(
+        self, given: Iterable[Any], place: SourceLine, transport: Transport | None, extra: bytes
+    ) -> tuple[Example, ...]:
+        from .examples import as_examples
+
+        return as_examples(given, place, is_can=self.link == "can", transport=transport, extra=extra)
 
     def _check_carriers(self, made: Message) -> None:
         """Raise `SpecError` where a message is of a transport's own frames, or has a transport that takes another's."""

@@ -24,7 +24,7 @@ from itertools import islice
 from typing import ClassVar
 
 from ...errors import FieldError
-from ..keys import EXTENDED
+from ...frames import EXTENDED
 from .pattern import IdField, IdPattern
 from .transport import FrameKind, FrameNumber, FramePart, Transport
 

@@ -13,9 +13,8 @@ import construct as c
 import msgspec
 
 from ...errors import SpecError
+from .fields import Present, innermost, wire_number
 from .normalise import sizes
-from .present import Present
-from .wire_number import innermost, wire_number
 
 if TYPE_CHECKING:
     from .message import Message

@@ -21,8 +21,7 @@ import msgspec
 from msgspec.structs import force_setattr
 
 from ...errors import FieldError, SpecError
-from ...frames import FD_LENGTHS, Frame
-from ..keys import EXTENDED, REMOTE
+from ...frames import EXTENDED, FD_LENGTHS, REMOTE, Frame
 from . import handshake
 from .checks import Crc
 from .handshake import AnswerTimes, GivenUp

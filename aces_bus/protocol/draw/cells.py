@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
+from ..declare.fields import number_runs
 from ..declare.message import Message
-from ..declare.multiplexed import number_runs
 from ..plan import nodes as p
 
 #: Columns of one bit, and of a row without its frame.

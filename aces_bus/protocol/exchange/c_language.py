@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 
-from ..declare.multiplexed import runs_of_numbers
+from ..declare.fields import runs_of_numbers
 from .dissector_tables import bit_pieces
 from .names import snake
 from .problems import one_line

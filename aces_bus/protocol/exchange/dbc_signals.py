@@ -19,8 +19,8 @@ from ..declare.j1939 import J1939Transport
 from ..declare.message import Message
 from ..declare.pattern import IdPattern
 from ..declare.protocol import Variant
+from ..generate.scan import Choice, choose
 from ..plan import nodes as p
-from ..plan.choose import Choice, choose
 from ..plan.flatten import fixed_leaves
 from .import_statements import KEYWORDS
 from .problems import Loss, clean_text

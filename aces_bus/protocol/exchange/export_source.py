@@ -21,9 +21,8 @@ import construct as c
 
 from ...errors import CallerError
 from ..declare.bits import BitLayout, Bits, LayoutSlot
-from ..declare.fields import Enumeration, Quantity
+from ..declare.fields import Enumeration, Multiplexed, Quantity
 from ..declare.message import Message
-from ..declare.multiplexed import Multiplexed
 from ..declare.pattern import IdField, IdPattern
 from ..declare.transport import Transport
 from ..protocol import Protocol

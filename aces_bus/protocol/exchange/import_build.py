@@ -32,15 +32,13 @@ import construct as c
 import msgspec
 
 from ...errors import AcesError
-from ...frames import FD_LENGTHS
+from ...frames import EXTENDED, FD_LENGTHS
 from ...plain_text import without_controls
 from ..declare.bits import BitLayout, bits, float_bits
-from ..declare.fields import Enumeration, Quantity
+from ..declare.fields import Enumeration, Multiplexed, Quantity
 from ..declare.j1939 import J1939Transport
-from ..declare.multiplexed import Multiplexed
 from ..declare.pattern import IdField, IdPattern
 from ..declare.place import SourceLine
-from ..keys import EXTENDED
 from ..protocol import Protocol
 from .names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
 from .problems import ImportProblem, clean_text, without_place

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from ..declare.framing import BitSize, FieldSize
 from ..declare.shapes import MOST, DecidingBits, PayloadShape, ShapeLevel, Shapes
-from .load_text import load_source
+from .source import load_source
 
 Made = TypeVar("Made")
 

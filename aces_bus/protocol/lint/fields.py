@@ -20,15 +20,13 @@ import construct as c
 
 from ..declare.bits import BitLayout
 from ..declare.delimited import Delimited
-from ..declare.fields import Enumeration, Field, Quantity, SignMagnitude
+from ..declare.fields import Enumeration, Field, Multiplexed, Quantity, SignMagnitude, raw_limits, wire_number
 from ..declare.head import enumeration_of
 from ..declare.items import Items
 from ..declare.message import Message
-from ..declare.multiplexed import Multiplexed
 from ..declare.normalise import inner_constructs
 from ..declare.pattern import IdField, describe_values
 from ..declare.place import SourceLine
-from ..declare.wire_number import raw_limits, wire_number
 from ..draw.table import bits_place
 from ..protocol import Protocol
 from .finding import Finding, Level

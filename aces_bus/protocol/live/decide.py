@@ -16,9 +16,8 @@ from ..declare.ambiguity import needing_context, ordered
 from ..declare.message import GivenWay, Message
 from ..declare.protocol import Variant
 from ..generate.load import decoders_of, load_source
-from ..generate.scan import print_choice
+from ..generate.scan import Choice, choose, print_choice
 from ..generate.source import SourceText
-from ..plan.choose import Choice, choose
 from ..record import field_names
 from .context import Context, Modes
 

@@ -13,7 +13,6 @@ from ..declare.message import GivenWay
 from ..declare.protocol import DeclaredProtocol, Variant
 from ..record import Record
 from .can import CanScanner
-from .stream import StreamScanner
 
 
 class Scanner(typing.Protocol):
@@ -120,6 +119,8 @@ def _made(variants: Sequence[Variant], links: set[str], **more: Any) -> Scanner:
 
             return ChannelScanner(variants, **more)
         return CanScanner(variants, **more)
+    from .stream import StreamScanner
+
     return StreamScanner(variants, **more)
 
 

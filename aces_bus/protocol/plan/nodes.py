@@ -446,7 +446,7 @@ class FromIdentifier(Node, msgspec.Struct, frozen=True):
     """A captured part of the CAN identifier, or of a head number.
 
     Alone in it: (number − constant) >> shift; beside others: `width` bits from `shift`. For an identifier `constant`
-    includes the flag bits of `aces_bus.protocol.keys`, so that it is taken off a key directly.
+    includes the flag bits of `aces_bus.frames`, so that it is taken off a key directly.
     """
 
     constant: int

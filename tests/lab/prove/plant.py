@@ -19,7 +19,7 @@ from aces_bus import load_protocol, make_scanner
 from aces_bus.protocol import Message, Variant
 from aces_bus.protocol.generate.decode import Decoder
 from aces_bus.protocol.generate.load import decoders_of, print_decoder
-from aces_bus.protocol.generate.load_text import load_source
+from aces_bus.protocol.generate.source import load_source
 from aces_bus.protocol.plan import nodes as p
 from aces_bus.testing.laws import Way
 from aces_lab.prove import witness as w

@@ -23,9 +23,9 @@ import construct as c
 
 from aces_bus.errors import AcesError, CallerError
 from aces_bus.protocol import Crc, CutZeros, Enumeration, Extra, Flags, Protocol, Quantity, Text, Trailer
+from aces_bus.protocol.declare.fields import wire_number
 from aces_bus.protocol.declare.framing import Framing
 from aces_bus.protocol.declare.place import SourceLine
-from aces_bus.protocol.declare.wire_number import wire_number
 from aces_bus.protocol.exchange.import_dbc import protocol_name
 from aces_bus.protocol.exchange.names import TAKEN_BY_CODE, TAKEN_BY_RECORDS, unused
 from aces_bus.protocol.exchange.problems import ImportedProtocol, clean_text, one_line, without_place

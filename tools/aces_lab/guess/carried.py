@@ -15,9 +15,9 @@ from construct import GreedyBytes, Struct
 
 from aces_bus import FrameTable, make_column_scanner
 from aces_bus._lazy import np
+from aces_bus.frames import EXTENDED, FD, REMOTE
 from aces_bus.protocol import IdField, J1939Transport, Protocol, TailByte, Transport
 from aces_bus.protocol.declare.j1939 import CONNECTION, DATA
-from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
 
 from .fields import Array
 

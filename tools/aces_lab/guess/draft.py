@@ -13,8 +13,8 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
+from aces_bus.frames import EXTENDED, FD, REMOTE
 from aces_bus.protocol.exchange.names import python_name
-from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
 
 from .fields import FieldGuess
 from .traffic import MessageGuess, TrafficGuess

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from aces_bus import FrameTable
 from aces_bus._lazy import np
 from aces_bus.frame_table import rows_at
-from aces_bus.protocol.keys import EXTENDED
+from aces_bus.frames import EXTENDED
 
 from .fields import Array
 

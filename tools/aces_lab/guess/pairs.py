@@ -13,7 +13,7 @@ from typing import Any
 from aces_bus import FrameTable
 from aces_bus._lazy import np
 from aces_bus.frame_table import NO_TIME
-from aces_bus.protocol.keys import EXTENDED, REMOTE
+from aces_bus.frames import EXTENDED, REMOTE
 
 from .fields import Array
 

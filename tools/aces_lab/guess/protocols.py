@@ -13,7 +13,7 @@ from typing import Any
 
 from aces_bus import FrameTable
 from aces_bus._lazy import np
-from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
+from aces_bus.frames import EXTENDED, FD, REMOTE
 
 from .carried import CarriedGuess, cyphal_packets, j1939_packets
 from .fields import Array

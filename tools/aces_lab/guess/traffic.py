@@ -14,8 +14,8 @@ from typing import Any
 from aces_bus import FrameTable
 from aces_bus._lazy import np
 from aces_bus.frame_table import ERROR, rows_at
+from aces_bus.frames import EXTENDED, FD, REMOTE
 from aces_bus.protocol.fitting import FittingProtocol, fitting_protocols, undecoded
-from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
 from aces_bus.traffic import BusIdentifier, FrameCount, GapCounts, rows_of_each
 
 from .fields import Array, FieldGuess, fields_of
@@ -73,7 +73,7 @@ class TimingGuess:
 class MessageGuess:
     """One message: its identifiers, its length, its timing and its fields.
 
-    `keys` are identifiers with their flags (`aces_bus.protocol.keys`), several where `node` says how a node number is part
+    `keys` are identifiers with their flags (`aces_bus.frames`), several where `node` says how a node number is part
     of them. `length` is in bytes; None where it varies, and then `size` bytes are always there.
     """
 

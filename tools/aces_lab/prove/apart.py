@@ -15,7 +15,7 @@ import z3
 
 from aces_bus.protocol import Message, Variant
 from aces_bus.protocol.declare.ambiguity import contexts_exclude, ordered, ordered_by_spec
-from aces_bus.protocol.live.can_keys import CanDecider
+from aces_bus.protocol.live.can import CanDecider
 
 from .account import Outcome
 from .decoding import SymbolicPacket, Witness, base_of, drawn, proof_lengths

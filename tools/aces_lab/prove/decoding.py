@@ -19,10 +19,9 @@ from typing import Any, NamedTuple, cast
 import msgspec
 import z3
 
-from aces_bus.frames import FD_LENGTHS
+from aces_bus.frames import FD, FD_LENGTHS, key_of
 from aces_bus.protocol import Delimited, Message, Variant
 from aces_bus.protocol.encoder import USUAL_FAILURES
-from aces_bus.protocol.keys import FD, key_of
 from aces_bus.testing.laws import Way
 
 from .meaning import Captures, holds, meaning

@@ -15,9 +15,8 @@ import construct as c
 import numpy as np
 
 from aces_bus.protocol import BitLayout, Message, Quantity
-from aces_bus.protocol.declare.fields import ROUNDING_ERROR
+from aces_bus.protocol.declare.fields import ROUNDING_ERROR, raw_limits
 from aces_bus.protocol.declare.normalise import inner_constructs
-from aces_bus.protocol.declare.wire_number import raw_limits
 
 MOST = 1 << 24
 _PIECE = 1 << 20

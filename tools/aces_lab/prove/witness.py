@@ -10,9 +10,9 @@ from typing import Any
 
 from aces_bus import Frame, FrameTable
 from aces_bus.errors import AcesError
+from aces_bus.frames import EXTENDED, FD, REMOTE
 from aces_bus.protocol import Message, Variant
 from aces_bus.protocol.declare.packet import key_image
-from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
 from aces_bus.protocol.record import plain_value
 from aces_tools.output.text import Paint
 

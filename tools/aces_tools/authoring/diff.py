@@ -13,7 +13,7 @@ from typing import Any
 
 from aces_bus.protocol import Message, Quantity
 from aces_bus.protocol.declare.bits import Bits
-from aces_bus.protocol.declare.wire_number import wire_number
+from aces_bus.protocol.declare.fields import wire_number
 from aces_bus.protocol.draw.table import FieldRow, captured_values, field_table
 from aces_bus.protocol.lint.fields import Written, payload_fields
 from aces_bus.protocol.plan.flatten import flatten

@@ -25,8 +25,8 @@ from typing import NamedTuple
 from aces_bus import list_protocols
 from aces_bus.errors import CallerError
 from aces_bus.protocol import Protocol
+from aces_bus.protocol.exchange.export_stubs import print_module, print_stub
 from aces_bus.protocol.files import load_file, python_file
-from aces_bus.protocol.generate.stubs import print_module, print_stub
 
 from ..console import say, write_text
 from ..options import OUTPUT, Arguments, argument, flag

@@ -21,10 +21,10 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from aces_bus import Unknown
+from aces_bus.frames import EXTENDED
 from aces_bus.plain_text import cell_text
 from aces_bus.protocol import FlagSet, Record
 from aces_bus.protocol.generate.load import OnDemand
-from aces_bus.protocol.keys import EXTENDED
 from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.record import protocol_name_of
 from aces_bus.protocol.record_plans import message_of

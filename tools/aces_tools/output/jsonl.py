@@ -17,9 +17,9 @@ from typing import Any
 import msgspec
 
 from aces_bus import Unknown
+from aces_bus.frames import EXTENDED, FD, REMOTE
 from aces_bus.protocol import Record
 from aces_bus.protocol.generate.load import OnDemand
-from aces_bus.protocol.keys import EXTENDED, FD, REMOTE
 from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.record import protocol_name_of
 from aces_bus.protocol.record_plans import message_of

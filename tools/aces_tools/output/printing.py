@@ -11,8 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from aces_bus.protocol.generate.load import OnDemand
-from aces_bus.protocol.generate.load_text import load_source
-from aces_bus.protocol.generate.source import FunctionSetup, NameScope, SourceText
+from aces_bus.protocol.generate.source import FunctionSetup, NameScope, SourceText, load_source
 from aces_bus.protocol.plan import nodes as p
 
 from .shape import RecordLeaf, json_bytes

@@ -16,11 +16,11 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from aces_bus import Unknown
+from aces_bus.frames import EXTENDED
 from aces_bus.plain_text import LOOKALIKES
 from aces_bus.plain_text import printable as printable
 from aces_bus.protocol import Record
 from aces_bus.protocol.generate.load import OnDemand
-from aces_bus.protocol.keys import EXTENDED
 from aces_bus.protocol.record_plans import message_of
 
 from .field_text import GAP, PrintedField, RecordTokens, TokenPrinter

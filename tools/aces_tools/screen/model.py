@@ -27,10 +27,10 @@ from typing import Any
 
 from aces_bus import Frame, Unknown
 from aces_bus.errors import CallerError
+from aces_bus.frames import key_of
 from aces_bus.hardware.gate import Received
 from aces_bus.hardware.gate_events import BusEvent
 from aces_bus.hardware.simulated.frame_time import INTERMISSION, frame_bits
-from aces_bus.protocol.keys import key_of
 from aces_bus.protocol.live.scanner import Scanner
 
 from ..output.shape import OfKind
@@ -87,7 +87,7 @@ class RepeatedFrame:
 
     def __init__(self, place: Place, number: int, channel: str, name: str, host_ns: int) -> None:
         self.place, self.number, self.channel, self.name = place, number, channel, name
-        #: The key of `aces_bus.protocol.keys`, and as it is shown; of a stream what tells its senders apart.
+        #: The key of `aces_bus.frames`, and as it is shown; of a stream what tells its senders apart.
         self.key = -1
         self.identifier = ""
         #: Whether it is none of the protocols' messages.

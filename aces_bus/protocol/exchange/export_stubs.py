@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 import construct as c
 
 from ...errors import SpecError
+from ..declare.fields import number_runs
 from ..declare.message import Message
-from ..declare.multiplexed import number_runs
 from ..draw.table import row_of
+from ..generate.source import NameScope, SourceText
 from ..plan import nodes as p
-from ..plan.scalars import NotFlat, scalar_of
+from ..plan.flatten import NotFlat, scalar_of
 from ..protocol import Protocol
-from .source import NameScope, SourceText
 
 #: What a stub's annotations call.
 WORDS = frozenset(
