@@ -14,7 +14,8 @@ from aces_bus.device import Device, Driver, PacketSender, Twin, on
 from aces_bus.errors import CallerError, NoReplyError
 from aces_bus.hardware import ListeningNode
 from aces_bus.protocol import IdField, IsoTp, Protocol, Transport
-from aces_bus.protocol.declare.transport import FrameKind, FrameNumber, Steering
+from aces_bus.protocol.declare.handshake import Steering
+from aces_bus.protocol.declare.transport import FrameKind, FrameNumber
 from aces_bus.robot import VirtualRobot, connect, parse_robot
 from tests.device.ecu import LOAD, robot_of_ecu
 
