@@ -30,7 +30,7 @@ class PacketSender:
         with CanGate({"interface": "socketcan", "channel": "can0"}) as gate, PacketSender(gate, [uds.variant()]) as sender:
             sender.send(uds.encode("WriteData", ecu=0, identifier=0x123, data=bytes(100)))
 
-    Senders of packets of whose first frame `is_ours(key, data)` holds are let go on, too (`aces_bus.protocol.keys`).
+    Senders of packets of whose first frame `is_ours(key, data)` holds are let go on, too (`aces_bus.frames.key_of`).
     """
 
     def __init__(

@@ -26,8 +26,8 @@ import z3
 
 from aces_bus.protocol import Check, Extra, Fletcher, Message, Variant, Xor
 from aces_bus.protocol.declare.framing import Framing
-from aces_bus.protocol.generate.load_text import load_source
 from aces_bus.protocol.generate.scan import seek_pattern
+from aces_bus.protocol.generate.source import load_source
 from aces_bus.protocol.live import stream
 from aces_bus.testing import laws
 from aces_bus.testing.laws import Way, directions
