@@ -48,7 +48,6 @@ MODULES = (
     "devices/aces_devices/hubo_motor/channel.py",
     "devices/aces_devices/joint_model.py",
     "devices/aces_devices/hubo_motor/axis.py",
-    "devices/aces_devices/hubo_motor/driver.py",
     "devices/aces_devices/hubo_sensors/body.py",
 )
 

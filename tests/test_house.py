@@ -25,9 +25,9 @@ BUDGETS: dict[str, tuple[int, str]] = {
     "names of seams": (470, "names that left the surface"),
     "files in a knot of imports": (16, ""),
     "files that ask nodes for their class": (12, ""),
-    "bases with one subclass": (49, ""),
+    "bases with one subclass": (34, ""),
     "test files that import the inside": (125, "plug-ins that are broken"),
-    "times that Any is written": (3_700, "proofs run generated text on values of any kind"),
+    "times that Any is written": (3_500, "proofs run generated text on values of any kind"),
     "docstrings that begin with a riddle": (0, ""),
     "docstrings that do not begin with a verb": (0, ""),
 }

@@ -39,7 +39,6 @@ from typing import Any, ClassVar, Literal
 
 import msgspec
 
-from aces_bus.compiling import mypyc_attr
 from aces_bus.device import HostLoss, Job, MotorDevice, Poll, Steps, Ticket
 from aces_bus.device.config import Joint
 from aces_bus.device.settings import settings_of
@@ -133,7 +132,6 @@ _INFO = {"board_info": "ask the board what it is; sets its period"}
 _COMPLIANCE = {"set_compliance": "let the joints give way (on), or be rigid again (off)"}
 
 
-@mypyc_attr(allow_interpreted_subclasses=True)
 class HuboMotor(MotorDevice[MotorAxis]):
     """One motor board."""
 
