@@ -75,13 +75,13 @@ def test_what_is_installed_meanwhile_is_found(tmp_path: Path, monkeypatch: pytes
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_driver_is_whole(name: str) -> None:
-    """Each has a doc, a source, a README beside it, an installed protocol, and an example without errors."""
+    """Each has a doc, a source, a manifest beside it, an installed protocol, and an example without errors."""
     driver: Driver = load_driver(name)
     assert driver.doc
     assert driver.source
     module = sys.modules[driver.device.__module__]
     assert module.__file__ is not None
-    assert (Path(module.__file__).parent / "README.md").is_file()
+    assert any((folder / "manifest.toml").is_file() for folder in Path(module.__file__).parents[:2])
     assert driver.protocol in list_protocols()
     robot, problems = parse_robot(driver.example, f"{name}.toml")
     assert robot is not None, problems

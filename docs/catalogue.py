@@ -1,0 +1,78 @@
+"""The catalogue's table in README.md, made of the `manifest.toml` beside each driver: `python docs/catalogue.py`.
+
+1. A manifest says who keeps a folder (`owner`), what it promises (`level`: stable, provisional), and of each `[[device]]`
+   its title, link, protocols, drivers, sources, the `oracle` that it is held against, and when that was last run
+   (`last_verified`, where it is known). Nothing else lists devices.
+2. A name links to its page; a driver without a README to its manifest.
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+PLACE = re.compile(r"(?<=<!-- catalogue: python docs/catalogue\.py -->\n).*?(?=<!-- end -->)", re.DOTALL)
+LEVELS = ("stable", "provisional")
+NEEDED = ("title", "link", "protocols", "drivers", "oracle", "sources")
+#: What comes without a driver, from files of others.
+OTHERS = (
+    "| cars, trucks, boats, drones | CAN, serial | a DBC, KCD, SYM, ARXML, EDS, `canboat.json`, a MAVLink dialect | |"
+    " cantools, canboat's records, pymavlink |"
+)
+
+
+def manifests() -> Iterator[tuple[Path, dict[str, Any]]]:
+    """Yield the manifest of each folder of drivers, read."""
+    for path in sorted((ROOT / "devices" / "aces_devices").glob("*/manifest.toml")):
+        yield path, tomllib.loads(path.read_text(encoding="utf-8"))
+
+
+def faults() -> list[str]:
+    """Return what is wrong with the manifests, a line each."""
+    found: list[str] = []
+    for path, manifest in manifests():
+        name = path.parent.name
+        if not manifest.get("owner"):
+            found.append(f"{name}: no owner")
+        if manifest.get("level") not in LEVELS:
+            found.append(f"{name}: level is one of {', '.join(LEVELS)}")
+        for device in manifest.get("device", ()):
+            found += [f"{name}: a device without {key}" for key in NEEDED if not device.get(key)]
+    return found
+
+
+def _linked(names: list[str], page: Path) -> str:
+    words = ", ".join(f"`{name}`" for name in names)
+    return f"[{words}]({page.relative_to(ROOT).as_posix()})" if page.is_file() else words
+
+
+def table() -> str:
+    """Return the table: by link, then by title."""
+    rows: list[tuple[int, str, str]] = []
+    for path, manifest in manifests():
+        for device in manifest["device"]:
+            page = path.with_name("README.md")
+            drivers = _linked(device["drivers"], page if page.is_file() else path)
+            protocols = ", ".join(
+                _linked([name], ROOT / "protocols" / "aces_protocols" / name / "README.md")
+                for name in device["protocols"]
+            )
+            cells = (device["title"], device["link"], protocols, drivers, device["oracle"])
+            order = 0 if device["link"].startswith("CAN") else 1
+            rows.append((order, device["title"].casefold(), f"| {' | '.join(cells)} |"))
+    head = ["| device | link | protocol | driver, twin | held against |", "|---|---|---|---|---|"]
+    return "\n".join([*head, *(row for _, _, row in sorted(rows)), OTHERS]) + "\n"
+
+
+def main() -> None:
+    """Write the table anew."""
+    readme = ROOT / "README.md"
+    readme.write_text(PLACE.sub(lambda _: table(), readme.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,27 @@
+"""Drivers that come with no test file of their own pass the published tests all the same: a servo is its two folders."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from aces_bus.device import list_drivers
+from aces_bus.testing.conformance import CHECKS, run_check
+
+_HERE = Path(__file__).parent
+_OWN = "".join(
+    text
+    for path in _HERE.glob("test_*.py")
+    if path.name != "test_catalogue_drivers.py"
+    and "driver_tests" in (text := path.read_text(encoding="utf-8"))
+)
+WITHOUT = [name for name in list_drivers() if not re.search(rf"\b{name}\b", _OWN)]
+
+
+@pytest.mark.parametrize("check", list(CHECKS))
+@pytest.mark.parametrize("name", WITHOUT)
+def test_a_driver_passes(name: str, check: str) -> None:
+    """Every check of a driver and its twin."""
+    run_check(check, name)
