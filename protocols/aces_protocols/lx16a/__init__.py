@@ -1,0 +1,1 @@
+"""Hiwonder's LX-16A bus servos (LewanSoul before), and others of the same packets."""
