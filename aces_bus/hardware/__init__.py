@@ -17,12 +17,14 @@ if TYPE_CHECKING:
     from .serial import SerialGate
     from .simulated.backend import virtual_clock
     from .simulated.bus import Faults, ListeningNode, SimulatedBus
+    from .simulated.serial_line import Noise
 
 __all__ = [
     "CanGate",
     "DatagramGate",
     "Faults",
     "ListeningNode",
+    "Noise",
     "SerialGate",
     "SimulatedBus",
     "virtual_clock",
@@ -36,5 +38,6 @@ __getattr__, __dir__ = lazy_names(
         ".serial": "SerialGate",
         ".simulated.backend": "virtual_clock",
         ".simulated.bus": "Faults ListeningNode SimulatedBus",
+        ".simulated.serial_line": "Noise",
     },
 )

@@ -2,8 +2,7 @@
 
 * `law_tests("my_spec.py")`: every law of a protocol as tests of pytest, in one line. Needs the extra `[testing]`.
 * `driver_tests(driver)`: every promise of a driver and its twin, in the same way. Needs the extra `[testing]`.
-* `reader_tests`, `writer_tests`, `exporter_tests`, `log_tests`, `database_tests`, `verb_tests`, `backend_tests`,
-  `store_tests`: the same for the other kinds of plug-ins; docs/plugins.md has an example of each.
+* `plug_ins`: the same for the other kinds of plug-ins, as seams; docs/plugins.md names each.
 * `strategies`: Hypothesis strategies that draw raw fields, packets, and whole wires of a protocol, valid by construction
   and then damaged. Needs the extra `[testing]`.
 * `LAWS`: the nine laws that every protocol obeys; one is called with a wire, a direction and a `Scene`. Needs nothing beyond
@@ -24,16 +23,6 @@ if TYPE_CHECKING:
     from .conformance import driver_tests, run_check
     from .fuzz import Fuzzer
     from .laws import LAWS
-    from .plug_ins import (
-        backend_tests,
-        database_tests,
-        exporter_tests,
-        log_tests,
-        reader_tests,
-        store_tests,
-        verb_tests,
-        writer_tests,
-    )
     from .pytest_laws import law_tests
     from .scenes import Scene
 
@@ -41,17 +30,9 @@ __all__ = [
     "LAWS",
     "Fuzzer",
     "Scene",
-    "backend_tests",
-    "database_tests",
     "driver_tests",
-    "exporter_tests",
     "law_tests",
-    "log_tests",
-    "reader_tests",
     "run_check",
-    "store_tests",
-    "verb_tests",
-    "writer_tests",
 ]
 
 __getattr__, __dir__ = lazy_names(
@@ -60,8 +41,6 @@ __getattr__, __dir__ = lazy_names(
         ".conformance": "driver_tests run_check",
         ".fuzz": "Fuzzer",
         ".laws": "LAWS",
-        ".plug_ins": "backend_tests database_tests exporter_tests log_tests reader_tests store_tests verb_tests"
-        " writer_tests",
         ".pytest_laws": "law_tests",
         ".scenes": "Scene",
     },

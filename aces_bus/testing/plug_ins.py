@@ -1,6 +1,6 @@
 """Tests of plug-ins, one line each: what every reader, writer, exporter, log, database, verb, backend and store must do.
 
-    from aces_bus.testing import reader_tests
+    from aces_bus.testing.plug_ins import reader_tests
     test_theirs = reader_tests("theirs", b"THEIR 123 0a0b\n", frames=1)
 
 1. A suite tests what is installed under a name, through the public door that its users have; nothing is imported of it.

@@ -107,7 +107,7 @@ def test_periods_are_those_of_pandas() -> None:
     profile.add(table, np.zeros(len(table), np.int64))
     data = pandas.DataFrame({"id": table.id, "time": table.time})
     medians = data.groupby("id").time.apply(lambda times: times.diff().median()) / 1e6
-    found = {one.number: traffic.period_ms for one, traffic in profile.identifiers.items()}
+    found = {one.number: times.period_ms for one, times in profile.identifiers.items()}
     assert found[0x100] == pytest.approx(medians[0x100], rel=1e-9)
     assert found[0x200] == pytest.approx(medians[0x200], rel=0.02)
 

@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.controller import Equations
-from aces_bus.controller.language import EquationError
-from aces_bus.errors import UnknownNameError
+from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.runtime import VirtualClock
 from aces_bus.state import State
 from tests.controller.fakes import Fake, close, fakes
@@ -124,26 +123,26 @@ def test_arithmetic_is_pythons(a: float, b: float, c: float) -> None:
 )
 def test_what_is_wrong_is_found_at_definition(text: str, message: str) -> None:
     """With the line, and the names that exist; nothing of Python gets through."""
-    with pytest.raises(EquationError, match=message):
+    with pytest.raises(CallerError, match=message):
         made(text, states=["X"], parameters={"kp": 1.0})
 
 
 def test_names_are_checked_too() -> None:
     """Parameters cannot take the names of functions, nor be memory as well."""
     for options in ({"parameters": {"sin": 1}}, {"memory": {"t": 1}}, {"parameters": {"a.b": 1}}):
-        with pytest.raises(EquationError, match="cannot be the name"):
+        with pytest.raises(CallerError, match="cannot be the name"):
             made("X[0] = 1", **options)
-    with pytest.raises(EquationError, match="both"):
+    with pytest.raises(CallerError, match="both"):
         made("X[0] = 1", parameters={"a": 1}, memory={"a": 1})
 
 
 @pytest.mark.slow
 @given(st.text(max_size=60))
 def test_no_text_does_anything_but_compile_or_complain(text: str) -> None:
-    """Whatever the text, it is equations or an EquationError."""
+    """Whatever the text, it is equations or an CallerError."""
     try:
         made(text)
-    except EquationError:
+    except CallerError:
         return
 
 
@@ -152,7 +151,7 @@ def test_nor_does_text_that_looks_like_equations(text: str) -> None:
     """The same for text made of what equations are made of."""
     try:
         made(text, parameters={"a": 1.0})
-    except EquationError:
+    except CallerError:
         return
 
 
@@ -182,7 +181,7 @@ def test_real_states_wait_until_they_can_be_read() -> None:
 
 def test_a_state_without_a_rate_is_named() -> None:
     """Who asks for a derivative of what has none is told at binding."""
-    with pytest.raises(EquationError, match="'LKP' has no rate"):
+    with pytest.raises(CallerError, match="'LKP' has no rate"):
         made("X[0] = d(LKP)").bind({"LKP": Bare()})
 
 

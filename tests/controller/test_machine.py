@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.controller import ControlEvent, Phase, StateMachine, Transition
-from aces_bus.controller.machine import MachineError
-from aces_bus.errors import UnknownNameError
+from aces_bus.errors import CallerError, UnknownNameError
 from tests.controller.fakes import Fake, fakes
 
 MS = 1_000_000
@@ -217,7 +216,7 @@ def test_a_wrong_table_is_refused(
     phases: Sequence[str], table: Sequence[tuple[str, str, str]], message: str
 ) -> None:
     """Missing and unreachable phases, dead ends and empty conditions, by name."""
-    with pytest.raises(MachineError, match=message):
+    with pytest.raises(CallerError, match=message):
         StateMachine(
             "m", rate_hz=10, phases=[Phase(one) for one in phases], table=[Transition(*row) for row in table]
         )
@@ -225,7 +224,7 @@ def test_a_wrong_table_is_refused(
 
 def test_what_is_final_has_no_way_out_and_times_are_times() -> None:
     """The rest of what can be wrong with rows; several faults come together."""
-    with pytest.raises(MachineError, match=r"'b' is final; row 2.*after_s = -1"):
+    with pytest.raises(CallerError, match=r"'b' is final; row 2.*after_s = -1"):
         StateMachine(
             "m",
             rate_hz=10,

@@ -12,7 +12,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.controller import Limits, ViaPath
-from aces_bus.controller.via import Shape
 from aces_bus.errors import CallerError
 
 coordinate = st.floats(-3, 3).map(lambda x: round(x, 3))
@@ -34,7 +33,7 @@ def differences(path: ViaPath, n: int = 2_000) -> Any:
 @given(
     points, st.lists(limit, min_size=3, max_size=3), st.sampled_from(["trapezoidal", "quintic", "through"])
 )
-def test_limits_hold_everywhere(where: list[tuple[float, ...]], limits: list[Limits], shape: Shape) -> None:
+def test_limits_hold_everywhere(where: list[tuple[float, ...]], limits: list[Limits], shape: Any) -> None:
     """Velocity and acceleration of every joint, by differences; and every point is met at its time."""
     if shape == "trapezoidal":
         limits = [Limits(one.velocity, one.acceleration) for one in limits]
@@ -57,7 +56,7 @@ def test_limits_hold_everywhere(where: list[tuple[float, ...]], limits: list[Lim
         (Limits(100.0, 1e6, 15.0), "quintic", 2.0),
     ],
 )
-def test_no_slower_than_the_limits_ask(limits: Limits, shape: Shape, duration: float) -> None:
+def test_no_slower_than_the_limits_ask(limits: Limits, shape: Any, duration: float) -> None:
     """The least time for two radians, from the textbook; the slowest joint sets it, all arrive together."""
     path = ViaPath(["A", "B"], [[0, 0], [2, 0.1]], limits, shape=shape)
     assert path.duration_s == pytest.approx(duration)
@@ -66,7 +65,7 @@ def test_no_slower_than_the_limits_ask(limits: Limits, shape: Shape, duration: f
 
 
 @pytest.mark.parametrize("shape", ["quintic", "through"])
-def test_jerk_is_limited_too(shape: Shape) -> None:
+def test_jerk_is_limited_too(shape: Any) -> None:
     """Third differences inside of the segments stay below the limit, and come near it."""
     path = ViaPath(["A", "B"], [[0, 0], [1, -1], [2, 0]], Limits(50.0, 1e3, jerk=8.0), shape=shape)
     most = 0.0
@@ -93,7 +92,7 @@ def test_where_the_direction_turns_through_stands_still() -> None:
 
 
 @pytest.mark.parametrize("shape", ["trapezoidal", "quintic", "through"])
-def test_times_may_be_given(shape: Shape) -> None:
+def test_times_may_be_given(shape: Any) -> None:
     """They are kept when they are long enough; else joint and segment, and what would do."""
     path = ViaPath(["A", "B"], [[0, 0], [1, 2], [1, 0]], Limits(1.0, 2.0), shape=shape, times=[0, 8, 15])
     assert path.duration_s == 15

@@ -14,8 +14,6 @@ from aces_bus.device import Device, Driver, PacketSender, Twin, on
 from aces_bus.errors import CallerError, NoReplyError
 from aces_bus.hardware import ListeningNode
 from aces_bus.protocol import IdField, IsoTp, Protocol, Transport
-from aces_bus.protocol.declare.handshake import Steering
-from aces_bus.protocol.declare.transport import FrameKind, FrameNumber
 from aces_bus.robot import VirtualRobot, connect, parse_robot
 from tests.device.ecu import LOAD, robot_of_ecu
 
@@ -197,17 +195,28 @@ class InFours(Transport):
 
     is_thanked: bool = True
     modulo: int = field(default=128, init=False)
-    kinds: tuple[FrameKind, ...] = field(
+    kinds: tuple[Any, ...] = field(
         default=(
-            FrameKind(
-                "first", "opening", ((FrameNumber(0), 0x80),), head=3, size=FrameNumber(1, size=2), least=6
+            Transport.Kind(
+                "first",
+                "opening",
+                ((Transport.Number(0), 0x80),),
+                head=3,
+                size=Transport.Number(1, size=2),
+                least=6,
             ),
-            FrameKind("control", "go on", ((FrameNumber(0), 0x81),)),
-            FrameKind("control", "thanks", ((FrameNumber(0), 0x82),)),
-            FrameKind(
-                "single", "short", ((FrameNumber(0), 0x83),), head=2, size=FrameNumber(1), least=1, most=5
+            Transport.Kind("control", "go on", ((Transport.Number(0), 0x81),)),
+            Transport.Kind("control", "thanks", ((Transport.Number(0), 0x82),)),
+            Transport.Kind(
+                "single",
+                "short",
+                ((Transport.Number(0), 0x83),),
+                head=2,
+                size=Transport.Number(1),
+                least=1,
+                most=5,
             ),
-            FrameKind("next", "piece", number=FrameNumber(0)),
+            Transport.Kind("next", "piece", number=Transport.Number(0)),
         ),
         init=False,
     )
@@ -218,10 +227,10 @@ class InFours(Transport):
     def acknowledgement(self, key: int, data: bytes) -> tuple[int, bytes] | None:
         return (key ^ 1, b"\x82") if self.is_thanked and data[0] == 0x80 else None
 
-    def steering(self, key: int, data: bytes) -> Steering | None:
+    def steering(self, key: int, data: bytes) -> Any:
         if data[0] == 0x81:
-            return Steering("on", key ^ 1, frames=data[2], start=data[1])
-        return Steering("done", key ^ 1) if data[0] == 0x82 else None
+            return Transport.Steering("on", key ^ 1, frames=data[2], start=data[1])
+        return Transport.Steering("done", key ^ 1) if data[0] == 0x82 else None
 
 
 @pytest.mark.parametrize("is_thanked", [True, False])

@@ -15,7 +15,7 @@ import pytest
 
 from aces_bus.controller import IGNORE, controller
 from aces_bus.device import Robot
-from aces_bus.hardware.simulated.serial_line import Noise
+from aces_bus.hardware import Noise
 from aces_bus.robot import VirtualRobot, parse_robot, run_virtual
 from aces_bus.robot.rig import simulate
 from aces_devices.robotis_rx import RobotisRXTwin, driver

@@ -15,7 +15,6 @@ import aces_bus
 from aces_bus import Frame, FrameTable, as_dict, load_protocol, open_recording
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
 from aces_bus.protocol import BitLayout, Enumeration, Multiplexed, Protocol, Quantity, bits
-from aces_bus.protocol.columns.arrow import to_arrow, to_pandas, to_polars
 from aces_bus.recordings.base import Chunk
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples" / "captures"
@@ -238,7 +237,7 @@ def test_pandas() -> None:
     assert pages["high"].tolist()[1] == 0x41 & 0x3F
     assert len(decoded.to_pandas("Float")) == 0
     assert (
-        str(to_pandas(lamp.decode([Frame(0x12, bytes(4), 2.5)])["Float"])["time"].dtype) == "timedelta64[ns]"
+        str(lamp.decode([Frame(0x12, bytes(4), 2.5)]).to_pandas("Float")["time"].dtype) == "timedelta64[ns]"
     )
 
 
@@ -249,7 +248,7 @@ def test_arrow_and_polars() -> None:
     table = decoded.to_arrow("State", names=True)
     assert table["mode"].to_pylist() == ["on", "7"]
     assert table.schema.field("level").metadata == {b"unit": b"lx"}
-    assert to_arrow(decoded["Raw"])["data"].to_pylist() == [b"ab"]
+    assert decoded.to_arrow("Raw")["data"].to_pylist() == [b"ab"]
     assert str(decoded.to_arrow("Raw").schema.field("data").type) == "binary"
     assert decoded.to_arrow("Pages")["low"].null_count == 1
     assert decoded.to_arrow("Float").num_rows == 0
@@ -257,7 +256,7 @@ def test_arrow_and_polars() -> None:
     frame = decoded.to_polars("State")
     assert frame["level"].to_list() == [0.5, -0.1]
     assert frame.schema["time"] == polars.Datetime("ns", "UTC")
-    assert to_polars(decoded["Raw"])["data"].to_list() == [b"ab"]
+    assert decoded.to_polars("Raw")["data"].to_list() == [b"ab"]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from aces_bus.errors import CallerError
-from aces_bus.hardware.simulated.serial_line import Noise, PtyPort, SerialNode, SimulatedSerialLine
+from aces_bus.hardware import Noise
+from aces_bus.hardware.simulated.serial_line import PtyPort, SerialNode, SimulatedSerialLine
 from aces_bus.runtime import VirtualClock
 
 Bytes = list[tuple[bytes, int]]

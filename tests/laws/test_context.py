@@ -12,10 +12,11 @@ from aces_bus import Frame
 from aces_bus.protocol.declare.ambiguity import needing_context
 from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.protocol.reference import Reference
-from aces_bus.testing import laws
+from aces_bus.testing import LAWS, Scene, laws
 from aces_bus.testing.packets import draw_packet
 from aces_bus.testing.source import spread
 from aces_bus.testing.trial import items_by
+from tests.laws.drawn import ORACLE, drawn_arguments
 from tests.laws.wires import PROTOCOLS
 
 IS_LONG = settings().max_examples > 100
@@ -33,7 +34,7 @@ def test_replies_follow_the_rule(name: str, direction: laws.Way) -> None:
     variants = [variant for variant, names in needing.items() if names]
     for variant in variants[-2:]:
         for seed in range(1, BUS_SCENES + 1):
-            (scene,) = laws.draw_arguments(laws.LAWS[3], variant, direction, spread(seed), size=700)
+            (scene,) = drawn_arguments(LAWS[3], variant, direction, seed, size=700)
             scanned = laws.scanned_items(laws.scanner_of(variant, direction, raw=False), scene)
             wanted = items_by(Reference([variant], direction=direction), scene)
             assert scanned == wanted, f"{variant}, seed {seed}"
@@ -76,6 +77,6 @@ def test_before_a_request_that_is_too_old_there_is_none() -> None:
     ask, answer = b"\x01\0", b"\x12\x34\x56"  # of three bytes: AnswerThree has two or five
     untimed, old = Frame(0x203, ask), Frame(0x203, ask, 1.0)
     for given, found in (((untimed, old), None), ((untimed,), "AnswerOne"), ((old, untimed), "AnswerOne")):
-        scene = laws.Scene((*given, Frame(0x243, answer, 2.0)))
-        laws.oracle(variant, None, scene)
+        scene = Scene((*given, Frame(0x243, answer, 2.0)))
+        ORACLE(variant, None, scene)
         assert laws.scanned_items(laws.scanner_of(variant, None), scene)[-1].message == found

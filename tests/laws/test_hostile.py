@@ -15,10 +15,10 @@ from aces_bus import Frame, make_column_scanner, make_scanner
 from aces_bus.protocol import CanScanner, Variant
 from aces_bus.protocol.declare.framing import Framing
 from aces_bus.protocol.live.stream import StreamScanner
-from aces_bus.testing import laws
 from aces_bus.testing.scenes import Way
 from tests.counting import calls
 from tests.laws.corners import CORNERS
+from tests.laws.drawn import wires_of
 from tests.laws.wires import PROTOCOLS, REGISTERED
 
 #: Bytes of a stream, and frames of a bus, that are sent once and twice.
@@ -34,9 +34,9 @@ def wires(link: str) -> list[tuple[Variant, Way]]:
     found: list[tuple[Variant, Way]] = []
     for name, protocol in PROTOCOLS.items():
         if protocol.link == "can" and link == "can":
-            found += laws.wires(protocol)[: 2 if name in REGISTERED or name in CORNERS else 1]
+            found += wires_of(protocol)[: 2 if name in REGISTERED or name in CORNERS else 1]
         elif protocol.link != "can" and link != "can":
-            found += laws.wires(protocol)[: None if name in REGISTERED else 1]
+            found += wires_of(protocol)[: None if name in REGISTERED else 1]
     return found
 
 

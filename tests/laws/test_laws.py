@@ -20,13 +20,13 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 
 from aces_bus import make_scanner
-from aces_bus.testing import LAWS, laws, strategies
+from aces_bus.testing import LAWS, Scene, laws, strategies
 from aces_bus.testing.bench import Bench
 from aces_bus.testing.fuzz import shrink
 from aces_bus.testing.saved import load_scene, save_scene
-from aces_bus.testing.source import spread
 from aces_bus.testing.trial import Law
 from tests import kept
+from tests.laws.drawn import drawn_arguments
 from tests.laws.wires import CASES, MIXED, PROTOCOLS, REGISTERED, Case
 
 #: Examples a law and protocol in the short profile; each is a wire of some hundred bytes or some dozens of frames.
@@ -172,7 +172,7 @@ def test_python_can_messages_are_frames(name: str) -> None:
     """A scanner hears the same in python-can's messages as in `Frame`s, and takes impossible ones calmly."""
     variant = PROTOCOLS[name].variant()
     for seed in range(1, 12):
-        (scene,) = laws.draw_arguments(LAWS[0], variant, None, spread(seed))
+        (scene,) = drawn_arguments(LAWS[0], variant, None, seed)
         messages = [
             can.Message(
                 timestamp=frame.timestamp or 0.0,
@@ -189,11 +189,10 @@ def test_python_can_messages_are_frames(name: str) -> None:
             for frame in scene.traffic
         ]
         frames = [msgspec.structs.replace(frame, timestamp=frame.timestamp or 0.0) for frame in scene.traffic]
-        alike = laws.Scene(tuple(frames), (), scene.sent_at)
+        alike = Scene(tuple(frames), (), scene.sent_at)
         wanted = laws.scanned_items(laws.scanner_of(variant, None), alike)
         assert (
-            laws.scanned_items(laws.scanner_of(variant, None), laws.Scene(messages, (), scene.sent_at))
-            == wanted
+            laws.scanned_items(laws.scanner_of(variant, None), Scene(messages, (), scene.sent_at)) == wanted
         )
     scanner = make_scanner([variant], include_unknown=True)
     odd = [

@@ -34,8 +34,8 @@ from aces_bus.protocol.live.decide import Decider
 from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.testing import LAWS, laws
 from aces_bus.testing.scenes import Way
-from aces_bus.testing.source import spread
 from aces_bus.testing.trial import Law
+from tests.laws.drawn import drawn_arguments
 
 IS_LONG = settings().max_examples > 100
 Plant = Callable[[pytest.MonkeyPatch], None]
@@ -102,7 +102,7 @@ def fails(law: Law, made: Protocol, direction: Way = None, tries: int = 120) -> 
     """What the law says of the first scene that breaks it; empty when none does."""
     variant = made.variant()
     for number in range(1, tries):
-        given = laws.draw_arguments(law, variant, direction, spread(number, 400))
+        given = drawn_arguments(law, variant, direction, number, entropy=400)
         try:
             law(variant, direction, *given)
         except AssertionError as error:
@@ -305,7 +305,7 @@ def test_check_work_is_what_checks_read(monkeypatch: pytest.MonkeyPatch) -> None
     for number in range(1, 60 if IS_LONG else 25):
         scanner.reset()
         summed = 0
-        (scene, _) = laws.draw_arguments(law, a_stream().variant(), None, spread(number, 400))
+        (scene, _) = drawn_arguments(law, a_stream().variant(), None, number, entropy=400)
         for at in range(0, len(scene.traffic), 50):
             scanner.feed(scene.traffic[at : at + 50])
         scanner.close()

@@ -16,10 +16,11 @@ from aces_bus import Unknown, make_scanner
 from aces_bus.protocol import CanScanner, Protocol
 from aces_bus.protocol.live.scanner import Scanner
 from aces_bus.protocol.live.stream import StreamScanner
-from aces_bus.testing import laws, strategies
-from aces_bus.testing.packets import DrawnPacket, UndrawableError, draw_packet
-from aces_bus.testing.source import Entropy, spread
+from aces_bus.testing import LAWS, Scene, laws, strategies
+from aces_bus.testing.packets import DrawnPacket, UndrawableError
+from aces_bus.testing.source import Entropy
 from aces_bus.testing.trial import comparable
+from tests.laws.drawn import drawn_arguments, drawn_packet
 from tests.laws.wires import PROTOCOLS, REGISTERED
 
 IS_LONG = settings().max_examples > 100
@@ -32,7 +33,7 @@ def test_every_message_is_drawn_and_heard(variant: Any) -> None:
     scanner = make_scanner([variant], direction=laws.directions(variant)[0], include_unknown=True)
     for message in variant.messages_for(None):
         for seed in range(6 if IS_LONG else 3):
-            packet = draw_packet(message, spread(seed), variant)
+            packet = drawn_packet(message, seed, variant)
             scanner.reset()
             assert [type(r).__name__ for r in _hear(scanner, packet)] == [message.name]
 
@@ -72,7 +73,7 @@ def test_scenes_are_mostly_readable_and_never_only_that(name: str) -> None:
         reasons: set[str] = set()
         decoded = total = 0
         for seed in range(1, 20 if IS_LONG else 7):
-            (scene,) = laws.draw_arguments(laws.LAWS[3], variant, direction, spread(seed))
+            (scene,) = drawn_arguments(LAWS[3], variant, direction, seed)
             scanner.reset()
             given = laws.play(scanner, scene)
             reasons |= {item.kind for item in given if isinstance(item, Unknown)}
@@ -91,7 +92,7 @@ def test_a_wire_shrinks_to_little() -> None:
     """What breaks a law is shown small: here, one packet of the message looked for."""
     variant = PROTOCOLS["robotis"].variant()
 
-    def has_reset(scene: laws.Scene) -> bool:
+    def has_reset(scene: Scene) -> bool:
         return any(p.message.name == "Reset" for p in scene.packets)
 
     # One seed in the short profile: most of the time goes into the shrinking of what is found.
@@ -125,7 +126,7 @@ def test_what_cannot_be_drawn_says_so() -> None:
     with pytest.raises(
         UndrawableError, match=r"message never\.Never.*test_strategies\.py:\d+.*no valid packet found"
     ):
-        draw_packet(message, spread(1))
+        drawn_packet(message, 1)
 
 
 @pytest.mark.slow

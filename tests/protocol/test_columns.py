@@ -31,8 +31,8 @@ from aces_bus.protocol import (
 )
 from aces_bus.protocol.columns.scanner import ColumnScanner
 from aces_bus.protocol.columns.table import Column, MessageTable
-from aces_bus.testing import columns, laws
-from aces_bus.testing.source import spread
+from aces_bus.testing import LAWS, Scene, columns, laws
+from tests.laws.drawn import columns_agree, drawn_arguments
 from tests.laws.wires import CASES, MIXED, Case
 
 #: Bytes of a scene, or sixteenths of a frame.
@@ -56,8 +56,8 @@ def _some(cases: Sequence[Case]) -> list[Case]:
 @pytest.mark.parametrize("case", [*_some(CASES), *MIXED], ids=str)
 def test_long_scenes_are_the_same_in_columns(case: Case) -> None:
     """Some hundred frames or packets, cut somewhere, give the same values in columns as one by one."""
-    scene, cuts = laws.draw_arguments(laws.LAWS[1], case.wire, case.direction, spread(11, 1 << 14), size=SIZE)
-    laws.columns_law(case.wire, case.direction, scene, cuts[::16])
+    scene, cuts = drawn_arguments(LAWS[1], case.wire, case.direction, 11, entropy=1 << 14, size=SIZE)
+    columns_agree(case.wire, case.direction, scene, cuts[::16])
 
 
 # ---------------------------------------------------------------------- what scenes seldom have
@@ -142,9 +142,9 @@ def _packets() -> bytes:
     return bytes(out)
 
 
-SCENES: dict[str, tuple[Callable[[], Protocol], laws.Scene]] = {
-    "bus": (a_bus, laws.Scene(tuple(_frames()))),
-    "stream": (a_stream, laws.Scene(_packets())),
+SCENES: dict[str, tuple[Callable[[], Protocol], Scene]] = {
+    "bus": (a_bus, Scene(tuple(_frames()))),
+    "stream": (a_stream, Scene(_packets())),
 }
 
 
@@ -154,7 +154,7 @@ def test_requests_counters_and_pages_carry_on(name: str, step: int) -> None:
     """However a capture is cut, requests find their answers and counters what is missing, in columns as one by one."""
     make, scene = SCENES[name]
     cuts = tuple(range(step, len(scene), step))
-    laws.columns_law(make().variant(), None, scene, cuts)
+    columns_agree(make().variant(), None, scene, cuts)
     counts = laws.scanner_of(make().variant(), None).counts
     assert counts.total == 0  # a scanner of its own, as if just made
 
@@ -388,4 +388,4 @@ def test_a_fault_in_columns_is_found(
     protocol, scene = SCENES[name]
     monkeypatch.setattr(columns, "make_column_scanner", make)
     with pytest.raises(AssertionError, match=r"law 2 \(oracle\) of victim, direction None: columns"):
-        laws.columns_law(protocol().variant(), None, scene, (20, 70))
+        columns_agree(protocol().variant(), None, scene, (20, 70))

@@ -15,11 +15,11 @@ from aces_bus.protocol.explain.attempt import Attempt
 from aces_bus.protocol.explain.template import Template
 from aces_bus.protocol.explain.tracer import Tracer
 from aces_bus.protocol.lint.examples import example_frame
-from aces_bus.testing import laws
-from aces_bus.testing.source import spread
+from aces_bus.testing import LAWS, laws
 from aces_bus.testing.trial import ScannedItem, comparable, join_losses
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.robotis.spec import robotis
+from tests.laws.drawn import drawn_arguments
 from tests.laws.wires import CASES, MIXED, Case
 
 #: Wires of each case; the long profile of the laws has the rest.
@@ -64,7 +64,7 @@ def test_what_is_explained_is_what_scanners_hear(case: Case) -> None:
     """Over drawn wires the attempts are the scanner's records and losses; who is accepted lives, who is not dies."""
     variants = laws.wire_variants(case.wire)
     for seed in range(max(1, WIRES // case.share)):
-        (scene,) = laws.draw_arguments(laws.LAWS[0], case.wire, case.direction, spread(seed), size=150)
+        (scene,) = drawn_arguments(LAWS[0], case.wire, case.direction, seed, size=150)
         attempts = explained(variants, case.direction, scene)
         scanner = laws.scanner_of(case.wire, case.direction, raw=False)
         assert heard_of(attempts) == laws.scanned_items(scanner, scene)
@@ -83,7 +83,7 @@ def test_what_is_explained_is_what_scanners_hear(case: Case) -> None:
 def test_values_read_on_the_way_are_the_records_values(case: Case) -> None:
     """A field that is shown when its last bit comes has the value that the record has in the end."""
     variants = laws.wire_variants(case.wire)
-    (scene,) = laws.draw_arguments(laws.LAWS[0], case.wire, case.direction, spread(7), size=150)
+    (scene,) = drawn_arguments(LAWS[0], case.wire, case.direction, 7, size=150)
     for attempt in explained(variants, case.direction, scene):
         fields = attempt.found.fields
         for reading in (r for step in attempt.steps for r in step.read) if fields is not None else ():

@@ -23,8 +23,8 @@ from aces_bus import load_protocol, make_scanner
 from aces_bus.protocol import Enumeration, Fletcher, Protocol, Quantity, Variant
 from aces_bus.protocol.exchange import print_c_source
 from aces_bus.protocol.exchange.export_c import CMessage, CSource
-from aces_bus.testing.packets import DrawnPacket, UndrawableError, draw_packet
-from aces_bus.testing.source import spread
+from aces_bus.testing.packets import DrawnPacket, UndrawableError
+from tests.laws.drawn import drawn_packet
 from tests.specs.catalogue import SPECS
 
 CC = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
@@ -231,7 +231,7 @@ def test_a_compiler_agrees_with_the_scanner(tmp_path: Path, name: str) -> None:
     for number, one in enumerate(made.messages):
         for seed in range(SEEDS):
             try:
-                packets.append((number, draw_packet(one.message, spread(seed), variant)))
+                packets.append((number, drawn_packet(one.message, seed, variant)))
             except UndrawableError:
                 break
     lines = answers(program, [(number, *identifier_and_data(packet)) for number, packet in packets])

@@ -51,13 +51,13 @@ from aces_bus.protocol.exchange import print_dissector
 from aces_bus.protocol.live.stream import StreamScanner
 from aces_bus.protocol.plan import nodes as p
 from aces_bus.protocol.plan.flatten import fixed_leaves, flatten
-from aces_bus.testing.packets import UndrawableError, draw_packet
-from aces_bus.testing.source import spread
+from aces_bus.testing.packets import UndrawableError
 from aces_lab.formats.pcap.writer import PcapngWriter
 from aces_protocols.hubo.spec import hubo
 from aces_protocols.nmea0183.spec import nmea0183
 from aces_protocols.robotis.spec import robotis
 from tests.laws.corners import CORNERS
+from tests.laws.drawn import drawn_packet
 from tests.specs.catalogue import SPECS as CATALOGUE
 
 TSHARK = shutil.which("tshark")
@@ -233,7 +233,7 @@ def drawn(variant: Variant, seeds: Iterable[int], direction: Any = None) -> list
     for seed in seeds:
         for message in variant.messages_for(direction):
             try:
-                packet = draw_packet(message, spread(seed), variant)
+                packet = drawn_packet(message, seed, variant)
             except UndrawableError:
                 continue
             if packet.request is not None:

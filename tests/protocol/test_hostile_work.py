@@ -15,7 +15,8 @@ from aces_bus.protocol.declare.checks import Sums
 from aces_bus.protocol.declare.framing import Framing
 from aces_bus.protocol.live.candidates import CobsSegment, Overlaps, Segments, SlipSegment
 from aces_bus.protocol.live.stream import StreamScanner, _judge
-from aces_bus.testing import laws
+from aces_bus.testing import Scene, laws
+from tests.laws.drawn import ORACLE
 
 MAX = 4096
 #: What each kind of stuffing is made of, and its mark.
@@ -87,7 +88,7 @@ def test_what_is_between_two_marks_is_unstuffed_once(kind: str, unit: bytes, che
     scanner = fed(protocol, data)
     assert scanner.unstuff_work <= 3 * len(data) + MAX
     assert scanner.check_work <= 2000 * len(data)
-    laws.bounded(protocol.variant(), None, laws.Scene(data))
+    laws.bounded(protocol.variant(), None, Scene(data))
 
 
 CHECKS = {
@@ -116,8 +117,8 @@ def test_sums_over_several_runs_read_a_byte_twice_at_most(name: str) -> None:
     scanner = fed(protocol, data)
     assert scanner.counts.records == 1
     assert scanner.check_work <= 2 * len(data)
-    laws.bounded(protocol.variant(), None, laws.Scene(data), (700, 5000, 12100))
-    laws.oracle(protocol.variant(), None, laws.Scene(data[11_900:12_400]), (50, 120, 310))
+    laws.bounded(protocol.variant(), None, Scene(data), (700, 5000, 12100))
+    ORACLE(protocol.variant(), None, Scene(data[11_900:12_400]), (50, 120, 310))
 
 
 def test_sums_of_sentences_read_a_byte_twice_at_most() -> None:
@@ -130,7 +131,7 @@ def test_sums_of_sentences_read_a_byte_twice_at_most() -> None:
     scanner = fed(protocol, data)
     assert scanner.counts.records == 2
     assert scanner.check_work <= 2 * len(data)
-    laws.bounded(protocol.variant(), None, laws.Scene(data))
+    laws.bounded(protocol.variant(), None, Scene(data))
 
 
 VALID: dict[str, dict[str, Any]] = {

@@ -14,8 +14,8 @@ from aces_bus import Frame, as_dict
 from aces_bus.errors import CallerError, FieldError
 from aces_bus.protocol.exchange import load_database
 from aces_bus.protocol.exchange.problems import ImportedProtocol
-from aces_bus.testing import laws
-from aces_bus.testing.source import spread
+from aces_bus.testing import LAWS, Scene
+from tests.laws.drawn import ORACLE, columns_agree, drawn_arguments
 
 BOAT = Path(__file__).parents[1] / "data" / "canboat" / "boat.json"
 
@@ -100,10 +100,10 @@ def test_what_cannot_be_said_is_left_out_by_name() -> None:
 def test_the_laws_hold() -> None:
     """On drawn frames: round trip, oracle and columns, accounting, …"""
     variant = boat().protocol.variant()
-    for law in laws.LAWS:
+    for law in LAWS:
         for seed in range(3):
             if not law.streams_only:
-                law(variant, "both", *laws.draw_arguments(law, variant, "both", spread(seed)))
+                law(variant, "both", *drawn_arguments(law, variant, "both", seed))
 
 
 @pytest.mark.parametrize(
@@ -209,8 +209,8 @@ def test_a_text_of_fixed_length_ends_at_its_padding(tmp_path: Path, raw: bytes) 
     frames = [Frame(0x0DFBD109, raw, is_extended_id=True)]
     (record,) = protocol.scanner().feed(frames)
     assert record.model == "N1"
-    laws.oracle(protocol.variant(), None, laws.Scene(tuple(frames)))
-    laws.columns_law(protocol.variant(), None, laws.Scene(tuple(frames)))
+    ORACLE(protocol.variant(), None, Scene(tuple(frames)))
+    columns_agree(protocol.variant(), None, Scene(tuple(frames)))
     sent: Any = protocol.encode("name", priority=3, source=9, model="N1")
     assert bytes(sent.data)[:6] == b"N1\xff\xff\xff\xff"
     with pytest.raises(FieldError, match="which ends there"):

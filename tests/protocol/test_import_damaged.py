@@ -13,7 +13,7 @@ from aces_bus.errors import CallerError
 from aces_bus.protocol.draw.table import field_table
 from aces_bus.protocol.exchange import load_database
 from aces_bus.protocol.exchange.import_statements import split_statements
-from aces_bus.protocol.exchange.problems import EXCERPT, ImportedProtocol, ImportProblem
+from aces_bus.protocol.exchange.problems import ImportedProtocol, ImportProblem
 from aces_bus.protocol.plan.flatten import flatten
 from tests.protocol.imported import ABOVE, CAR, HEAD, MUX, decoded, imported, laws_hold, reasons
 
@@ -44,7 +44,7 @@ EV_ broken
     assert found.protocol["First"].fields == ("good", "also_good", "reserved")
     assert found.protocol["First"].doc.startswith("a comment; BO_ 7 in it\nBO_ 8 Not")
     assert found.summary.startswith(f"{tmp_path / 'car.dbc'}: 8 of ")
-    assert all(len(problem.excerpt) <= EXCERPT and problem.excerpt for problem in found.problems)
+    assert all(len(problem.excerpt) <= 80 and problem.excerpt for problem in found.problems)
 
 
 def test_an_open_string_does_not_swallow_the_file(tmp_path: Path) -> None:

@@ -17,8 +17,8 @@ from aces_bus.errors import CallerError, FieldError, SpecError
 from aces_bus.protocol import Crc, CutZeros, Protocol, Trailer
 from aces_bus.protocol.exchange import load_database, print_dissector
 from aces_bus.protocol.exchange.problems import ImportedProtocol
-from aces_bus.testing import laws
-from aces_bus.testing.source import spread
+from aces_bus.testing import LAWS
+from tests.laws.drawn import drawn_arguments
 from tests.protocol.test_export_wireshark import compare, needs_tshark, pcap_file, tshark
 
 FOLDER = Path(__file__).parents[1] / "data" / "mavlink"
@@ -170,9 +170,9 @@ def test_the_laws_hold() -> None:
     """On drawn packets of both versions, signed ones among them: round trip, oracle, chunking, accounting, …"""
     for version in ("v2", "v1"):
         variant = rover().variant(version)
-        for law in laws.LAWS:
+        for law in LAWS:
             for seed in range(4):
-                law(variant, "both", *laws.draw_arguments(law, variant, "both", spread(seed)))
+                law(variant, "both", *drawn_arguments(law, variant, "both", seed))
 
 
 @needs_tshark

@@ -9,7 +9,8 @@ import pytest
 from aces_bus import Frame
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import IdField, J1939Transport, Protocol
-from aces_bus.testing import laws
+from aces_bus.testing import Scene
+from tests.laws.drawn import ORACLE
 from tests.specs.j1939_long import j1939_long
 
 #: The vehicle's number, said to all; ten bytes for F9.
@@ -34,7 +35,7 @@ def frames(*texts: str, times: tuple[float, ...] = ()) -> list[Frame]:
 def fed(*texts: str, times: tuple[float, ...] = ()) -> list[str]:
     """What each thing is that a scanner gives: the message, or the reason."""
     given = frames(*texts, times=times)
-    laws.oracle(j1939_long.variant(), None, laws.Scene(tuple(given)))
+    ORACLE(j1939_long.variant(), None, Scene(tuple(given)))
     scanner = j1939_long.scanner(include_unknown=True)
     items: list[Any] = [*scanner.feed(given), *scanner.close()]
     assert scanner.counts.total == len(texts)

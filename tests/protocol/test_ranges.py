@@ -12,7 +12,8 @@ from aces_bus import Frame, Unknown
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import BitLayout, IdField, Protocol, Quantity, bits
 from aces_bus.protocol.plan.flatten import _numbers  # pyright: ignore[reportPrivateUsage]  # a plan of a stream's head
-from aces_bus.testing import laws
+from aces_bus.testing import Scene
+from tests.laws.drawn import ORACLE
 
 
 def test_a_long_range_of_shifted_identifiers_is_met_exactly() -> None:
@@ -31,7 +32,7 @@ def test_a_long_range_of_shifted_identifiers_is_met_exactly() -> None:
         frame = Frame(identifier, b"\1", is_extended_id=True)
         (item,) = scanner.feed([frame])
         assert (None if isinstance(item, Unknown) else item.node) == found, hex(identifier)
-        laws.oracle(spec.variant(), None, laws.Scene((frame,)))
+        ORACLE(spec.variant(), None, Scene((frame,)))
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,8 @@ import pytest
 
 from aces_bus import Frame
 from aces_bus.errors import FieldError
-from aces_bus.testing import laws
+from aces_bus.testing import Scene
+from tests.laws.drawn import ACCOUNTING, CHUNKING, NO_FALSE_ACCEPT, ORACLE
 from tests.specs.sdo_like import sdo_like
 
 #: A client writes ten bytes to object 1008 of node 5 in one block, and reads them.
@@ -48,8 +49,8 @@ def frames(*texts: str, times: tuple[float, ...] = ()) -> list[Frame]:
 def fed(*texts: str, times: tuple[float, ...] = ()) -> list[str]:
     """What each thing is that a scanner gives, which reference and columns say, too: the message, or the reason."""
     given = frames(*texts, times=times)
-    for law in (laws.oracle, laws.chunking, laws.accounting):
-        law(sdo_like.variant(), None, laws.Scene(tuple(given)), cuts=range(1, len(given)))
+    for law in (ORACLE, CHUNKING, ACCOUNTING):
+        law(sdo_like.variant(), None, Scene(tuple(given)), cuts=range(1, len(given)))
     scanner = sdo_like.scanner(include_unknown=True)
     items: list[Any] = [*scanner.feed(given), *scanner.close()]
     return [getattr(one, "reason", type(one).__name__).removeprefix("malformed: ") for one in items]
@@ -220,8 +221,8 @@ def test_scanner_reference_and_columns_agree_on_what_goes_wrong(seed: int) -> No
         frames.append(Frame(one.arbitration_id, one.data, round(time, 6), channel))
         running = [one for one in running if one]
     cuts = sorted(source.sample(range(1, len(frames)), 4))
-    for law in (laws.oracle, laws.chunking, laws.accounting, laws.no_false_accept):
-        law(sdo_like.variant(), None, laws.Scene(tuple(frames)), cuts=cuts)
+    for law in (ORACLE, CHUNKING, ACCOUNTING, NO_FALSE_ACCEPT):
+        law(sdo_like.variant(), None, Scene(tuple(frames)), cuts=cuts)
 
 
 def test_whatever_is_lost_nothing_false_is_read() -> None:

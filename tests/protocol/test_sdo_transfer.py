@@ -11,8 +11,9 @@ from aces_bus import Frame
 from aces_bus.device.carried_port import CarriedPort
 from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import Protocol, SdoTransfer
-from aces_bus.testing import laws
+from aces_bus.testing import Scene
 from aces_tools.main import main
+from tests.laws.drawn import ORACLE
 from tests.specs.sdo_like import sdo_like
 
 #: A node writes sixteen bytes to object 1008, and reads them.
@@ -45,7 +46,7 @@ def frames(*texts: str, times: tuple[float, ...] = ()) -> list[Frame]:
 def fed(*texts: str, times: tuple[float, ...] = ()) -> list[str]:
     """What each thing is that a scanner gives: the message, or the reason."""
     given = frames(*texts, times=times)
-    laws.oracle(sdo_like.variant(), None, laws.Scene(tuple(given)))
+    ORACLE(sdo_like.variant(), None, Scene(tuple(given)))
     scanner = sdo_like.scanner(include_unknown=True)
     items: list[Any] = [*scanner.feed(given), *scanner.close()]
     assert scanner.counts.total == len(texts)

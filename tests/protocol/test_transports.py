@@ -12,7 +12,6 @@ from aces_bus.errors import FieldError, SpecError
 from aces_bus.protocol import FastPacket, IdField, IsoTp, Protocol, Transport
 from aces_bus.protocol.against import check_recordings
 from aces_bus.protocol.against.suggest import suggest_examples
-from aces_bus.protocol.declare.transport import FrameKind, FrameNumber
 from aces_bus.protocol.exchange import print_source
 from aces_bus.protocol.exchange.dbc_signals import identified
 from aces_bus.protocol.lint.examples import failure
@@ -300,13 +299,13 @@ def test_a_request_in_several_frames() -> None:
 
 def test_a_transport_of_ones_own() -> None:
     """A table of frame kinds is a transport: here the last byte says first, last and which, as CAN sensors often do."""
-    first, last, number = FrameNumber(-1, 0x80), FrameNumber(-1, 0x40), FrameNumber(-1, 0x3F)
+    first, last, number = Transport.Number(-1, 0x80), Transport.Number(-1, 0x40), Transport.Number(-1, 0x3F)
     own = Transport(
         max_size=100,
         kinds=(
-            FrameKind("single", "whole", ((first, 1), (last, 1)), head=0, tail=1),
-            FrameKind("first", "first", ((first, 1),), head=0, tail=1),
-            FrameKind("next", "next", ((first, 0),), head=0, tail=1, number=number, last=last),
+            Transport.Kind("single", "whole", ((first, 1), (last, 1)), head=0, tail=1),
+            Transport.Kind("first", "first", ((first, 1),), head=0, tail=1),
+            Transport.Kind("next", "next", ((first, 0),), head=0, tail=1, number=number, last=last),
         ),
         modulo=64,
     )

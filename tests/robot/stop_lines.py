@@ -13,7 +13,7 @@ from aces_bus.controller import Controller
 from aces_bus.controller.reactions import parse_reactions
 from aces_bus.device import Robot
 from aces_bus.errors import DeviceError
-from aces_bus.hardware.simulated.serial_line import Noise
+from aces_bus.hardware import Noise
 from aces_bus.robot import Ended, Runner, parse_robot, run_virtual
 from aces_bus.robot.checks import KINDS_OF_FAULTS
 from aces_bus.robot.rig import simulate

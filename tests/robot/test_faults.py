@@ -8,8 +8,7 @@ import pytest
 
 from aces_bus import Frame
 from aces_bus.controller import IGNORE, degrade, stop
-from aces_bus.hardware import Faults
-from aces_bus.hardware.simulated.serial_line import Noise
+from aces_bus.hardware import Faults, Noise
 from aces_bus.robot import Runner, VirtualRobot
 from aces_bus.robot.rig import simulate
 from tests.robot.walking import (

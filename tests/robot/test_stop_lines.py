@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aces_bus.device.stopping import stop_devices
-from aces_bus.hardware.simulated.serial_line import Noise
+from aces_bus.hardware import Noise
 from aces_bus.robot import VirtualRobot
 from tests.robot.stop_lines import KINDS, MS, NAMES, Act, Lines, robot_of
 

@@ -9,9 +9,10 @@ from hypothesis import given, settings
 
 from aces_bus import make_scanner
 from aces_bus.protocol import Protocol
-from aces_bus.testing import Fuzzer, laws, strategies
+from aces_bus.testing import Fuzzer, strategies
 from aces_bus.testing.source import spread
 from aces_bus.testing.specs import Link, draw_spec, protocol_of
+from tests.laws.drawn import wires_of
 
 #: Specs in the short run and in the long one: each is compiled, which costs more than fuzzing it.
 SHORT, LONG = 6, 300
@@ -64,7 +65,7 @@ def test_a_drawn_protocol_is_one(protocol: Any) -> None:
     """It has messages, and a scanner."""
     assert isinstance(protocol, Protocol)
     assert protocol.declared
-    for variant, way in laws.wires(protocol):
+    for variant, way in wires_of(protocol):
         scanner: Any = make_scanner([variant], direction=way)
         assert scanner.feed([] if protocol.link == "can" else b"") == []
 

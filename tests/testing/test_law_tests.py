@@ -14,11 +14,11 @@ from construct import Float32l, Int16ul, Struct
 from aces_bus import load_protocol
 from aces_bus.errors import CallerError, CaptureError, UnknownNameError
 from aces_bus.protocol import Protocol
-from aces_bus.testing import law_tests, laws
+from aces_bus.testing import LAWS, law_tests, laws
 from aces_bus.testing.bench import Bench
 from aces_bus.testing.saved import load_scene, save_scene
-from aces_bus.testing.source import spread
 from aces_bus.testing.trial import comparable
+from tests.laws.drawn import drawn_arguments
 
 ROOT = Path(__file__).resolve().parents[2]
 #: A spec whose adapter loses what is above ten.
@@ -88,7 +88,7 @@ def test_a_saved_scene_is_read_back_to_the_bit(made: Protocol, tmp_path: Path) -
     direction = laws.directions(made.variant())[0]
     bench = Bench(made.variant(), direction)
     for seed in range(1, 20):
-        (scene,) = laws.draw_arguments(laws.LAWS[0], made.variant(), direction, spread(seed), size=120)
+        (scene,) = drawn_arguments(LAWS[0], made.variant(), direction, seed, size=120)
         loaded = load_scene(save_scene(tmp_path, made.variant(), direction, scene, (1, 2), law=2).scene)
         assert (loaded.law, loaded.cuts, loaded.protocol) == (2, (1, 2), made.name)
         again = loaded.scene(bench)
@@ -122,7 +122,7 @@ def test_a_test_is_made_for_each_law_wire_and_direction() -> None:
 
     assert len(cases("robotis")) == 9 * 3
     assert "3-chunking-robotis-from_device" in cases("robotis")
-    assert cases(a_bus()) == [f"{law}-bus-any" for law in laws.LAWS if not law.streams_only]
+    assert cases(a_bus()) == [f"{law}-bus-any" for law in LAWS if not law.streams_only]
     hubo = load_protocol("hubo")
     assert len(cases("hubo")) == 8 * 3 * len(hubo.dialects) * len(hubo.configurations)
 
@@ -148,7 +148,7 @@ def test_what_is_no_protocol_says_so(tmp_path: Path) -> None:
 def test_the_plug_in_costs_nothing_until_used() -> None:
     """pytest loads it everywhere, by its entry point: it imports neither Hypothesis nor anything of the core's weight."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert project["entry-points"]["pytest11"] == {"aces_bus": "aces_bus.testing.plugin"}
+    assert project["entry-points"]["pytest11"]["aces_bus"] == "aces_bus.testing.plugin"
     program = (
         "import sys, aces_bus.testing.plugin\n"
         "heavy = {'hypothesis', 'numpy', 'construct', 'msgspec', 'can', 'aces_bus.protocol'}\n"

@@ -16,7 +16,7 @@ from aces_bus.export.open import table_formats
 from aces_bus.plugins import installed_points
 from aces_bus.recordings.open import formats
 from aces_bus.recordings.write import open_writer, writer_formats
-from aces_bus.testing import (
+from aces_bus.testing.plug_ins import (
     backend_tests,
     database_tests,
     exporter_tests,

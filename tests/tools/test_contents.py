@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus.traffic import MOST_IDENTIFIERS
 from tests.tools.conftest import Aces
 
+#: So many identifiers have a line each.
+MOST = 4096
 CAPTURES = Path(__file__).resolve().parents[2] / "examples" / "captures"
 LOG = """\
 (1000.000) can0 123#0011
@@ -117,7 +118,7 @@ def test_what_came_before_damage_is_shown(aces: Aces, tmp_path: Path) -> None:
 def test_many_identifiers(aces: Aces, tmp_path: Path) -> None:
     """Only so many have a row; the frames of the others are counted."""
     log = tmp_path / "many.log"
-    log.write_text("".join(f"(1.0) can0 {number:08X}#00\n" for number in range(MOST_IDENTIFIERS + 7)))
+    log.write_text("".join(f"(1.0) can0 {number:08X}#00\n" for number in range(MOST + 7)))
     result = aces("decode", log, "--format", "text")
     assert "and 7 frames of more than 4096 identifiers" in result.out
 

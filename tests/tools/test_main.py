@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus import __version__
+from aces_bus.version import __version__
 from aces_tools.main import main
 from aces_tools.options import add_arguments
 from aces_tools.verbs import options_of, top_verbs, verbs

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from aces_bus import Frame, Unknown, as_dict, list_protocols, load_protocol, make_scanner
 from aces_bus.plain_text import cell_text
 from aces_bus.protocol import FlagSet, Protocol, Variant
-from aces_bus.testing import laws, strategies
+from aces_bus.testing import strategies
 from aces_tools.output import Writer
 from aces_tools.output.columns import beside, column_output
 from aces_tools.output.csv import CsvOutput, cell
@@ -24,11 +24,12 @@ from aces_tools.output.jsonl import JsonLines
 from aces_tools.output.shape import Plans, RecordLeaf, plain_of, plans_of, record_leaves
 from aces_tools.output.text import TextOutput, Times, make_paint, no_paint, printable
 from aces_tools.output.value_text import decimals
+from tests.laws.drawn import wires_of
 from tests.specs.catalogue import SPECS
 
 PROTOCOLS: dict[str, Protocol] = {name: load_protocol(name) for name in list_protocols()} | SPECS
 #: One variant of each, in one direction: writers know neither dialects nor configurations.
-CASES = [next(iter(laws.wires(protocol))) for protocol in PROTOCOLS.values()]
+CASES = [next(iter(wires_of(protocol))) for protocol in PROTOCOLS.values()]
 #: A writer knows no protocols either: the cases share the examples.
 EXAMPLES = max(3, settings().max_examples // 4)
 

@@ -19,10 +19,10 @@ from functools import partial
 from io import TextIOWrapper
 from typing import Any, NoReturn
 
-from aces_bus import __version__
 from aces_bus.errors import AcesError, CallerError, UnknownNameError
 from aces_bus.plain_text import LOOKALIKES
 from aces_bus.plugins import PluginWarning
+from aces_bus.version import __version__
 
 from .console import abandon_stdout, say, show_notes
 from .verbs import actions_of, options_of, summary_of, top_verbs, verbs, wanted_options

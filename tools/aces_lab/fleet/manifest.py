@@ -23,10 +23,10 @@ from typing import Any, Literal
 
 import msgspec
 
-from aces_bus import __version__
 from aces_bus.errors import CallerError
 from aces_bus.recordings.base import Link
 from aces_bus.recordings.totals import Totals
+from aces_bus.version import __version__
 
 from .stores import Place, StoredFile, StoreError, patiently
 

@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from aces_bus import __version__, load_protocol
+from aces_bus import load_protocol
 from aces_bus.errors import CallerError, UnknownNameError
 from aces_bus.protocol import Variant
 from aces_bus.protocol.exchange import database_suffixes
@@ -32,6 +32,7 @@ from aces_bus.recordings.pieces import Direction
 from aces_bus.recordings.selection import RecordingSelection
 from aces_bus.recordings.where import Where, WhereColumns
 from aces_bus.recordings.window import TimeWindow
+from aces_bus.version import __version__
 
 _INCLUDE = re.compile(rb"<include>\s*([^<>/\\]+?)\s*</include>")
 

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 
-from aces_bus import __version__, make_column_scanner, open_recording
+from aces_bus import make_column_scanner, open_recording
 from aces_bus.errors import AcesError, CallerError, CaptureError
 from aces_bus.frame_table import NO_TIME, to_ns
 from aces_bus.protocol import Variant
@@ -39,6 +39,7 @@ from aces_bus.recordings.pieces import (
 )
 from aces_bus.recordings.selection import AdoptedPieces, KeptFrames, RecordingSelection, part_of
 from aces_bus.recordings.totals import Totals
+from aces_bus.version import __version__
 
 from .manifest import FLEET, FleetDataset, FleetInput, InputState, uri_key
 from .parts import DayParts, LocalPart
