@@ -129,7 +129,17 @@ def test_requests_and_replies_by_order_and_by_what_comes_back() -> None:
         what = int(drawn.integers(0, 9))
         frames.append(Frame(0x641, bytes([what, 0]), time, "can0"))
         frames.append(Frame(0x642, bytes([9, what + 0x40, int(drawn.integers(256))]), time + 0.0004, "can0"))
-    (pair,) = guessed(frames).pairs
+    time = 107.0  # another pair, behind the first
+    for _ in range(40):
+        time += float(drawn.uniform(0.02, 0.12))
+        what = int(drawn.integers(0, 9))
+        frames.append(Frame(0x651, bytes([what]), time, "can0"))
+        frames.append(Frame(0x652, bytes([what, 1, int(drawn.integers(256))]), time + 0.0008, "can0"))
+    frames += [
+        Frame(0x645, bytes([number]), 130 + number**1.5, "can0") for number in range(9)
+    ]  # between them, no pair
+    pair, second = sorted(guessed(frames).pairs, key=lambda found: found.request)
+    assert (second.request, second.reply, second.count) == (0x651, 0x652, 40)
     assert (pair.request, pair.reply, pair.count) == (0x641, 0x642, 60)
     assert "its byte 1 is byte 0 of the request + 0x40" in pair.evidence
     assert pair.delay_ns == pytest.approx(400_000, rel=0.01)

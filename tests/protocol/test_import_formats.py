@@ -85,6 +85,8 @@ def test_mapped_objects_become_fields(tmp_path: Path) -> None:
     assert (pdo.node, pdo.Status_word, pdo.Position, pdo.Other_Current) == (5, 0x1234, -2, -3)
     assert pdo.meta.direction == "from device"
     assert (heartbeat.node, heartbeat.state, alarm.code) == (5, "operational", 0x2310)
+    (sync,) = decoded(found, Frame(0x080, b"\x07"))
+    assert (sync.meta.message, sync.counter) == ("Sync", b"\x07")
     laws_hold(found, scenes=2)
 
 
@@ -141,11 +143,13 @@ def test_damaged_eds_files_never_raise_anything_else(tmp_path: Path) -> None:
 def test_a_damaged_eds(tmp_path: Path) -> None:
     """Lines and objects that cannot be read cost themselves."""
     pytest.importorskip("canopen")
-    text = EDS.replace("DataType=6\n", "DataType=six\n") + "[6041]\nParameterName=Again\nnonsense\n"
+    text = EDS.replace("DataType=6\n", "DataType=six\n") + "[6041]\nParameterName=Again\n"
+    text = text.replace("VendorName=Nobody\n", "VendorName=Nobody\nnonsense\n", 1)
     found = imported(tmp_path, text, "drive.eds")
     said = [problem.reason.partition(":")[0] for problem in found.losses]
     assert "an object that cannot be read" in said
     assert "a section that is there already" in said
+    assert "not of the form key=value, or there twice" in said
     (pdo,) = decoded(found, Frame(0x185, bytes(7)))
     assert pdo.x6041_0 == 0
     assert pdo.Position == 0
