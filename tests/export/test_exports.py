@@ -580,7 +580,7 @@ def test_what_grows_is_brought_to_the_disk(tmp_path: Path, monkeypatch: pytest.M
     """A journal of Parquet and an MCAP wait for the disk when they are asked to."""
     pa = pytest.importorskip("pyarrow")
     synced: list[int] = []
-    monkeypatch.setattr(export_files.os, "fsync", synced.append)
+    monkeypatch.setattr("aces_bus.export.files.os.fsync", synced.append)
     journal = ParquetJournal(str(tmp_path / "a.parquet"), pa.schema([("a", pa.int64())]))
     journal.sync()
     assert len(synced) == 1
