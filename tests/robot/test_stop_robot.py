@@ -187,6 +187,16 @@ def test_a_script_is_refused_until_it_has_released() -> None:
         assert robot["RKN"].value == pytest.approx(0.3, abs=0.01)
 
 
+def test_a_run_does_not_begin_after_another_program_s_stop() -> None:
+    """Stopped between its opening and its start, a run is refused until it is released."""
+    run = run_virtual(hubo_leg(), [bend], rate_hz=100)
+    with run:
+        run.rig.obey_stop("lower", Request())  # type: ignore[arg-type]
+        with pytest.raises(DeviceError, match=r"was stopped by .*: release it first"):
+            run.start()
+        assert run.set_points == 0
+
+
 # ---------------------------------------------------------------------- through the lock
 
 
