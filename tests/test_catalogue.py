@@ -6,8 +6,8 @@ import importlib.util
 from pathlib import Path
 from typing import Any
 
-from aces_bus.device import list_drivers
-from aces_bus.protocol import list_protocols
+from aces_bus import list_protocols
+from aces_bus.device.drivers import list_drivers
 
 ROOT = Path(__file__).resolve().parent.parent
 

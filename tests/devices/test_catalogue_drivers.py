@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from aces_bus.device import list_drivers
+from aces_bus.device.drivers import list_drivers
 from aces_bus.testing.conformance import CHECKS, run_check
 
 _HERE = Path(__file__).parent

@@ -8,7 +8,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from aces_bus.protocol import Unknown
+from aces_bus import Unknown
 from aces_devices.lx16a import driver
 from tests.oracles.foreign import oracle
 from tests.oracles.serial_lines import served_line
