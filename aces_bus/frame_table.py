@@ -194,7 +194,7 @@ class FrameTable:
 
     @classmethod
     def concat(cls, tables: Sequence[FrameTable]) -> FrameTable:
-        """One table of several of one capture, in order; they must share their `channels`."""
+        """Join several tables of one capture, in order; they must share their `channels`."""
         if not tables:
             return cls.empty()
         if len(tables) == 1:
@@ -212,7 +212,7 @@ class FrameTable:
 
 
 def joined_tables(tables: Iterable[FrameTable], least: int, *, is_live: bool = False) -> Iterator[FrameTable]:
-    """Tables put together to at least so many rows, but for the last; those of a live source as they come.
+    """Yield tables joined to at least `least` rows, but for the last; those of a live source as they come.
 
     Where reading stops with a `CaptureError`, what was read before comes first.
     """
@@ -238,7 +238,7 @@ def joined_tables(tables: Iterable[FrameTable], least: int, *, is_live: bool = F
 
 
 def rows_at(data: Ints, places: Ints) -> Ints:
-    """Rows of data in another order; rows of eight bytes as words, which is much quicker."""
+    """Return rows of data in another order; rows of eight bytes as words, which is much quicker."""
     if data.shape[1] == 8 and data.flags.c_contiguous:
         words: Ints = data.view(np.uint64).ravel().take(places)
         return words.view(np.uint8).reshape(-1, 8)
@@ -256,7 +256,8 @@ def widened(data: Ints, width: int) -> Ints:
 
 
 def to_ns(seconds: float | None) -> int:
-    """Seconds as the integer nanoseconds that their decimal digits say; None and what is no number as `NO_TIME`.
+    """Convert seconds to the integer nanoseconds that their decimal digits say; None and what is not a number
+    to `NO_TIME`.
 
     >>> to_ns(1436509052.249713)
     1436509052249713000
@@ -273,7 +274,7 @@ def to_ns(seconds: float | None) -> int:
 
 
 def ns_of(seconds: Ints) -> Ints:
-    """int64 nanoseconds of many float64 seconds, as `to_ns` has them; `NO_TIME` where they are no instant.
+    """Convert many float64 seconds to int64 nanoseconds, as `to_ns` does; `NO_TIME` where they are not an instant.
 
     Six decimals name a float below 2³² s, and nine one below 2²², without a doubt: floats are closer there than such
     decimals. So whatever comes back from its rounded decimals is these decimals; only the others are printed.

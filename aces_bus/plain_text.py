@@ -18,7 +18,7 @@ _FORMULA, _NUMBER = re.compile(FORMULA), re.compile(NUMBER, re.ASCII)
 
 
 def printable(text: str) -> str:
-    """Safe to print on a terminal: control characters, escape sequences with them, are spelt out (`\\x1b`)."""
+    """Return a text that is safe to print: control characters, escape sequences with them, are spelt out (`\x1b`)."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else _spelt_out(c) for c in text)
@@ -30,7 +30,7 @@ def printable_lines(text: str) -> str:
 
 
 def without_controls(text: str) -> str:
-    """Return the same for texts that are compared: spaces of every kind stay, and whatever else is no control character."""
+    """Return a text to be compared, without control characters; spaces of every kind stay."""
     if text.isprintable():
         return text
     return "".join(_spelt_out(c) if unicodedata.category(c)[0] == "C" else c for c in text)

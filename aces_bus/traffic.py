@@ -110,7 +110,7 @@ class GapCounts:
             bins += more
 
     def quantiles_ns(self, shares: Sequence[float]) -> list[float] | None:
-        """Gaps that these shares of all are not longer than; None where there are fewer than two."""
+        """Return gaps that these shares of all are not longer than; None where there are fewer than two."""
         if self.count < 2:
             return None
         if self._bins is None:

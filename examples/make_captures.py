@@ -40,7 +40,7 @@ class Line:
         self.data += data
 
     def lose(self, kind: str, data: bytes) -> None:
-        """Bytes that are no message, and the bin they belong in."""
+        """Bytes that are not a message, and the bin they belong in."""
         self.bins[kind] += len(data)
         self.data += data
 
@@ -123,7 +123,7 @@ def robotis_session() -> Line:
         send("Ping", id=servo.id)
         line.packet("Status", servo.answer())
 
-    # A Ping whose last byte is hit: its first byte is malformed, the rest is no header. It is not answered.
+    # A Ping whose last byte is hit: its first byte is malformed, the rest is not a header. It is not answered.
     ping = bytearray(robotis.encode("Ping", id=3))
     ping[-1] ^= 0x10
     line.lose("malformed", bytes(ping[:1]))

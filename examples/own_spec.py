@@ -31,7 +31,7 @@ def main() -> None:
     frame = scale.encode("Tare", node=3)
     print(f"{frame.arbitration_id:03X}#", frame.data.hex())
 
-    # Scan: frames in, records out; with `include_unknown`, what is no message comes too, with the reason.
+    # Scan: frames in, records out; with `include_unknown`, what is not a message comes too, with the reason.
     frames = [
         Frame(0x183, bytes.fromhex("D4300000 01")),
         Frame(0x183, bytes.fromhex("D430")),

@@ -102,7 +102,7 @@ def parameters(thing: Callable[..., Any]) -> str:
 
 
 def members_of(thing: type, exported: Container[object]) -> dict[str, Any]:
-    """What a class has itself, and from those bases of ours that are no public names themselves."""
+    """What a class has itself, and from those bases of ours that are not public names themselves."""
     found: dict[str, Any] = {}
     for base in reversed(thing.__mro__):
         if base is thing or (base.__module__.startswith("aces_bus.") and base not in exported):

@@ -91,7 +91,7 @@ class Inlet:
         self._lock = threading.Lock()
 
     def put(self, values: Mapping[str, float]) -> None:
-        """Set-points, by state; those of states that are not there are refused, what else is wrong with them later."""
+        """Queue set-points by state; refuse unknown states now, other faults later."""
         good = {name: v for name, v in values.items() if name in self.states}
         for name in values.keys() - good.keys():
             self._refuse(name[:80], "no such state")

@@ -62,7 +62,7 @@ class UdpStates:
             if name not in states:
                 raise UnknownNameError("state (a UDP port is for it)", name, states)
             if not 0 <= port <= 0xFFFF:
-                raise CallerError(f"{name}: {port} is no UDP port (0 to 65535)")
+                raise CallerError(f"{name}: {port} is not a UDP port (0 to 65535)")
         fixed = [port for port in ports.values() if port]
         if len(set(fixed)) < len(fixed):
             raise CallerError("two states have one UDP port")

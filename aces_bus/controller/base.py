@@ -152,10 +152,10 @@ class Controller:
         return False
 
     def handle(self, event: EventLike) -> None:
-        """Something happened below (rule 4); without a handler it is not this controller's business."""
+        """Handle an event from below (rule 4); by default do nothing."""
 
     def seconds(self, now_ns: int) -> float:
-        """Seconds since it was started."""
+        """Return the seconds since the start."""
         if self.started_ns is None:
             self.started_ns = now_ns
         return (now_ns - self.started_ns) / 1e9

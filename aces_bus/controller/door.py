@@ -278,7 +278,7 @@ class _Line:
     # ------------------------------------------------------------------ in each tick
 
     def step(self, dt: float) -> bool:
-        """One tick on the way, `dt` seconds after the last; whether it is there."""
+        """Advance by one tick, `dt` seconds after the last; return whether the goal is reached."""
         device, goal = self.device, self.goal
         if self.epoch != device.epoch:
             self.begin_anew()

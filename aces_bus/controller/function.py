@@ -105,7 +105,7 @@ def controller(
 ) -> Callable[[Law], FunctionController]:
     """Make a controller of a function.
 
-    Its positional parameters are the states it reads, by name; `states=[…]` says them where a name is no identifier, and
+    Its positional parameters are the states it reads, by name; `states=[…]` says them where a name is not an identifier, and
     the function then takes them as the mapping `states`; `writes` those it gives set-points for. Keyword-only parameters
     are gains, which `set` changes.
 

@@ -4,7 +4,7 @@
    and within the acceleration, unless that would lead past a limit of position. A joint that begins outside of its limits
    is led inside by the same rules, and never further out.
 2. A feasible motion passes unchanged, to the last bit. What is changed is counted per state, and reported once a while.
-3. What is no finite number does not leave, and feeds no dead-man; five of them in a row for one state are a fault, which
+3. What is not a finite number does not leave, and feeds no dead-man; five of them in a row for one state are a fault, which
    trips unless a supervisor decides otherwise.
 4. When no set-points come for `dead_man_s`, or `trip` is called, the declared action follows: "hold" (come to a stand
    within the limits, and stay), "zero duty" or "disable" (no set-points any more; who drives the devices reads `tripped`
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 REPORT_EVERY_NS = 1_000_000_000
 #: Trips that are kept for a cycle.
 MOST_PENDING = 1_000
-#: So many set-points of one state in a row that are no finite numbers stop motion.
+#: So many set-points of one state in a row that are not finite numbers stop motion.
 NOT_FINITE_TRIPS = 5
 #: States of one guard; a controller may make names up for ever.
 MOST_LINES = 10_000
@@ -196,7 +196,7 @@ class _Line:
         return given
 
     def _inside(self, given: float, before: float) -> float:
-        """Within the limits of position; from outside of them, no further outside."""
+        """Return the value within the limits of position; from outside of them, no further outside."""
         if given < self.lower:
             return given if given >= before else min(before, self.lower)
         if given > self.upper:
@@ -204,7 +204,7 @@ class _Line:
         return given
 
     def stand(self, dt: float) -> float | None:
-        """One more step towards standing still."""
+        """Take one more step towards standing still."""
         before = self.given
         if before is None:
             return None
@@ -369,7 +369,7 @@ class Guard:
                 self._emit(line, now, "clipped")
         if self._unnamed is not None and len(out) < len(self._lines):
             self._still_unnamed(now, dt, out, self._unnamed)
-        if out or self._received is None:  # what is no number feeds no dead-man
+        if out or self._received is None:  # what is not a number feeds no dead-man
             self._received = now
         return self.tick(now) if self._pending else out
 
@@ -417,7 +417,9 @@ class Guard:
         return self._stand(now) if self.tripped.action in HOLDING else NOTHING
 
     def _elapsed(self, now: int) -> float:
-        """Seconds since the last set-points left; after a pause no more than two periods, so that it earns no jump."""
+        """Return the seconds since the last set-points left; after a pause at most two periods, so that a
+        pause allows no jump.
+        """
         if self._last is None:
             return self.period_s
         return max(min((now - self._last) / 1e9, 2 * self.period_s), 1e-3 * self.period_s)
@@ -484,7 +486,8 @@ class Guard:
 
 
 def bounds_of(robot: Robot, *, nominal: bool = False, acceleration: bool = False) -> dict[str, Bounds]:
-    """Bounds of a robot's active joints, as far as its file states them: its largest speeds, or its `nominal` ones.
+    """Return bounds of a robot's active joints, as far as its file states them: its largest speeds, or its
+    `nominal` ones.
 
     A joint that is set by position and has neither is led at `USUAL_SPEED`.
     Set-points are positions, speeds, currents (A) or duties, as each joint's `command` says. Accelerations are limited only

@@ -10,7 +10,7 @@ The notation is the paper's, in ASCII:
     error = goal - LKP[0]                  a quantity of this step
     LKP[0] = LKP[0] + kp*error - kd*d(LKP) a set-point for LKP, from its value and derivative now
     RAP[0] = 0.5*LAP[-0.02]                a value 20 ms ago
-    theta["left.AP"][0] = …                a state whose name is no identifier
+    theta["left.AP"][0] = …                a state whose name is not an identifier
 
 `d(x)` is the state's `rate()` now, `d(x)[-0.1]` a while ago, `integral(x)` its `integral()`; `t` are seconds since the
 start, `dt` since the last step.
@@ -36,12 +36,12 @@ LONGEST = 20_000
 
 
 def sat(x: float, low: float, high: float) -> float:
-    """`x` within [low, high]."""
+    """Return `x` limited to [low, high]."""
     return low if x < low else high if x > high else x
 
 
 def quantize(x: float, step: float, base: float = 0.0) -> float:
-    """`x` rounded to the grid base + n·step."""
+    """Return `x` rounded to the grid base + n·step."""
     return base + step * round((x - base) / step)
 
 
@@ -288,7 +288,7 @@ def _parsed(scope: Scope, place: str, text: str, mode: str) -> ast.AST:
         raise EquationError(f"{scope.owner}: {place}: {len(text)} characters are more than {LONGEST}")
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error", SyntaxWarning)  # "1if" is no equation either
+            warnings.simplefilter("error", SyntaxWarning)  # "1if" is not an equation either
             return ast.parse(text, mode=mode)
     except SyntaxError as error:
         line = f"line {error.lineno}" if error.lineno else "somewhere"

@@ -266,7 +266,7 @@ class StateMachine(LawController):
         self.mode = "stopped"
 
     def step(self, now_ns: int) -> Mapping[str, float]:
-        """One cycle: at most one transition, then the phase's equations (rules 2 and 3)."""
+        """Run one cycle: at most one transition, then the phase's equations (rules 2 and 3)."""
         if self.mode != "running":
             if self.mode == "ready":
                 self.start(now_ns)
@@ -341,7 +341,7 @@ def table_faults(phases: Sequence[Phase], table: Sequence[Transition]) -> list[s
         if not (row.when or row.on) and row.after_s is None:
             faults.append(f"{where}: says neither when, on nor after_s")
         if row.after_s is not None and not 0 <= row.after_s < 1e9:
-            faults.append(f"{where}: after_s = {row.after_s!r} is no time")
+            faults.append(f"{where}: after_s = {row.after_s!r} is not a time")
     if faults:
         return faults
     reached, todo = {names[0]}, [names[0]]
@@ -366,7 +366,7 @@ def table_faults(phases: Sequence[Phase], table: Sequence[Transition]) -> list[s
 
 
 def _expanded(phases: Sequence[Phase], table: Sequence[Transition]) -> list[tuple[str, str, str]]:
-    """Rows with "*" written out."""
+    """Return the rows with "*" written out."""
     rows: list[tuple[str, str, str]] = []
     for row in table:
         sources = [phase.name for phase in phases if not phase.final and phase.name != row.target]

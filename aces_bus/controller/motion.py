@@ -182,7 +182,9 @@ class Trajectory:
         return self._with(interpolation=interpolation)
 
     def renamed(self, names: Mapping[str, str]) -> Trajectory:
-        """Columns under other names (`{"LEB": "LEP"}`); names that it has not are passed over: one table for many files."""
+        """Return the columns under other names (`{"LEB": "LEP"}`); unknown names are ignored: one table
+        serves many files.
+        """
         return self._with(names=[names.get(name, name) for name in self.names])
 
     def only(self, names: Iterable[str]) -> Trajectory:
@@ -191,7 +193,7 @@ class Trajectory:
         return self._with(names=wanted, rows=self.rows[:, [self.names.index(name) for name in wanted]])
 
     def _known(self, names: Iterable[str]) -> list[str]:
-        """Return the names as a list; raises `UnknownNameError` for one that is no column."""
+        """Return the names as a list; raises `UnknownNameError` for one that is not a column."""
         wanted = list(names)
         for name in wanted:
             if name not in self.names:
@@ -204,17 +206,18 @@ class Trajectory:
         return self.only([name for name in self.names if name not in gone])
 
     def scaled(self, factors: Mapping[str, float]) -> Trajectory:
-        """Columns times a factor; -1 for a joint that turns the other way."""
+        """Return the columns times a factor; -1 for a joint that turns the other way."""
         self._known(factors)
         return self._with(rows=self.rows * [factors.get(name, 1.0) for name in self.names])
 
     def shifted(self, offsets: Mapping[str, float]) -> Trajectory:
-        """Columns plus an offset."""
+        """Return the columns plus an offset."""
         self._known(offsets)
         return self._with(rows=self.rows + [offsets.get(name, 0.0) for name in self.names])
 
     def mirrored(self, pairs: Mapping[str, str], flipped: Iterable[str] = ()) -> Trajectory:
-        """Left and right exchanged: each column goes to its pair; columns in `flipped` (by their new name) change sign.
+        """Exchange left and right: each column goes to its pair; columns in `flipped` (by their new name)
+        change sign.
 
         Which joints change sign is a property of a robot's conventions, so it is said, not guessed.
         """
@@ -243,13 +246,13 @@ class Trajectory:
 
 
 def sampled(motion: Motion, rate_hz: float) -> Trajectory:
-    """Any motion as a table, its last value included."""
+    """Return any motion as a table, with its last value."""
     count = math.ceil(motion.duration_s * rate_hz - 1e-6) + 1
     return Trajectory(motion.names, [motion.at(n / rate_hz) for n in range(count)], rate_hz=rate_hz)
 
 
 def smooth_step(u: float) -> float:
-    """0 to 1 over 0 ≤ u ≤ 1 with no velocity and acceleration at the ends: the quintic 10u³ − 15u⁴ + 6u⁵.
+    """Return 0 to 1 over 0 ≤ u ≤ 1, without velocity and acceleration at the ends: the quintic 10u³ − 15u⁴ + 6u⁵.
 
     Its largest velocity is 1.875, its largest acceleration 5.7735, its largest jerk 60.
     """

@@ -40,7 +40,7 @@ Columns = Sequence[str] | Callable[[int], Sequence[str]]
 
 
 class TrajectoryError(CallerError):
-    """A file that is no trajectory: says file:line and what would do."""
+    """A file that is not a trajectory: says file:line and what would do."""
 
 
 def rate_in_name(name: str) -> float | None:

@@ -65,5 +65,5 @@ class NumberText:
             for column, cell in enumerate(cells, 1):
                 if not self.number.fullmatch(cell) or (self.is_finite and math.isinf(float(cell))):
                     shown = cell[:24].decode("ascii", "replace")
-                    raise self.fault(line, f"column {column}: {shown!r} is no number")
+                    raise self.fault(line, f"column {column}: {shown!r} is not a number")
         return values

@@ -80,11 +80,11 @@ class PID:
             (not limits[0] < limits[1], f"PID: limits = {limits} leave nothing between them"),
             (
                 not (math.isfinite(derivative_filter_s) and derivative_filter_s >= 0),
-                f"PID: derivative_filter_s = {derivative_filter_s!r} s is no time constant",
+                f"PID: derivative_filter_s = {derivative_filter_s!r} s is not a time constant",
             ),
             (
                 tracking_s is not None and not tracking_s > 0,
-                f"PID: tracking_s = {tracking_s!r} s is no time constant",
+                f"PID: tracking_s = {tracking_s!r} s is not a time constant",
             ),
             (
                 anti_windup not in ("clamp", "back-calculation"),

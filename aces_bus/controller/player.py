@@ -113,7 +113,7 @@ class Player(Controller):
         return names
 
     def _longest_gap(self) -> int:
-        """Return the time between two steps (ns) that is no gap."""
+        """Return the time between two steps (ns) that is not a gap."""
         return round(max(self._largest_gap_s, 2 / self.rate_hz) * 1e9)
 
     def _rewind(self) -> None:
@@ -312,7 +312,9 @@ class Player(Controller):
         return self.motion.at(self._at_s)
 
     def _faded(self, now: int, values: list[float]) -> list[float]:
-        """With what is left of the offset that blending began with; it fades while it plays, not while it is halted."""
+        """Add the rest of the offset that blending began with; it fades while the motion plays, not while it
+        is halted.
+        """
         if self._offsets is not None:
             self._fade_s += min(max(now - self._began, 0) / 1e9, 2.0 / self.rate_hz)
             self._began = now

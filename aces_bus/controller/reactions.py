@@ -2,7 +2,7 @@
 
 1. Kinds are those of devices' and buses' events, and of controllers: "raised", "failed",
    "dead-man", "not finite". "*" is any other.
-2. A word that is no reaction, a kind that no event has and a source that is not there are errors, never ignored.
+2. A word that is not a reaction, a kind that no event has and a source that is not there are errors, never ignored.
 """
 
 from __future__ import annotations
@@ -90,8 +90,9 @@ def parse_reactions(
     sources: Collection[str] | None = None,
     own: Mapping[str, Callable[[EventLike], object]] | None = None,
 ) -> dict[str, tuple[Reaction, ...]]:
-    """Reactions from words: `KIND` or `KIND@SOURCE,SOURCE` → `ignore`, `hold`, `park`, `disable`, `zero duty`,
-    `degrade`, `degrade:NAME`, or the name of one of `own`: functions that are called with the event, and motion goes on.
+    """Parse reactions from words: `KIND` or `KIND@SOURCE,SOURCE` → `ignore`, `hold`, `park`, `disable`, `zero
+    duty`, `degrade`, `degrade:NAME`, or the name of a function in `own`, which is called with the event
+    while motion goes on.
 
     Raises `UnknownNameError` for a kind, source (None: any) or reaction that there is not.
 

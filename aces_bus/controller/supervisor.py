@@ -121,7 +121,7 @@ class Supervisor:
         self.guard.release()
 
     def handle(self, event: EventLike) -> None:
-        """Something happened below; from any thread. The controller's own handler gets it at once."""
+        """Handle an event from below, on any thread. The controller's own handler gets it at once."""
         if len(self._events) < MOST_EVENTS:
             self._events.append(event)
         else:  # a flood: what would stop motion still does, the rest is counted
@@ -163,7 +163,7 @@ class Supervisor:
         guard = self.guard
         try:
             given = guard.apply(now_ns, setpoints)
-        except Exception as error:  # set-points that are no mapping of numbers
+        except Exception as error:  # set-points that are not a mapping of numbers
             what = f"it gave a {type(setpoints).__name__}; set-points are a dict: a state's name → a number"
             is_dict = hasattr(setpoints, "items")
             self._react(self._raised(now_ns, error if is_dict else TypeError(what)))

@@ -3,7 +3,7 @@
 1. At a bound nothing pushes further out: speeds, torques, currents and duties outward become 0. A speed is lowered on the
    way there, so that the joint stops at the bound; one that must not turn faster is not accelerated any more.
 2. Past a bound by more than `MARGIN`, or measured for `FAST_NS` faster than `FASTEST` times its speed, the joint trips,
-   once. An old value of its speed is no second one: a bus that is held up makes no joint fast.
+   once. An old value of its speed is not a second one: a bus that is held up makes no joint fast.
 3. A joint that begins outside of its limits may come back; it trips when it gets further out.
 4. A joint with limits is not pushed while it is not known where it is: before the first answer, and when the last one is
    stale. One that nobody commands is not watched: it may be
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 MARGIN = {"rad": 0.05, "m": 0.005}
 #: How many times its largest speed a joint may be measured at: estimates of speed are noisy, and controllers overshoot.
 FASTEST = 1.5
-#: How long (ns), in one direction: an encoder that jumps, as when a board reboots, is no joint that turns.
+#: How long (ns), in one direction: an encoder that jumps, as when a board reboots, is not a joint that turns.
 FAST_NS = 100_000_000
 #: A joint comes no nearer to its bound than in this time (s).
 APPROACH_S = 0.1

@@ -121,7 +121,7 @@ class ViaPath:
     # ---- straight segments -----------------------------------------------------------------------------------------
 
     def _straight_limits(self, i: int) -> tuple[float, float, float]:
-        """Limits of s on segment i; the least over the joints."""
+        """Return the limits of s on segment i; the least over the joints."""
         least = [math.inf, math.inf, math.inf]
         for delta, limit in zip((self.points[i + 1] - self.points[i]).tolist(), self.limits, strict=True):
             if delta:
@@ -154,7 +154,7 @@ class ViaPath:
             )
 
     def _straight(self, i: int, u: float, duration: float) -> float:
-        """s at the time u (0 … duration) of segment i."""
+        """Return s at the time u (0 … duration) of segment i."""
         if self.shape == "quintic":
             x = u / duration
             return smooth_step(x)
@@ -182,7 +182,7 @@ class ViaPath:
         return out
 
     def _fit(self, free: bool) -> None:
-        """Quintics with the points' velocities and no acceleration there; times stretched until the limits hold."""
+        """Fit quintics with the points' velocities and no acceleration there; stretch times until the limits hold."""
         stretch = self._print()
         if stretch <= 1 + 1e-9 and not free:
             return

@@ -179,7 +179,7 @@ class CarriedPort(UpperPort):
         made.take(key, data)
 
     def _transport_of(self, key: int) -> Transport | None:
-        """Whose frames have a key."""
+        """Return the transport whose frames have a key."""
         if key not in self._carried:
             named = (
                 m.transport

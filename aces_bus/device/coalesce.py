@@ -41,7 +41,7 @@ CoalescingRule = Callable[[Sequence[Setpoint]], Iterable[OutgoingMessage]]
 
 
 def per_device(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
-    """One message a device, with all its channels: both motors of a board in one reference frame. The default.
+    """Send one message a device, with all its channels: both motors of a board in one reference frame. The default.
 
     A channel that was never given a set-point has none: its device waits until all have one, unless it says what to send
     in its place (`Device.default_of`).
@@ -57,7 +57,7 @@ def per_device(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
 
 
 def uncoalesced(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
-    """One message a set-point: what it costs not to coalesce. Other channels repeat what they were given last."""
+    """Send one message a set-point, to measure what coalescing saves. Other channels repeat their last set-points."""
     for want in wants:
         fields = want.device.gathered(want.message, [want])
         if fields is not None:

@@ -447,7 +447,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def protocol_of(self, device: DeviceConfig) -> tuple[str, str | None]:
-        """Protocol and dialect (None: the protocol's default) that a device speaks."""
+        """Return protocol and dialect (None: the protocol's default) that a device speaks."""
         bus = self.buses[device.bus]
         if device.protocol is None or device.protocol == bus.protocol:
             return bus.protocol, device.dialect if device.dialect is not None else bus.dialect
@@ -491,7 +491,7 @@ class Robot(msgspec.Struct, frozen=True, kw_only=True):
         return found
 
     def entries(self, protocol: Protocol) -> Iterator[tuple[DeviceConfig, str, int, int | str]]:
-        """Device, table, number and entry of all that the devices say in a protocol's configuration tables."""
+        """Yield device, table, number and entry of all that the devices say in a protocol's configuration tables."""
         tables = tables_of(protocol)
         for device in self.devices.values():
             if self.protocol_of(device)[0] != protocol.name:

@@ -63,7 +63,7 @@ def same(value: Any) -> Any:
 
 
 def slot_of(path: str) -> tuple[str, str, int | None]:
-    """`position.1` with its field and its place in it; None: the field itself."""
+    """Split `position.1` into field and place; the place is None for the field itself."""
     name, _, index = path.partition(".")
     return path, name, int(index) if index else None
 

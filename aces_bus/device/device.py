@@ -335,7 +335,7 @@ class Device(EndpointMember):
         return type(self).completed is not Device.completed
 
     def _field(self, path: str) -> tuple[str, str]:
-        """`Message.field.1` as message and path; raises `UnknownNameError` for what there is not."""
+        """Split `Message.field.1` into message and path; raise `UnknownNameError` for an unknown field."""
         message, _, rest = path.partition(".")
         fields = self.variant[message].fields
         name = rest.partition(".")[0]
@@ -344,7 +344,7 @@ class Device(EndpointMember):
         return message, rest
 
     def _age_by_polls(self) -> None:
-        """Signals without a stated age are stale after five polls."""
+        """Make signals without a stated age stale after five polls."""
         tick = 1 / self.host.rate_hz if self.host.rate_hz else 0.0
         for made, messages in self._usual_age:
             periods = [p.every_s or tick for p in self.all_polls if not messages.isdisjoint(p.replies)]

@@ -24,7 +24,7 @@ Kind = Literal[
     "alarm",  # the device reports a fault
     "alarm over",
     "limited",  # a set-point was beyond its limits, or further away than one tick leads
-    "refused",  # set-points are not taken any more: again and again they were no numbers
+    "refused",  # set-points are not taken any more: again and again they were not numbers
     "following error",  # a joint is not where it was sent
     "past limit",  # a joint is measured past the limits of its file
     "not homed",  # a joint was given a set-point before its zero is known

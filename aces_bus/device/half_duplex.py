@@ -68,7 +68,7 @@ class HalfDuplexLine:
         (self._stops if ticket.confirms else self._waiting).append(ticket)
 
     def put_set_points(self) -> None:
-        """Set-points are wanted: they have a turn behind what waits, if they do not wait for one already."""
+        """Give wanted set-points a turn behind what waits, unless they wait for one already."""
         if None not in self._waiting:
             self._waiting.append(None)
         self.pump()
@@ -221,12 +221,12 @@ class HalfDuplexLine:
             host.unanswered.wait_for(asked, now, answers_ns)
 
     def answered(self, ticket: Ticket) -> None:
-        """Who spoke has been answered."""
+        """Note that the speaking device has answered."""
         self._missed_last = None
         self.free(ticket)
 
     def free(self, ticket: Ticket) -> None:
-        """Who spoke has been answered, or will not be."""
+        """Free the line: the speaking device has answered, or will not."""
         together = self._together
         if ticket in together:
             together.remove(ticket)

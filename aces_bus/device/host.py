@@ -74,7 +74,7 @@ class Host(BusEndpoint[Device]):
         super().__init__(port, variants, direction="from device", name=name)
         self.passive = passive
         if rate_hz is not None and rate_hz <= 0:
-            raise CallerError(f"{port.name}: a rate of {rate_hz} Hz is none")
+            raise CallerError(f"{port.name}: a rate of {rate_hz} Hz; give a rate above 0 Hz")
         self.rate_hz, self.budget = rate_hz, budget
         self.rules = dict(rules or {})
         self.events = events if events is not None else EventLog()
@@ -286,7 +286,7 @@ class Host(BusEndpoint[Device]):
         self._next_tick = self.clock.call_at(self._tick_at, self._tick)
 
     def wake(self) -> None:
-        """Set-points were given: without a rate they go out now."""
+        """Send new set-points now, on a bus without a rate."""
         if not self.period_ns and self._is_open and not self._woken:
             self._woken = True
             self.clock.call_soon(self._woke)
@@ -304,7 +304,7 @@ class Host(BusEndpoint[Device]):
         return not self.passive and super()._is_carried_to_us(key, data)
 
     def tick(self) -> None:
-        """One round: set-points, then polls within the budget."""
+        """Run one round: set-points, then polls within the budget."""
         if self.passive:
             return
         now = self.clock.now()
@@ -475,7 +475,7 @@ class Host(BusEndpoint[Device]):
         self.unknown_traffic.unaddressed(record)
 
     def _bus_event(self, kind: Any, detail: str) -> None:
-        """Something happened to the bus itself."""
+        """Handle an event of the bus itself."""
         if kind in OUTAGES:
             self.outage = kind
         elif kind in OUTAGES_OVER:

@@ -40,7 +40,7 @@ class IncomingPacket:
         self._timer: Any = None
 
     def take(self, key: int, data: bytes) -> None:
-        """One more frame of the session; the first one is the packet's."""
+        """Take one more frame of the session; the first is the packet's first."""
         for packet in self._packets.take(None, 0, key, data, None, None):
             if packet.reason == "malformed: repeated":
                 return  # the scanner waits no longer for that

@@ -46,7 +46,7 @@ LATE_S, OTHER_CLOCK_S = 0.05, 60.0
 
 
 def age_on_bus(record: Any, clock: Clock) -> float | None:
-    """Return how long ago (s) a record was on its bus, by the adapter's time stamp; None where that is no time of this
+    """Return how long ago (s) a record was on its bus, by the adapter's time stamp; None where that is not a time of this
     machine.
 
     What was read just now may have waited in an adapter, a server or a socket before. SocketCAN's stamps, and those of
@@ -85,7 +85,9 @@ class MotorDevice(Device, Generic[A]):
         raise UnknownNameError(f"joint of {self.name}", joint, [axis.name for axis in self.axes])
 
     def until(self, holds: Callable[[], bool], timeout_s: float, what: Callable[[], str]) -> Awaited:
-        """Over as soon as `holds()`, which is looked at whenever the device has said something; fails after `timeout_s`."""
+        """Return an awaitable that ends as soon as `holds()`, checked after each message of the device; fails
+        after `timeout_s`.
+        """
         awaited = Awaited(self.clock)
         if holds():
             awaited.finish()

@@ -58,7 +58,7 @@ class PacketSender:
     def send(self, frames: Sequence[Frame], *, timeout_s: float = 30.0) -> None:
         """Send what `encode` gave, until all of it has left, and is acknowledged where the transport has that.
 
-        Raises what the gate raises; `CallerError` for frames that are no packet; `NoReplyError` where the receiver gives no
+        Raises what the gate raises; `CallerError` for frames that are not a packet; `NoReplyError` if the receiver gives no
         go-ahead or acknowledgement in time, `DeviceError` where it cannot take the packet.
         """
         packet = tuple(frames)
@@ -106,7 +106,7 @@ class _StartedGate:
         self._listener = self.gate.listen(take)
 
     def on_event(self, handler: Callable[[str, str], Any]) -> None:
-        """Events are the gate's owner's."""
+        """Do nothing: events belong to the gate's owner."""
 
     def send(
         self,

@@ -227,7 +227,7 @@ class Polling:
             host.line.pump()
 
     def stand_in(self, device: Device, message: str, now: int) -> int:
-        """Set-points of a device were sent: they stand for a poll where they are answered as it is. What that costs (ns)."""
+        """Let sent set-points stand for a poll that has the same answer; return what that costs (ns)."""
         asked = self.stand_ins.get((device.name, message))
         if asked is None or device.is_silent:  # one that is silent is asked besides
             return 0

@@ -164,7 +164,7 @@ class RegisterDevice(Device):
         return Poll(message, self.reply, fields, **{**own, **options})
 
     def packet_together(self, devices: Sequence[Device], poll: Poll) -> Any:
-        """One packet that asks all of them for a stretch; each answers for itself."""
+        """Return one packet that asks all devices for a stretch; each answers for itself."""
         ids = [device.credentials["id"] for device in devices]
         asked = (poll.together, *poll.fields.values(), *ids)
         if asked != self._asked:
@@ -350,7 +350,7 @@ class RegisterDevice(Device):
         return None if found is None else found[0] if raw else codec.value(found[0])
 
     def refusal(self, record: Record) -> str:
-        """Why an answer is a refusal; empty when it is none. For drivers to override."""
+        """Return why an answer is a refusal; empty for an acceptance. For drivers to override."""
         return ""
 
     def changed(self, which: Mapping[str, tuple[int, int]]) -> None:
@@ -513,7 +513,7 @@ class RegisterDevice(Device):
 
 
 def together_rule(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
-    """One packet a register for all devices that want it, cut where the smallest receive buffer is full."""
+    """Send one packet a register for all devices that want it, cut where the smallest receive buffer is full."""
     by_register: dict[
         RegisterCodec, list[Setpoint]
     ] = {}  # devices with other tables have registers of their own

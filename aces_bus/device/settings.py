@@ -26,7 +26,7 @@ def _fields(kind: type[msgspec.Struct]) -> dict[str, FieldInfo]:
 
 
 def described(kind: type[msgspec.Struct]) -> dict[str, str]:
-    """Key → what it is, for `Driver.settings`."""
+    """Return key → description, for `Driver.settings`."""
     return {name: _text(field.type) for name, field in _fields(kind).items()}
 
 

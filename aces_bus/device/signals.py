@@ -109,7 +109,7 @@ class Signal:
         return self.stale_after_ns is not None and self.clock.now() - self.instant > self.stale_after_ns
 
     def read(self) -> Reading:
-        """Value, instant, age and staleness, together."""
+        """Return value, instant, age and staleness, together."""
         return Reading(self.last, self.instant, self.age_ns, self.is_stale)
 
     @property
@@ -120,7 +120,7 @@ class Signal:
     def set(self, value: Any) -> None:
         """Give a set-point, in `unit`; it is sent with the next tick, or led there at the joint's rate.
 
-        Raises `CallerError` for what is read-only, has another owner, or is no finite number.
+        Raises `CallerError` for what is read-only, has another owner, or is not a finite number.
         """
         if self.setter is None:
             raise CallerError(f"{self.name} is read-only")

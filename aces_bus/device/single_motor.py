@@ -163,7 +163,7 @@ class SingleMotor(MotorDevice[SingleAxis]):
         return self._given_as[name](value)
 
     def takes(self, signal: Signal) -> bool | None:
-        """Set-points are taken while it is on; until it says so they wait."""
+        """Return True while the motor is on, None until it has said so: set-points wait."""
         return super().takes(signal) if self.is_on else self.is_on
 
     # ------------------------------------------------------------------ for drivers
@@ -238,7 +238,7 @@ class SingleMotor(MotorDevice[SingleAxis]):
         return self.confirm_off(self.ask_state, lambda: [] if self.is_on is False else [self.owner])
 
     def set_mode(self, mode: str) -> None:
-        """Another mode from the next `enable` on.
+        """Choose the mode from the next `enable` on.
 
         Raises `CallerError` for one that is none, `DeviceError` while it is on.
         """

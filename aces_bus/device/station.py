@@ -85,7 +85,7 @@ def refuse_shadowing(cls: type, name: str, role: str, *, mark: str = "") -> None
 
 
 def credential_text(credentials: Mapping[str, int]) -> str:
-    """Credentials in a message: `board 0x08`."""
+    """Return credentials as a text for messages: `board 0x08`."""
     return ", ".join(f"{name} {value:#04x}" for name, value in credentials.items())
 
 

@@ -84,7 +84,7 @@ def _outage(device: Device) -> str:
 
 
 def _last_received(device: Device) -> str:
-    """When a device was last received, where that is long ago."""
+    """Say when a device was last received, if that is long ago."""
     age = None if device.last_received is None else device.clock.now() - device.last_received
     return f"; last received {age / 1e9:.1f} s ago" if age is not None and age > PAUSE_NS * 5 else ""
 

@@ -57,7 +57,7 @@ class Awaited:
             self._notify()
 
     def follow(self, other: Awaited) -> None:
-        """`other`, which stands for it, is over: it is, too."""
+        """End with `other`, which stands for this and is over."""
         if other.error is not None:
             self.fail(other.error)
         else:

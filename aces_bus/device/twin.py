@@ -154,7 +154,9 @@ class Twin(EndpointMember):
         """Take a request that has no handler."""
 
     def not_understood(self, data: bytes, reason: str) -> None:
-        """Bytes on a stream that are no request, from where they begin; only kinds that override this are given them."""
+        """Take bytes of a stream that are not a request, from where they begin; only kinds that override this
+        get them.
+        """
 
     # ------------------------------------------------------------------ receiving and answering
 
@@ -241,7 +243,7 @@ class Twin(EndpointMember):
         """
         period = round(period_s * 1e9)
         if period <= 0:
-            raise CallerError(f"{self.name}: a period of {period_s} s is none")
+            raise CallerError(f"{self.name}: a period of {period_s} s; give a period above 0 s")
 
         def again() -> None:
             action()

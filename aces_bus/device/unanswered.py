@@ -127,12 +127,13 @@ class Unanswered:
         return ticket.deadline == deadline and ticket in ticket.device.awaiting
 
     def _end_incomplete(self, now: int) -> None:
-        """Give up a packet that has not ended, as a false header does: it holds back what came behind it, and what will."""
+        """Give up an incomplete packet, which may be a false header: it would hold back the packets behind it."""
         host = self.host
-        # On a line only who was asked spoke, and its time is up.
-        if isinstance(host.scanner, StreamScanner) and (
-            host.line is not None or now - host.bytes_at > host.scanner.gap * 1e9
-        ):
+        if not isinstance(host.scanner, StreamScanner):
+            return
+        # On a half-duplex line only the asked device could speak, and its time is up.
+        is_silent = now - host.bytes_at > host.scanner.gap * 1e9
+        if host.line is not None or is_silent:
             host.fell_silent()
 
     def _missed(self, ticket: Ticket, now: int) -> None:

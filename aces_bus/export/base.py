@@ -128,7 +128,7 @@ class Datasets:
         self._datasets: dict[tuple[str, str], list[Dataset]] = {}
 
     def _reserved(self) -> Collection[str]:
-        """Names that no dataset may have."""
+        """Return names that no dataset may have."""
         return ()
 
     @property
@@ -244,8 +244,8 @@ class Export(Datasets, ABC):
             self._write(tables, source, columns or {})
 
     def commit(self) -> None:
-        """Of a live export: when this returns, the system has all that was written, and a program that is killed loses none
-        of it. Raises `CallerError` when the file cannot be written.
+        """Hand everything written to the system, in a live export: a program that is killed afterwards loses
+        none of it. Raises `CallerError` when the file cannot be written.
         """
         if isinstance(self._staging, InPlace) and not self._is_closed:
             self._staging.is_kept = True

@@ -2,7 +2,7 @@
 
 1. A cell says what a record line of `aces decode --format csv` says, but for flags, which are numbers: enumerations by
    name, bytes as hexadecimal, times in seconds with all their digits, nothing where a value is absent.
-2. A text that a spreadsheet would take for a formula (it begins with = + - @, a tab or a carriage return, and is no number)
+2. A text that a spreadsheet would take for a formula (it begins with = + - @, a tab or CR, and is not a number)
    has an apostrophe in front.
 3. What CSV cannot say (units, enumerations, docs) is in `_columns.csv` of the folder.
 """
@@ -111,7 +111,7 @@ def _guarded(texts: Any) -> Any:
 
 
 def seconds(time: Any) -> list[str]:
-    """Instants in ns as seconds with nine decimal places."""
+    """Return instants in ns as seconds with nine decimal places."""
     whole, rest = np.divmod(np.abs(time), 1_000_000_000)
     signs = ["-" if early else "" for early in (time < 0).tolist()]
     return [

@@ -86,7 +86,7 @@ class Staging:
         if os.path.isdir(self.path):
             self._check_folder(path, is_ours)
         elif os.path.lexists(self.path) and not os.path.isfile(self.path):
-            raise CallerError(f"{path}: is no file; choose another name")
+            raise CallerError(f"{path}: is not a file; choose another name")
         self.temporary = os.path.join(parent, f".{base[:100]}.{secrets.token_hex(4)}.part")
         with telling(path):
             if is_folder:
@@ -161,7 +161,7 @@ class InPlace:
 
 
 def size_on_disk(path: str) -> int:
-    """Bytes of a file and of what stands beside it under its name (`-wal`), or of all files of a folder."""
+    """Return the bytes of a file with its `-wal` file, or of all files of a folder."""
     if not os.path.isdir(path):
         return sum(os.path.getsize(name) for name in (path, f"{path}-wal") if os.path.exists(name))
     return sum(
@@ -260,5 +260,5 @@ class ExportFile(io.RawIOBase):
         return len(view)
 
     def tell(self) -> int:
-        """Bytes written so far."""
+        """Return the number of bytes written so far."""
         return self._place

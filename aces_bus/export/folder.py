@@ -95,7 +95,7 @@ class Folder(Buffered):
         """Open a writer into a stream of Arrow's, which has `close`."""
 
     def _batch(self, arrow: ArrowLayout, block: Block) -> Any:
-        """Rows as the record batch that is written."""
+        """Return rows as the record batch that is written."""
         return arrow.batch(block)
 
     def _put(self, writer: Any, batch: Any) -> None:

@@ -64,7 +64,7 @@ class ParquetExport(Folder):
             compression="zstd",
             use_dictionary=[slot.name for slot in slots if _is_repetitive(slot)],
             column_encoding={slot.name: _ENCODINGS[kind] for slot in slots if (kind := _kind(slot))},
-            # Many writers, each with little: Arrow's own pool keeps 18 MB more of a car's 60 messages, and is no faster.
+            # Many writers, each with little: Arrow's own pool keeps 18 MB more of a car's 60 messages, and is not faster.
             memory_pool=pa.system_memory_pool(),
         )
 
@@ -73,7 +73,7 @@ class ParquetExport(Folder):
 
 
 def load_parquet() -> Any:
-    """pyarrow with the parts that journals need; raises `CallerError` with how to install it."""
+    """Return pyarrow with the parts that journals need; raise `CallerError` with how to install it."""
     pa = load_pyarrow()
     for part in ("ipc", "parquet"):
         import_module(f"pyarrow.{part}")
@@ -113,7 +113,7 @@ class ParquetJournal:
 
 @contextlib.contextmanager
 def opened_journal(path: str) -> Generator[Any]:
-    """Yield a reader of record batches; raises `CallerError` for what is no journal."""
+    """Yield a reader of record batches; raises `CallerError` for what is not a journal."""
     pa = load_parquet()
     try:
         with open(path, "rb") as file:
@@ -133,7 +133,7 @@ def journal_batches(reader: Any) -> Iterator[Any]:
 def close_journal(path: str) -> int:
     """Make the Parquet file `path` of its journal, which then goes; returns the number of rows.
 
-    Raises `CallerError` for what is no journal and `OSError` when the file cannot be written; the journal stays then.
+    Raises `CallerError` for what is not a journal and `OSError` when the file cannot be written; the journal stays then.
     """
     return parquet_of_journal(journal_of(path), path)
 

@@ -97,7 +97,7 @@ def recover_parts(path: str | os.PathLike[str]) -> int:
             if name.startswith(_BEGINNING) and name.endswith(_END)
         ]
         if not journals:
-            raise CallerError(f"{text}: was closed, or is no folder of Parquet; nothing is to recover")
+            raise CallerError(f"{text}: was closed, or is not a folder of Parquet; nothing is to recover")
         rows, failed = 0, list[CallerError]()
         for journal in journals:
             if not os.path.getsize(journal):

@@ -204,13 +204,13 @@ def _leave_wal(database: sqlite3.Connection) -> None:
 
 
 def _table(dataset: Dataset) -> str:
-    """SQLite keeps names that begin so for itself."""
+    """Return a table's name; SQLite keeps names that begin with `sqlite_` for itself."""
     name = dataset.name
     return f"_{name}" if name.casefold().startswith("sqlite_") else name
 
 
 def _column_names(slots: Sequence[DatasetColumn]) -> list[str]:
-    """Names of columns, which SQLite compares without case."""
+    """Return names of columns, which SQLite compares without case."""
     taken: set[str] = set()
     return [unique_name("time_ns" if slot.role == "time" else slot.name, taken) for slot in slots]
 

@@ -331,7 +331,9 @@ class CanGate(Gate[Frame, Frame, "can.BusABC"]):
         """Return whether an exception says that the bus is gone, and not only that something was not understood."""
         import can
 
-        cause = error.__cause__  # python-can wraps everything: slcan's reading of a byte that is no text, too
+        cause = (
+            error.__cause__
+        )  # python-can wraps everything: slcan's reading of a byte that is not text, too
         if isinstance(cause, UnicodeError):
             return False
         if self._is_of_datagrams and isinstance(error, can.CanError):
@@ -441,7 +443,7 @@ class CanGate(Gate[Frame, Frame, "can.BusABC"]):
 
 
 def not_allowed(frame: Frame) -> str:
-    """Why a frame does not leave where others are allowed."""
+    """Say why a frame may not be sent where others may."""
     return f"{frame.arbitration_id:#x} is not among the identifiers that may be sent here (allow)"
 
 

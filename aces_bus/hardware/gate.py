@@ -736,7 +736,7 @@ class Gate(ABC, Generic[Item, Packet, Bus]):
         self._attach()
 
     def _look_again(self) -> None:
-        """Now and then: what the bus says of itself."""
+        """Ask the bus for its state, now and then."""
         if self._loop is not None and not self._stopping.is_set():
             self._loop.call_in(round(POLL_S * 1e9), self._look_again)
             if self._file is not None and self.state == "open":

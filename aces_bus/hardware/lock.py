@@ -136,7 +136,7 @@ def _opened(path: Path) -> int:
 
 
 def _whole(channel: str) -> str:
-    """One name for one line: what `/dev/serial/by-id/…` leads to, the path of a served bus."""
+    """Return one name for one line: the target of `/dev/serial/by-id/…`, the path of a served bus."""
     if is_served(channel):
         return str(parse_address(channel))
     return os.path.realpath(channel) if channel.startswith("/") else channel
@@ -158,5 +158,7 @@ def _bell_path(channel: str) -> Path:
 
 def program_name() -> str:
     """Return what this program is called, and its process: `aces run (pid 4711)`."""
-    words = [os.path.basename(word) for word in sys.argv[:2] if not word.startswith("-")]  # `-c` is no name
+    words = [
+        os.path.basename(word) for word in sys.argv[:2] if not word.startswith("-")
+    ]  # `-c` is not a name
     return f"{' '.join(words)[:NAME_LENGTH].strip() or 'python'} (pid {os.getpid()})"

@@ -61,7 +61,7 @@ class VirtualBus(BusABC):
         return CanOperationError(f"{self.channel_info} {self._why}")
 
     def _refusal(self) -> CanOperationError:
-        """Why a message is not sent by a bus that has `_why`, only listens, or does not take CAN FD."""
+        """Say why a message is not sent by a bus that has `_why`, only listens, or does not take CAN FD."""
         if self._why:
             return self._unusable()
         if self._listen_only:
@@ -69,7 +69,7 @@ class VirtualBus(BusABC):
         return CanOperationError(f"{self.channel_info} was not opened for CAN FD; open it with fd=True")
 
     def _untaken(self, state: str) -> CanOperationError:
-        """Why the node took no frame."""
+        """Say why the node took no frame."""
         why = "is bus-off" if state == "bus-off" else "has no free mailbox; does no node acknowledge?"
         return CanOperationError(f"{self.channel_info} {why}")
 

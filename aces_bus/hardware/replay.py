@@ -32,7 +32,7 @@ class Pace:
 
     def __init__(self, clock: Clock, speed: float | None = 1.0, longest_gap: float | None = None) -> None:
         if speed is not None and not 0 < speed <= 1e6:
-            raise CallerError(f"a speed of {speed} is no pace; 1 is the capture's own")
+            raise CallerError(f"a speed of {speed} is not a pace; 1 is the capture's own")
         self.clock, self.speed = clock, speed
         self._longest = None if longest_gap is None else round(longest_gap * 1e9)
         self._last: int | None = None

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 OUTBOX = 1 << 20
 #: Bytes that are read at once.
 BLOCK = 4096
-#: So many answers that are no echo, and the adapter has none.
+#: So many answers that are not an echo, and the adapter has none.
 ENOUGH = 2
 #: Seconds after which an echo that did not come is given up.
 ECHO_S = 0.5

@@ -188,7 +188,7 @@ class Body:
         return name
 
     def vector(self, angles: Angles) -> Floats:
-        """Angles as an array in the order of `joints`."""
+        """Return angles as an array in the order of `joints`."""
         if isinstance(angles, Mapping):
             missing = [joint for joint in self.joints if joint not in angles]
             if missing:
@@ -202,7 +202,7 @@ class Body:
     # ---- one pose --------------------------------------------------------------------------------------------------
 
     def _trace(self, tip: str, q: list[float]) -> tuple[list[float], list[list[float]], list[_Mark]]:
-        """Position, axes (columns of the rotation) and the joints passed on the way to a tip."""
+        """Return position, axes (columns of the rotation) and the joints passed on the way to a tip."""
         px = py = pz = 0.0
         axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
         marks: list[_Mark] = []
@@ -245,11 +245,13 @@ class Body:
         return out
 
     def jacobian(self, angles: Angles, tip: str) -> Floats:
-        """(6, number of joints): velocity (m/s) and angular velocity (rad/s) of a tip, in the base, per rad/s of a joint."""
+        """Return (6, number of joints): velocity (m/s) and angular velocity (rad/s) of a tip, in the base,
+        per rad/s of a joint.
+        """
         return self.pose_and_jacobian(self.vector(angles), tip)[1]
 
     def pose_and_jacobian(self, q: Floats, tip: str) -> tuple[Pose, Floats]:
-        """Both at once, for a vector of angles."""
+        """Return pose and Jacobian at joint angles (rad)."""
         (px, py, pz), axes, marks = self._trace(self.tip(tip), q.tolist())
         out = np.zeros((len(self.joints), 6))
         for index, sign, slides, ax, ay, az, ox, oy, oz in marks:

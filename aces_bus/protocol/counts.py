@@ -71,7 +71,7 @@ class ScanCounts:
 
 
 def sum_counts(all_counts: Iterable[ScanCounts]) -> ScanCounts:
-    """All counts together."""
+    """Return the sum of counts."""
     total = ScanCounts()
     for counts in all_counts:
         for name in ("total", "decoded", "pending", "filtered", "records", "missed"):

@@ -54,8 +54,9 @@ class Encoder:
         return self.build(self.variant[message], fields)
 
     def next(self, message: str, /, **fields: Any) -> Any:
-        """Like `encode`, with rolling counters one more than in the last message of the same device, and packets of a
-        transport numbered as it numbers them."""
+        """Encode like `encode`, with rolling counters one more than in the last message of the same device,
+        and packets of a transport numbered as it numbers them.
+        """
         found = self.variant[message]
         who = tuple(fields.get(capture.name) for capture in found.identifier.captures)
         for name, modulo in found.counters.items():
@@ -66,7 +67,9 @@ class Encoder:
         return self.build(found, fields, number=None)
 
     def numbered(self, number: int, message: str, /, **fields: Any) -> Any:
-        """Like `encode`, of a packet of a transport with this sequence number: an answer that has that of its request."""
+        """Encode like `encode`, a packet of a transport with this sequence number: an answer that has that of
+        its request.
+        """
         return self.build(self.variant[message], fields, number=number)
 
     def build(
@@ -124,8 +127,9 @@ class Encoder:
     def writer(
         self, message: Message, tags: Mapping[str, Any]
     ) -> Callable[[Mapping[str, Any]], Frame | bytes | tuple[Frame | bytes, ...]]:
-        """`packet` of one message for one device: its fields `tags` are prepared, and need not be given again. Of a message
-        that a transport carries, a tuple of its frames."""
+        """Return a `packet` function of one message for one device: its fields `tags` are prepared, and need
+        not be given again. Of a message that a transport carries it returns a tuple of frames.
+        """
         quick = self._quick.get(message.name)
 
         def usual(fields: Mapping[str, Any]) -> Frame | bytes:

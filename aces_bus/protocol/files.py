@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import sys
 import warnings
+from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -26,13 +27,16 @@ loaded: dict[Path, ModuleType] = {}
 _OURS = re.compile(r"[/\\]aces_(bus|protocols|devices|tools)[/\\]")
 
 
-def protocol_of_file(path: str, names: list[str]) -> Protocol:
-    """Return the protocol that a Python file declares; takes its name off `names` when that is what comes first there."""
+def protocol_of_file(path: str, names: Sequence[str] = ()) -> tuple[Protocol, Sequence[str]]:
+    """Return the protocol that a Python file declares, and those of `names` that do not name it.
+
+    The first name may be the variable of the protocol, which a file with several protocols needs.
+    """
     module = load_file(path)
     own = Path(path).resolve()
     found = {name: value for name, value in vars(module).items() if isinstance(value, Protocol)}
     if names and names[0] in found:
-        return found[names.pop(0)]
+        return found[names[0]], names[1:]
     declared = {p.name: p for p in found.values() if Path(p.place.file).resolve() == own} or {
         p.name: p for p in found.values()
     }
@@ -40,7 +44,7 @@ def protocol_of_file(path: str, names: list[str]) -> Protocol:
         protocol = next(iter(declared.values()))
         if names and names[0] not in protocol.dialects:
             raise UnknownNameError(f"dialect or protocol in {path}", names[0], [*protocol.dialects, *found])
-        return protocol
+        return protocol, names
     if not declared:
         raise CallerError(f"{path}: declares no Protocol at its top level")
     if names:
@@ -110,7 +114,7 @@ def _imported(file: Path) -> ModuleType:
 
 
 def line_in_loaded(error: Exception) -> str | None:
-    """`file:line` in a file that was loaded, where an exception comes of that file and not of this package's own code."""
+    """Return `file:line` in a loaded file from which an exception comes, not from this package's own code."""
     at = innermost_line(error, lambda file: Path(file) in loaded or _OURS.search(file))
     if at is None or Path(at.filename) not in loaded:
         return None
@@ -138,9 +142,8 @@ def load_protocol(name: str) -> Protocol:
     """
     path, attribute = python_file(name)
     if path:
-        names = [attribute] if attribute else []
-        protocol = protocol_of_file(path, names)
-        if names:  # the only protocol of the file has another name
+        protocol, unused = protocol_of_file(path, [attribute] if attribute else [])
+        if unused:  # the only protocol of the file has another name
             raise UnknownNameError(f"protocol in {path}", attribute, [protocol.name])
         return protocol
     if name in _adopted:

@@ -91,7 +91,7 @@ _DIRECTIONS = {"both": "both", "from": "from device", "to": "to device", None: N
 
 
 def _ways(variant: Variant) -> tuple[_Way, ...]:
-    """Which way the bytes of a line may have gone, where that must be said."""
+    """Return which way the bytes of a line may have gone, where that must be said."""
     return ("both", "from", "to") if variant.link != "can" and variant.direction_conflict else (None,)
 
 

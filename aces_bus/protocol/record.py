@@ -1,4 +1,4 @@
-"""What scanners give: records, and `Unknown` for what is no message.
+"""What scanners give: records, and `Unknown` for what is not a message.
 
 1. A record is immutable. Its fields are attributes; everything of the transport is under `meta`.
 2. Making one costs as little as Python allows: `meta` is put together when it is asked for.

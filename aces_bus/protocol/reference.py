@@ -180,6 +180,15 @@ def _those(names: Sequence[str], values: Mapping[str, Any]) -> tuple[Any, ...]:
     return tuple(values.get(name) for name in names)
 
 
+@dataclass(frozen=True)
+class _Carrier:
+    """A transport, with the rules of the packets under way that were received, and that we sent."""
+
+    transport: Transport
+    received: PacketRule
+    sent: PacketRule
+
+
 class Reference:
     """Reads whole inputs by the reference rule."""
 
@@ -200,12 +209,12 @@ class Reference:
             context = RequestRule(messages, contextual, variant.protocol.broadcast)
             self.sides.append((variant, messages, contextual, context))
         #: Transports with the rule of their packets under way: received, and sent by us.
-        self.transports: list[tuple[Transport, PacketRule, PacketRule]] = []
+        self.transports: list[_Carrier] = []
         for _, messages, _, _ in self.sides:
             for message in messages:
                 transport = message.transport
-                if transport is not None and all(transport != known for known, _, _ in self.transports):
-                    self.transports.append((transport, PacketRule(transport), PacketRule(transport)))
+                if transport is not None and all(transport != known.transport for known in self.transports):
+                    self.transports.append(_Carrier(transport, PacketRule(transport), PacketRule(transport)))
 
     # ------------------------------------------------------------------ one packet
 
@@ -217,7 +226,10 @@ class Reference:
         framing: Framing | None,
         transport: Transport | None = None,
     ) -> tuple[str, Message | None, Any]:
-        """(reason, message, fields) of one whole packet."""
+        """Return (reason, message, fields) of a whole packet: each variant's messages are tried in turn.
+
+        A reply that its request tells apart goes before a message that needs no request.
+        """
         lost = "unknown"
         for _, messages, contextual, context in self.sides:
             fitting = []
@@ -226,29 +238,11 @@ class Reference:
             for message in messages:
                 if message.framing is not framing or message.transport != transport:
                     continue
-                try:
-                    values = message.struct.parse(image, raw=True)
-                except NotThisError:
+                is_contextual = message.name in contextual
+                values, why = self._read(context, message, is_contextual, image, channel, time)
+                if values is None:
+                    problem = problem or why
                     continue
-                except LengthError:
-                    size = len(image) - 5
-                    problem = (
-                        problem or f"malformed: length {size}, {message.name} has {message.describe_lengths}"
-                    )
-                    continue
-                except WrongCheckError:
-                    problem = problem or "malformed: checksum"
-                    continue
-                except (ConstructError, AcesError) as error:
-                    values = (
-                        self._by_request(context, message, image, channel, time)
-                        if message.name in contextual
-                        else None
-                    )
-                    if values is None:
-                        if isinstance(error, ContentError) and error.what and not message.request_fields:
-                            problem = problem or f"malformed: {error.what}"
-                        continue
                 if message.name in contextual:
                     fitting.append((message, values))
                 elif plain is None:
@@ -266,6 +260,30 @@ class Reference:
             if lost == "unknown" and problem:
                 lost = problem
         return lost, None, None
+
+    def _read(
+        self,
+        context: RequestRule,
+        message: Message,
+        is_contextual: bool,
+        image: bytes,
+        channel: Any,
+        time: float | None,
+    ) -> tuple[Any, str]:
+        """Return the raw fields of a packet as a message, or None and what is malformed ("" where that is not known)."""
+        try:
+            return message.struct.parse(image, raw=True), ""
+        except NotThisError:
+            return None, ""
+        except LengthError:
+            size = len(image) - 5
+            return None, f"malformed: length {size}, {message.name} has {message.describe_lengths}"
+        except WrongCheckError:
+            return None, "malformed: checksum"
+        except (ConstructError, AcesError) as error:
+            values = self._by_request(context, message, image, channel, time) if is_contextual else None
+            what = error.what if isinstance(error, ContentError) and not message.request_fields else ""
+            return values, f"malformed: {what}" if what else ""
 
     @staticmethod
     def _by_request(
@@ -306,25 +324,24 @@ class Reference:
         return "", message, message.struct.parse(image, raw=self.raw, request=request)
 
     def sent_frame(self, frame: Any) -> None:
-        """Our own transmission of a CAN frame."""
-        mine = self._transport_of(frame)
-        if mine is None:
+        """Note our own transmission of a CAN frame."""
+        carrier = self._carrier_of(frame)
+        if carrier is None:
             self.sent(frame_image(frame), frame.channel, frame.timestamp)
             return
+        transport = carrier.transport
         key = frame.arbitration_id | (EXTENDED if frame.is_extended_id else 0)
-        for decided in mine[2].decide(frame, 0, key, bytes(frame.data)):
-            image = (
-                packet_image(mine[0], decided, self._extra_of(mine[0], decided.key))
-                if not decided.reason
-                else None
-            )
+        for decided in carrier.sent.decide(frame, 0, key, bytes(frame.data)):
+            if decided.reason:
+                continue
+            image = packet_image(transport, decided, self._extra_of(transport, decided.key))
             if image is not None:
-                self.sent(image, frame.channel, frame.timestamp, mine[0])
+                self.sent(image, frame.channel, frame.timestamp, transport)
 
     def sent(
         self, image: bytes, channel: Any = None, time: float | None = None, transport: Transport | None = None
     ) -> None:
-        """Our own transmission (on CAN its image): a request that replies may hang on."""
+        """Note our own transmission (on CAN its image): a request that replies may need."""
         for variant, _, _, context in self.sides:
             for message in ordered(variant.messages.values()):
                 if message.name in context.requests and message.transport == transport:
@@ -346,11 +363,11 @@ class Reference:
             if frame.is_error_frame:
                 found.append(ReferenceItem(number, 1, None, None, "error frame"))
                 continue
-            mine = self._transport_of(frame)
-            if mine is not None:
+            carrier = self._carrier_of(frame)
+            if carrier is not None:
                 key = frame.arbitration_id | (EXTENDED if frame.is_extended_id else 0)
-                for decided in mine[1].decide(frame, number, key, bytes(frame.data)):
-                    found += self._packet(mine[0], decided)
+                for decided in carrier.received.decide(frame, number, key, bytes(frame.data)):
+                    found += self._packet(carrier.transport, decided)
                 continue
             self._request = None
             reason, message, fields = self._decode(frame_image(frame), frame.channel, frame.timestamp, None)
@@ -361,14 +378,16 @@ class Reference:
     def end(self) -> list[ReferenceItem]:
         """End the input; return the frames that are pending."""
         return [
-            ReferenceItem(frame.number, 1, None, None, "pending", transport=transport, frame=frame.frame)
-            for transport, rule, _ in self.transports
-            for decided in rule.end()
+            ReferenceItem(
+                frame.number, 1, None, None, "pending", transport=carrier.transport, frame=frame.frame
+            )
+            for carrier in self.transports
+            for decided in carrier.received.end()
             for frame in decided.frames
         ]
 
-    def _transport_of(self, frame: Any) -> tuple[Transport, PacketRule, PacketRule] | None:
-        """Whose frame it is: the transport of the first message, or with the first identifiers, that fit."""
+    def _carrier_of(self, frame: Any) -> _Carrier | None:
+        """Return the transport of the first message, or with the first identifiers, that a frame fits."""
         key = frame.arbitration_id | (EXTENDED if frame.is_extended_id else 0)
         for _, messages, _, _ in self.sides:
             own = list(dict.fromkeys(m.transport for m in messages if m.transport is not None))
@@ -382,7 +401,7 @@ class Reference:
                     for m in messages
                 )
                 if named or transport.is_own(key):
-                    known = next(entry for entry in self.transports if entry[0] == transport)
+                    known = next(carrier for carrier in self.transports if carrier.transport == transport)
                     return known if transport.fd or not frame.is_fd else None
         return None
 

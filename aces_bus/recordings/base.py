@@ -120,7 +120,7 @@ class CanRecording(Recording):
     # A format implements one of these two, or both where each is worth its own code.
 
     def _lists(self) -> Iterator[list[Frame]]:
-        """Frames as they come out of each block that was read; none of the lists is empty."""
+        """Yield frames as they come out of each block that was read; none of the lists is empty."""
         for table in self._tables():
             yield table.frames()
 
@@ -180,7 +180,7 @@ class SerialRecording(Recording):
 
     @abstractmethod
     def _chunks(self) -> Iterator[Chunk]:
-        """Chunks of at most 64 KiB, none of them empty."""
+        """Yield chunks of at most 64 KiB, none of them empty."""
 
     def __iter__(self) -> Iterator[Chunk]:
         if self._stream is None:

@@ -256,7 +256,7 @@ def split_capture(path: str, pieces: int) -> list[Span] | None:
 
     None for what can only be read from its start: packed files, pipes, other formats.
 
-    Raises `CaptureError` when the file cannot be opened or is no CAN capture.
+    Raises `CaptureError` when the file cannot be opened or is not a CAN capture.
     """
     with open_recording(path, link="can") as capture:
         if not may_be_split(capture):

@@ -31,13 +31,14 @@ PIECE = 1 << 18
 
 
 def pieces_of(tables: Iterable[FrameTable], *, is_live: bool) -> Iterator[FrameTable]:
-    """Tables joined until they are worth decoding: what a piece costs for each message is paid less often."""
+    """Yield tables joined until they are worth decoding: the cost of a piece for each message is paid less often."""
     return joined_tables(tables, PIECE, is_live=is_live)
 
 
 def frame_runs(tables: Iterable[FrameTable], size: int) -> Iterator[FrameTable]:
-    """Tables of `size` frames each, but for the last: the same ones for all who read the recording, however its
-    bytes come. Where reading stops with an error, what was read before comes first."""
+    """Yield tables of `size` frames each, but for the last: the same ones for all readers, however the bytes
+    come. Where reading stops with an error, what was read before comes first.
+    """
     rest: FrameTable | None = None
     reading = CaptureReading(tables)
     for table in reading:

@@ -88,7 +88,7 @@ class KeptFrames:
         self._kept: list[Rows] = []
 
     def add(self, first: int, kept: Rows) -> None:
-        """One more piece, whose first frame is number `first`."""
+        """Add one more piece, whose first frame is number `first`."""
         self._starts.append(first)
         self._kept.append(kept)
 

@@ -83,7 +83,7 @@ class ByteSource:
             raise CallerError(f"{self.name}: only of a plain file can a part be read")
         if not 0 <= start <= end:
             self.close()
-            raise CallerError(f"{self.name}: bytes {start} to {end} are no part of a file")
+            raise CallerError(f"{self.name}: bytes {start} to {end} are not a part of a file")
         if self._owned:
             self._file.seek(start)
         self._left = end - start
@@ -205,7 +205,7 @@ class ByteSource:
         self._pushed = inner
 
     def _stored(self, size: int) -> bytes:
-        """Bytes as they are stored; none at the end."""
+        """Return bytes as they are stored; none at the end."""
         if self._dry or self._ended:
             return b""
         if self._left is not None:
@@ -224,7 +224,7 @@ class ByteSource:
         return data
 
     def _stored_again(self, place: int, size: int) -> bytes:
-        """Bytes of a file as they are stored, once more."""
+        """Return bytes of a file as they are stored, once more."""
         try:
             return os.pread(self.fileno(), size, place)
         except OSError as error:
@@ -295,7 +295,8 @@ def on_disk(source: ByteSource) -> Generator[tuple[str, str]]:
 
 
 def split_lines(path: PathSource, pieces: int, at_least: int = 1 << 20) -> list[tuple[int, int]]:
-    """Parts of a file of lines to read beside each other: `Source(path, span=part)`, in order and without gaps.
+    """Split a file of lines into parts to read beside each other: `Source(path, span=part)`, in order and
+    without gaps.
 
     At most `pieces` of them, each of some `at_least` bytes or more. Of what cannot be entered in its middle (a packed
     file, a pipe) there is one. Lines are counted from the start of a part. No part begins with a line that is indented:

@@ -170,7 +170,7 @@ class SqliteCapture(CanRecording):
             if names.issuperset(name.encode() for name in COLUMNS):
                 return f"SELECT {', '.join(COLUMNS)} FROM messages ORDER BY rowid"
         raise CaptureError(
-            f"{self.name}: an SQLite file without python-can's table messages({', '.join(COLUMNS)}); it is no CAN log"
+            f"{self.name}: an SQLite file without python-can's table messages({', '.join(COLUMNS)}); it is not a CAN log"
         )
 
     def _one_by_one(self, rows: Iterable[_Row]) -> list[FrameTable]:
@@ -230,7 +230,7 @@ class SqliteCapture(CanRecording):
 
 
 def _columns_of(rows: Sequence[_Row]) -> _Columns | None:
-    """Rows as columns, which take less room; None when they have not the types and sizes that rows have."""
+    """Return rows as columns, which take less room; None if they do not have the types and sizes of frames."""
     columns = tuple(zip(*rows, strict=True))
     if any(set(map(type, column)) != kind for column, kind in zip(columns, _TYPES, strict=True)):
         return None

@@ -135,7 +135,7 @@ def _split(text: str, separator: str) -> list[str]:
 
 
 def _compared(text: str, comparison: str) -> Joined:
-    """One comparison of a text: with each value of a set."""
+    """Parse one comparison of a text, with each value of a set."""
     found = _CONDITION.fullmatch(comparison)
     if found is None:
         raise CallerError(
@@ -477,7 +477,7 @@ def _ordered(sign: str, values: Any, number: float, near: Rows) -> Rows:
 
 
 def _near(values: Any, number: float) -> Rows:
-    """`_is_near` on columns."""
+    """Compare columns as `_is_near` does."""
     found: Rows = values == number
     if values.dtype.kind == "f" or isinstance(number, float):
         with np.errstate(invalid="ignore"):  # math.isclose

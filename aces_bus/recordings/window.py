@@ -40,7 +40,7 @@ class TimeWindow(msgspec.Struct):
     ) -> TimeWindow | None:
         """Return the window of two texts, None when neither is given. `names` are what the caller calls them.
 
-        Raises `CallerError` for what is no time, and for an end that is not later than its start.
+        Raises `CallerError` for what is not a time, and for an end that is not later than its start.
         """
         if start is None and stop is None:
             return None
@@ -66,7 +66,7 @@ class TimeWindow(msgspec.Struct):
         return start, start + self.lasting_ns if self.lasting_ns is not None and start is not None else stop
 
     def begin(self) -> None:
-        """Another file, with a first frame of its own."""
+        """Begin another file, with a first frame of its own."""
         self._first = None
 
     def inside(self, time: Any) -> Any:

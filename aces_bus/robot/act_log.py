@@ -51,7 +51,7 @@ class ActLog:
         status = os.fstat(self._file)
         if not stat.S_ISREG(status.st_mode):
             os.close(self._file)
-            raise CallerError(f"{self.path}: is no file that can be appended to")
+            raise CallerError(f"{self.path}: is not a file that can be appended to")
         # A line that another program could not finish stays by itself.
         is_cut = status.st_size > 0 and os.pread(self._file, 1, status.st_size - 1) != b"\n"
         self._begin = b"\n" if is_cut else b""

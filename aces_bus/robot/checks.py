@@ -80,7 +80,7 @@ def _check_body(robot: Robot, complain: Complain) -> None:
 
 
 def near(name: str, known: Collection[str], cutoff: float = 0.6, many: int = MANY) -> str:
-    """`; did you mean 'x'?`, or nothing. Of very many names none is looked for: it would take minutes."""
+    """Return `; did you mean 'x'?`, or nothing. Very many names are not searched: that would take minutes."""
     if len(name) > 100 or len(known) > many:
         return ""
     found = difflib.get_close_matches(name, list(known), n=1, cutoff=cutoff)
@@ -123,7 +123,7 @@ _drivers: set[str] = set()
 
 
 def _check_reactions(robot: Robot, complain: Complain) -> None:
-    """Functions of the program that runs may be reactions, and its controllers sources: those are not known here."""
+    """Check reactions; functions and controllers of the program that runs are not known here."""
     for key, word in robot.reactions.items():
         path = ("reactions", key)
         kind, _, sources = key.partition("@")
@@ -140,7 +140,7 @@ def _check_reactions(robot: Robot, complain: Complain) -> None:
         if word not in WORDS and not word.startswith("degrade:") and not word.isidentifier():
             complain(
                 path,
-                f"{word!r} is no reaction (there are: {', '.join(WORDS)}, degrade:NAME, a function's name)",
+                f"{word!r} is not a reaction (there are: {', '.join(WORDS)}, degrade:NAME, a function's name)",
             )
 
 
@@ -192,12 +192,12 @@ def _check_buses(robot: Robot, complain: Complain) -> _Spoken:
             if bus.link != link:
                 complain((*path, key), f"belongs to link = {link!r}; this bus has link = {bus.link!r}")
             elif key == "bitrate" and not 5_000 <= value <= 1_000_000:
-                complain((*path, key), f"{value} bit/s is no bit rate of CAN; 1 Mbit/s is 1_000_000", True)
+                complain((*path, key), f"{value} bit/s is not a bit rate of CAN; 1 Mbit/s is 1_000_000", True)
             elif key == "data_bitrate" and protocol is not None and not protocol.has_fd:
                 complain((*path, key), f"belongs to CAN FD, which {bus.protocol} does not use")
             elif key == "data_bitrate" and not (bus.bitrate or 0) <= value <= 8_000_000:
                 complain(
-                    (*path, key), f"{value} bit/s is no data rate of CAN FD; 5 Mbit/s is 5_000_000", True
+                    (*path, key), f"{value} bit/s is not a data rate of CAN FD; 5 Mbit/s is 5_000_000", True
                 )
             elif key == "baud" and value < 50:
                 complain((*path, key), f"{value} baud is slower than any line; 1 Mbaud is 1_000_000", True)

@@ -1,4 +1,4 @@
-"""The enable chain of a robot's file: e-stop inputs, homing, brakes, and the reduced speed. It is no safety function.
+"""The enable chain of a robot's file: e-stop inputs, homing, brakes, and the reduced speed. It is not a safety function.
 
 1. An input that is silent, unreadable or older than its stated time counts as pressed; so does any value that is not clear.
 2. A pressed input stops every device of a rig that drives, bars the door for set-points, and fails what enables or moves.

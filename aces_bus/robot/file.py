@@ -268,7 +268,7 @@ class _Reader:
                     self.complain((*path, key), str(error))
 
     def _struct(self, kind: type[T], path: tuple[str, ...], content: Any, **given: str) -> T | None:
-        """One table as a struct; None when a key that it needs is missing or wrong."""
+        """Return one table as a struct; None when a key that it needs is missing or wrong."""
         noun = kind.__name__.removesuffix("Config")
         what = f"{'an' if noun[0] in 'AEIOU' else 'a'} {noun.lower()}"
         infos = [field for field in _fields(kind) if field.name not in given]

@@ -70,7 +70,7 @@ class Parking:
         return longest + MARGIN_S
 
     def _astray(self, device: Device, joint: str) -> str:
-        """Why a joint does not follow its set-points now; "" while it does."""
+        """Say why a joint does not follow its set-points now; "" while it does."""
         signal = self.rig[joint]
         given, measured = self.rig.door.given(signal.name), signal.value
         if device.is_silent or measured is UNKNOWN:

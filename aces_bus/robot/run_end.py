@@ -163,7 +163,7 @@ class RunEnd:
     # ------------------------------------------------------------------ its parts
 
     def _fault(self, source: str, error: BaseException | str) -> None:
-        """Something of the end went wrong; the end goes on."""
+        """Note a fault of the end, which goes on."""
         said = error if isinstance(error, str) else raised_text(error)
         self._failed.append(f"{source}: {said}")
         self.run.note(ControlEvent("failed", self.run.clock.now(), source, said))

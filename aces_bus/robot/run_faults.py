@@ -102,7 +102,7 @@ class RunFaults:
         self._raised(task.name, OF_LOGS[0] if task.name in self.logs else "raised", error)
 
     def bus_failed(self, error: BaseException) -> None:
-        """Something raised on the buses' thread."""
+        """Handle an exception on the buses' thread."""
         self._raised("buses", "bug", error)
 
     def _raised(self, source: str, kind: str, error: BaseException) -> None:
@@ -153,7 +153,7 @@ class RunFaults:
             self._stop(supervisor.name, self.run.driven(supervisor))
 
     def _hold(self, supervisor: Supervisor, trip: Trip) -> None:
-        """Set-points that stay where they are, at the controller's rate, whether it still runs or not."""
+        """Hold set-points where they are, at the controller's rate, whether it still runs or not."""
 
         def again() -> None:
             if self.run.phase == "running" and supervisor.guard.tripped is trip:

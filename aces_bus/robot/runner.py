@@ -234,7 +234,7 @@ class Runner:
             unnamed_s=dead_man,
             name=controller.name,
         )
-        # What a log cannot take is no reason to stop a robot, unless that is declared.
+        # What a log cannot take is not a reason to stop a robot, unless that is declared.
         supervisor = Supervisor(
             controller, made, {**dict.fromkeys(OF_LOGS, IGNORE), **reactions}, dead_man_s=dead_man
         )
@@ -468,7 +468,7 @@ class Runner:
             return
         while not is_over():  # asked once a millisecond, not after each event
             if clock.next_event is None and end >= 1 << 62:
-                raise CallerError("nothing will ever happen here, and the run has no end: give it one")
+                raise CallerError("no event is scheduled and the run has no end; pass `seconds` or `until`")
             if clock.now() >= end:
                 return
             clock.advance_to(min(end, clock.now() + STEP_NS))

@@ -149,7 +149,7 @@ class ReplayPort:
         return True
 
     def wire_ns(self, packet: Any) -> int:
-        """0: nothing is sent."""
+        """Return 0: nothing is sent."""
         return 0
 
     def close(self) -> None:

@@ -37,7 +37,7 @@ class Task:
 
     def __init__(self, name: str, step: Callable[[int], Any], rate_hz: float, priority: int = 0) -> None:
         if rate_hz <= 0:
-            raise CallerError(f"{name}: a rate of {rate_hz} Hz is none")
+            raise CallerError(f"{name}: a rate of {rate_hz} Hz; give a rate above 0 Hz")
         self.name, self.step, self.rate_hz, self.priority = name, step, rate_hz, priority
         self.period_ns = round(1e9 / rate_hz)
         self.ticks = self.missed = self.overruns = self.failures = 0
@@ -49,7 +49,7 @@ class Task:
         self._late = array("q", bytes(8 * KEPT))
 
     def tick(self, due: int, clock: Clock, failed: Callable[[Task, BaseException], None] | None) -> None:
-        """One step, measured."""
+        """Run one step, and measure it."""
         began = clock.now()
         late = began - due
         self._late[self.ticks % KEPT] = late

@@ -125,7 +125,7 @@ class Derived(TimeSeries):
         )
 
     def samples_up_to(self, instant: int, most: int) -> list[int]:
-        """Instants of the inputs' samples together, up to the first that is not before `instant`."""
+        """Return the instants of the inputs' samples together, up to the first that is not before `instant`."""
         found = [source.samples_up_to(instant, most) for source in self._sources]
         if not all(found):
             return []
@@ -133,7 +133,7 @@ class Derived(TimeSeries):
         return sorted({at for instants in found for at in instants if at <= last})[-most:]
 
     def samples_between(self, start: int, end: int) -> list[int]:
-        """Instants of all the inputs' samples there, as far as all of them reach."""
+        """Return the instants of all the inputs' samples there, as far as all of them reach."""
         span = self.span
         if span is None:
             return []

@@ -126,7 +126,7 @@ class Track:
         raise NotImplementedError
 
     def at(self, instant: int) -> tuple[Any, Any, Any]:
-        """Value, velocity and acceleration at an instant, by the model; `UNKNOWN` before the first sample."""
+        """Return value, velocity and acceleration at an instant, by the model; `UNKNOWN` before the first sample."""
         if not self.state:
             return UNKNOWN, UNKNOWN, UNKNOWN
         since, x, v, a = self.state[:4]

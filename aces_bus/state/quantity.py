@@ -81,11 +81,13 @@ class TimeSeries(ABC):
 
     @abstractmethod
     def samples_up_to(self, instant: int, most: int) -> list[int]:
-        """Instants of up to `most` samples, ascending; the last one is the first that is not before `instant`."""
+        """Return the instants of up to `most` samples, ascending; the last one is the first that is not
+        before `instant`.
+        """
 
     @abstractmethod
     def samples_between(self, start: int, end: int) -> list[int]:
-        """Instants of all samples kept with start ≤ instant ≤ end, ascending."""
+        """Return the instants of all samples kept with start ≤ instant ≤ end, ascending."""
 
     @property
     @abstractmethod
@@ -137,7 +139,7 @@ class TimeSeries(ABC):
         return self.value is not UNKNOWN
 
     def read(self) -> Reading:
-        """Last value, its instant, age and staleness, together."""
+        """Return last value, its instant, age and staleness, together."""
         return Reading(self.last, self.instant, self.age_ns, self.is_stale)
 
     def __getitem__(self, t: float) -> Any:
@@ -160,7 +162,7 @@ class TimeSeries(ABC):
             raise
 
     def get(self, t: float, default: Any = UNKNOWN) -> Any:
-        """`q[t]`, or `default` where that is unknown or outside of what can be known."""
+        """Return `q[t]`, or `default` where that is unknown or outside of what can be known."""
         try:
             value = self[t]
         except StateError:
@@ -250,7 +252,7 @@ class TimeSeries(ABC):
         return window_of(self, t0, t1, rate_hz)
 
     def spectrum(self, window_s: float, *, taper: str = "hann", rate_hz: float | None = None) -> Spectrum:
-        """Amplitudes over frequency of the last `window_s` seconds; see `aces_bus.state.window`."""
+        """Return amplitudes over frequency of the last `window_s` seconds; see `aces_bus.state.window`."""
         from .window import spectrum_of
 
         return spectrum_of(self, window_s, taper, rate_hz)

@@ -103,11 +103,11 @@ class Rate(TimeSeries):
         return self.source.forgotten
 
     def samples_up_to(self, instant: int, most: int) -> list[int]:
-        """Instants of the source's samples, up to the first that is not before `instant`."""
+        """Return the instants of the source's samples, up to the first that is not before `instant`."""
         return self.source.samples_up_to(instant, most)
 
     def samples_between(self, start: int, end: int) -> list[int]:
-        """Instants of the source's samples there."""
+        """Return the instants of the source's samples there."""
         return self.source.samples_between(start, end)
 
     @property

@@ -195,7 +195,7 @@ class Filtered(Running):
         return lambda value, _: function(value)
 
     def _accepted(self, value: float, instant: int) -> None:
-        """Each sample is one step."""
+        """Take a sample as one step."""
         try:
             step = self._step
             if step is None:

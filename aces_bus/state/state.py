@@ -468,7 +468,9 @@ class State(TimeSeries):
                 return slope if -_INFINITY < slope < _INFINITY else UNKNOWN
 
     def samples_up_to(self, instant: int, most: int) -> list[int]:
-        """Instants of up to `most` samples; the last one is the first that is not before `instant`, or the newest."""
+        """Return the instants of up to `most` samples; the last one is the first that is not before
+        `instant`, or the newest.
+        """
         while True:
             start, end, count = self._piece()
             stop = min(end, bisect_left(self._instants, instant, start, end) + 1)
@@ -477,11 +479,11 @@ class State(TimeSeries):
                 return found
 
     def samples_between(self, start: int, end: int) -> list[int]:
-        """Instants of all samples kept with start ≤ instant ≤ end."""
+        """Return the instants of all samples kept with start ≤ instant ≤ end."""
         return self.piece_between(start, end)[0].tolist()
 
     def piece_between(self, start: int, end: int) -> tuple[array[int], array[float]]:
-        """Instants (ns) and values (NaN: unknown) of the samples kept with start ≤ instant ≤ end, copied."""
+        """Return instants (ns) and values (NaN: unknown) of the samples kept with start ≤ instant ≤ end, copied."""
         while True:
             low, high, count = self._piece()
             first = bisect_left(self._instants, start, low, high)
@@ -491,7 +493,7 @@ class State(TimeSeries):
                 return found
 
     def known_samples(self, most: int, *, newest: bool) -> tuple[list[int], list[float]]:
-        """Instants and values of up to `most` known samples at the newest or the oldest end, ascending."""
+        """Return instants and values of up to `most` known samples at the newest or the oldest end, ascending."""
         span = self.span
         if span is None:
             return [], []

@@ -125,7 +125,7 @@ def check_quiet_before(stand: TestBench) -> None:
 
 
 def check_received(stand: TestBench) -> None:
-    """Every signal that is read is known and finite soon after the bus was opened, and stays fresh."""
+    """Check that every signal that is read is known and finite soon after the bus was opened, and stays fresh."""
     with stand.made() as robot:
         robot.advance(SETTLE_S)
         for device, _ in stand.mine(robot):
@@ -155,7 +155,7 @@ def check_received(stand: TestBench) -> None:
 
 
 def check_set(stand: TestBench) -> None:
-    """Every signal that can be set, is: the twin receives it, and what is read goes there."""
+    """Check that every signal that can be set is set: the twin receives it, and the reading goes there."""
     with stand.made() as robot:
         robot.advance(1.0)
         enable(robot)
@@ -318,7 +318,7 @@ MISBEHAVIOUR: Final[Mapping[str, tuple[str, ...] | None]] = {
 
 
 def check_misbehaviour(stand: TestBench) -> None:
-    """Late, doubled, short, lost and wrong answers are reported by name and survived; afterwards all is as before."""
+    """Check that late, doubled, short, lost and wrong answers are reported by name and survived."""
     with stand.made() as robot:
         _settle(robot, stand)
         for device, twin in stand.mine(robot):
@@ -429,7 +429,7 @@ def check_reboot(stand: TestBench) -> None:
 
 
 def check_absent(stand: TestBench) -> None:
-    """Devices that are not there cost nothing but their values; when they come they are received."""
+    """Check that absent devices cost nothing but their values, and are received when they come."""
     with stand.made() as robot:
         for twin in robot.twins.values():
             twin.power(False)
@@ -446,7 +446,7 @@ def check_absent(stand: TestBench) -> None:
 
 
 def check_actions(stand: TestBench) -> None:
-    """Every action that needs no argument ends, with success or with a device's error; so does stopping."""
+    """Check that every action without arguments ends, with success or with a device's error; so does stopping."""
     with stand.made() as robot:
         _settle(robot, stand)
         _run_actions(stand, robot, pause_s=0.1, may_excuse=True)
@@ -464,7 +464,7 @@ def check_actions_of_the_absent(stand: TestBench) -> None:
 def _run_actions(
     stand: TestBench, robot: VirtualRobot, pause_s: float = 0.0, *, may_excuse: bool = False
 ) -> None:
-    """Every action that needs no argument, then stopping; `pause_s` lies behind each of them."""
+    """Run every action that needs no argument, then stop; `pause_s` lies behind each of them."""
     for device, _ in stand.mine(robot):
         for action in device.actions:
             method = getattr(device, action)
@@ -582,7 +582,7 @@ def run_check(
     excused: Mapping[str, str] | None = None,
     load: Callable[[str], Driver] | None = None,
 ) -> None:
-    """One check on a driver's example robots, and on `examples`; raises `AssertionError` with what is wrong."""
+    """Run one check on a driver's example robots, and on `examples`; raise `AssertionError` with what is wrong."""
     found = load_driver(driver) if isinstance(driver, str) else driver
 
     def loading(wanted: str) -> Driver:

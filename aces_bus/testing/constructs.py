@@ -80,7 +80,7 @@ class _Walk:
         return self._parsed(con)
 
     def _hinted(self, name: str, otherwise: Draw) -> Draw:
-        """Numbers that decide about other fields are often such that the others exist, and are few."""
+        """Draw small numbers often for fields that decide about others, so that these exist and are few."""
         values, is_small = self.hints.values.get(name), name in self.hints.small
         if values is None and not is_small:
             return otherwise
@@ -293,7 +293,7 @@ class _Walk:
         return draw if isinstance(con.subcon, type(c.GreedyBytes)) else self._parsed(con)
 
     def _sequence(self, con: Any) -> Draw:
-        """`PrefixedArray`: a count that is rebuilt, and an array of so many."""
+        """Draw a `PrefixedArray`: a count that is rebuilt, and an array of that size."""
         inner = con.subcons[-1]
         inner = inner.subcon if isinstance(inner, c.Renamed) else inner
         if not isinstance(inner, c.Array):
@@ -403,7 +403,7 @@ class _Walk:
     # -------------------------------------------------- everything else
 
     def _parsed(self, con: Any) -> Draw:
-        """Values of a construct that the walk does not know: bytes that it reads to their end."""
+        """Draw values of a construct that the walk does not know: bytes that it reads to their end."""
         low, high = sizes(con)
 
         def draw(source: ChoiceSource, ctx: Any, room: Room) -> Any:
@@ -482,7 +482,7 @@ def _measure(con: Any, value: Any, context: Any) -> int:
 
 
 def _content(source: ChoiceSource, size: int, message: Message) -> bytes:
-    """Bytes that may hold what the framing looks for: sync, end, stuffing."""
+    """Draw bytes that may hold what the framing looks for: sync, end, stuffing."""
     data = source.bytes(size)
     framing = message.framing
     if framing is None or size < 2:

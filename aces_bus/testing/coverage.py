@@ -80,7 +80,7 @@ def _declared(message: Message) -> list[tuple[str, Any, bool]]:
 
 
 def _fields(message: Message) -> dict[str, bool]:
-    """Names of a record's fields, and whether each may be absent."""
+    """Return names of a record's fields, and whether each may be absent."""
     optional = {name for name, _, may_be_absent in _declared(message) if may_be_absent}
     return {name: name in optional for name in message.fields if name not in message.request_fields}
 
@@ -149,7 +149,7 @@ class Coverage:
                         self.reached[protocol, "value", f"{message.name}.{field}={text}"] += 1
 
     def _refused(self, trial: Trial, number: int, item: Unknown) -> None:
-        """Which template a loss belongs to."""
+        """Count a loss at the template that it belongs to."""
         bench = trial.bench
         if bench.is_can:
             frame = trial.scene.traffic[number] if number < len(trial.scene.traffic) else None

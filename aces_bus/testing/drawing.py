@@ -113,7 +113,7 @@ def _keyed(items: Sequence[ScannedItem] | str) -> tuple[str, list[tuple[str, Sca
 
 
 def _lane(items: Sequence[tuple[str, ScannedItem]], start: int, stop: int) -> str:
-    """Under a row of bytes: each item from its key to its end; what is lost is dotted."""
+    """Draw a lane under a row of bytes: each item from its key to its end; what is lost is dotted."""
     out = [" "] * (3 * (stop - start))
     for key, item in items:
         first, last = max(item.offset, start), min(item.offset + item.size, stop)

@@ -38,7 +38,7 @@ GONE = object()
 
 
 def encoders(trial: Trial) -> None:
-    """Law 2, of encoders."""
+    """Check law 2 of encoders."""
     accepted = list(trial.accepted())
     if not trial.thorough and accepted:
         accepted = [accepted[trial.turn % len(accepted)]]
@@ -151,7 +151,7 @@ def changed_values(fields: Mapping[str, Any]) -> list[Change]:
 
 
 def _change(fields: Mapping[str, Any], turn: int) -> Change | None:
-    """One of them, or none."""
+    """Draw a change, or none."""
     turn, place = divmod(turn, len(fields) + 1)
     if place == len(fields):
         return ((NO_FIELD,), 0) if turn % 4 == 0 else None
@@ -188,7 +188,7 @@ def _with(around: Any, path: Sequence[Any], value: Any) -> Any:
 
 
 def _others(value: Any) -> Iterator[Change]:
-    """Values to put in a value's place: near it, beyond it, of another kind."""
+    """Return values to put in a value's place: near it, beyond it, of another kind."""
     if isinstance(value, FlagSet):
         yield from _each(int(value), -1, 1 << 40, [], [*value, "no such flag"], None, "no such flag")
     elif isinstance(value, bool) or value is None:

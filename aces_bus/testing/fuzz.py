@@ -242,7 +242,7 @@ def _few(cuts: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def joined_scenes(scenes: Sequence[Scene]) -> Scene:
-    """Scenes end to end."""
+    """Join scenes end to end."""
     idle_at: list[int] = []
     sent_at: list[tuple[int, Any]] = []
     packets: list[Any] = []

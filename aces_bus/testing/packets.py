@@ -146,7 +146,7 @@ def _allowed(message: Message, name: str) -> Collection[int] | None:
 def draw_values(
     message: Message, source: ChoiceSource, fixed: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
-    """Raw values of all fields of a message; those in `fixed` are taken from there."""
+    """Draw raw values of all fields of a message; those in `fixed` are taken from there."""
     given = fixed or {}
     values: dict[str, Any] = {}
     for capture in message.identifier.captures:

@@ -12,7 +12,7 @@ FAILURES = ".aces/failures"
 
 
 def pytest_addoption(parser: Any) -> None:
-    """`--aces-failures DIR` and `--aces-examples N`."""
+    """Add `--aces-failures DIR` and `--aces-examples N`."""
     group = parser.getgroup("aces_bus", "laws of protocols (aces_bus.testing.law_tests)")
     group.addoption(
         "--aces-failures",

@@ -186,7 +186,7 @@ def _written(packet: DrawnPacket) -> dict[str, Any]:
 
 
 def _tagged(value: Any) -> Any:
-    """Values as JSON, each with its kind: bytes and floats keep every bit."""
+    """Return values as JSON, each with its kind: bytes and floats keep every bit."""
     if isinstance(value, (bytes, bytearray)):
         return ["bytes", bytes(value).hex()]
     if isinstance(value, float):

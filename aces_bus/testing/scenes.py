@@ -59,7 +59,7 @@ class Cast:
 
 
 def cast(wire: Wire, direction: Way) -> Cast:
-    """Who may speak on a wire in a direction."""
+    """Return who may speak on a wire in a direction."""
     return _cast(wire_variants(wire), direction)
 
 
@@ -193,7 +193,7 @@ def _overwritten(packet: DrawnPacket, source: ChoiceSource) -> bytes:
 
 
 def _rewrapped(packet: DrawnPacket, source: ChoiceSource) -> bytes:
-    """Other contents in the same framing, length and check being right."""
+    """Draw other contents in the same framing, with right length and check."""
     message = packet.message
     framing = message.framing
     assert framing is not None
@@ -218,7 +218,7 @@ def _rewrapped(packet: DrawnPacket, source: ChoiceSource) -> bytes:
 
 
 def garbage(who: Cast, source: ChoiceSource) -> bytes:
-    """Bytes of no packet: random, or made of what the framings look for."""
+    """Draw bytes of no packet: random, or made of what the framings look for."""
     size = source.integer(1, 24)
     how = source.integer(0, 3)
     framing = source.choice(who.framings)
@@ -237,7 +237,7 @@ def garbage(who: Cast, source: ChoiceSource) -> bytes:
 
 
 def adversary(wire: Wire, direction: Way, source: ChoiceSource, *, size: int = 3000) -> bytes:
-    """Headers that all promise a long packet: what costs a scanner most."""
+    """Draw headers that all promise a long packet: what costs a scanner most."""
     framing = source.choice(cast(wire, direction).framings)
     unit = bytearray(framing.sync)
     for head in framing.heads:
@@ -260,7 +260,7 @@ def adversary(wire: Wire, direction: Way, source: ChoiceSource, *, size: int = 3
 
 
 def draw_frames(wire: Wire, direction: Way, source: ChoiceSource, *, size: int = 24) -> Scene:
-    """About `size` CAN frames: valid, nearly valid, foreign, remote, FD, extended, error frames.
+    """Draw about `size` CAN frames: valid, nearly valid, foreign, remote, FD, extended, error frames.
 
     Packets of several frames are under way at the same time; frames of them are lost, come twice or in another order.
     """
@@ -354,7 +354,7 @@ def _jumbled(frames: list[Frame], message: Message, how: int, source: ChoiceSour
 
 
 def rechecked(message: Message, identifier: int, data: bytes) -> bytes:
-    """Frame data with the check that goes with them."""
+    """Return frame data with the check that goes with them."""
     check = message.check
     assert check is not None
     start, size, order = message.check_span

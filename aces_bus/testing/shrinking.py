@@ -127,12 +127,12 @@ def _without_events(best: _Best) -> None:
 
 
 def _but(items: tuple[T, ...], index: int, *others: T) -> tuple[T, ...]:
-    """Items without one, or with others in its place."""
+    """Return items without one, or with others in its place."""
     return (*items[:index], *others, *items[index + 1 :])
 
 
 def _inside(best: _Best) -> Cuts:
-    """Cuts that cut something, each once."""
+    """Return cuts that cut something, each once."""
     return tuple(sorted({cut for cut in best.cuts if 0 < cut < len(best.scene)}))
 
 
@@ -154,7 +154,7 @@ def without(scene: Scene, cuts: Cuts, start: int, stop: int) -> tuple[Scene, Cut
 
 
 def _delete(best: _Best) -> None:
-    """Delta debugging: ever smaller runs are left out; of what stays long, large ones and its end only."""
+    """Leave out ever smaller runs (delta debugging); of what stays long, large runs and its end only."""
     size = max(1, len(best.scene) // 2)
     while best.calls.are_left:
         start = max(0, len(best.scene) - size)
@@ -208,7 +208,7 @@ def _zeroed(best: _Best) -> None:
 
 
 def _repacked(bench: Bench, best: _Best) -> None:
-    """Packets with less in them, each until nothing helps."""
+    """Replace packets by ones with less in them, each until nothing helps."""
     start = 0
     while start < len(best.scene) and best.calls.are_left:
         if not any(
@@ -252,7 +252,7 @@ def smaller_packets(bench: Bench, traffic: bytes, start: int) -> Iterator[tuple[
 
 
 def lesser(framing: Framing, message: Message, packet: bytes) -> Iterator[bytes]:
-    """Packets of a framing that have less in them than `packet`: fewer bytes, then smaller ones."""
+    """Yield packets of a framing that have less in them than `packet`: fewer bytes, then smaller ones."""
     try:
         logical = framing.logical(packet)
     except ValueError:
@@ -369,7 +369,7 @@ def _traffic_of(scene: Scene, packet: DrawnPacket) -> Any:
 
 
 def simpler_values(values: Any) -> Iterator[Any]:
-    """Values with one thing in them made simpler."""
+    """Yield values with one of them made simpler."""
     if isinstance(values, Mapping):
         for name, value in values.items():
             for simpler in simpler_values(value):

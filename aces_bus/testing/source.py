@@ -25,11 +25,11 @@ class ChoiceSource(Protocol):
         ...
 
     def choice(self, items: Sequence[T]) -> T:
-        """One of `items`."""
+        """Return one of `items`."""
         ...
 
     def bytes(self, size: int) -> bytes:
-        """Any `size` bytes."""
+        """Return `size` bytes."""
         ...
 
     @property

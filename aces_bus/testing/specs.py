@@ -116,7 +116,7 @@ def _number(source: ChoiceSource, room: int) -> tuple[str, int]:
 
 
 def _single(source: ChoiceSource, names: _Names, room: int) -> tuple[str, int]:
-    """One field with its name, and its size."""
+    """Return one field with its name, and its size."""
     name = names.next()
     how = source.integer(0, 11)
     con, size = _number(source, room)

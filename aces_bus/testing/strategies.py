@@ -37,7 +37,7 @@ def _drawn(draw: Any) -> Drawn:
 
 @st.composite
 def fields(draw: Any, message: Message) -> dict[str, Any]:
-    """Raw values of all fields of `message`: `message.struct.build(values, raw=True)` takes them."""
+    """Draw raw values of all fields of `message`: `message.struct.build(values, raw=True)` takes them."""
     return draw_values(message, _drawn(draw))
 
 
@@ -58,22 +58,24 @@ def entropy(size: int) -> st.SearchStrategy[Entropy]:
 
 
 def streams(wire: Wire, direction: Way = None, *, size: int = 400) -> st.SearchStrategy[Scene]:
-    """Byte streams of about `size` bytes: packets of all messages of the wire, whole and damaged, and garbage."""
+    """Draw byte streams of about `size` bytes: packets of all messages of the wire, whole and damaged, and garbage."""
     return entropy(size // 3).map(lambda source: draw_stream(wire, direction, source, size=size))
 
 
 def frames(wire: Wire, direction: Way = None, *, size: int = 24) -> st.SearchStrategy[Scene]:
-    """About `size` CAN frames: valid ones, nearly valid ones, and others."""
+    """Draw about `size` CAN frames: valid ones, nearly valid ones, and others."""
     return entropy(5 * size).map(lambda source: draw_frames(wire, direction, source, size=size))
 
 
 def scenes(wire: Wire, direction: Way = None, *, size: int = 400) -> st.SearchStrategy[Scene]:
-    """`streams` or `frames`, as the wire's link is; some streams are long enough for the scanner's long strides."""
+    """Draw `streams` or `frames`, as the wire's link is; some streams are long enough for the scanner's long
+    strides.
+    """
     return entropy(size // 3).map(lambda source: draw_scene(wire, direction, source, size=size))
 
 
 def adversaries(wire: Wire, direction: Way = None, *, size: int = 3000) -> st.SearchStrategy[Scene]:
-    """Streams of headers that all promise long packets: what costs a scanner most."""
+    """Draw streams of headers that all promise long packets: what costs a scanner most."""
     return entropy(32).map(lambda source: Scene(adversary(wire, direction, source, size=size)))
 
 
@@ -90,7 +92,7 @@ def arguments(
 
 
 def specs(*, link: Link | None = None) -> st.SearchStrategy[str]:
-    """Python source of random protocols, each named `drawn`, on CAN or on a serial line.
+    """Draw Python source of random protocols, each named `drawn`, on CAN or on a serial line.
 
     Random identifiers with captures, layouts, numbers, enumerations, multiplexed fields; framings with length fields, end
     marks, fixed sizes, stuffing and checks.

@@ -294,7 +294,7 @@ class Trial:
         return items_by(self.bench.reference(), self.scene)
 
     def accepted(self) -> Iterator[tuple[Message, bytes, dict[str, Any]]]:
-        """Message, image and request's fields of each record that the scanner gave."""
+        """Return message, image and request's fields of each record that the scanner gave."""
         names = self.bench.by_name
         for record in self.given:
             if isinstance(record, Unknown):

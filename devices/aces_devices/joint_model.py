@@ -56,7 +56,7 @@ class MotorModel:
 
 
 def servo_gains(motor: MotorModel, bandwidth: float = 80.0) -> tuple[float, float]:
-    """Stiffness (1/rad) and damping (s/rad) of a critically damped position loop with this bandwidth (rad/s)."""
+    """Return stiffness (1/rad) and damping (s/rad) of a critically damped position loop with this bandwidth (rad/s)."""
     tau, speed = motor.time_constant, motor.speed
     return bandwidth**2 * tau / speed, max(0.0, 2 * bandwidth * tau - 1) / speed
 
@@ -135,7 +135,7 @@ class MotorJoint:
         self.mode, self.duty = "free", 0.0
 
     def drive(self, now: int, duty: float) -> None:
-        """Open-loop PWM, −1…1."""
+        """Drive with open-loop PWM, −1…1."""
         self.sync(now)
         self.mode, self.duty = "duty", max(-1.0, min(1.0, duty))
 
@@ -152,7 +152,9 @@ class MotorJoint:
     def impede(
         self, now: int, goal: float, velocity: float, stiffness: float, damping: float, torque: float
     ) -> None:
-        """Torque = stiffness × (goal − position) + damping × (velocity − its own) + torque, as MIT's motors do."""
+        """Control torque = stiffness × (goal − position) + damping × (velocity − its own) + torque, as MIT's
+        motors do.
+        """
         self.sync(now)
         self.mode, self.goal = "impedance", goal
         self.impedance = (velocity, stiffness, damping, torque)
@@ -207,7 +209,7 @@ class MotorJoint:
         self.at += steps * STEP_NS
 
     def _run(self, steps: int) -> None:
-        """So many milliseconds."""
+        """Simulate `ms` milliseconds."""
         q, v = self.q, self.v
         decay, reach, friction, speed, stall, most, heating, cooling = self._constants
         stiffness, damping, goal = self.stiffness, self.damping, self.goal

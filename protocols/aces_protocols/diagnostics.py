@@ -92,11 +92,13 @@ class TroubleCode(Field):
         return f"{'PCBU'[code >> 14]}{code & 0x3FFF:04X}{kind}"
 
     def to_raw(self, value: Any, path: str = "") -> int:
-        """Return the number. Raises `FieldError` for what is no code."""
+        """Return the number. Raises `FieldError` for what is not a code."""
         wide = self.sizeof() == 3
         found = re.fullmatch(r"([PCBU])([0-3][0-9A-F]{3})" + ("-([0-9A-F]{2})" if wide else ""), str(value))
         if found is None:
-            raise FieldError(f"{value!r} is no trouble code such as {'P0301-11' if wide else 'P0301'}", path)
+            raise FieldError(
+                f"{value!r} is not a trouble code such as {'P0301-11' if wide else 'P0301'}", path
+            )
         code = "PCBU".index(found[1]) << 14 | int(found[2], 16)
         return code << 8 | int(found[3], 16) if wide else code
 
@@ -122,7 +124,7 @@ REFUSALS = {
 
 
 def for_all(examples: Sequence[tuple[str, dict[str, Any]]]) -> list[tuple[str, dict[str, Any]]]:
-    """Worked examples of a request to one ECU as those of the request to all."""
+    """Return worked examples of a request to one ECU as those of the request to all."""
     return [
         (f"{ALL:X}#{frame.partition('#')[2]}", {k: v for k, v in values.items() if k != "ecu"})
         for frame, values in examples

@@ -203,7 +203,7 @@ def test_wrong_calls_are_said(clients: list[Client]) -> None:
     states, _ = made_states(clock)
     with pytest.raises(UnknownNameError, match="hop"):
         UdpStates(states, ["hop"], clock=clock)
-    with pytest.raises(CallerError, match="70000 is no UDP port"):
+    with pytest.raises(CallerError, match="70000 is not a UDP port"):
         UdpStates(states, {"hip": 70_000}, clock=clock)
     with pytest.raises(CallerError, match="two states"):
         UdpStates(states, {"hip": 3000, "heat": 3000}, clock=clock)

@@ -123,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         paths = json.loads(twins.stdout.readline())
         sys.setswitchinterval(SWITCH_S)
         buses = {name: {"channel": path} for name, path in paths.items()}
-        reactions = {"*": IGNORE}  # a busy machine is no fault
+        reactions = {"*": IGNORE}  # a busy machine is not a fault
         with run_real(SO101, [follow], buses=buses, transmit=True, reactions=reactions) as run:
             run.do("enable", devices=run.driven(run.supervisors[0]))
             cpu, wall = time.process_time(), time.monotonic()

@@ -415,7 +415,7 @@ def test_marks() -> None:
         ("", "no marks"),
         ("1 a\npressed\n", "marks.txt:2: mark 'pressed' is not a time"),
         ("2..1 a\n", "its end 1 is not later than marks.txt:1: mark 2"),
-        ("..  a\n", "no range of time"),
+        ("..  a\n", "not a range of time"),
     ],
 )
 def test_a_line_that_is_no_mark_is_refused(text: str, said: str) -> None:

@@ -54,7 +54,7 @@ def test_a_rate_that_is_none_is_refused(rate: float) -> None:
 
 @pytest.mark.parametrize("value", [UNKNOWN, None, "high", float("nan"), float("inf")])
 def test_unknown_has_many_faces(value: Any) -> None:
-    """Whatever is no finite number is unknown, and so is a state that raises or is absent."""
+    """Whatever is not a finite number is unknown, and so is a state that raises or is absent."""
     state = Fake()
     state.value = value
     assert known_value(state) is None
@@ -80,7 +80,7 @@ def test_a_function_gets_its_states_time_and_gains() -> None:
 
 
 def test_a_functions_memory_lasts_a_run() -> None:
-    """It begins empty with each start; `states` gives those whose names are no identifiers."""
+    """It begins empty with each start; `states` gives those whose names are not identifiers."""
 
     @controller(rate_hz=50, states=["left.AP"])
     def count(states: Any, memory: Any) -> Mapping[str, float]:
@@ -136,7 +136,7 @@ def test_a_function_is_not_called_before_its_states_are_known() -> None:
 
 
 def test_a_law_going_stale_in_the_middle_waits() -> None:
-    """Arithmetic with an unknown value is no fault of the law; any other TypeError is."""
+    """Arithmetic with an unknown value is not a fault of the law; any other TypeError is."""
     late = Fake()
 
     @controller(rate_hz=50)

@@ -206,7 +206,7 @@ def test_a_joint_that_begins_outside_of_its_limits_is_led_inside() -> None:
 
 
 def test_a_pause_earns_no_jump() -> None:
-    """After seconds without set-points the next step is no larger than two periods allow."""
+    """After seconds without set-points the next step is not larger than two periods allow."""
     guard = Guard({"A": Bounds(rate=1.0)}, period_s=0.01, dead_man_s=None)
     guard.apply(0, {"A": 0.0})
     assert guard.apply(5_000 * MS, {"A": 9.0})["A"] == pytest.approx(0.02)

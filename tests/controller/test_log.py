@@ -229,7 +229,7 @@ def test_names_with_and_without_attributes_are_one(tmp_path: Path) -> None:
 
 
 def test_a_line_that_is_cut_is_left_out_and_noted(tmp_path: Path) -> None:
-    """What a killed writer left at the end is no row, and the reader says so."""
+    """What a killed writer left at the end is not a row, and the reader says so."""
     for text, rows in (
         (b"0 X Y \n1 2 3 \n2 5", 1),
         (b"0 X Y \n1 2 3 \n2 5 -", 1),
@@ -250,8 +250,8 @@ BAD: list[tuple[bytes, str]] = [
     (b"0\n", ":1: no column"),
     (b"0 X X(value)\n", ":1: X named twice"),
     (b"0 X\n1 2\n3 4 5\n", ":3: 3 numbers where the line of names has 2"),
-    (b"0 X\n1 2\n3 x\n", ":3: column 2: 'x' is no number"),
-    (b"0 X\n1 1_0\n", ":2: column 2: '1_0' is no number"),
+    (b"0 X\n1 2\n3 x\n", ":3: column 2: 'x' is not a number"),
+    (b"0 X\n1 1_0\n", ":2: column 2: '1_0' is not a number"),
     (b"0 X\nnan 1\n", ":2: no time"),
     (b"time,X\n1,2\n1,2,3\n", ":3: 3 numbers"),
     (b'time,"X\n1,2\n', ":1: no line of names"),

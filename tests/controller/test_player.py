@@ -222,7 +222,7 @@ def test_speed_and_via_paths() -> None:
 
 
 def test_degrees_taken_for_radians_are_refused() -> None:
-    """94 rad is no joint angle; who means it says so."""
+    """94 rad is not a joint angle; who means it says so."""
     wave = Trajectory(["A"], [[0.0], [94.0]], rate_hz=10)
     with pytest.raises(CallerError, match="unit='deg'"):
         Player("p", wave, rate_hz=10)

@@ -125,7 +125,7 @@ def test_what_a_set_point_waits_for() -> None:
 
 
 def test_polls_of_one_tick_are_one_miss() -> None:
-    """Three polls that miss together are no silence yet; when the next ones miss too, it is."""
+    """Three polls that miss together are not silence yet; when the next ones miss too, it is."""
     polls = tuple(Poll("Ask", reply="State", every_s=0.05) for _ in range(3))
     with made(with_class(polls=polls)) as robot:
         robot.advance(0.2)

@@ -187,7 +187,7 @@ def test_a_machine_that_was_held_up_counts_what_never_comes_once() -> None:
 
 @replaces_methods
 def test_ticks_are_left_out_after_the_first_one_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first tick waits until all buses are open, which is no overrun; a later one that is late by whole ticks is."""
+    """The first tick waits until all buses are open, which is not an overrun; a later one that is late by whole ticks is."""
     robot = made()
     host, now, late = host_of(robot), robot.clock.now, [0]
     monkeypatch.setattr(robot.clock, "now", lambda: now() + late[0])

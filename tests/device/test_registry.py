@@ -45,7 +45,7 @@ def installed(folder: Path, **points: str) -> str:
 
 
 def test_two_claims_on_a_name_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A name that two packages claim is refused with both places, and ours stay ours; so is an entry that is no driver."""
+    """A name that two packages claim is refused with both places, ours stay ours; so is an entry that is not a driver."""
     with monkeypatch.context() as patch:
         patch.syspath_prepend(installed(tmp_path / "clash", blower="one:driver", blower_="two:driver"))
         with pytest.raises(SpecError, match="one:driver and two:driver"):

@@ -182,7 +182,7 @@ def test_any_text_and_number_is_printed_and_read(doc: str, lower: float, offset:
         (
             "rate_hz = 200",
             'reactions = { silent = "stand still" }',
-            "r.toml:2: reactions.silent: 'stand still' is no reaction (there are: ignore, degrade, hold,",
+            "r.toml:2: reactions.silent: 'stand still' is not a reaction (there are: ignore, degrade, hold,",
         ),
         (
             "rate_hz = 200",
@@ -718,10 +718,10 @@ def test_what_a_driver_may_be_told() -> None:
         ('protocol = "moteus", channel = "unix:base"', ""),
         ('protocol = "moteus", channel = "tcp:127.0.0.1:29537/can0", interface = "aces"', ""),
         ('protocol = "moteus", channel = "tcp:nowhere"', "HOST:PORT"),
-        ('protocol = "moteus", channel = "unix:"', "no address of a served bus"),
+        ('protocol = "moteus", channel = "unix:"', "not an address of a served bus"),
         ('protocol = "moteus", channel = "unix:base", interface = "socketcan"', "interface = 'aces'"),
         ('protocol = "moteus", bitrate = 1_000_000, data_bitrate = 5_000_000', ""),
-        ('protocol = "moteus", bitrate = 1_000_000, data_bitrate = 500_000', "no data rate of CAN FD"),
+        ('protocol = "moteus", bitrate = 1_000_000, data_bitrate = 500_000', "not a data rate of CAN FD"),
         ('protocol = "hubo", data_bitrate = 5_000_000', "CAN FD, which hubo does not use"),
     ],
 )

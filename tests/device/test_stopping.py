@@ -116,7 +116,7 @@ def test_who_has_not_stopped_is_named(robot: VirtualRobot) -> None:
 
 
 def test_a_status_that_came_late_says_how_old_it_is(robot: VirtualRobot) -> None:
-    """What waited in an adapter or a server since the bus had it is no news; a clock that is another's says nothing."""
+    """What waited in an adapter or a server since the bus had it is not news; a clock that is another's says nothing."""
     now = robot.clock.now() / 1e9
     scanner = fan.scanner()
 

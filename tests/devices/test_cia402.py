@@ -296,7 +296,7 @@ def test_writing_wants_a_word() -> None:
         device = robot.devices["D"]
         with pytest.raises(CallerError, match="confirm=true"):
             device.write("607A", 5)
-        with pytest.raises(CallerError, match="is no value of Target position"):
+        with pytest.raises(CallerError, match="is not a value of Target position"):
             device.write("607A", 1 << 40, confirm=True)
         with pytest.raises(CallerError, match="did you mean 'target position'"):
             device.read("Target positon")

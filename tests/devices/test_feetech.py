@@ -82,7 +82,7 @@ def test_servos_of_both_series_share_a_line() -> None:
 
 
 def test_a_wheel_has_speeds_and_stops() -> None:
-    """Velocity mode: the sign is bit 15; a stop is no speed."""
+    """Velocity mode: the sign is bit 15; a stop is not a speed."""
     with made(joint=', type = "continuous", command = "speed", direction = -1') as robot:
         robot.advance(0.1)
         device, twin = first(robot)

@@ -112,7 +112,7 @@ def heard(robot: VirtualRobot, *records: tuple[str, dict[str, Any]]) -> None:
 
 
 def test_a_time_counts_when_all_of_it_is_certain() -> None:
-    """A date without a time of day, or a second that may be another, is no time; fractions may be negative."""
+    """A date without a time of day, or a second that may be another, is not a time; fractions may be negative."""
     with VirtualRobot(robot_of(ubx_driver.example)) as robot:
         twin: Any = robot.twins["GNSS"]
         twin.power(False)
@@ -224,7 +224,7 @@ def test_metres_are_those_of_the_ellipsoid() -> None:
 
 
 def test_an_origin_is_on_the_earth() -> None:
-    """What is no place is refused by name."""
+    """What is not a place is refused by name."""
     text = ubx_driver.example.replace("[48.0, 11.0, 520.0]", "[148.0, 11.0]")
-    with pytest.raises(CallerError, match=r"148\.0, 11\.0\] is no place on the Earth"):
+    with pytest.raises(CallerError, match=r"148\.0, 11\.0\] is not a place on the Earth"):
         VirtualRobot(robot_of(text))

@@ -179,7 +179,7 @@ def test_a_joint_without_its_counts_is_refused() -> None:
 
 
 def test_a_board_of_no_known_kind_is_refused() -> None:
-    """A sensor board is no motor board; the kinds that exist are listed."""
+    """A sensor board is not a motor board; the kinds that exist are listed."""
     with pytest.raises(UnknownNameError, match="hand"):
         made(LIMB.replace("channels = 2", 'channels = 2, kind = "foot"'))
 

@@ -262,7 +262,7 @@ def test_a_fault_is_an_alarm_by_name_and_its_end_too(fault: str, name: str) -> N
 
 
 def test_a_jammed_joint_is_overloaded_and_let_go() -> None:
-    """It pushes with all it may, reports an overload, and its shutdown mask switches the torque off; that is no reboot."""
+    """It pushes with all it may, reports an overload, and its shutdown mask switches torque off; this is not a reboot."""
     with made(robot_of(servos=1, motion=True, health_s=0.1)) as robot:
         robot.devices["S1"].enable().wait()
         robot.advance(0.3)

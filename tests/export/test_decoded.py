@@ -134,7 +134,7 @@ def test_one_message_and_the_losses() -> None:
         (lambda: lamp.decode(FRAMES, message="Lamp"), "no message of lamp named 'Lamp'"),
         (lambda: lamp.decode(FRAMES)["Lamp"], "no message of lamp named 'Lamp'"),
         (lambda: lamp.decode("walk.log"), "aces_bus.decode"),
-        (lambda: lamp.decode([b"abc"]), "bytes is nothing that lamp"),
+        (lambda: lamp.decode([b"abc"]), "cannot decode a bytes"),
         (lambda: lamp.decode(open_recording(io.BytesIO(b"abc"), link="serial")), "a capture on serial"),
         (lambda: load_protocol("robotis").decode(b"\xff\xff"), "direction"),
         (lambda: aces_bus.decode("walk.log", "hubbo"), "did you mean 'hubo'"),

@@ -122,7 +122,7 @@ def test_a_second_run_does_what_is_missing_or_changed(drives: list[Path], dbc: s
 
 
 def test_a_bad_input_is_a_line_of_the_manifest(drives: list[Path], dbc: str, tmp_path: Path) -> None:
-    """What is no recording, damaged or not there is named; the others are decoded; what could be read stands."""
+    """What is not a recording, damaged or not there is named; the others are decoded; what could be read stands."""
     (tmp_path / "drives" / "letter.txt").write_text("dear all\n")
     packed = gzip.compress(record(tmp_path, 9, 4000, ".log").read_bytes())
     cut = tmp_path / "drives" / "cut.log.gz"
@@ -364,7 +364,7 @@ def test_what_a_fleet_refuses(drives: list[Path], dbc: str, tmp_path: Path) -> N
         fleet.decode(log, "robotis", lake, filter="123:7FF")
     with pytest.raises(CallerError, match="--to 14:05:00: a time of day is one of this machine's zone"):
         fleet.decode(log, dbc, lake, stop="14:05")
-    with pytest.raises(CallerError, match="is no cluster; write here, local:4"):
+    with pytest.raises(CallerError, match="is not a cluster; write here, local:4"):
         fleet.decode(log, dbc, lake, cluster="locl:4")
     with pytest.raises(CallerError, match="no dataset of a fleet"):
         fleet.status(str(tmp_path / "nothing"))

@@ -31,7 +31,7 @@ def payloads(size: int, *fields: tuple[int, int, ByteOrder, Any]) -> Any:
 
 
 def found(rows: Any) -> dict[int, FieldGuess]:
-    """What is no constant, by its lowest bit; every bit is in one guess."""
+    """What is not a constant, by its lowest bit; every bit is in one guess."""
     guesses = fields_of(rows)
     assert sorted(bit for one in guesses for bit in one.positions) == list(range(8 * rows.shape[1]))
     assert all(0 <= one.confidence <= 1 and one.evidence for one in guesses)

@@ -120,7 +120,7 @@ def test_lengths_are_messages_and_channels_are_one(tmp_path: Path) -> None:
 
 
 def test_requests_and_replies_by_order_and_by_what_comes_back() -> None:
-    """Asked at no fixed rate, with clocked frames between; what is only sent one after the other is no pair."""
+    """Asked at no fixed rate, with clocked frames between; what is only sent one after the other is not a pair."""
     drawn = np.random.default_rng(4)
     frames = list(periodic(0x100, 500, 1)) + list(periodic(0x101, 500, 2))
     time = 100.0
@@ -203,7 +203,7 @@ def sent_by(transport: Transport, identifiers: Iterable[int], damaged: int = 0) 
 
 
 def test_sessions_of_j1939_are_drafted_with_their_transport(tmp_path: Path) -> None:
-    """Packets have the identifiers of their parameter groups; the frames of sessions are no messages."""
+    """Packets have the identifiers of their parameter groups; the frames of sessions are not messages."""
     frames = sent_by(J1939Transport(), (0x1CFEEC01, 0x18FEE002, 0x1CEF0503))
     guess = guessed(frames)
     assert [one.name for one in guess.protocols] == ["J1939", "J1939 transport"]

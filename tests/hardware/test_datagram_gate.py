@@ -88,7 +88,7 @@ def test_a_port_that_is_lost_is_opened_again() -> None:
 
 @pytest.mark.parametrize("reopen", [True, False])
 def test_closing_a_port_ends_its_thread_and_is_no_loss(reopen: bool) -> None:
-    """`stop` ends the receive thread and readers; the socket's error on the way is no event."""
+    """`stop` ends the receive thread and readers; the socket's error on the way is not an event."""
     seen = Seen()
     gate = Ports(reopen=reopen)
     gate.on_event(seen)

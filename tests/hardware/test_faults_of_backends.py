@@ -143,7 +143,7 @@ BAD_LINES = [
 
 
 def test_slcan_lines_that_cannot_be(adapter: Adapter) -> None:
-    """Each is counted and gives no frame; the good line behind each arrives, and what is no frame is no fault."""
+    """Each is counted and gives no frame; the good line behind each arrives, and what is not a frame is not a fault."""
     with CanGate(adapter.options) as gate:
         inbox = gate.subscribe()
         for number, line in enumerate(BAD_LINES):
@@ -313,7 +313,7 @@ def multicast() -> dict[str, Any]:
 
 
 def test_udp_multicast_gives_back_what_was_sent(multicast: dict[str, Any]) -> None:
-    """A gate does not hear itself, and hears another's equal frame; what is no frame costs nothing but itself."""
+    """A gate does not hear itself, and hears another's equal frame; what is not a frame costs nothing but itself."""
     with CanGate(multicast) as gate, CanGate(multicast) as other:
         seen, inbox, there = Seen(gate), gate.subscribe(), other.subscribe()
         gate.send(Frame(0x10, b"\x01"))
@@ -509,7 +509,7 @@ def test_blf_error_frames(tmp_path: Path) -> None:
 
 
 def test_candump_half_bytes_and_error_frames() -> None:
-    """Half a byte is no data, and an error frame is no data frame."""
+    """Half a byte is not data, and an error frame is not data frame."""
     log = b"(1.0) can0 123#ABC\n(2.0) can0 20000004#0004000000000000\n(3.0) can0 123#AB\n"
     frames, capture = read(log, "x.log")
     assert [(frame.is_error_frame, frame.arbitration_id) for frame in frames] == [(True, 4), (False, 0x123)]

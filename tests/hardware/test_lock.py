@@ -177,7 +177,7 @@ def test_a_program_s_name_is_safe_to_print(who: object, said: str) -> None:
 
 
 def test_a_bell_stays_out_of_the_way(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a killed program has left is replaced, requests that are no JSON stop all the same, long folders have no bell."""
+    """What a killed program left is replaced, requests that are not JSON stop all the same, long folders have no bell."""
     lock = BusLock("can0", "lower")
     lock.take()
     bell = next(lock_folder().glob("*.stop"))

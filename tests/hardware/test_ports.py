@@ -82,7 +82,7 @@ def test_what_a_packet_costs() -> None:
 
 
 def test_what_is_no_bus_is_refused() -> None:
-    """A gate needs a loop; anything else is no bus."""
+    """A gate needs a loop; anything else is not a bus."""
     with pytest.raises(CallerError, match="needs a Loop"):
         port_of(CanGate({"interface": "aces", "channel": "x"}))
     with pytest.raises(CallerError, match="neither a wire nor a gate"):

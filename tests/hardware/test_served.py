@@ -228,7 +228,7 @@ def test_waiting_costs_nothing(opened: Open, monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_closing_wakes_whoever_waits(opened: Open) -> None:
-    """A thread in `recv` gets an exception when another closes the bus; closing twice is no harm."""
+    """A thread in `recv` gets an exception when another closes the bus; closing twice is not harm."""
     with serve():
         bus = opened()
         errors: list[str] = []

@@ -37,14 +37,14 @@ def test_sockets_are_the_users_alone_and_go(runtime: Path) -> None:
 
 
 def test_dead_sockets_are_replaced_and_living_ones_not(runtime: Path) -> None:
-    """A second server on a path is refused; what a killed one has left is no obstacle; a file is never removed."""
+    """A second server on a path is refused; what a killed one has left is not an obstacle; a file is never removed."""
     path = str(runtime / "bus.sock")
     with socket.socket(socket.AF_UNIX) as dead:
         dead.bind(path)
     with serve(unix=path), pytest.raises(CallerError, match="is served already"):
         serve(unix=path)
     Path(path).write_text("a file")
-    with pytest.raises(CallerError, match="is no socket"):
+    with pytest.raises(CallerError, match="is not a socket"):
         serve(unix=path)
     with pytest.raises(CallerError, match="longer than"):
         serve(unix=str(runtime / ("x" * 120)))

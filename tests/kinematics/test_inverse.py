@@ -68,7 +68,7 @@ def test_a_pose_near_by_is_reached(away: list[float]) -> None:
 
 
 def test_a_straight_start_bends_towards_the_posture() -> None:
-    """A goal straight inwards is no direction of a straight arm: it bends the way that it is meant to."""
+    """A goal straight inwards is not a direction of a straight arm: it bends the way that it is meant to."""
     for body in (BENT, Body("arm", [Chain("hand", PLANAR)], posture={"E": -1.0})):
         found = solve(body, [Goal("hand", [0.35, 0.0, 0.0])], [0.0, 0.0])
         assert found.converged
@@ -136,7 +136,7 @@ def test_upside_down_is_half_a_turn_from_level() -> None:
 
 
 def test_a_wrong_call_says_what_is_wrong() -> None:
-    """No goal, an empty one, one that is no position or no rotation, unknown names, an endless start."""
+    """No goal, an empty one, one that is not a position or no rotation, unknown names, an endless start."""
     start = [0.0, 0.5]
     for goals, message in (
         ([], "no goal"),

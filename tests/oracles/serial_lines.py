@@ -29,7 +29,7 @@ class OpenLine:
     received: bytearray = field(default_factory=bytearray)
 
     def records(self, direction: Literal["to device", "from device", "both"] = "both") -> list[Any]:
-        """All that was on the line so far, as records; what is no message stands among them as `Unknown`."""
+        """All that was on the line so far, as records; what is not a message stands among them as `Unknown`."""
         with self.lock:
             data = bytes(self.received)
         scanner = self.protocol.scanner(direction=direction, include_unknown=True)

@@ -195,7 +195,7 @@ def test_aces_send_keeps_the_handshake(units: tuple[Unit, Unit], destination: in
 
 
 def test_what_fails_is_said() -> None:
-    """Nobody answers; frames that are no packet."""
+    """Nobody answers; frames that are not a packet."""
     frames = j1939_long.encode("Proprietary", priority=6, source=OURS, destination=NOBODY, data=text(20))
     with CanGate(CHANNEL) as gate, PacketSender(gate, [j1939_long.variant()]) as sender:
         with pytest.raises(NoReplyError, match="its receiver gave no go-ahead in time"):

@@ -19,7 +19,7 @@ from pathlib import Path
 import aces_protocols
 from aces_bus.protocol import Protocol
 
-#: Keywords whose values are no part of what a spec says about bytes.
+#: Keywords whose values are not a part of what a spec says about bytes.
 PROSE = ("doc", "source", "examples", "dialects", "bitrate", "baud", "unit", "gap", "within")
 _COUNT = count()
 #: Constructs that read as many bytes in another order, or with another sign.

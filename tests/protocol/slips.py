@@ -47,7 +47,7 @@ class Slip:
 
 def sound(spec: str) -> Protocol:
     """A spec without a slip."""
-    return protocol_of_file(str(FOLDER / f"{spec}.py"), [])
+    return protocol_of_file(str(FOLDER / f"{spec}.py"))[0]
 
 
 # fmt: off

@@ -248,7 +248,7 @@ def test_messages_of_a_group_that_are_alike_leave_other_sources_to_the_first(tmp
 
 
 def test_groups_that_are_addressed_are_told_by_whatever_tells_them(tmp_path: Path) -> None:
-    """The same source to two destinations; a message that is no parameter group keeps its own identifier."""
+    """The same source to two destinations; a message that is not a parameter group keeps its own identifier."""
     body = "".join(
         f'BO_ {0x80000000 | identifier} {name}: 8 ECU\n SG_ {name}_value : 0|8@1+ (1,0) [0|0] "" Gate\n'
         for identifier, name in (

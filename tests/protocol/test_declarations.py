@@ -291,10 +291,10 @@ def test_a_packet_whose_length_has_no_number_is_refused() -> None:
     ("text", "reason"),
     [
         ("*{:X}", "writes a check in 2 to 3 characters"),
-        ("{}{}", "is no format of a check's number"),
+        ("{}{}", "is not a format of a check's number"),
         ("abc", "has one number in it; 'abc' has 0"),
-        ("{:q}", "is no format of a check's number"),
-        ("°{:02X}", "is no format of a check's number"),
+        ("{:q}", "is not a format of a check's number"),
+        ("°{:02X}", "is not a format of a check's number"),
     ],
 )
 def test_a_check_as_text_has_one_number_and_one_size(text: str, reason: str) -> None:
@@ -436,7 +436,7 @@ def test_small_and_large_numbers_are_written_in_digits(value: float, text: str) 
 
 @pytest.mark.parametrize("value", [1e40, 1e-40, float("inf"), float("nan"), "1"])
 def test_numbers_that_characters_cannot_say_are_refused(value: Any) -> None:
-    """What is no number of the field's form is a FieldError."""
+    """What is not a number of the field's form is a FieldError."""
     with pytest.raises(FieldError):
         AsciiNumber().build(value)
 
@@ -532,8 +532,8 @@ UNTYPED: Any = protocol_words
         (lambda: UNTYPED.Quantity(GreedyBytes), "Quantity takes a number, not GreedyBytes"),
         (lambda: UNTYPED.Flags(Byte, {1: 2}), "flags are written name=bit"),
         (lambda: can(Struct(), id=-1), "-1 is negative"),
-        (lambda: can(Struct(), id="7"), "'7' is no number, set of numbers or pattern"),
-        (lambda: can(Struct(), id=1.5), "1.5 is no number, set of numbers or pattern"),
+        (lambda: can(Struct(), id="7"), "'7' is not a number, set of numbers or pattern"),
+        (lambda: can(Struct(), id=1.5), "1.5 is not a number, set of numbers or pattern"),
         (
             lambda: UNTYPED.Protocol("w", link="serial").framing(sync="x", end=b"\n", max_size=9),
             "sync is bytes",
@@ -549,7 +549,7 @@ UNTYPED: Any = protocol_words
     ],
 )
 def test_words_of_another_kind_are_refused(declared: Any, reason: str) -> None:
-    """What is no number, no name or no bytes is refused with what is wanted, not with a traceback from inside."""
+    """What is not a number, no name or no bytes is refused with what is wanted, not with a traceback from inside."""
     with pytest.raises(SpecError, match=rf"test_declarations\.py:\d+: .*{re.escape(reason)}"):
         declared()
 

@@ -167,7 +167,7 @@ def test_a_template_never_kills_what_its_construct_takes() -> None:
 
 
 def test_error_frames_have_no_parts() -> None:
-    """A frame that says that the bus had an error is no message of anybody."""
+    """A frame that says that the bus had an error is not a message of anybody."""
     (attempt,) = Tracer([hubo.variant()]).explain_frames([Frame(1, b"", is_error_frame=True)])
     assert (attempt.verdict, attempt.steps) == ("error frame", ())
 

@@ -197,7 +197,7 @@ def compare(variant: Variant, one: CMessage, packet: DrawnPacket, lines: list[st
             assert same(physical, float(unit)), (one.name, member.name)
             limits = node.scale.limits if node.scale is not None else None
             if math.isnan(unit):
-                assert again in (None, "-1")  # and neither is what is no number
+                assert again in (None, "-1")  # and neither is what is not a number
             elif again is not None and (limits is None or limits[0] <= unit <= limits[1]):
                 assert again == "1", (one.name, member.name, unit)
     identifier, data = identifier_and_data(packet)

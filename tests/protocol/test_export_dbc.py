@@ -61,7 +61,7 @@ def dbc_of_hubo() -> tuple[str, list[Loss]]:
     return print_dbc(VARIANTS[0])
 
 
-#: A message's name and its raw fields, None for what is no message.
+#: A message's name and its raw fields, None for what is not a message.
 Decoded = tuple[str, Any] | None
 
 

@@ -279,7 +279,7 @@ J1939 = 'BA_DEF_ "ProtocolType" STRING ;\nBA_ "ProtocolType" "J1939";\n'
 
 
 def test_j1939_messages_of_more_than_8_bytes_are_packets(tmp_path: Path) -> None:
-    """Said to all or to one address, beside those of one frame; the frames that carry them are no messages."""
+    """Said to all or to one address, beside those of one frame; the frames that carry them are not messages."""
     found = imported(
         tmp_path,
         """BO_ 2566843646 Number: 18 ECU

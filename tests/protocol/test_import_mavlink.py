@@ -104,7 +104,7 @@ def test_a_signature_is_kept_and_a_damaged_packet_refused() -> None:
 
 
 def test_flags_that_are_not_known_are_not_decoded() -> None:
-    """A packet of which more is incompatible than a signature is no message."""
+    """A packet of which more is incompatible than a signature is not a message."""
     check = rover().framings[0].check
     assert check is not None
     body = b"\xfd\x01\x02" + EMPTY[3:-2]
@@ -221,10 +221,10 @@ def test_files_that_are_refused(tmp_path: Path, text: str, said: str) -> None:
 @pytest.mark.parametrize(
     ("include", "said"),
     [
-        ("../own.xml", "<include>../own.xml</include> is no file beside this one"),
-        ("/etc/passwd", "<include>/etc/passwd</include> is no file beside this one"),
-        ("http://localhost/x.xml", "<include>http://localhost/x.xml</include> is no file beside this one"),
-        ("..", "<include>..</include> is no file beside this one"),
+        ("../own.xml", "<include>../own.xml</include> is not a file beside this one"),
+        ("/etc/passwd", "<include>/etc/passwd</include> is not a file beside this one"),
+        ("http://localhost/x.xml", "<include>http://localhost/x.xml</include> is not a file beside this one"),
+        ("..", "<include>..</include> is not a file beside this one"),
         ("missing.xml", "missing.xml: no such file: not included"),
         ("broken.xml", "broken.xml:1: not XML that can be read: syntax error: not included"),
     ],
@@ -246,8 +246,8 @@ def test_only_files_beside_it_are_included(tmp_path: Path, include: str, said: s
         ('<message id="2" name="A"><field type="uint8_t[256]" name="a"/></message>', "field a has 256 items"),
         ('<message id="2" name="A"><field type="u128" name="a"/></message>', "field 'a' of type 'u128'"),
         ('<message id="x" name="A"/>', "a message has a name and a number"),
-        ('<message id="-2" name="A"/>', "-2 is no number of a message"),
-        ('<message id="16777216" name="A"/>', "16777216 is no number of a message"),
+        ('<message id="-2" name="A"/>', "-2 is not a number of a message"),
+        ('<message id="16777216" name="A"/>', "16777216 is not a number of a message"),
         ('<message id="1" name="A"/>', "GOOD has its number 1"),
         ('<message id="2" name="A"><field type="double[40]" name="a"/></message>', "320 bytes of fields"),
     ],
@@ -270,7 +270,7 @@ def test_a_meaning_that_cannot_be_said_costs_itself(tmp_path: Path) -> None:
     )
     assert [str(one).partition("A.")[2] for one in imported.problems] == [
         "a: its enumeration NONE is not there",
-        "b: its multiplier 'many' is no number",
+        "b: its multiplier 'many' is not a number",
         "c: what it says of invalid values (never) is only in its text",
     ]
     assert not imported.losses

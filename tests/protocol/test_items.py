@@ -94,7 +94,7 @@ def read(protocol: Protocol, payload: str) -> dict[str, Any]:
 
 def test_items_are_generated_and_nothing_of_them_is_lost() -> None:
     """Good items show what their kind declares; an unknown kind and one that does not fit stay bytes, each with its reason,
-    and so does an end that is no item. All of it is built again as it was."""
+    and so does an end that is not an item. All of it is built again as it was."""
     protocol = tlv()
     assert protocol.variant()["M"].plan.is_flat
     fields = read(
@@ -105,8 +105,8 @@ def test_items_are_generated_and_nothing_of_them_is_lost() -> None:
         ("temperature", 21.5, None),
         ("state", {"mode": "on", "faults": 0x81}, None),
         (9, b"\xff", "unknown"),
-        ("temperature", b"\x00", "malformed: data of size 1 are no temperature"),
-        ("key", b"\x54\x00", "malformed: data of size 2 are no key"),
+        ("temperature", b"\x00", "malformed: data of size 1 are not a temperature"),
+        ("key", b"\x54\x00", "malformed: data of size 2 are not a key"),
         ("temperature", None, None),
         ("text", b"", None),
         (None, b"\x02\x08\x00", "malformed: its size says 8, and 3 bytes are left"),
@@ -141,12 +141,12 @@ def test_without_sizes_what_is_unknown_takes_the_rest() -> None:
     """Where the next item begins is then not known; one that is cut short keeps its kind."""
     protocol = tlv(size=None)
     assert [(one["kind"], one["reason"]) for one in read(protocol, "00 05 54 00 09 01 00 64")["items"]] == [
-        ("key", "malformed: data of size 2 are no key"),
+        ("key", "malformed: data of size 2 are not a key"),
         (9, "unknown"),
     ]
     (item,) = read(protocol, "00 01 07")["items"]
     assert (item["kind"], item["data"], item["reason"]) == (
-        "temperature", b"\x07", "malformed: data of size 1 are no temperature")  # fmt: skip
+        "temperature", b"\x07", "malformed: data of size 1 are not a temperature")  # fmt: skip
     with pytest.raises(
         FieldError, match=r"items\.0: without a size only the last item may have data of any length"
     ):
@@ -298,7 +298,7 @@ def test_what_has_no_flat_form_goes_through_construct() -> None:
 
 
 def lists_in_items() -> Protocol:
-    """Items that hold lists: groups behind a field, as many as counted, other items, and what is no list."""
+    """Items that hold lists: groups behind a field, as many as counted, other items, and what is not a list."""
     signal = Struct("id" / Byte, "level" / Quantity(Byte, unit="dB", scale=0.5))
     return tlv(
         kinds={

@@ -93,7 +93,7 @@ def test_what_a_session_lacks_is_said() -> None:
     assert fed(*VIN[:3]) == ["pending"] * 3
     assert fed(*TEN[1:]) == ["no first frame"] * 2
     assert fed("1CECFF00#2012000400ECFE00") == ["length"]  # 18 bytes are three frames
-    assert fed("1CECFF00#2008000200ECFE00") == ["length"]  # 8 bytes are no packet
+    assert fed("1CECFF00#2008000200ECFE00") == ["length"]  # 8 bytes are not a packet
     assert fed("1CECFF00#1012000300ECFE00") == ["no frame of J1939 transport"]  # a request to everybody
     assert fed("1CECFF00#20120003") == ["length"]
     assert fed(TEN[0], "1CEBF900#0331584B44443439") == ["frame 4 of 3 beyond its end"] * 2

@@ -109,7 +109,7 @@ def test_a_range_beyond_the_bits() -> None:
 
 
 def test_names_that_cannot_occur_and_names_with_holes() -> None:
-    """A name beyond the bits is an error; a hole in a run of names is worth knowing; scattered names are no run."""
+    """A name beyond the bits is an error; a hole in a run of names is worth knowing; scattered names are not a run."""
     p = can()
     p.message(
         "State",
@@ -195,7 +195,7 @@ def test_one_signed_number_that_is_never_negative() -> None:
 
 
 def test_a_few_messages_without_a_direction_were_forgotten() -> None:
-    """One message of many, or a small family of very many; where several of few have none, it is no rule there."""
+    """One message of many, or a small family of very many; where several of few have none, it is not a rule there."""
     p = can()
     for number in range(8):
         p.message(f"M{number}", id=number, direction="from device")

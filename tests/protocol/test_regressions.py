@@ -546,7 +546,7 @@ def test_numbers_that_have_no_literal_are_numbers() -> None:
 
 
 class _Half(float):
-    """A float whose text is no Python."""
+    """A float whose text is not a Python."""
 
     def __repr__(self) -> str:
         return "one half"
@@ -639,7 +639,7 @@ def test_fields_over_what_is_no_number_are_refused(make: Callable[[], Any], comp
 
 
 def test_a_packet_of_nothing_is_not_built() -> None:
-    """What stands between two ends is no packet; the encoder made one that no scanner read."""
+    """What stands between two ends is not a packet; the encoder made one that no scanner read."""
     made = Protocol("ended", link="serial")
     frame = made.framing(sync=b"\xaa", end=b"\n", max_size=80)
     with pytest.raises(SpecError, match="with nothing before its end a packet of Empty is none"):
@@ -668,7 +668,7 @@ def test_a_name_of_a_signed_magnitude_is_not_an_index() -> None:
 
 
 def test_what_has_no_bytes_is_decoded_and_built() -> None:
-    """Nested records of constants alone, and lists of nothing, were no Python."""
+    """Nested records of constants alone, and lists of nothing, were not Python."""
     made = _one(Struct("n" / Struct(Const(b"\x01")), "e" / Array(0, Byte), "x" / Byte))
     assert _live_and_columns(made, Frame(1, b"\x01\x05")) == [{"n": {}, "e": [], "x": 5}]
     assert bytes(made.encode("M", n={}, e=[], x=5).data) == b"\x01\x05"

@@ -39,7 +39,7 @@ def warnings_of(protocol: Protocol, spec: str) -> list[Observation]:
 def caught_by(slip: Slip, folder: Path) -> tuple[str, str]:
     """What catches a slip first, and what it says; two empty texts where nothing does."""
     try:
-        protocol = protocol_of_file(str(slip.written(folder)), [])
+        protocol = protocol_of_file(str(slip.written(folder)))[0]
     except AcesError as error:
         return "import", str(error)
     findings: list[Any] = [one for one in check_protocol(protocol) if one.level != "note"]

@@ -170,7 +170,7 @@ wire.framing(sync=b"\\xaa", header=Struct("length" / Byte), size=lambda ctx: ctx
     "bits outside of a layout": (
         """
 can.message("Torn", id=1, payload=Struct("angle" / Split((0, 8), (16, 8)), "mode" / Byte))""",
-        r"{line 2}: the pieces of a Split that is no field of a BitLayout are whole bytes side by side",
+        r"{line 2}: the pieces of a Split that is not a field of a BitLayout are whole bytes side by side",
     ),
     "a CRC that is not in the catalogue": (
         """

@@ -216,5 +216,5 @@ def test_directions_are_said_in_either_words() -> None:
         lambda: variant.messages_for(bogus),
         lambda: print_dissector(variant, direction=bogus),
     ):
-        with pytest.raises(CallerError, match="'bogus' is no direction: write 'to device'"):
+        with pytest.raises(CallerError, match="'bogus' is not a direction: write 'to device'"):
             refuses()

@@ -71,7 +71,7 @@ def test_checks_hold_in_columns_too() -> None:
 
 
 def test_the_check_of_dronecan_knows_the_type() -> None:
-    """The same bytes under the signature of another type are no transfer: both sides must have the same type."""
+    """The same bytes under the signature of another type are not transfer: both sides must have the same type."""
     other = Protocol("other", link="can")
     other.message(
         "Status",

@@ -76,7 +76,7 @@ def test_sync_with_and_without_a_counter() -> None:
 
 
 def test_what_is_no_object_is_unknown() -> None:
-    """Node 0 has no PDO or heartbeat; SDO of seven bytes and of an unknown command are no message."""
+    """Node 0 has no PDO or heartbeat; SDO of seven bytes and of an unknown command are not a message."""
     unknown = ["700#05", "180#00", "605#80 00", "605#40 41 60 00 00 00 00", "777#00 00"]
     for record in _read(*unknown):
         assert type(record).__name__ == "Unknown", record

@@ -84,7 +84,7 @@ def test_the_stream_of_the_force_sensor_shares_the_line() -> None:
 
 
 def test_a_framing_matches_where_nothing_marks_the_beginning() -> None:
-    """`match=` of a framing is refused behind sync bytes, for fields that are not there, for numbers that are no byte."""
+    """`match=` of a framing is refused behind sync bytes, for fields that are not there, for numbers that are not byte."""
     from construct import Byte, Int16ub, Struct
 
     wire = Protocol("wire", link="serial")

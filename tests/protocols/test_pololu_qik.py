@@ -65,7 +65,7 @@ def test_every_motor_command() -> None:
 
 
 def test_an_argument_has_seven_bits() -> None:
-    """A speed or number of 0x80 or more is no command, and cannot be sent."""
+    """A speed or number of 0x80 or more is not a command, and cannot be sent."""
     scanner = pololu_qik.scanner(direction="to device", include_unknown=True)
     found = [*scanner.feed(bytes.fromhex("AA 01 08 AA 05 00 00")), *scanner.close()]
     assert [one.reason for one in found] == ["unknown", "unknown", "skipped"]

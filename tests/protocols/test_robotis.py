@@ -138,7 +138,7 @@ def test_a_flipped_bit_is_noticed(
     ids=["OK of id 1", "the worked checksum"],
 )
 def test_checksums_that_the_manual_misprints_are_malformed(text: str, direction: Direction) -> None:
-    """Examples that the manual prints one off are no packets: the rule wins, and the byte before them is right."""
+    """Examples that the manual prints one off are not packets: the rule wins, and the byte before them is right."""
     data = packet(text)
     assert names(read(data, direction))[0] == "malformed: checksum"
     right = data[:-1] + bytes([data[-1] - 1])
@@ -200,7 +200,7 @@ def test_a_sync_write_has_whole_servos(text: str, what: str) -> None:
 
 
 def test_a_sync_write_to_one_servo_is_unknown() -> None:
-    """SYNC_WRITE must go to everyone: with another id it is no message."""
+    """SYNC_WRITE must go to everyone: with another id it is not a message."""
     assert names(read(packet("FF FF 47 07 83 1E 02 47 10 02 B5"), TO)) == ["unknown"]
 
 

@@ -438,7 +438,7 @@ def test_a_log_that_ends_within_its_header_is_counted() -> None:
 
 
 def test_channel_0_comes_back() -> None:
-    """It is no channel, and written as channel 0 again, beside the others."""
+    """It is not a channel, and written as channel 0 again, beside the others."""
     things = [thing(1, struct.pack("<HBBL8s", channel, 0, 1, 1, b"a")) for channel in (0, 1, 2, 0)]
     frames, _ = read(log(*things))
     assert [frame.channel for frame in frames] == [None, "0", "1", None]

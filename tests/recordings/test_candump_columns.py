@@ -332,7 +332,7 @@ def test_a_part_needs_a_file_that_has_it(tmp_path: Path) -> None:
     """A stream has no parts, and no part ends before it begins."""
     path = tmp_path / "walk.log"
     path.write_bytes(b"(1.5) can0 123#11\n")
-    with pytest.raises(CallerError, match="no part of a file"):
+    with pytest.raises(CallerError, match="not a part of a file"):
         ByteSource(path, span=(5, 4))
     assert (
         b"".join(ByteSource(io.BytesIO(b"abc"), span=(7, 10)).blocks()) == b"abc"
@@ -344,7 +344,7 @@ def test_a_part_needs_a_file_that_has_it(tmp_path: Path) -> None:
 
 
 def test_blocks_stay_small_until_a_line_is_likely() -> None:
-    """What is no log is refused as early as line by line."""
+    """What is not a log is refused as early as line by line."""
     capture = CandumpCapture(ByteSource(io.BytesIO(b"junk\n" * 100_000), "walk.log"))
     with pytest.raises(CaptureError, match="not a candump log"):
         list(capture.tables())

@@ -103,7 +103,7 @@ def test_content_tells_the_format(sample: Sample, tmp_path: Path) -> None:
 
 @every
 def test_the_other_link_is_refused(sample: Sample) -> None:
-    """A CAN recording is no serial one and the reverse; the message says what it is."""
+    """A CAN recording is not a serial one and the reverse; the message says what it is."""
     with opened(sample.content) as capture:
         link: Any = "serial" if capture.link == "can" else "can"
     with pytest.raises(CaptureError, match=r"name a (CAN|serial) protocol"):

@@ -550,7 +550,7 @@ def test_times_that_are_no_instants(start: int) -> None:
     else:
         assert [frame.arbitration_id for frame in frames] == ([0, 1, 2, 3] if not start else [0, 2, 3])
         assert unreadable == bool(start)
-    assert all(problem.reason.endswith("a time that is no instant") for problem in problems)
+    assert all(problem.reason.endswith("a time that is not an instant") for problem in problems)
     struct.pack_into("<Q", content, mdf.HD_AT + 24 + 48, 1 << 63)
     with pytest.raises(CaptureError, match="begins at no instant"):
         read(bytes(content))

@@ -251,7 +251,7 @@ def test_what_is_refused_is_refused_by_both_readers(found: dict[str, Said]) -> N
         "a damaged table": "CAN_DataFrame.DataLength has a damaged conversion",
         "times by a formula": "t has a formula",
         "angles": "t is not a time",
-        "bytes": "CAN_DataFrame.IDE has data type 10, and is no number",
+        "bytes": "CAN_DataFrame.IDE has data type 10, and is not a number",
         "nothing": "CAN_DataFrame.BusChannel is virtual, and has no conversion with its value",
         "another length": "a length that is not that of its data bytes",
         "elsewhere": "data bytes that are not in the file",

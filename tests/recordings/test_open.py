@@ -1,4 +1,4 @@
-"""What a source is, and what is said of one that is no capture."""
+"""What a source is, and what is said of one that is not a capture."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ def test_a_capture_is_read_once(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("wrong", [io.StringIO("(1.5) can0 123#11\n"), object(), None])
 def test_what_gives_no_bytes_is_refused(wrong: Any) -> None:
-    """Text files without bytes behind them, and things that are no files at all."""
+    """Text files without bytes behind them, and things that are not files at all."""
     with pytest.raises(CaptureError):
         open_recording(wrong, link="can")
 

@@ -355,9 +355,12 @@ CUT = struct.pack("<IIII", 7, 3, 48, 16) + packet(0x123, b"\x01")
 @pytest.mark.parametrize(
     ("bad", "reason"),
     [
-        (BAD, f"a packet of {1 << 30} bytes captured at offset 120; 16 bytes are no packet"),
-        (CUT, "a packet of 48 bytes of 16 in all at offset 120; 32 bytes are no packet"),
-        (BAD + bytes(5000), f"a packet of {1 << 30} bytes captured at offset 120; 5016 bytes are no packet"),
+        (BAD, f"a packet of {1 << 30} bytes captured at offset 120; 16 bytes are not a packet"),
+        (CUT, "a packet of 48 bytes of 16 in all at offset 120; 32 bytes are not a packet"),
+        (
+            BAD + bytes(5000),
+            f"a packet of {1 << 30} bytes captured at offset 120; 5016 bytes are not a packet",
+        ),
     ],
 )
 @pytest.mark.parametrize("before", [0, 30])
@@ -388,7 +391,7 @@ def test_a_long_run_ends_at_a_wrong_length() -> None:
     got, capture = read(bytes(content))
     assert len(got) == 59
     assert reasons(capture) == [
-        f"a packet of 16 bytes of 15 in all at offset {24 + 32 * 40}; 32 bytes are no packet"
+        f"a packet of 16 bytes of 15 in all at offset {24 + 32 * 40}; 32 bytes are not a packet"
     ]
 
 
@@ -397,7 +400,7 @@ def test_what_follows_damage_to_the_end_is_one_unreadable() -> None:
     got, capture = read(pcap([packet(1, b"")] * 3) + BAD + b"\xff" * 1000)
     assert len(got) == 3
     assert reasons(capture) == [
-        f"a packet of {1 << 30} bytes captured at offset 120; 1016 bytes are no packet"
+        f"a packet of {1 << 30} bytes captured at offset 120; 1016 bytes are not a packet"
     ]
 
 

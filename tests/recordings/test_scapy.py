@@ -1,4 +1,4 @@
-"""pcap and pcapng beside scapy, which is no dependency: what it writes we read, and what we write it reads."""
+"""pcap and pcapng beside scapy, which is not a dependency: what it writes we read, and what we write it reads."""
 
 from __future__ import annotations
 

@@ -175,10 +175,10 @@ def test_a_newer_version_is_refused() -> None:
 
 
 def test_times_that_do_not_fit_are_counted() -> None:
-    """Fractions of a nanosecond are rounded, what is no instant becomes no time, and both are said."""
+    """Fractions of a nanosecond are rounded, what is not an instant becomes no time, and both are said."""
     content, writer = write([Chunk(b"\1", 0.1 + 0.2), Chunk(b"\1", float("nan")), Chunk(b"\1", 1e300)])
     assert [chunk.time for chunk in read(content)[0]] == [0.3, None, None]
-    assert writer.lossy == {"times finer than 1 ns": 1, "times that are no instant": 2}
+    assert writer.lossy == {"times finer than 1 ns": 1, "times that are not an instant": 2}
 
 
 def test_a_pipe_gives_chunks_as_they_come(tmp_path: Path) -> None:

@@ -124,7 +124,7 @@ def test_many_rows_come_in_pieces() -> None:
     ],
 )
 def test_wrong_rows_are_named(row: tuple[Any, ...], says: str) -> None:
-    """A row that is no frame is counted with its place and reason; those around it stand."""
+    """A row that is not a frame is counted with its place and reason; those around it stand."""
     got, capture = read(database([GOOD, row, GOOD]))
     assert got == [FRAME, FRAME]
     assert [(problem.line, problem.reason) for problem in capture.problems] == [(2, says)]

@@ -83,7 +83,7 @@ def arm(*commands: str, more: str = "") -> Robot:
 
 
 class Drawn(Controller):
-    """Gives what a schedule has it give: by joint a share of its large value, or what is no number."""
+    """Gives what a schedule has it give: by joint a share of its large value, or what is not a number."""
 
     def __init__(self, ways: Mapping[str, Way]) -> None:
         self.signals = {joint: f"{joint}.{way.signal}" for joint, way in ways.items()}

@@ -39,7 +39,7 @@ def within_the_rate(writer: str) -> None:
 
 
 def finite(writer: str) -> None:
-    """What is no finite number does not leave and is counted; five in a row trip, and the board is off."""
+    """What is not a finite number does not leave and is counted; five in a row trip, and the board is off."""
     with Leg() as leg:
         leg.write(writer, "HIP", 0.1)
         leg.pass_time(0.3)

@@ -241,7 +241,7 @@ def test_a_name_that_is_never_read_is_an_error() -> None:
 
 
 def test_a_field_of_a_message_that_no_device_here_sends() -> None:
-    """A node that is no device of the robot: its heartbeat is an input, and stops all when it ceases."""
+    """A node that is not a device of the robot: its heartbeat is an input, and stops all when it ceases."""
     more = "[estop]\nmate = { bus = 'arm', message = 'Heartbeat.state', credentials = { node = 9 }, clear = 'idle' }"
     with cell(more) as robot:
         variant = load_protocol("odrive").variant("0.6")

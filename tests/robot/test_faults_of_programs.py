@@ -75,7 +75,7 @@ def test_a_controller_that_waits_for_ever() -> None:
     ],
 )
 def test_set_points_that_are_none(given: Any, said: str) -> None:
-    """Set-points for what is not there, or cannot be set, and things that are no set-points at all, stop motion."""
+    """Set-points for what is not there, or cannot be set, and things that are not set-points at all, stop motion."""
 
     class Confused(Walk):
         def step(self, now_ns: int) -> Any:

@@ -50,7 +50,7 @@ def test_hubo_runs_a_minute_in_real_time() -> None:
                 buses=options,
                 transmit=True,
                 rate_hz=RATE,
-                reactions={"*": IGNORE},  # a busy machine is no fault
+                reactions={"*": IGNORE},  # a busy machine is not a fault
             ) as run,
         ):
             assert run.missing == []

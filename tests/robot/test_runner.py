@@ -72,7 +72,7 @@ def test_one_controller_runs_on_real_buses_too() -> None:
             buses={"line": options},
             transmit=True,
             load=drivers,
-            reactions={"*": IGNORE},  # a busy machine is no fault
+            reactions={"*": IGNORE},  # a busy machine is not a fault
         )
         ended = run.run(60.0, until=lambda: twins["A"].left > 900)  # type: ignore[attr-defined]
         assert ended.seconds < 60

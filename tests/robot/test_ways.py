@@ -149,7 +149,7 @@ def test_a_bus_without_ticks_leads_there_too() -> None:
 
 @pytest.mark.parametrize("joint", ["J", ""], ids=["a joint", "no joint"])
 def test_where_no_file_states_a_speed_it_is_led_all_the_same(joint: str) -> None:
-    """1 rad/s, for a joint without `max_speed` and for a servo that is no joint: half a second on, half a radian is left."""
+    """1 rad/s, for a joint without `max_speed` and for a servo that is not a joint: after 0.5 s half a radian is left."""
     text = """
 name = "bench"
 rate_hz = 50
@@ -213,7 +213,7 @@ def test_a_jam_that_a_d08_board_never_reports_is_found() -> None:
 
 
 def test_a_virtual_robot_has_the_rate_of_its_file() -> None:
-    """Not said twice: it polls as a run does; 0 is no ticks, and any other rate replaces the file's."""
+    """Not said twice: it polls as a run does; 0 is not ticks, and any other rate replaces the file's."""
     robot = load_robot("hubo2plus").part("RKN")
     assert robot.rate_hz is not None
     assert VirtualRobot(robot).rig.hosts["lower"].rate_hz == robot.rate_hz

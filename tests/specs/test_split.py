@@ -82,7 +82,7 @@ def test_a_number_of_48_bits_with_its_fraction_first() -> None:
 
 
 def test_a_register_may_be_one() -> None:
-    """Registers are fields by themselves, too; bits that are no whole bytes are refused there as anywhere."""
+    """Registers are fields by themselves, too; bits that are not whole bytes are refused there as anywhere."""
     protocol = Protocol("servo", link="serial")
     packet = protocol.framing(sync=b"\xff", size=6, max_size=6)
     packet("Read", payload=Struct("start" / Byte, "count" / Byte, "more" / Array(3, Byte)))

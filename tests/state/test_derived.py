@@ -80,7 +80,7 @@ def test_operators(make: Any, value: float, unit: str) -> None:
 
 
 def test_what_does_not_add_up_is_refused() -> None:
-    """Adding different units, states of different clocks or things that are no quantities fails, and says what."""
+    """Adding different units, states of different clocks or things that are not quantities fails, and says what."""
     torque, omega = pair()
     with pytest.raises(StateError, match=r"\(torque \+ omega\): N·m and rad/s do not add up"):
         _ = torque + omega
@@ -303,7 +303,7 @@ def test_units_multiply_and_divide_back(left: str, right: str) -> None:
 
 
 def test_odd_units_are_symbols() -> None:
-    """Text that is no product of symbols is kept whole; None spreads."""
+    """Text that is not a product of symbols is kept whole; None spreads."""
     assert multiplied("counts per turn", "s", -1) is not None
     assert are_same("°C", "°C")
     assert not are_same("deg", "rad")

@@ -213,7 +213,7 @@ def test_a_filter_takes_the_history_first() -> None:
 
 
 def test_even_samples_pass_as_they_are() -> None:
-    """On the grid, resampling changes nothing: the same numbers at the same instants, also at a rate that is no whole ns."""
+    """On the grid, resampling changes nothing: the same numbers at the same instants, whatever the period."""
     for rate in (200.0, 30.0):
         kind = Sos((SECTION,), rate)
         when = [round(7 + i * 1e9 / rate) for i in range(300)]

@@ -73,7 +73,7 @@ def test_each_run_says_of_which_machine_it_is(figures: dict[str, float], bench: 
 def test_figures_of_something_else_are_refused(
     figures: dict[str, float], bench: Aces, tmp_path: Path
 ) -> None:
-    """A file that is not there, is no figures, or is of another benchmark: said before anything is measured."""
+    """A file that is not there, is not figures, or is of another benchmark: said before anything is measured."""
     saved, other = tmp_path / "figures.json", tmp_path / "notes.txt"
     assert bench("control", "--save", saved).status == 0
     other.write_text("nothing")

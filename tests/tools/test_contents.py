@@ -101,7 +101,7 @@ def test_filtered(aces: Aces) -> None:
     assert "100 frames" not in result.out
     assert "50 frames" in result.out
     result = aces("decode", CAPTURES / "hubo2plus.log", "--where", "a=1")
-    assert (result.status, "--where needs to know what is spoken" in result.err) == (2, True)
+    assert (result.status, "--where needs a protocol" in result.err) == (2, True)
 
 
 @pytest.mark.slow

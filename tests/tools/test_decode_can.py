@@ -488,7 +488,7 @@ def test_an_output_that_cannot_be_written(aces: Aces, log: Path, arm: str, tmp_p
 
 
 def test_a_file_without_frames_is_named(aces: Aces, log: Path, arm: str, tmp_path: Path) -> None:
-    """Among several files nobody could tell which it was; and it is no error."""
+    """Among several files nobody could tell which it was; and it is not an error."""
     empty = tmp_path / "empty.log"
     empty.write_bytes(b"# begun, and not a frame came\n")
     result = aces("decode", log, empty, "-p", arm, "-q")

@@ -192,8 +192,8 @@ def test_a_selection_keeps_to_messages_and_records(aces: Aces, states: tuple[Pat
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["-m", "State"], "--message needs to know what is spoken; name a protocol: -p NAME"),
-        (["--where", "board=1"], "--where needs to know what is spoken"),
+        (["-m", "State"], "--message needs a protocol: -p NAME"),
+        (["--where", "board=1"], "--where needs a protocol"),
         (["-p", "ARM", "-m", "Stat"], "no message named 'Stat'"),
         (["-p", "ARM", "--where", "bord=1"], "no field named 'bord'"),
         (
@@ -301,7 +301,7 @@ def test_streams_need_a_protocol(aces: Aces) -> None:
     adc = ROOT / "examples" / "captures" / "adc.bin"
     refused = aces("diff", adc, adc)
     assert refused.status == 2
-    assert "no identifiers to compare: say what is spoken" in refused.err
+    assert "no identifiers to compare: name the protocol" in refused.err
     assert aces("diff", adc, adc, "-p", "minihubo_adc", "--least", "0").status == 0
 
 
@@ -311,7 +311,7 @@ def test_streams_need_a_protocol(aces: Aces) -> None:
         (["car.log"], "say when B is"),
         (["car.log", "car.log", "car.log"], "these are 3"),
         (["-", "-"], "standard input is read once"),
-        (["car.log", "--b", "12"], "--b '12' is no range of time; write START..STOP"),
+        (["car.log", "--b", "12"], "--b '12' is not a range of time; write START..STOP"),
         (["car.log", "--b", "13..12"], "its end 12 is not later than --b 13"),
         (["car.log", "--b", "50..60"], "nothing is in the times of --b"),
         (["car.log", "--b", "0..60"], "nothing is in what --b leaves of the recording"),

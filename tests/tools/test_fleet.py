@@ -61,7 +61,7 @@ def test_a_dataset_is_made_and_told_of(tmp_path: Path, capfd: Any) -> None:
         ),
         (("-o", "lake", "--cluster", "here", "--jobs", "2"), "--jobs or --cluster"),
         (("--cluster", "here"), "--cluster writes folders of Parquet"),
-        (("-o", "lake", "--cluster", "everywhere"), "is no cluster; write here, local:4"),
+        (("-o", "lake", "--cluster", "everywhere"), "is not a cluster; write here, local:4"),
         (("-o", "s3://lake/truck.parquet"), "URIs are for fleets: --cluster here"),
     ],
 )

@@ -89,7 +89,7 @@ def test_cells_that_would_be_formulas_are_quoted(
     ],
 )
 def test_which_texts_are_quoted(text: str, cell: str) -> None:
-    """What begins like a formula and is no number."""
+    """What begins like a formula and is not a number."""
     assert cell_text(text) == cell
 
 

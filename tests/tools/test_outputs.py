@@ -21,7 +21,7 @@ LIVE_TABLES = (
         (
             ["sniff", "-i", "aces", "-o"],
             "live.parquet",
-            "is for decoded messages; name what is spoken: -p NAME",
+            "is for decoded messages; name the protocol: -p NAME",
         ),
         (
             ["sniff", "-i", "aces", "-o"],

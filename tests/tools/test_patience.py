@@ -54,7 +54,7 @@ def test_a_second_ctrl_c_interrupts() -> None:
 
 
 def test_ctrl_z_ends_what_drives(capfd: pytest.CaptureFixture[str]) -> None:
-    """It is no pause where motors are on: it ends the waiting, and says why; elsewhere it suspends as ever."""
+    """It is not a pause where motors are on: it ends the waiting, and says why; elsewhere it suspends as ever."""
     with Patience(is_driving=True) as patience:
         signal.raise_signal(signal.SIGTSTP)
         assert patience.is_over

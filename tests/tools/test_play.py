@@ -268,7 +268,7 @@ def test_bytes_as_datagrams(aces: Aces, tmp_path: Path) -> None:
 
 
 def test_unreadable_lines_are_named_once(aces: Aces, node: Node, tmp_path: Path) -> None:
-    """What is no frame is said, however often the file is played."""
+    """What is not a frame is said, however often the file is played."""
     path = tmp_path / "bad.log"
     path.write_text("(1.0) can0 123#AA\noops\n")
     found = aces("play", path, *node.options, "--tx", "--loop", 3)

@@ -276,7 +276,7 @@ def test_wrong_calls_are_one_line(
 
 
 def test_captures_stand_before_signals(aces: Aces, walk: Path, arm: str) -> None:
-    """A file behind a signal is no signal that was misspelt."""
+    """A file behind a signal is not a signal that was misspelt."""
     result = aces("plot", walk, "State.load", walk, "-p", arm)
     assert result.status == 2
     assert "captures come first, signals after them" in result.err

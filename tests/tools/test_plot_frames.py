@@ -149,7 +149,7 @@ def test_an_identifier_means(text: str, meant: list[int]) -> None:
 
 
 def test_an_identifier_that_is_not_there_is_refused() -> None:
-    """With those that are; what is no identifier at all is not one."""
+    """With those that are; what is not an identifier at all is not one."""
     with pytest.raises(
         CallerError, match=r"no frame has the identifier '123' \(there are: 2A0, 2A1, 000002A0, 18FEF100\)"
     ):
@@ -254,15 +254,15 @@ def test_a_constant_byte_is_said(aces: Aces, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["bus.log"], "what is spoken? -p NAME; 'aces decode FILE' says what fits"),
+        (["bus.log"], "which protocol? -p NAME; 'aces decode FILE' says which fit"),
         ([], "name a recording"),
         (["bus.log", "--bits", "--raw", "2A0"], "give one"),
-        (["bus.log", "--raw", "xyz"], "'xyz' is no identifier"),
+        (["bus.log", "--raw", "xyz"], "'xyz' is not an identifier"),
         (["bus.log", "--raw", "123"], "no frame has the identifier '123' (there are: 2A0, 7FF, 000002A0)"),
         (["bus.log", "--bits", "123"], "no frame has the identifier '123'"),
         (["bus.log", "--bits", "100"], "nothing to draw"),
         (["bus.log", "--bits", "--from", "50"], "no frame is between --from and --to"),
-        (["bus.log", "speed", "--bits"], "'speed' is no file, and --bits takes no signals"),
+        (["bus.log", "speed", "--bits"], "'speed' is not a file, and --bits takes no signals"),
         (["bus.log", "--bits", "-p", "hubo"], "--protocol is not for --bits"),
         (["bus.log", "--raw", "2A0", "--ymax", "3"], "--ymax is not for --raw"),
         (["none.log", "--bits"], "none.log"),

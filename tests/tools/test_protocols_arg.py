@@ -75,7 +75,7 @@ def test_several_problems_are_listed_elsewhere(tmp_path: Path, capfd: pytest.Cap
 def test_a_file_that_declares_nothing_is_told_from_a_name(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A database without its suffix is found, and a capture is no protocol."""
+    """A database without its suffix is found, and a capture is not a protocol."""
     monkeypatch.chdir(tmp_path)
     Path("car.dbc").write_text(CAR)
     Path("walk.log").write_text("(1.0) can0 123#\n")

@@ -280,7 +280,7 @@ def test_a_controller_that_only_waited_is_said(aces: Aces, robot: Path, tmp_path
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ((), "what is to run?"),
+        ((), "nothing to run"),
         (("KNEE:nothing",), "no controller in"),
         (("nothing.txt",), "no such file"),
         (("KNEE", "--replay", "x.log", "--virtual"), "one of --virtual and --replay"),
@@ -465,7 +465,7 @@ def test_reactions_may_be_functions_of_the_controllers_file(aces: Aces, robot: P
         assert f"did you mean '{expected}'?" in result.err
     result = aces(
         *run, "--on-trip", "raised=controller"
-    )  # what the file imports of this package is no reaction
+    )  # what the file imports of this package is not a reaction
     assert result.status == 2
     assert (
         "no reaction (ignore, degrade, hold, park, zero duty, disable), or function of a controller's file"

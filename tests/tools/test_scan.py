@@ -131,7 +131,7 @@ def test_a_driver_that_cannot_be_loaded_is_left_out(
         ((), "which robot?"),
         (("-p", "hubo"), "which bus? --bus can0"),
         (("-p", "hubo", "--virtual"), "--virtual needs a robot"),
-        (("-p", "hubo", "-r", "hubo2"), "leave --protocol away"),
+        (("-p", "hubo", "-r", "hubo2"), "leave --protocol out"),
         (("-p", "hubu", "--bus", "unix:x"), "did you mean 'hubo'"),
         (("-p", "hubo:D99", "--bus", "unix:x"), "D99"),
         (("-p", "hubo", "--bus", "unix:a", "--bus", "unix:b"), "one bus at a time"),

@@ -78,7 +78,7 @@ def test_a_rate_falls_when_nothing_comes_and_the_row_is_silent() -> None:
 
 
 def test_an_adapter_without_stamps_is_timed_by_the_host() -> None:
-    """Stamps of zero, and none, are no stamps: the period is that of reading."""
+    """Stamps of zero, and none, are not stamps: the period is that of reading."""
     for stamp in (0.0, None):
         made = model()
         for number in range(50):
@@ -87,7 +87,7 @@ def test_an_adapter_without_stamps_is_timed_by_the_host() -> None:
 
 
 def test_a_clock_that_goes_back_leaves_the_period_alone() -> None:
-    """One jump back of the adapter's clock is no interval."""
+    """One jump back of the adapter's clock is not an interval."""
     made = model()
     stamps = [0, 10, 20, -5000, -4990, -4980]
     made.feed(heard(*[encoder(0, at_ms=at) for at in stamps]))

@@ -306,7 +306,7 @@ def test_for_a_time(aces: Aces, node: Node) -> None:
 
 
 def test_ctrl_c_ends_it(aces: Aces, node: Node, opened: Opened) -> None:
-    """Without a number it goes on until Ctrl-C, which is no fault."""
+    """Without a number it goes on until Ctrl-C, which is not a fault."""
 
     def work() -> None:
         assert node.bus.recv(WAIT_S) is not None
@@ -384,7 +384,7 @@ def test_a_reply_to_a_raw_frame(aces: Aces, node: Node, opened: Opened) -> None:
 
 @pytest.mark.skipif(os.name != "posix", reason="pseudo-terminals")
 def test_a_packet_and_its_reply_on_a_half_duplex_line(aces: Aces, opened: Opened) -> None:
-    """The line's own echo is no reply; the servo's status is."""
+    """The line's own echo is not a reply; the servo's status is."""
     import tty
 
     far, near = os.openpty()

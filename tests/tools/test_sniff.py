@@ -456,7 +456,7 @@ def test_who_sends_is_told_what_to_look_at(capsys: pytest.CaptureFixture[str]) -
         (["-i", "aces", "--for", "soon"], "not a duration; write 10ms"),
         (["-i", "aces", "--message", "Encoder"], "name a protocol: -p NAME"),
         (["-i", "aces", "-p", "hubo", "--message", "Encode"], "did you mean 'Encoder'"),
-        (["--serial", "a", "--filter", "060:7F0"], "this is no CAN bus"),
+        (["--serial", "a", "--filter", "060:7F0"], "this is not a CAN bus"),
         (["-i", "aces", "--filter", "060"], "060:7FF"),
         (["--serial", "a", "-p", "robotis"], "--direction"),
         (["-i", "aces", "--record", "x.foo"], "the suffix names no format"),
@@ -517,6 +517,6 @@ def test_durations(text: str, ns: int) -> None:
 
 @pytest.mark.parametrize("text", ["", "0", "-1s", "1 fortnight", "nan", "inf", "1e9h"])
 def test_no_durations(text: str) -> None:
-    """What is no duration is refused with what is."""
+    """What is not a duration is refused with what is."""
     with pytest.raises(ArgumentTypeError, match="10ms"):
         duration(text)

@@ -66,7 +66,7 @@ def test_a_bus_that_cannot_be_opened_leaves_no_recording(aces: Aces, node: Node,
 def test_a_recording_that_fails_ends_the_run(
     aces: Aces, node: Node, opened: Opened, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A full disk is said, at once, and is no success."""
+    """A full disk is said, at once, and is not a success."""
 
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")

@@ -67,7 +67,9 @@ def test_a_finding_has_file_and_line(aces: Aces, written: Path) -> None:
     Path("doubt.py").write_text(DOUBTFUL)
     result = aces("spec", "check", "doubt.py")
     assert result.status == 1
-    assert result.out.splitlines()[0] == ("doubt.py:6: warning: A.x: 'raad' is no unit; is it 'rad'? [unit]")
+    assert result.out.splitlines()[0] == (
+        "doubt.py:6: warning: A.x: 'raad' is not a unit; is it 'rad'? [unit]"
+    )
     (told,) = json.loads(aces("spec", "check", "doubt.py", "--json").out)
     note, finding = told["findings"]
     assert (note["level"], note["rule"]) == ("note", "example")
@@ -157,7 +159,7 @@ def test_a_database_is_checked(aces: Aces, written: Path) -> None:
     result = aces("spec", "check", "car.dbc", "--notes")
     assert result.status == 1
     assert "car.dbc:5: warning: " in result.out
-    assert "note: State.speed: 'furlong/fortnight' is no unit" in result.out
+    assert "note: State.speed: 'furlong/fortnight' is not a unit" in result.out
     assert "held on" in aces("spec", "check", "car.dbc", "--for", "0.001").messages[-1]
 
 
@@ -266,7 +268,7 @@ def test_a_recording_that_contradicts_is_a_warning(aces: Aces, written: Path) ->
     call = ("spec", "check", "sound.py", "--against", "walk.log", "--against", "run.log")
     result = aces(*call)
     assert result.status == 1
-    assert "40 frames 0x006 of 1 bytes are no message; first at frame 0 (0.000 s) of run.log" in result.out
+    assert "40 frames 0x006 of 1 bytes are not a message; first at frame 0 (0.000 s) of run.log" in result.out
     assert "\n    → declare it, or name the protocol that has it\n" in result.out
     (finding,) = [one for part in json.loads(aces(*call, "--json").out) for one in part["findings"]]
     assert (finding["rule"], finding["count"], finding["witness"]) == ("undeclared", 40, "006#07")
@@ -275,7 +277,7 @@ def test_a_recording_that_contradicts_is_a_warning(aces: Aces, written: Path) ->
 
 @pytest.mark.slow
 def test_protocols_that_share_a_bus_are_held_against_it_together(aces: Aces, written: Path) -> None:
-    """What one of them declares is no fault of the other, unless they are apart."""
+    """What one of them declares is not a fault of the other, unless they are apart."""
     Path("sound.py").write_text(SOUND)
     Path("other.py").write_text(
         SOUND.replace('"sound"', '"other"').replace("id=5", "id=6").replace("005#", "006#")

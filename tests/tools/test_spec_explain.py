@@ -100,7 +100,7 @@ def test_a_frame_far_into_a_recording(aces: Aces, tmp_path: Path) -> None:
 
 
 def test_both_directions_of_a_recording(aces: Aces, tmp_path: Path) -> None:
-    """A log that says which way bytes went has a stream each way; what was asked is no part of the replies' offsets."""
+    """A log that says which way bytes went has a stream each way; what was asked is not a part of the replies' offsets."""
     file = tmp_path / "session.slog"
     lines = [f"(0.0) > [8] {READ.replace(' ', '')}", f"(0.001) < [7] {STATUS.replace(' ', '')}"]
     file.write_text("# aces serial capture 1\n" + "\n".join(lines) + "\n")

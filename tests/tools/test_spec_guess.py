@@ -100,7 +100,7 @@ def test_a_wrong_suffix_is_refused(aces: Aces, drive: Path) -> None:
 
 
 def test_what_a_damaged_recording_holds_is_guessed_nevertheless(aces: Aces, tmp_path: Path) -> None:
-    """A packed log that was cut off: what it holds, and exit 2; an empty one is no recording."""
+    """A packed log that was cut off: what it holds, and exit 2; an empty one is not a recording."""
     lines = "".join(f"({n / 100:.6f}) can0 123#{n % 256:02X}{n * 7919 % 65536:04X}\n" for n in range(4000))
     cut = tmp_path / "cut.log.gz"
     cut.write_bytes(gzip.compress(lines.encode())[:15000])

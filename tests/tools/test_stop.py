@@ -55,7 +55,7 @@ def stand(
         ((), "which robot? aces stop ROBOT"),
         (("arm", "-r", "arm"), "name the robot once"),
         (("--id", "3"), "--id is for -p PROTOCOL"),
-        (("hubo2plus", "-p", "hubo"), "leave --protocol away"),
+        (("hubo2plus", "-p", "hubo"), "leave --protocol out"),
         (("-p", "moteus"), "which bus?"),
         (("-p", "mtoeus", "--bus", "can0"), "did you mean 'moteus'"),
         (("-p", "hubo", "--bus", "can0", "--id", "1"), "which driver?"),

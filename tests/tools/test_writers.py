@@ -240,7 +240,7 @@ def test_columns_settle() -> None:
 
 
 def test_what_is_not_known_says_so() -> None:
-    """A value that means `not known` is no number."""
+    """A value that means `not known` is not a number."""
     (line,) = shown(Frame(0x10, bytes.fromhex("7FFF0001"), 0.0, "can0"))
     assert "angle=unknown  " in line
 

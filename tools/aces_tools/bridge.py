@@ -99,12 +99,12 @@ ARGUMENTS: Arguments = (
     TX.but(help="really forward; nothing else makes it"),
     flag("--one-way", help="only from A to B; A is only listened to"),
     FILTER,
-    PROTOCOL.but(help="what is spoken, for --message and --where, and to forward whole packets of a stream"),
+    PROTOCOL.but(help="protocols, for --message and --where, and to forward whole packets of a stream"),
     MESSAGE,
     WHERE,
     DIRECTION.but(metavar="{to,from}", help="streams: which way the bytes from A to B go"),
     RATE.but(help="CAN: send at most N frames a second on either bus"),
-    FOR.but(help="end after so long: 10s, 500ms, 2min"),
+    FOR.but(help="end after this time: 10s, 500ms, 2min"),
 )
 
 
@@ -176,7 +176,7 @@ class Selection:
         return is_wanted
 
     def packets(self, content: bytes, end: str, *, is_datagram: bool) -> list[tuple[bytes, bool]]:
-        """Bytes as they came, or whole packets and what lies between them; and whether each passes."""
+        """Return bytes as they came, or whole packets and what lies between them; and whether each passes."""
         scanner = self.scanners[end]
         if scanner is None:
             return [(content, True)]

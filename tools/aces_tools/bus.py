@@ -112,7 +112,7 @@ ARGUMENTS: Arguments = (
         ),
     ),
     FOR.but(
-        help="load, serve: end after so long; list: how long to look (default: 1s; from 3.5s on for socketcand's"
+        help="load, serve: end after this time; list: how long to look (default: 1s; from 3.5s on for socketcand's"
         " beacons too)"
     ),
 )

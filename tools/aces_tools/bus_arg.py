@@ -50,7 +50,7 @@ HELP = (
 
 
 def can_options(title: str) -> Callable[[argparse.ArgumentParser], None]:
-    """python-can's options of a bus, under a title."""
+    """Return python-can's options of a bus, under a title."""
 
     def add(parser: argparse.ArgumentParser) -> None:
         from can import cli
@@ -96,7 +96,7 @@ BUS = argument(
 
 
 def _hush(action: Any) -> None:
-    """python-can prints what --timing means; standard output is ours."""
+    """Keep python-can from printing what --timing means: standard output is ours."""
     kind = type(action)
 
     class Quiet(kind):  # type: ignore[misc,valid-type]
@@ -273,14 +273,16 @@ def near_buses(channel: str) -> str:
 
 
 def _named(channel: str) -> Mapping[str, Any]:
-    """python-can's keywords of a channel that is named without an interface; raises `CallerError` where there is none."""
+    """Return python-can's keywords of a channel that is named without an interface; raise `CallerError` if
+    there is none.
+    """
     address = served_address(channel)
     if address is not None:
         return {"interface": "aces", "channel": address, "name": channel}
     if os.path.exists(f"/sys/class/net/{os.path.basename(channel)}"):
         return {"interface": "socketcan", "channel": channel}
     raise CallerError(
-        f"{channel!r} is no network interface of this machine, and not served ({near_buses(channel)});"
+        f"{channel!r} is not a network interface of this machine, and not served ({near_buses(channel)});"
         f" {HELP}, or serve one: aces bus serve {channel}"
     )
 

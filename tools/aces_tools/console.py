@@ -21,7 +21,9 @@ SHOWN = 3
 
 
 def say(message: str, *, who: str = "aces: ") -> None:
-    """One message on stderr, safe for a terminal whatever file its words came from. Losing it must not lose the work."""
+    """Print one message to stderr, safe for a terminal whatever file its words came from. Losing it must not
+    lose the work.
+    """
     with suppress(OSError):
         print(printable_lines(f"{who}{message}"), file=sys.stderr, flush=True)
 
@@ -56,7 +58,9 @@ def abandon_stdout() -> None:
 
 
 def standard_input() -> list[str]:
-    """`-`, for a call that names no file and has a pipe at its standard input; raises `CallerError` for a terminal."""
+    """Return `-` for a call that names no file and has a pipe at its standard input; raise `CallerError` for
+    a terminal.
+    """
     if sys.stdin is None or sys.stdin.isatty():
         raise CallerError("name a recording, or pipe one in: candump -L can0 | aces decode -p hubo")
     return ["-"]
@@ -70,7 +74,7 @@ def print_json(value: Any, indent: int | None = 2) -> None:
 
 
 def counted(number: int, what: str) -> str:
-    """`1 message`, `2 messages`, `3 buses`.
+    """Return `1 message`, `2 messages`, `3 buses`.
 
     >>> counted(1, "bus"), counted(2, "bus"), counted(0, "joint")
     ('1 bus', '2 buses', '0 joints')
@@ -109,9 +113,7 @@ def check_suffix(option: str, path: str | None, *suffixes: str) -> None:
     """
     suffix = os.path.splitext(path or "")[1].lower()
     if suffix and suffix not in suffixes:
-        raise CallerError(
-            f"{option} {path}: what is written there is no {suffix}; name it {' or '.join(suffixes)}"
-        )
+        raise CallerError(f"{option} {path}: it is not written as {suffix}; name it {' or '.join(suffixes)}")
 
 
 class Output:
@@ -219,7 +221,7 @@ def report_unreadable(capture: Any, shown: int = 0, *, is_over: bool = False) ->
 
 
 def terminal_width() -> int:
-    """Columns of the terminal; 80 when it does not say."""
+    """Return the columns of the terminal; 80 when it does not say."""
     try:
         wanted = int(os.environ.get("COLUMNS", ""))
     except ValueError:
@@ -294,7 +296,7 @@ class Progress:
         return bar, bar.add_task("", total=self.total, rate="")
 
     def step(self, frames: int) -> None:
-        """So many frames more have been read; of a serial line none."""
+        """Note that `frames` more frames have been read; of a serial line none."""
         if self._bar is None:
             return
         self._frames += frames

@@ -45,13 +45,11 @@ NAMED = 3
 
 
 def show_contents(arguments: argparse.Namespace) -> int:
-    """One run of `aces decode` without a protocol; its exit status."""
+    """Run `aces decode` without a protocol; return its exit status."""
     for option in _NEED_A_PROTOCOL:
         if getattr(arguments, option):
             name = {"start": "from", "stop": "to"}.get(option, option)
-            raise CallerError(
-                f"--{name} needs to know what is spoken; name a protocol: -p NAME (aces protocols)"
-            )
+            raise CallerError(f"--{name} needs a protocol: -p NAME (aces protocols)")
     wanted = parse_filter(*arguments.filter) if arguments.filter else None
     status = 0
     with Patience() as patience:
@@ -102,7 +100,7 @@ class Row(FrameCount):
         self._changed = np.zeros(64, bool)
 
     def add(self, table: FrameTable, rows: Any) -> None:
-        """More frames of this identifier, in these rows."""
+        """Add frames of this identifier, in these rows."""
         self.count(table.time[rows], table.length[rows])
         data = widened(table.data[rows], 64)
         if self._first is None:
@@ -125,7 +123,7 @@ class CanContents:
         self.piece: list[FrameTable] = []
 
     def add(self, table: FrameTable) -> None:
-        """More frames, of which those count that the filter takes."""
+        """Add frames, of which those count that the filter takes."""
         if self.wanted is not None:
             table = table.take(np.flatnonzero(passing(self.wanted, table)))
         if sum(map(len, self.piece)) < TRIED_FRAMES:

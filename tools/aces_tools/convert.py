@@ -78,7 +78,7 @@ summary (last on stderr):
   frames = written + filtered; errors: error frames among those written   (CAN)
   bytes = written + filtered                                           (serial)
   Above it, a line for each kind of entry that the output format cannot hold,
-  and for each kind of entry in the input that is no frame.
+  and for each kind of entry in the input that is not a frame.
 
 exit status:
   0    also after Ctrl-C where the input was live: what had come is written
@@ -157,7 +157,7 @@ class Conversion:
                     " or give the file another name"
                 )
         if self.target == "-" and not form.is_text and sys.stdout is not None and sys.stdout.isatty():
-            raise CallerError(f"{form.what} is nothing for a terminal; redirect it, or name a file")
+            raise CallerError(f"{form.what} is not for a terminal; redirect it, or name a file")
         return form
 
     def _measured(self) -> list[str]:
@@ -324,7 +324,7 @@ class Conversion:
         say(" ".join([*parts, f"lines_unreadable={self.lines_unreadable}"]), who="")
 
     def _absences(self) -> None:
-        """Channels that options name and that did not occur."""
+        """Report channels that options name and that did not occur."""
         seen = self.relabel.seen
         if not seen:
             return

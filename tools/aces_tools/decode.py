@@ -140,7 +140,7 @@ exit status:
 
 ARGUMENTS: Arguments = (
     argument("files", nargs="*", metavar="FILE", help="a recording; - or none for standard input"),
-    PROTOCOL.but(help="what is spoken; see below; the first wins. Without: what the recording holds"),
+    PROTOCOL.but(help="protocols; see below; the first that fits wins. Without: what the recording holds"),
     DIRECTION,
     argument(
         "--format",
@@ -163,11 +163,11 @@ ARGUMENTS: Arguments = (
     flag("--names", help="tables: enumerations as names instead of numbers"),
     flag("--float32", help="tables: physical values in half the size, and less exact"),
     JOBS.but(
-        help="tables: so many processes (default: 1; 0: one a processor); each message is then a folder of parts"
+        help="tables: number of processes (default: 1; 0: one a processor); each message is then a folder of parts"
         " (Parquet, Arrow)",
     ),
     TIME,
-    COUNT.but(help="end after so many lines"),
+    COUNT.but(help="end after this many lines"),
     COLOR,
 )
 
@@ -332,7 +332,7 @@ class LiveDecoding(Decoding):
             totals.count(scanner.counts)
 
     def _frames(self, scanner: Any, frames: list[Frame], totals: Totals) -> None:
-        """Frames that follow each other, one or more."""
+        """Decode frames that follow each other, one or more."""
         items = scanner.feed(frames)
         if scanner.has_transports:  # the first item may be of a later frame, or of an earlier one
             self._begin_at(frames[0].timestamp)
@@ -345,7 +345,7 @@ class LiveDecoding(Decoding):
         self._take(items, map(_frame_of, items) if scanner.has_transports else frames, totals)
 
     def _take(self, items: list[Any], frames: Iterable[Frame], totals: Totals) -> None:
-        """Items of frames; with transports one item may be of several, or of one that came earlier."""
+        """Take items of frames; with transports an item may be of several frames, or of an earlier one."""
         passed = self._in_window(items)
         if self.filter is not None:
             seen = map(self.filter.matches, frames)

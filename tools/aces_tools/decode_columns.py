@@ -131,7 +131,7 @@ class ColumnDecoding(TableDecoding):
     """One run into an output of tables. A wrong call raises before anything is read or written."""
 
     def __init__(self, arguments: argparse.Namespace, form: str, *, is_worker: bool = False) -> None:
-        """`is_worker`: this process decodes pieces for another, and has no output of its own."""
+        """Prepare; `is_worker`: this process decodes pieces for another, and has no output of its own."""
         super().__init__(arguments)
         self.columns = wanted_columns(arguments.signals, self.plans)
         self.selection = RecordingSelection(
@@ -232,7 +232,9 @@ class ColumnDecoding(TableDecoding):
         )
 
     def _start_window(self, capture: CanRecording) -> None:
-        """Relative times count from the first frame of the file: every process must know it."""
+        """Set the instant that relative times count from: the first frame of the file, which every process
+        must know.
+        """
         if self.window is None:
             return
         untimed = self.window.untimed

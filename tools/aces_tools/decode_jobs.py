@@ -229,7 +229,7 @@ class Parts:
     def write(
         self, tables: Sequence[MessageTable], *, source: str | None = None, columns: Any = None
     ) -> None:
-        """Tables that this process has decoded itself, of the piece that was adopted or begun last."""
+        """Write tables that this process has decoded itself, of the piece that was adopted or begun last."""
         tables = [table for table in tables if len(table)]
         if not tables:
             return
@@ -258,7 +258,7 @@ class Parts:
             shutil.rmtree(place, ignore_errors=True)
 
     def close(self) -> None:
-        """Everything is written: the folder takes its place."""
+        """Move the folder to its place: everything is written."""
         self._close_own()
         shutil.rmtree(self._folder, ignore_errors=True)
         self._staging.commit()

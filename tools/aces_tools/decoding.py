@@ -144,7 +144,7 @@ class Decoding(ABC):
 
     @abstractmethod
     def _finish(self, *, is_whole: bool) -> None:
-        """All files have been decoded; `is_whole` unless Ctrl-C ended one that would have ended by itself."""
+        """End: all files have been decoded; `is_whole` unless Ctrl-C ended one that would have ended by itself."""
 
     @abstractmethod
     def _flush(self) -> None:
@@ -243,7 +243,7 @@ class Decoding(ABC):
             self.shown = report_unreadable(capture, self.shown, is_over=is_over)
 
     def _warn(self, contested: Mapping[int, tuple[str, str]], key: int, identifier: int) -> None:
-        """Two protocols claim a frame that has come: say so, once."""
+        """Say once that two protocols claim a frame."""
         first, other = contested[key]
         say(
             f"{first} and {other} both claim identifier {identifier:#05x}"

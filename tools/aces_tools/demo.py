@@ -58,7 +58,7 @@ ARGUMENTS: Arguments = (
 
 
 def knee_bends() -> ViaPath:
-    """Knee bends: feet flat and trunk upright, as hip and ankle take half of the knee's angle back each."""
+    """Return knee bends: feet flat and trunk upright, as hip and ankle take half of the knee's angle back each."""
     from aces_bus.controller import Limits, ViaPath
 
     names = [side + joint for side in "RL" for joint in ("HP", "KN", "AP")]

@@ -81,7 +81,9 @@ ARGUMENTS: Arguments = (
     ASK.but(help="get, watch: ask the device; without, only listen to what other programs ask"),
     flag("--enable", help="set: enable the device before, and stop it after"),
     flag("--unhomed", help="set: a joint that is not homed, too: where it says it is, it is not"),
-    FOR.but(help="set: keep it up so long (default: until it is there, and 2s); watch: end after so long"),
+    FOR.but(
+        help="set: keep it up for this time (default: until it is there, and 2s); watch: end after this time"
+    ),
     EVERY.but(help="watch: between two lines (default: 0.1s)"),
     REDUCED,
     ACTS,
@@ -165,7 +167,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _check_options(arguments: argparse.Namespace, action: str) -> None:
-    """Options that mean nothing here are mistakes."""
+    """Raise `CallerError` for options without a meaning here."""
     if arguments.enable and action != "set":
         raise CallerError(f"--enable is for 'set', not for {action!r}")
     if arguments.unhomed and action != "set":
@@ -182,7 +184,7 @@ def _check_options(arguments: argparse.Namespace, action: str) -> None:
 
 
 def _split(robot: Robot, name: str) -> tuple[str, str | None]:
-    """`RHY.position` as the joint and its signal; names of devices may have points themselves."""
+    """Split `RHY.position` into the joint and its signal; names of devices may have points themselves."""
     if name in robot.devices or name in robot.joints or name in robot.sensors or "." not in name:
         return name, None
     owner, _, signal = name.partition(".")

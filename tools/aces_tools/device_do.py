@@ -170,7 +170,7 @@ class Doing:
         return 1 if missing else 0
 
     def watch(self, every: int, duration: int | None) -> int:
-        """Again and again: a table that is kept up to date on a terminal, else a line each time."""
+        """Show values again and again: a table that is kept up to date on a terminal, else a line each time."""
         signals = self.readable(self.arguments.values)
         if duration is None:
             say_note(ENDLESS)

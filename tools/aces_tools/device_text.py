@@ -71,7 +71,7 @@ def result_lines(value: Any, indent: str = "") -> list[str]:
 
 
 def aligned_rows(rows: Sequence[tuple[str, ...]], indent: str = "  ") -> list[str]:
-    """Columns under each other; on a terminal the last one is wrapped to its width."""
+    """Align columns under each other; on a terminal the last one is wrapped to its width."""
     if not rows:
         return []
     width = terminal_width() - len(indent) if Output(None).is_terminal else None
@@ -82,9 +82,10 @@ def aligned_rows(rows: Sequence[tuple[str, ...]], indent: str = "  ") -> list[st
 
 
 def parse_pairs(texts: Sequence[str]) -> dict[str, Any]:
-    """`kp=200 confirm=true mode=torque` as values: numbers, true and false, [lists], hex:0a; everything else is text.
+    """Parse `kp=200 confirm=true mode=torque` as values: numbers, true and false, [lists], hex:0a; everything
+    else is text.
 
-    Raises `CallerError` for what is no NAME=VALUE, or is given twice.
+    Raises `CallerError` for what is not a NAME=VALUE, or is given twice.
     """
     found: dict[str, Any] = {}
     for text in texts:
@@ -115,7 +116,7 @@ def value_for(signal: Signal, value: Any) -> Any:
         number = math.nan
     if not math.isfinite(number):
         also = ", or degrees: 30deg" if signal.unit == "rad" else ""
-        raise CallerError(f"{signal.name}: {value!r} is no number of {signal.unit}{also}")
+        raise CallerError(f"{signal.name}: {value!r} is not a number of {signal.unit}{also}")
     return value
 
 

@@ -63,7 +63,7 @@ ARGUMENTS: Arguments = (
         action="store",
         default=None,
         metavar="NAME[:DIALECT]|FILE.py",
-        help="without a robot: what is spoken on the bus; of a Python file with its --driver",
+        help="without a robot: the protocol on the bus; of a Python file with its --driver",
     ),
     OUTPUT.but(metavar="FILE.toml", help="write the robot's file there (default: standard output)"),
     JSON.but(help="what was found, as JSON"),
@@ -134,7 +134,7 @@ def _robot(arguments: argparse.Namespace) -> Robot:
         return chosen_robot(arguments.robot, arguments.driver)
     use_driver_files(arguments.driver)
     if arguments.robot:
-        raise CallerError("--robot says what is spoken already; leave --protocol away")
+        raise CallerError("--robot names the protocols; leave --protocol out")
     if arguments.virtual:
         raise CallerError("--virtual needs a robot whose twins are to be found: --robot NAME")
     name, _, dialect = arguments.protocol.partition(":")

@@ -87,12 +87,12 @@ class TaskResult:
 
 
 def ignore_interrupts() -> None:
-    """In a process of the pool: Ctrl-C is for the one that started it."""
+    """Ignore Ctrl-C in a process of the pool: the process that started it handles it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def rare_collections() -> None:
-    """Specs, plans and scanners stay: looking through them again and again for garbage costs a tenth of the time."""
+    """Collect garbage rarely: specs, plans and scanners stay, and looking through them costs a tenth of the time."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(20_000, 20, 100)

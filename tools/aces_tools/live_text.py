@@ -30,11 +30,11 @@ class CandumpLines:
         self._width = 0
 
     def frames(self, frames: Sequence[Frame]) -> bytes:
-        """One line a frame."""
+        """Return one line a frame."""
         return self._joined(frames, self._frame)
 
     def chunks(self, chunks: Sequence[Chunk], name: str) -> bytes:
-        """One line a piece of at most 16 bytes."""
+        """Return one line a piece of at most 16 bytes."""
         pieces = [
             Chunk(chunk.data[start : start + 16], chunk.time, chunk.direction)
             for chunk in chunks

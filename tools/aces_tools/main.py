@@ -42,7 +42,7 @@ class Parser(argparse.ArgumentParser):
             known = [name for action in self._actions for name in action.option_strings]
             message = _unknown_options(message.partition(": ")[2].split(), known)
         if message.startswith("the following arguments are required: -p/--protocol"):
-            message = "what is spoken? -p NAME; 'aces decode FILE' says what fits a recording"
+            message = "which protocol? -p NAME; 'aces decode FILE' says which fit a recording"
         if message.startswith("the following arguments are required: "):
             message = self._missing(message)
         self.exit(2, f"aces: {message.removeprefix('argument ')} (see '{self.prog} --help')\n")
@@ -207,7 +207,9 @@ def parser_of(verb: str, parser: Parser | None = None) -> Parser:
 
 
 def _plain(arguments: list[str]) -> list[str]:
-    """Without `--`, which the parser does not understand between options: what follows it are files, even `-x.log`."""
+    """Return arguments without `--`, which the parser does not understand between options: words behind it
+    are files, even `-x.log`.
+    """
     if "--" not in arguments:
         return arguments
     end = arguments.index("--")

@@ -140,7 +140,7 @@ def positive(text: str) -> float:
 # ---------------------------------------------------------------------- options of several verbs
 
 PROTOCOL = several(
-    "-p", "--protocol", metavar="PROTOCOL", help="what is spoken, as of 'aces decode'; the first wins"
+    "-p", "--protocol", metavar="PROTOCOL", help="protocols, as of 'aces decode'; the first that fits wins"
 )
 DIRECTION = argument(
     "--direction",
@@ -183,12 +183,14 @@ TIME = argument(
     default="relative",
     help="from the first on, since 1970, since the line before, or local; also candump's z a d A (default: relative)",
 )
-COUNT = argument("-n", "--count", type=at_least(1), metavar="N", help="end after so many")
-FOR = argument("--for", dest="duration", type=duration, metavar="DURATION", help="so long: 10s, 500ms, 2min")
+COUNT = argument("-n", "--count", type=at_least(1), metavar="N", help="end after this many")
+FOR = argument(
+    "--for", dest="duration", type=duration, metavar="DURATION", help="for this time: 10s, 500ms, 2min"
+)
 EVERY = argument("--every", type=duration, metavar="DURATION", help="again and again: 10ms, 0.5s")
 RATE = argument("--rate", type=positive, metavar="N", help="CAN: at most N frames a second")
 LOOP = argument(
-    "--loop", type=at_least(0), default=1, metavar="N", help="so many times; 0: until Ctrl-C (default: 1)"
+    "--loop", type=at_least(0), default=1, metavar="N", help="this many times; 0: until Ctrl-C (default: 1)"
 )
 TX = flag("--tx", help="really send; nothing else makes it")
 ASK = flag("--ask", help="ask the devices; without (and without --tx) only listen to what others ask")
@@ -196,7 +198,7 @@ OUTPUT = argument("-o", "--output", metavar="FILE", help="write there instead of
 ROTATE = several(
     "--rotate",
     metavar="SIZE|DURATION",
-    help="begin the next file (FILE-00002 …) after so much, such as 100MB, or so long, such as 10min",
+    help="begin the next file (FILE-00002 …) after this size, such as 100MB, or this time, such as 10min",
 )
 JSON = flag("--json", help="JSON on standard output, for programs")
 #: Every verb takes it: `main` adds it to those that say nothing more about it.
@@ -207,7 +209,7 @@ JOBS = argument(
     type=at_least(0),
     default=1,
     metavar="N",
-    help="so many processes (default: 1; 0: one a processor)",
+    help="number of processes (default: 1; 0: one a processor)",
 )
 SEED = argument("--seed", type=int, default=0, metavar="N", help="of noise and chance (default: %(default)s)")
 COLOR = argument(

@@ -78,7 +78,7 @@ class Patience:
 
     @contextmanager
     def stopping(self) -> Generator[None, None, None]:
-        """In here a second Ctrl-C interrupts nothing either: for what may move and is stopped at its end, within a bound."""
+        """Ignore a second Ctrl-C in here: for what may move and is stopped at its end, within a bound."""
         self._is_stopping = True
         try:
             yield
@@ -87,7 +87,7 @@ class Patience:
 
     @contextmanager
     def waiting(self) -> Generator[None, None, None]:
-        """Ctrl-C raises `KeyboardInterrupt` in here."""
+        """Raise `KeyboardInterrupt` for a Ctrl-C in here."""
         self._is_waiting = True
         try:
             yield

@@ -85,13 +85,13 @@ ARGUMENTS: Arguments = (
         "files", nargs="+", metavar="FILE", help="recordings, played one after another; - is standard input"
     ),
     TX,
-    argument("--speed", default="1", metavar="N", help="so many times as fast, or max (default: 1)"),
+    argument("--speed", default="1", metavar="N", help="this many times as fast, or max (default: 1)"),
     LOOP,
     argument("--gap", type=duration, metavar="DURATION", help="make no silence longer than this: 1s, 500ms"),
     RATE,
     FILTER.but(help="CAN: only what candump's filters pass, such as 060:7F0; by the recording's channels"),
     MAP.but(help="CAN: channel OLD onto the bus NEW"),
-    PROTOCOL.but(help="with --foxglove: what is spoken, as of 'aces decode'; the first wins"),
+    PROTOCOL.but(help="with --foxglove: protocols, as of 'aces decode'; the first that fits wins"),
     DIRECTION.but(metavar="{to,from}", help="serial: only what went to, or came from, the device"),
     *BUS_ARGUMENTS,
 )
@@ -124,7 +124,7 @@ class Playing:
         if self.bus is not None and self.bus.kind != "can":
             for option in ("filter", "map", "rate"):
                 if getattr(arguments, option):
-                    raise CallerError(f"--{option} is for CAN, and {self.bus.name} is no CAN bus")
+                    raise CallerError(f"--{option} is for CAN, and {self.bus.name} is not a CAN bus")
         if self.bus is not None and self.bus.kind == "can" and self.direction is not None:
             raise CallerError("--direction is for bytes of a serial line, and this is a CAN bus")
         self.total = self.filtered = self.skipped = self.unsent = 0
@@ -427,7 +427,7 @@ def _speed(text: str) -> float | None:
     except ValueError:
         speed = 0.0
     if not 0 < speed <= 1e6:
-        raise CallerError(f"--speed {text!r} is no pace; write 1, 0.5, 10 or max")
+        raise CallerError(f"--speed {text!r} is not a pace; write 1, 0.5, 10 or max")
     return speed
 
 

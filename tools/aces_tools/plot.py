@@ -105,7 +105,7 @@ ARGUMENTS: Arguments = (
         "--break-time",
         type=axis_number,
         metavar="SECONDS",
-        help="interrupt a line where nothing came for so long; -1: never (default: five periods of a message)",
+        help="interrupt a line after this time without values; -1: never (default: five periods of a message)",
     ),
     flag("--step", help="hold each value until the next one, instead of straight lines"),
     argument("--title", default="", metavar="TEXT", help="above all"),
@@ -137,7 +137,7 @@ def run(arguments: argparse.Namespace) -> int:
         return plot_frames(arguments, files, signals)
     if not arguments.protocol:
         raise CallerError(
-            "what is spoken? -p NAME; 'aces decode FILE' says what fits a recording; --bits and --raw ID need no protocol"
+            "which protocol? -p NAME; 'aces decode FILE' says which fit a recording; --bits and --raw ID need no protocol"
         )
     if not signals and not arguments.list and all(os.path.isfile(file) for file in files):
         survey = SignalSurvey(argparse.Namespace(**vars(arguments)))
@@ -209,7 +209,7 @@ class Plotting(TableDecoding):
     # ------------------------------------------------------------------ reading
 
     def _kept(self, frames: FrameTable) -> None:
-        """All frames are decoded: replies need their requests. The collector keeps to --from and --to."""
+        """Decode all frames, as replies need their requests. The collector keeps to --from and --to."""
         self.clock.see(frames.time)
         known = frames.time[frames.time != NO_TIME]
         if self.window is not None and len(known):
@@ -401,7 +401,7 @@ def split_arguments(items: Sequence[str]) -> tuple[list[str], list[str]]:
 
 
 def parse_limits(text: str) -> Limits:
-    """`LOW:HIGH`, either of which may be empty; raises `CallerError`."""
+    """Parse `LOW:HIGH`, either of which may be empty; raise `CallerError`."""
     low, colon, high = text.partition(":")
     try:
         limits = (axis_number(low) if low.strip() else None, axis_number(high) if high.strip() else None)
@@ -417,7 +417,7 @@ def parse_limits(text: str) -> Limits:
 
 
 def _natural(key: Sequence[tuple[str, str]]) -> list[tuple[int, str]]:
-    """Board 10 comes after board 9, and the bus counts last."""
+    """Return a sort key by which board 10 comes after board 9, and the bus counts last."""
     return [(int(value) if value.isdecimal() else -1, value) for _, value in [*key[1:], *key[:1]]]
 
 

@@ -39,14 +39,16 @@ _OF_LINES = (*_OF_SIGNALS, "step", "break_time", "show")
 
 
 def plot_frames(arguments: argparse.Namespace, files: list[str], signals: list[str]) -> int:
-    """One run of `aces plot` with --bits or --raw; its exit status. A wrong call raises before anything is read."""
+    """Run `aces plot` with --bits or --raw; return its exit status. A wrong call raises before anything is read."""
     option = "--raw" if arguments.raw is not None else "--bits"
     if arguments.raw is not None and arguments.bits is not None:
         raise CallerError("--bits and --raw show different things; give one")
     if arguments.bits and (parse_identifiers(arguments.bits) is None or os.path.isfile(arguments.bits)):
         files, arguments.bits = [*files, arguments.bits], ""  # a file behind the option
     if signals:
-        raise CallerError(f"{signals[0]!r} is no file, and {option} takes no signals: it needs no protocol")
+        raise CallerError(
+            f"{signals[0]!r} is not a file, and {option} takes no signals: it needs no protocol"
+        )
     for name in _OF_SIGNALS if option == "--raw" else _OF_LINES:
         if getattr(arguments, name) not in (None, False, []):
             raise CallerError(f"--{name.replace('_', '-')} is not for {option}")
@@ -75,14 +77,14 @@ class FrameDrawing(ABC):
 
     @abstractmethod
     def add(self, table: FrameTable) -> None:
-        """Frames that --from and --to let pass."""
+        """Add frames that --from and --to let pass."""
 
     @abstractmethod
     def draw(self) -> None:
-        """All has been read."""
+        """Draw: all has been read."""
 
     def see(self, table: FrameTable) -> None:  # noqa: B027  # only one kind of drawing has to know
-        """All frames, before --from and --to."""
+        """Take all frames, before --from and --to."""
 
     def run(self, files: list[str]) -> int:
         """Read the files, then draw; the exit status."""
@@ -176,7 +178,7 @@ class BitDrawing(FrameDrawing):
             print_bits(picture, arguments.color, is_by_byte=len(chosen) > 1)
 
     def _all(self) -> list[BitImage]:
-        """Return those that have data and are no errors, by channel and identifier; of too many those with most frames."""
+        """Return those that have data and are not errors, by channel and identifier; of too many those with most frames."""
         every = [
             image for image in self.images.images.values() if image.length and not image.identifier.is_error
         ]
@@ -205,7 +207,7 @@ class ByteDrawing(FrameDrawing):
         patterns = parse_identifiers(arguments.raw)
         if patterns is None:
             raise CallerError(
-                f"--raw {arguments.raw!r} is no identifier; write it in hexadecimal, such as 2A0 or 18FEF100"
+                f"--raw {arguments.raw!r} is not an identifier; write it in hexadecimal, such as 2A0 or 18FEF100"
             )
         self.patterns = patterns
         self.clock = TimeAxis()

@@ -71,7 +71,7 @@ class Named(NamedTuple):
         return found if self.channel is None else found.on(self.channel)
 
     def decided(self) -> tuple[str | None, str | dict[str, Mapping[int, Any]] | None]:
-        """Dialect and configuration, of a file its tables; raises `CallerError` for a file that is no such."""
+        """Return dialect and configuration, of a file its tables; raise `CallerError` for a file that has none."""
         configuration = self.configuration
         if configuration is None or not configuration.lower().endswith(".toml"):
             return self.dialect, configuration
@@ -85,29 +85,40 @@ def parse_protocols(texts: Iterable[str]) -> list[Variant]:
 
 
 def named_protocol(text: str) -> Named:
-    """Return what a `-p` names; raises `CallerError` with what would have worked."""
-    if (bound := _CHANNEL.fullmatch(text)) and not os.path.exists(text):
+    """Return the protocol that a `-p` names; raise `CallerError` with the valid choices."""
+    bound = _CHANNEL.fullmatch(text)
+    if bound and not os.path.exists(text):
         return named_protocol(bound["rest"])._replace(channel=bound["channel"])
-    if found := _FILE.fullmatch(text):
-        names = found["names"].split(":")[1:]
-        if found["kind"].lower() != "py":
-            protocol = known_database(found["path"], _say_problems)
-            if len(names) > bool(protocol.dialects) or found["configuration"] is not None:
-                has = "no configurations" if protocol.dialects else "neither dialects nor configurations"
-                raise CallerError(f"-p {text}: {found['path']} has {has}")
-            return Named(protocol, names[0] if names else None, None, found["path"])
-        from aces_bus.protocol.files import protocol_of_file
-
-        given = names[:1]
-        protocol = protocol_of_file(found["path"], names)
-        source = ":".join([found["path"], *given[: len(given) - len(names)]])
-        if len(names) > 1:
-            raise CallerError(f"-p {text}: nothing named {names[1]!r} is left to choose; {SYNTAX}")
-        return Named(protocol, names[0] if names else None, found["configuration"], source)
-    found = _NAME.fullmatch(text)
-    if found is None:
+    file = _FILE.fullmatch(text)
+    if file:
+        names = file["names"].split(":")[1:]
+        read = _named_python if file["kind"].lower() == "py" else _named_database
+        return read(text, file["path"], names, file["configuration"])
+    installed = _NAME.fullmatch(text)
+    if installed is None:
         raise CallerError(f"-p {text!r} is not understood; {SYNTAX}")
-    return Named(_installed(found["name"]), found["dialect"], found["configuration"], found["name"])
+    name = installed["name"]
+    return Named(_installed(name), installed["dialect"], installed["configuration"], name)
+
+
+def _named_database(text: str, path: str, names: list[str], configuration: str | None) -> Named:
+    """Read a DBC, EDS or the like; `names` may hold a dialect, which only some of them have."""
+    protocol = known_database(path, _say_problems)
+    if len(names) > bool(protocol.dialects) or configuration is not None:
+        has = "no configurations" if protocol.dialects else "neither dialects nor configurations"
+        raise CallerError(f"-p {text}: {path} has {has}")
+    return Named(protocol, names[0] if names else None, None, path)
+
+
+def _named_python(text: str, path: str, names: list[str], configuration: str | None) -> Named:
+    """Read a Python file: `names` are the protocol's, if the file has several, and then the dialect's."""
+    from aces_bus.protocol.files import protocol_of_file
+
+    protocol, left = protocol_of_file(path, names)
+    if len(left) > 1:
+        raise CallerError(f"-p {text}: nothing named {left[1]!r} is left to choose; {SYNTAX}")
+    source = ":".join([path, *names[: len(names) - len(left)]])
+    return Named(protocol, left[0] if left else None, configuration, source)
 
 
 def _installed(name: str) -> Protocol:

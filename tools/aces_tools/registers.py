@@ -112,7 +112,7 @@ class _Tables:
         return fields + (more if len(found) > SHOWN else [])
 
     def _together(self, start: int, data: Mapping[int, bytes]) -> list[PrintedField]:
-        """Values of several devices: of each register one by device."""
+        """Return values of several devices: of each register one by device."""
         values: dict[str, dict[int, str]] = {}
         for device, piece in data.items():
             for name, value, unit in self._read(start, piece):
@@ -161,7 +161,8 @@ def _printer(register: Register) -> Callable[[Any], str]:
 
 
 def with_registers(message: Message, texts: Sequence[str]) -> list[str]:
-    """`field=value` texts of a message in which registers may be named, with addresses and bytes in their place.
+    """Return `field=value` texts of a message in which registers may be named, with addresses and bytes in
+    their place.
 
     `start=NAME` is the address of a register, and `count` its size where none is given; in a message with `start` and
     `data`, `NAME=VALUE` of one or more registers side by side are both. Raises `CallerError` for a name on which the
@@ -221,7 +222,7 @@ def _agreed(message: Message, name: str) -> Register:
 
 
 def _parsed(table: RegisterMap, written: Mapping[str, str]) -> dict[str, Any]:
-    """Values from their texts, as the fields of these registers take them."""
+    """Return values from their texts, as the fields of these registers take them."""
     values = {}
     for name, text in written.items():
         register = table[name]

@@ -25,7 +25,7 @@ class Rotation:
 
     @classmethod
     def parse(cls, texts: Sequence[str]) -> Rotation:
-        """Of what --rotate is given: sizes and durations.
+        """Parse what --rotate is given: sizes and durations.
 
         Raises `CallerError` for what is neither.
 

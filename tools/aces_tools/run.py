@@ -61,7 +61,7 @@ ARGUMENTS: Arguments = (
     TX.but(help="really move it; without, set-points are shown and not sent"),
     ASK,
     argument("--replay", metavar="FILE", help="take a recording (CAN) for its buses; nothing is sent"),
-    FOR.but(help="run so long: 10s, 2min (default: to the end)"),
+    FOR.but(help="run for this time: 10s, 2min (default: to the end)"),
     RATE.but(metavar="HZ", help="of buses, players and logs (default: the robot's)"),
     several(
         "--log",
@@ -72,10 +72,10 @@ ARGUMENTS: Arguments = (
     ACTS.but(
         help="append who did what, a line each: enabled, stopped, limits, e-stop (with --tx and --log: beside the log)"
     ),
-    flag("--home", help="make what is driven find its home position first"),
+    flag("--home", help="make driven joints find their home position first"),
     flag("--unhomed", help="drive joints that are not homed, too: where they say they are, they are not"),
     argument(
-        "--no-enable", dest="enable", action="store_false", help="do not enable what is driven before it runs"
+        "--no-enable", dest="enable", action="store_false", help="do not enable the driven devices first"
     ),
     several(
         "--on-trip",
@@ -84,7 +84,11 @@ ARGUMENTS: Arguments = (
         " or a function of a FILE.py; without KIND, all others (default: disable)",
     ),
     argument(
-        "--hold-for", dest="hold_ns", type=duration, metavar="T", help="switch off what is held after so long"
+        "--hold-for",
+        dest="hold_ns",
+        type=duration,
+        metavar="T",
+        help="switch off held joints after this time",
     ),
     argument(
         "--at-end",
@@ -101,7 +105,7 @@ ARGUMENTS: Arguments = (
     Group(
         "files of set-points",
         (
-            LOOP.but(help="play them so many times; 0: until the end (default: 1)"),
+            LOOP.but(help="play them this many times; 0: until the end (default: 1)"),
             argument("--speed", type=positive, default=1.0, metavar="X", help="play them X times as fast"),
             argument(
                 "--rows-hz", type=positive, metavar="N", help="rows a second, where the file does not say"
@@ -137,7 +141,7 @@ def run(arguments: argparse.Namespace) -> int:
     rate = arguments.rate or robot.rate_hz or 100.0
     controllers = load_controllers(arguments.items, robot, rate, arguments)
     if not controllers and not arguments.log and not wants_view("run", arguments):
-        raise CallerError("what is to run? name a controller (FILE.py, a trajectory), or what to --log")
+        raise CallerError("nothing to run: name a controller (FILE.py, a trajectory), or what to --log")
     loggers = make_loggers(arguments.log, controllers, robot, rate)
     from .running.session import Session
 

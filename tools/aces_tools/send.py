@@ -85,8 +85,8 @@ ARGUMENTS: Arguments = (
     PROTOCOL,
     TX,
     EVERY.but(help="send again and again: 10ms, 0.5s"),
-    COUNT.but(help="with --every: so many times"),
-    FOR.but(help="with --every: for so long"),
+    COUNT.but(help="with --every: this many times"),
+    FOR.but(help="with --every: for this time"),
     RATE.but(default=LIMIT_HZ, help="at most N frames a second (default: %(default)g)"),
     argument(
         "--reply",

@@ -87,7 +87,7 @@ ARGUMENTS: Arguments = (
         "--fault", metavar="DEVICE:FAULT[=AMOUNT]", help="make a device misbehave; * for all; may be repeated"
     ),
     flag("--list-faults", help="list how the devices can misbehave"),
-    FOR.but(help="end after so long (default: Ctrl-C)"),
+    FOR.but(help="end after this time (default: Ctrl-C)"),
     SEED,
     POSE,
     flag("--unhomed", help="joints are as after power-up: what needs homing is not homed"),
@@ -141,7 +141,7 @@ def _chosen(arguments: argparse.Namespace) -> Robot:
 
 
 def parse_fault(robot: Robot, text: str) -> tuple[list[str], str, float | None]:
-    """`JMC3:late=0.1` as devices, fault and amount; raises `UnknownNameError` for what there is not."""
+    """Parse `JMC3:late=0.1` as devices, fault and amount; raise `UnknownNameError` for an unknown fault."""
     device, colon, rest = text.partition(":")
     fault, equals, amount = rest.partition("=")
     if not colon or not fault or (equals and not amount):
@@ -158,7 +158,7 @@ def parse_fault(robot: Robot, text: str) -> tuple[list[str], str, float | None]:
     try:
         return able, fault, float(amount) if amount else None
     except ValueError:
-        raise CallerError(f"--fault {text}: {amount!r} is no number") from None
+        raise CallerError(f"--fault {text}: {amount!r} is not a number") from None
 
 
 def fault_names(robot: Robot, device: str) -> dict[str, str]:

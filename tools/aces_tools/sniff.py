@@ -102,7 +102,7 @@ recording (--record FILE, in the formats of frames and bytes):
 summary (last on stderr): as of 'aces decode', then what was lost:
   dropped         arrived faster than it could be shown
   kernel_dropped  of which the system says that it dropped it
-  bad_input       what the adapter sent that is no frame
+  bad_input       what the adapter sent that is not a frame
   reopened        how often the bus was lost and came back
 Events of the bus (lost, reopened, bus-off …) are reported when they happen.
 
@@ -120,8 +120,8 @@ ARGUMENTS: Arguments = (
     WHERE,
     UNKNOWN,
     TIME,
-    COUNT.but(help="end after so many lines (with -q: that would be)"),
-    FOR.but(help="end after so long: 10s, 500ms, 2min"),
+    COUNT.but(help="end after this many lines (with -q: that would be)"),
+    FOR.but(help="end after this time: 10s, 500ms, 2min"),
     argument(
         "--format", choices=["text", "jsonl", "csv"], help="default: by the suffix of --output, else text"
     ),
@@ -185,7 +185,7 @@ class Sniffing(LiveDecoding):
 
     def _filter(self, texts: list[str]) -> CanFilter | None:
         if texts and self.bus.kind != "can":
-            raise CallerError("--filter is for CAN frames, and this is no CAN bus")
+            raise CallerError("--filter is for CAN frames, and this is not a CAN bus")
         return parse_filter(*texts) if texts else None
 
     def _own_scanner(self) -> Scanner | Nameless:
@@ -270,7 +270,7 @@ class Sniffing(LiveDecoding):
             raise
 
     def _log(self) -> LogSeries | None:
-        """Return what -o writes, where that is no lines."""
+        """Return what -o writes, where that is not lines."""
         if self.kind == "lines":
             return None
         from .live_log import LiveFile, LiveRecording, LiveTables, LogSeries
@@ -356,7 +356,7 @@ class Sniffing(LiveDecoding):
                 self._frames(self.scanner, piece, self.total)
 
     def _plain(self, frames: list[Frame], lines: CandumpLines) -> None:
-        """Frames without a protocol."""
+        """Show frames without a protocol."""
         items = self.scanner.feed(frames)
         if self.times.start is None:
             self.times.start = frames[0].timestamp
@@ -379,7 +379,7 @@ class Sniffing(LiveDecoding):
                 self.output.write(lines.frames(kept))
 
     def _bytes(self, item: Any) -> None:
-        """Bytes of a serial line, or a datagram."""
+        """Show bytes of a serial line, or a datagram."""
         seconds = (item.host_ns + self.epoch_ns) / 1e9
         if self.lines is not None:
             items = self.scanner.feed(item.content, seconds)
@@ -506,7 +506,9 @@ _OF_LINES = ("where", "unknown", "count", "format", "output")
 
 
 def _run_on_screen(sniffing: Sniffing) -> int:
-    """One run; the exit status. Raises `CallerError` for a wrong call, a missing terminal, a bus that does not open."""
+    """Run on the screen; return the exit status. Raises `CallerError` for a wrong call, a missing terminal, a
+    bus that does not open.
+    """
     from .screen import check_screen, make_screen
 
     arguments, bus = sniffing.arguments, sniffing.bus

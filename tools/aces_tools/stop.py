@@ -12,7 +12,7 @@ needed. A program that drives the robot is asked to stop it and takes no more
 set-points; `aces run` ends. One that is suspended or hangs is passed over.
 Without a robot, the variable ACES_ROBOT says which.
 
-This is no safety function: where people can be hurt, have a switch in the
+This is not a safety function: where people can be hurt, have a switch in the
 motors' supply.
 """
 
@@ -129,7 +129,7 @@ def _named(robot: Robot, device: str) -> str:
 def _robot_on_bus(arguments: argparse.Namespace) -> Robot:
     """Return the devices that the call names, or that answer, as a robot."""
     if arguments.which or arguments.robot:
-        raise CallerError("a robot says what is spoken already; leave --protocol away")
+        raise CallerError("a robot names the protocols; leave --protocol out")
     if len(arguments.bus) != 1:
         raise CallerError("which bus? One --bus: can0 -i socketcan, unix:can0, /dev/ttyUSB0")
     use_driver_files(arguments.driver)

@@ -88,7 +88,7 @@ class LogSink(ABC):
 
 
 def seconds_text(ns: int) -> str:
-    """Nanoseconds as exact decimal seconds.
+    """Return nanoseconds as exact decimal seconds.
 
     >>> seconds_text(1_500_000_000), seconds_text(-7), seconds_text(0)
     ('1.5', '-0.000000007', '0')
@@ -99,7 +99,7 @@ def seconds_text(ns: int) -> str:
 
 
 class LogError(CallerError):
-    """A file that is no log: says file:line, or where in the file, and what is wrong."""
+    """A file that is not a log: says file:line, or where in the file, and what is wrong."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def about_columns(path: str, text: str | bytes, names: list[str]) -> About:
 
 
 def named_columns(where: str, names: list[str]) -> tuple[LogColumn, ...]:
-    """Columns of a file's names, which may be anything; raises `LogError` for what cannot be named."""
+    """Return columns of a file's names, which may be anything; raise `LogError` for names that no column can have."""
     columns: list[LogColumn] = []
     for name in names:
         try:
@@ -178,7 +178,7 @@ def named_columns(where: str, names: list[str]) -> tuple[LogColumn, ...]:
         except CallerError:
             column = LogColumn(name)  # an attribute that we do not know is a part of the name
         if not name or not name.isprintable():
-            raise LogError(f"{where}: {name[:40]!r} is no name of a column: is this a log?")
+            raise LogError(f"{where}: {name[:40]!r} is not a name of a column: is this a log?")
         columns.append(column)
     found = [column.name for column in columns]
     double = [name for name in dict.fromkeys(found) if found.count(name) > 1]

@@ -67,7 +67,7 @@ def parse_column(text: str) -> LogColumn:
     """
     found = _COLUMN.fullmatch(text)
     if found is None or not text.strip() or len(text) > LONGEST_NAME or not text.isprintable():
-        raise CallerError(f"{text[:80]!r} is no column of a log; say RHY, RHY.velocity or RHY(rate)")
+        raise CallerError(f"{text[:80]!r} is not a column of a log; say RHY, RHY.velocity or RHY(rate)")
     attribute = (found["attribute"] or "").lower()
     attribute = SYNONYMS.get(attribute, attribute)
     if attribute not in ATTRIBUTES:

@@ -1,6 +1,6 @@
 """The formats of logs: which one a path asks for, which one a file has, and files that were never closed.
 
-1. What is no log is a `LogError`, never a traceback of a library; a log that was not closed is read as far as it goes.
+1. What is not a log is a `LogError`, never a traceback of a library; a log that was not closed is read as far as it goes.
 2. What `read_log` reads of an unclosed log is what the recovered one has.
 3. A format is a `LogFormat`: the core's are in `FORMATS`, others are entry points of the group `aces_bus.logs`. Its
    modules are imported when a log of it is written or read.
@@ -99,7 +99,7 @@ def read_log(path: str | os.PathLike[str], *, most_numbers: int = MOST_NUMBERS) 
     """Read a log: the original's text (bare names, or `Name(attribute)`), CSV, SQLite, Parquet, MCAP.
 
     `log.time_s` is (rows,) in seconds, `log["RHY"]` a column, NaN where unknown. Raises `LogError` with file:line for
-    what is no log and for more than `most_numbers` numbers; `CallerError` when a library is missing.
+    what is not a log and for more than `most_numbers` numbers; `CallerError` when a library is missing.
     """
     where = os.fspath(path)
     if not os.path.exists(where) and os.path.exists(journal_of(where)):
@@ -127,7 +127,7 @@ def recover(path: str | os.PathLike[str]) -> int:
     """Close a log whose writer was killed, Parquet or MCAP; returns the number of rows.
 
     The closed log takes its place when it is whole. Raises `CallerError` for a file that needs none, `LogError` for one
-    that is no log, `OSError` when the closed one cannot be written; what is there stays then.
+    that is not a log, `OSError` when the closed one cannot be written; what is there stays then.
     """
     where = os.fspath(path).removesuffix(".journal")
     if os.path.isfile(where):
@@ -139,7 +139,7 @@ def recover(path: str | os.PathLike[str]) -> int:
                 return rows
     if not os.path.exists(journal_of(where)):
         raise CallerError(
-            f"{where}: is no log that needs closing, and there is no {os.path.basename(journal_of(where))} beside it;"
+            f"{where}: is not a log that needs closing, and there is no {os.path.basename(journal_of(where))} beside it;"
             " text, CSV and SQLite need no recovery"
         )
     return close_journal(where)

@@ -90,7 +90,7 @@ class Logger:
             ),
             (
                 not 0 < queue_s <= 3600,
-                f"{self.path}: queue_s = {queue_s!r} is no number of seconds up to 3600",
+                f"{self.path}: queue_s = {queue_s!r} is not a number of seconds up to 3600",
             ),
             (isinstance(states, str), f"{self.path}: states are a list of columns, not the text {states!r}"),
         )
@@ -245,7 +245,7 @@ class Logger:
                     self._fail(error, 0)
 
     def _write(self) -> None:
-        """All that waits, in pieces."""
+        """Write all waiting rows, in pieces."""
         queue, sink = self._queue, self._sink
         while queue and sink is not None:
             rows = [queue.popleft() for _ in range(min(len(queue), MOST_ROWS))]

@@ -100,7 +100,9 @@ def _read(path: str, schema: Any, batches: Iterable[Any], most_numbers: int, not
 
 
 def _numbers(batch: Any) -> Floats:
-    """(rows, columns) of a batch, NaN for null. Arrow's own reader takes lengths on trust; `validate` does not."""
+    """Return a batch as (rows, columns), NaN for null. Arrow's own reader takes lengths on trust; `validate`
+    does not.
+    """
     batch.validate(full=True)
     columns = [np.asarray(column.to_numpy(zero_copy_only=False), np.float64) for column in batch.columns]
     return np.stack(columns, axis=1)

@@ -96,7 +96,7 @@ def _read(source: UntrustedDatabase, path: str, most_numbers: int) -> Log:
             try:
                 numbers.extend([np.nan if value is None else value for value in values])
             except (TypeError, OverflowError):
-                raise LogError(f"{path}: row {row} of the table `log` holds what is no number") from None
+                raise LogError(f"{path}: row {row} of the table `log` holds what is not a number") from None
         if len(numbers) > most_numbers:
             raise LogError(f"{path}: more than {most_numbers} numbers; read it with SQLite, in parts")
     table = np.array(numbers, np.float64).reshape(-1, len(names))

@@ -66,7 +66,7 @@ class ServedAddress:
 
 
 def check_timeout(timeout: float) -> None:
-    """Raise `CallerError` for what is no time (s) that a program can wait."""
+    """Raise `CallerError` for what is not a time (s) that a program can wait."""
     if not 0 < timeout <= LONGEST_S:
         raise CallerError(f"a time-out of {timeout:g} s: it is more than 0 and at most {LONGEST_S:g}")
 
@@ -77,7 +77,7 @@ def is_served(channel: object) -> bool:
 
 
 def parse_address(text: str) -> ServedAddress:
-    """`unix:PATH`, `unix:NAME` (a default socket of this user) or `tcp:HOST:PORT[/CHANNEL]`."""
+    """Parse `unix:PATH`, `unix:NAME` (a default socket of this user) or `tcp:HOST:PORT[/CHANNEL]`."""
     kind, _, rest = text.partition(":")
     if kind == "unix" and rest:
         return ServedAddress(path=rest if "/" in rest or os.sep in rest else str(default_socket(rest)))
@@ -86,17 +86,17 @@ def parse_address(text: str) -> ServedAddress:
         host, port = parse_host(where, None)
         return ServedAddress(host=host, port=port, channel=channel)
     raise CallerError(
-        f"{text!r} is no address of a served bus; they are unix:PATH, unix:NAME or tcp:HOST:PORT[/CHANNEL]"
+        f"{text!r} is not an address of a served bus; they are unix:PATH, unix:NAME or tcp:HOST:PORT[/CHANNEL]"
     )
 
 
 def parse_host(text: str, port: int | None) -> tuple[str, int]:
-    """HOST:PORT, [HOST]:PORT, or HOST alone when `port` says what it is then. An empty host is this machine."""
+    """Parse HOST:PORT, [HOST]:PORT, or HOST alone with the default `port`. An empty host is this machine."""
     host, colon, number = text.rpartition(":")
     if (not colon or text.endswith("]")) and port is not None:
         host, number = text, str(port)
     if not number.isascii() or not number.isdigit() or int(number) > 65_535:
-        raise CallerError(f"{text!r} is no HOST:PORT")
+        raise CallerError(f"{text!r} is not a HOST:PORT")
     return host.strip("[]") or "127.0.0.1", int(number)
 
 
@@ -206,7 +206,7 @@ def bind_unix(path: str) -> socket.socket:
 def _clear(path: str) -> None:
     """Remove the socket of a dead server."""
     if not stat.S_ISSOCK(os.lstat(path).st_mode):
-        raise CallerError(f"{path} exists and is no socket; choose another path")
+        raise CallerError(f"{path} exists and is not a socket; choose another path")
     try:
         ServedAddress(path=path).connect(1.0).close()
     except ConnectionRefusedError:
@@ -219,7 +219,7 @@ def _clear(path: str) -> None:
 
 @contextmanager
 def _alone(folder: str) -> Generator[None]:
-    """One server at a time looks for dead sockets in a folder; whoever cannot have it within a second goes on."""
+    """Hold a lock while one server looks for dead sockets in a folder; go on without it after a second."""
     import fcntl
 
     handle = os.open(folder, os.O_RDONLY)

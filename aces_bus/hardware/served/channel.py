@@ -130,7 +130,7 @@ class ServedChannel:
             or len(name) > 64
             or not name.replace("-", "").replace("_", "").replace(".", "").isalnum()
         ):
-            raise CallerError(f"{name!r} is no name of a channel: letters, digits, '-', '_' and '.'")
+            raise CallerError(f"{name!r} is not a name of a channel: letters, digits, '-', '_' and '.'")
         if faults != NO_FAULTS and not physics:
             raise CallerError("faults are the wire's, and without physics there is none")
         if data_bitrate is not None and not fd:
@@ -327,7 +327,7 @@ class ServerLink:
         self.server.dirty.append(self)
 
     def happened(self, event: SimulatedBusEvent) -> None:
-        """Something happened to the member's node."""
+        """Handle an event of the member's node."""
 
     def flush(self) -> None:
         """Send what the socket takes."""
@@ -375,7 +375,7 @@ class PacketLink(ServerLink):
         self._last: tuple[str, Any] = ("", None)
 
     def take(self, data: bytes) -> None:
-        """Packets from the client."""
+        """Take packets from the client."""
         found, self._buffer = packets.split_packets(self._buffer + data if self._buffer else data)
         for kind, body in found:
             if kind in FRAMES:
@@ -474,7 +474,7 @@ class PacketLink(ServerLink):
             self.woken()
 
     def output(self) -> bytes:
-        """Packets besides frames first."""
+        """Return output for the client: other packets first, then frames."""
         member = self.member
         if member is not None:
             if member.dropped != self._reported_dropped:

@@ -78,7 +78,7 @@ def split_packets(data: bytes) -> tuple[list[tuple[int, bytes]], bytes]:
 
 
 def unpack_records(kind: int, body: bytes) -> Iterator[tuple[int, int, int, int, bytes]]:
-    """(time, identifier, flags, length, padded data) of each frame in a packet; each is checked."""
+    """Yield (time, identifier, flags, length, padded data) of each frame in a packet, checked."""
     form, most = (CLASSIC_RECORD, 8) if kind == CLASSIC else (LONG_RECORD, 64)
     if len(body) % form.size:
         raise PacketError(f"{len(body)} bytes of frames of {form.size} bytes")
@@ -128,7 +128,7 @@ def pack_record(time_ns: int, identifier: int, flags: int, length: int, data: by
 
 
 def unpacked(record: bytes) -> tuple[int, int, int, int, bytes]:
-    """(time, identifier, flags, length, padded data) of a record of our own."""
+    """Return (time, identifier, flags, length, padded data) of a record of our own."""
     found: tuple[int, int, int, int, bytes] = (
         CLASSIC_RECORD if len(record) == CLASSIC_RECORD.size else LONG_RECORD
     ).unpack(record)
@@ -203,7 +203,7 @@ def packed(many: Iterable[bytes]) -> Iterator[bytes]:
 
 
 def frames_packet(frames: Sequence[Frame], time_ns: int) -> bytes:
-    """Frames as packets, one behind another."""
+    """Return frames as packets, one behind another."""
     if 0 < len(frames) <= MOST // CLASSIC_RECORD.size:
         pack, out = CLASSIC_RECORD.pack, [HEAD.pack(CLASSIC_RECORD.size * len(frames), CLASSIC)]
         for frame in frames:
@@ -283,7 +283,7 @@ _KINDS = {Hello: HELLO, Welcome: WELCOME, TransmitReport: REPORT, SimulatedBusEv
 
 
 def value_packet(value: Hello | Welcome | TransmitReport | SimulatedBusEvent) -> bytes:
-    """One of these as a packet."""
+    """Return a value as a packet."""
     return packet(_KINDS[type(value)], msgspec.msgpack.encode(value))
 
 

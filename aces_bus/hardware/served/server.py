@@ -229,7 +229,7 @@ class BusServer:
             self._guarded(link, link.flush)
 
     def _guarded(self, link: ServerLink, action: Callable[[], None]) -> None:
-        """Whatever goes wrong with a link ends that link."""
+        """End a link when anything goes wrong with it."""
         if link.is_closed:
             return
         try:

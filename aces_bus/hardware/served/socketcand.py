@@ -71,7 +71,7 @@ class SocketcandLink(ServerLink):
         )
 
     def take(self, data: bytes) -> None:
-        """Commands from the client."""
+        """Take commands from the client."""
         parts = (self._buffer + data).split(b">")
         self._buffer = parts.pop()
         if len(self._buffer) > LINE:
@@ -148,7 +148,7 @@ class SocketcandLink(ServerLink):
         )
 
     def happened(self, event: SimulatedBusEvent) -> None:
-        """Errors of its node are error frames."""
+        """Send errors of the node as error frames."""
         code = _CLASSES.get(event.kind)
         if code is not None and self._is_raw and (event.kind, event.frame) != self._last:
             self._last = (event.kind, event.frame)
@@ -160,7 +160,7 @@ class SocketcandLink(ServerLink):
         self.woken()
 
     def output(self) -> bytes:
-        """Answers, then frames."""
+        """Return output for the client: answers, then frames."""
         answers, self._answers = self._answers, b""
         member = self.member
         if answers or member is None or self.server.clock.now() < self._quiet_until:

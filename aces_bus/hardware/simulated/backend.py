@@ -194,7 +194,7 @@ class AcesBus(VirtualBus):
             raise self._untaken(self.node.state)
 
     def _spread(self, msg: Message) -> None:
-        """Without a wire: everybody has it at once."""
+        """Give a frame to everybody at once: there is no wire."""
         stamp = self._medium.clock.now() / 1e9 if self._medium.is_virtual else time.time()
         for bus in self._medium.buses:
             if bus is self and not self._receive_own:

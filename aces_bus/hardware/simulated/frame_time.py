@@ -142,7 +142,7 @@ def _classic_head(head: int) -> tuple[int, int, int, dict[bytes, int]]:
 
 
 def _head(identifier: int, extended: bool, remote: bool, code: int) -> tuple[int, int]:
-    """SOF to DLC of a classic frame as a number, and its width."""
+    """Return SOF to DLC of a classic frame as a number, and its width."""
     code = min(code, 15)
     if extended:
         base, rest = identifier >> 18, identifier & 0x3FFFF
@@ -238,7 +238,7 @@ def _tables() -> tuple[bytes, bytes, bytes, list[int]]:
 
 
 def _stuff(word: int, width: int, state: int) -> tuple[int, int]:
-    """State and number of stuff bits after the `width` bits of `word`, from `state`."""
+    """Return state and number of stuff bits after the `width` bits of `word`, from `state`."""
     count = 0
     for part in (width % 8, width % 16 & 8) if width % 16 else ():
         if part:
@@ -268,7 +268,7 @@ _PAIRS = [Struct(f">{pairs}H").unpack for pairs in range(40)]
 
 
 def _ends_full(word: int, width: int) -> int:
-    """1 when the last bit of the word is the fifth of a run: its stuff bit follows it."""
+    """Return 1 if the last bit of the word is the fifth of a run, behind which a stuff bit follows."""
     return _stuff(word, width, _START)[1] - _stuff(word >> 1, width - 1, _START)[1]
 
 

@@ -117,7 +117,7 @@ class _Chunk:
         self.garbled: set[int] = set()
 
     def meets(self, other: _Chunk) -> range:
-        """Which of its bytes are on the wire while the other is."""
+        """Return which bytes are on the wire while the other chunk is."""
         first = max(0, (other.start - self.start) // self.byte_ns)
         return range(first, min(len(self.data), -(-(other.end - self.start) // self.byte_ns)))
 
@@ -134,7 +134,7 @@ class _Chunk:
 
 
 def _collide(first: _Chunk, other: _Chunk) -> None:
-    """Both are on the wire at once: the bytes that meet are garbled."""
+    """Garble the bytes of two chunks that are on the wire at once."""
     for mine, theirs in ((first, other), (other, first)):
         mine.others.append(theirs)
         fresh = set(mine.meets(theirs)) - mine.garbled
@@ -200,7 +200,7 @@ class SimulatedSerialLine:
         return max((node.free_at for node in self.nodes), default=0)
 
     def carry(self, chunk: _Chunk) -> None:
-        """Bytes go on the wire, which may be busy with others' on a half-duplex line."""
+        """Put bytes on the wire, which others may occupy on a half-duplex line."""
         now = self.clock.now()
         flying = self._flying = [other for other in self._flying if other.end > now]
         whole = self._noise is None and all(node.whole for node in self.nodes)
@@ -260,7 +260,7 @@ class SimulatedSerialLine:
                 self._hand_over(chunk.node, noisy, (end,))
 
     def _hand_over(self, sender: SerialNode, data: bytes, ends: Sequence[int]) -> None:
-        """Bytes, and when each of them ended, to all who hear them."""
+        """Give bytes, and when each of them ended, to all nodes that hear them."""
         for node in tuple(self.nodes):
             if node.received is None or not node.is_connected or (node is sender and not node.echo):
                 continue

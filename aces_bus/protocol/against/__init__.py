@@ -10,7 +10,7 @@ The rules, by the name in brackets behind an observation:
     check         a check that fails again and again; a byte that is a check, and is not declared as one
     constant      fields that never change
     content       packets whose fields cannot be read
-    counter       a number that counts up and is no Counter
+    counter       a number that counts up and is not a Counter
     direction     messages that went the other way
     enumeration   values without a name
     gap           bits of no field that change

@@ -25,7 +25,7 @@ from .numbers import IntegerSteps, Suspicion, steps_of
 DEVICES = 256
 #: Values without a name that are listed.
 UNNAMED = 8
-#: What occurs so often, and in this share of all messages, is no accident.
+#: What occurs so often, and in this share of all messages, is not an accident.
 AGAIN, SHARE = 3, 0.02
 #: Messages from which on it means something that a field never changes.
 ENOUGH = 20
@@ -65,7 +65,7 @@ class _Followed:
         ]
 
     def pairs(self, values: Array, last: dict[int, Any]) -> tuple[Array, Array]:
-        """(before, after) of all values that follow each other; `last` has each device's value before these."""
+        """Return (before, after) of all values that follow each other; `last` has each device's value before these."""
         values = values[self.order]
         before, after = values[:-1][self.same], values[1:][self.same]
         carried = [(last[device], values[start]) for device, start, _ in self.runs if device in last]

@@ -70,7 +70,9 @@ Fits = Callable[[PacketSample, int], bool]
 
 
 def _kinds(size: int) -> Iterator[tuple[str, str, Fits]]:
-    """Kinds of checks: in words, as declared, and whether one fits a sample; over the data, then with the identifier."""
+    """Yield kinds of checks: in words, as declared, and whether one fits a sample; over the data, then with
+    the identifier.
+    """
 
     def fit(compute: Callable[[bytes], int], lead: Callable[[PacketSample], bytes], order: str) -> Fits:
         def fits(sample: PacketSample, offset: int) -> bool:

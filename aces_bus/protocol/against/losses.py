@@ -1,4 +1,4 @@
-"""What of a recording is no message: undeclared identifiers and opcodes, lengths and constants that differ, checks
+"""What of a recording is not a message: undeclared identifiers and opcodes, lengths and constants that differ, checks
 that fail.
 
 1. What occurs once or twice may be noise or another protocol's: a note. What occurs again and again contradicts the spec.
@@ -61,7 +61,7 @@ class Losses:
         self.others = 0
 
     def add(self, group: tuple[object, ...], reason: str, data: bytes, moment: Moment, key: int = 0) -> None:
-        """One more of a group."""
+        """Add one more loss of a group."""
         found = self.groups.get(group)
         if found is None:
             if len(self.groups) >= GROUPS:
@@ -115,7 +115,7 @@ def _is_named(message: Message, key: int) -> bool:
 def _of_named(
     group: LostGroup, named: Sequence[tuple[Variant, Message]], seen: Mapping[tuple[str, str], int]
 ) -> Iterator[Observation]:
-    """Frames whose identifier is declared: another length, another constant, a check that fails."""
+    """Yield frames whose identifier is declared: another length, another constant, a check that fails."""
     _, message = next(
         ((v, m) for v, m in named if m.lengths is not None and group.length in m.lengths), named[0]
     )
@@ -164,7 +164,7 @@ def _of_named(
             "; ".join(dict.fromkeys(_differences(group, [m for _, m in named])))
             or "their bytes are none of its"
         )
-        text = f"{names}: {frames} have that identifier and are no message: {constants}"
+        text = f"{names}: {frames} have that identifier and are not a message: {constants}"
         yield _lost(
             level,
             "undeclared",
@@ -210,7 +210,7 @@ def _of_undeclared(
             "warning" if group.count >= AGAIN else "note",
             "undeclared",
             place if near is None else near.place,
-            f"{group.count} frames {group.identifier} of {group.length} bytes are no message",
+            f"{group.count} frames {group.identifier} of {group.length} bytes are not a message",
             group,
             group.count,
             f"{hint}declare it, or name the protocol that has it",
@@ -224,7 +224,7 @@ def _of_undeclared(
             "warning" if any(group.count >= AGAIN for group in rest) else "note",
             "undeclared",
             place,
-            f"{len(rest)} more identifiers ({count} frames) are no message: {shown}",
+            f"{len(rest)} more identifiers ({count} frames) are not a message: {shown}",
             rest[0],
             count,
             "declare them, or name the protocol that has them",
@@ -334,7 +334,7 @@ class Opcodes:
 
 
 def _some(names: Iterable[str], between: str = ", ") -> str:
-    """Names for a sentence: a few of them."""
+    """Return a few names for a sentence."""
     names = list(names)
     return between.join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
 
@@ -360,7 +360,7 @@ def lost_packets(
             "warning" if any(group.count >= AGAIN for group in rest) else "note",
             "undeclared",
             place,
-            f"{len(rest)} more kinds of packets ({count}) are no message:"
+            f"{len(rest)} more kinds of packets ({count}) are not a message:"
             f" {_some(_opcode_text(opcodes, group) for group in rest)}",
             rest[0],
             count,
@@ -390,7 +390,7 @@ def lost_packets(
 def _of_opcodes(
     groups: Iterable[LostGroup], opcodes: Opcodes, never: Sequence[str], place: SourceLine, packets: int
 ) -> Iterator[Observation]:
-    """Packets whose framing is right and that no message is."""
+    """Yield packets whose framing is right and that match no message."""
     hint = f"is it one of {_some(never)}, which never occur? " if never else ""
     for group in groups:
         owner = opcodes.owner(group.samples[0])
@@ -411,7 +411,7 @@ def _of_opcodes(
             level,
             "undeclared",
             place,
-            f"{group.count} packets with {_opcode_text(opcodes, group)} are no message",
+            f"{group.count} packets with {_opcode_text(opcodes, group)} are not a message",
             group,
             packets + group.count,
             f"{hint}declare it, or correct the opcode",
@@ -420,7 +420,7 @@ def _of_opcodes(
 
 
 def _why(message: Message, packet: bytes) -> str:
-    """Why a packet is not a message, as its construct says it."""
+    """Say why a packet is not a message, as its construct says it."""
     try:
         message.struct.parse(packet)
     except (ConstructError, AcesError) as error:
@@ -431,7 +431,7 @@ def _why(message: Message, packet: bytes) -> str:
 
 
 def _opcode_text(opcodes: Opcodes, group: LostGroup) -> str:
-    """`kind 05`, `type 47 53 56 (GSV)`."""
+    """Return an opcode in words: `kind 05`, `type 47 53 56 (GSV)`."""
     found: list[str] = []
     for name, data in opcodes.of(group.samples[0]).items():
         text = data.decode("ascii") if len(data) > 1 and data.isascii() else ""

@@ -55,7 +55,7 @@ class Suspicion:
 
 
 def bits_of(node: p.Node, values: Array) -> Array:
-    """Raw integers as the bits on the wire, uint64."""
+    """Return raw integers as the bits on the wire, uint64."""
     width = len(node.place)
     if node.is_magnitude:
         numbers = values.astype(np.int64)
@@ -70,7 +70,7 @@ def bits_of(node: p.Node, values: Array) -> Array:
 
 
 def as_numbers(node: p.Node, words: Array) -> Array:
-    """Bits as the numbers that the spec makes of them, float64."""
+    """Return bits as the numbers that the spec makes of them, float64."""
     width = len(node.place)
     if node.is_magnitude:
         return _magnitude(words, width)
@@ -180,7 +180,7 @@ class IntegerSteps:
         self._rises = 0
 
     def take(self, values: Array, before: Array, after: Array) -> None:
-        """All raw values of a piece of the recording, and those that follow each other."""
+        """Take the raw values of a piece of the recording, and those that follow each other."""
         words = bits_of(self.node, values)
         self._seen |= int(np.bitwise_or.reduce(words)) if len(words) else 0
         if len(self._values) < KEPT:
@@ -251,7 +251,9 @@ class IntegerSteps:
         )
 
     def _is_plainly_reversed(self, best: int, mean: Array) -> bool:
-        """Of a number whose low byte is always 0, which may be one in large steps: a long one, the other way round."""
+        """Return whether a number whose low byte is always 0 is long and in the other byte order, not one in
+        large steps.
+        """
         others = np.delete(mean[1:], best)
         return (
             best == 0
@@ -315,7 +317,7 @@ class FloatSteps:
         self._wins = 0
 
     def take(self, values: Array, before: Array, after: Array) -> None:
-        """All values of a piece of the recording, and those that follow each other."""
+        """Take the values of a piece of the recording, and those that follow each other."""
         if len(self._values) < KEPT:
             self._values.update(np.unique(values)[:KEPT].tolist())
         moved = (before != after) & (before != 0) & (after != 0)
@@ -343,7 +345,7 @@ class FloatSteps:
 
 
 def _magnitude_bits(values: Array) -> Array:
-    """log2 of the size of floats; what is no number, or 0, is as far from all others as can be."""
+    """Return log2 of the size of floats; 0 and what is not a number are as far from all others as can be."""
     with np.errstate(divide="ignore", invalid="ignore"):
         bits = np.log2(np.abs(values.astype(np.float64)))
     found: Array = np.nan_to_num(bits, nan=1024.0, posinf=1024.0, neginf=-1074.0)
@@ -351,7 +353,7 @@ def _magnitude_bits(values: Array) -> Array:
 
 
 def steps_of(node: p.Node) -> IntegerSteps | FloatSteps | None:
-    """Return what watches a field's steps; None for what is no number, or has names or flags."""
+    """Return what watches a field's steps; None for what is not a number, or has names or flags."""
     if not node.is_number or node.is_captured or node.flags or node.enumerated:
         return None
     if node.is_float:

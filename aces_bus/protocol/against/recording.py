@@ -95,21 +95,31 @@ class RecordingCheck:
                 scanners[way] = scanner, _Window()
             scanner, window = scanners[way]
             if isinstance(traffic, FrameTable):
-                self._begin(traffic.time[traffic.time != NO_TIME][:1].tolist())
-                self._take(scanner.feed(traffic), way, window, traffic)
-                window.frames += len(traffic)
-                continue
-            self._begin([to_ns(time)] if time is not None else [])
-            for at in range(0, max(1, len(traffic)), PIECE):
-                piece = traffic[at : at + PIECE]
-                window.add(piece)
-                self._take(feed(scanner, piece, time), way, window, None)
+                self._read_frames(traffic, scanner, way, window)
+            else:
+                self._read_bytes(traffic, time, scanner, way, window)
         for way, (scanner, window) in scanners.items():
             self._take(scanner.close(), way, window, None)
             self._look()
             counts = scanner.counts
             self.size += counts.total
             self._skipped += counts.skipped + counts.pending
+
+    def _read_frames(
+        self, frames: FrameTable, scanner: ColumnScanner, way: Way | None, window: _Window
+    ) -> None:
+        self._begin(frames.time[frames.time != NO_TIME][:1].tolist())
+        self._take(scanner.feed(frames), way, window, frames)
+        window.frames += len(frames)
+
+    def _read_bytes(
+        self, data: bytes, time: float | None, scanner: ColumnScanner, way: Way | None, window: _Window
+    ) -> None:
+        self._begin([to_ns(time)] if time is not None else [])
+        for at in range(0, max(1, len(data)), PIECE):  # no bytes: the line was silent
+            piece = data[at : at + PIECE]
+            window.add(piece)
+            self._take(feed(scanner, piece, time), way, window, None)
 
     def _begin(self, instants: Sequence[int]) -> None:
         """Set the start of the recording, from which instants are counted."""
@@ -258,7 +268,9 @@ class RecordingCheck:
         )
 
     def _of_direction(self, losses: Losses, way: Way | None) -> Iterator[Observation]:
-        """Lost packets of a stream that would be messages if these went the other way; they are lost no longer."""
+        """Yield lost packets of a stream that would be messages in the other direction, and count them as
+        lost no longer.
+        """
         if way not in ("to device", "from device"):
             return
         for key, group in list(losses.groups.items()):
@@ -290,7 +302,7 @@ def _is_packet_of(message: Message, data: bytes) -> bool:
 
 
 def _of_ways(watches: Iterable[MessageWatch]) -> Iterator[Observation]:
-    """Messages that went the other way than declared, by what the recorder says it sent and received.
+    """Yield messages that went the other way than declared, by what the recorder says it sent and received.
 
     The recorder is on the host's side, unless most messages say that it is on the device's.
     """

@@ -73,7 +73,8 @@ def suggest_examples(
     direction: GivenWay | None = None,
     each: int = 1,
 ) -> list[SuggestedExample]:
-    """Up to `each` examples of every message that recordings have, in declared order; replies with their requests.
+    """Return up to `each` examples of every message that recordings have, in declared order; replies with
+    their requests.
 
     The arguments and errors are those of `check_recordings`. Of all messages of a kind those are taken of which most fields
     are neither 0 nor empty, nor equal to one another.
@@ -209,7 +210,7 @@ def _is_literal(value: Any) -> bool:
 
 
 def _literal(value: Any) -> str:
-    """Python source of a value."""
+    """Return a value as Python source."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_literal(name)}: {_literal(inner)}" for name, inner in value.items()) + "}"
     if isinstance(value, list):

@@ -147,7 +147,7 @@ def _dictionary(pa: Any, codes: Array, absent: Array | None, names: list[str]) -
 
 
 def _as_they_lie(pa: Any, type_: Any, values: Array, dtype: Any, absent: Array | None) -> Any:
-    """Numbers or truth values, in memory that Arrow shares where it can; `dtype` is what `type_` is to NumPy."""
+    """Return numbers or truth values, in memory that Arrow shares if it can; `dtype` is NumPy's word for `type_`."""
     present = None if absent is None else pa.py_buffer(_bits(~absent))
     values = np.ascontiguousarray(values, dtype)
     data = _bits(values) if values.dtype == np.bool_ else values
@@ -159,7 +159,7 @@ def _bits(flags: Array) -> Array:
 
 
 def _texts(pa: Any, type_: Any, values: list[Any]) -> Any:
-    """Texts or bytes, None where there is none."""
+    """Return texts or bytes, None where there is none."""
     present = None
     if None in values:
         present = pa.py_buffer(_bits(np.array([value is not None for value in values])))
@@ -222,7 +222,7 @@ def schema_metadata(layout: DatasetLayout, *, absolute: bool) -> dict[str, str]:
 
 
 def json_text(value: Any) -> str:
-    """JSON in one line."""
+    """Return JSON in one line."""
     return msgspec.json.encode(value).decode()
 
 

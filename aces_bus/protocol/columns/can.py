@@ -35,7 +35,7 @@ from .table import Array, MessageTable
 
 
 class _Lost(NamedTuple):
-    """Frames that are no message: their places in the table and the reason of each."""
+    """Frames that are not a message: their places in the table and the reason of each."""
 
     places: Array
     reasons: list[str]
@@ -239,7 +239,7 @@ class CanColumns:
         tables: list[MessageTable],
         older: list[MessageTable],
     ) -> None:
-        """Frames of a transport, `rows` of the capture: packets go the way of frames; `older` are losses."""
+        """Decode frames of a transport, `rows` of the capture: packets go the way of frames; `older` are losses."""
         decided = carrier.reassembler.feed(table, rows)
         lost: list[tuple[Array, list[str]]] = [(decided.lost, decided.reasons)]
         for reason, number in Counter(decided.reasons).items():
@@ -255,7 +255,7 @@ class CanColumns:
     def _packets(
         self, carrier: _Carrier, carried: CarriedTable, tables: list[MessageTable]
     ) -> list[tuple[Array, list[str]]]:
-        """Packets of a transport: their messages, and the frames of those that are none."""
+        """Decode packets of a transport; return the frames of those that are not a message."""
         slots = carrier.slots.of(carried.packets)
         batch = SlotBatch(
             carried.packets, slots, carried.rows, len(self._candidates), carrier.transport, carried
@@ -348,7 +348,7 @@ class CanColumns:
         lost: list[_Lost],
         older: list[MessageTable],
     ) -> None:
-        """Frames that the live scanner decides, in their order; `older` are losses of frames of earlier pieces."""
+        """Decode frames by the live scanner, in their order; `older` are losses of frames of earlier pieces."""
         some = batch.table.take(places)
         if self._defer:
             self._deferred.append((some, batch.numbers[places]))
@@ -368,7 +368,7 @@ class CanColumns:
     def _why(
         self, candidates: tuple[MessageCandidate, ...], rows: PacketRows, transport: Transport | None
     ) -> list[str]:
-        """Why frames, or packets of a transport, are none of the messages that their identifier allows."""
+        """Say why frames, or packets of a transport, are not a message that their identifier allows."""
         by_length = not any(c.decoder.plan.constants or c.decoder.plan.one_of for c in candidates)
         out = []
         width = rows.data.shape[1]

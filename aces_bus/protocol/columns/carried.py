@@ -42,7 +42,7 @@ class FrameParts:
     `broadcast` is the number of the kind that begins a broadcast (−1: none does).
 
     `number` (n): of a following frame. `last` (n): whether it says that it is the last (None: none says so). `piece` (n):
-    how many bytes of the packet it has (None: as many as there is room). `reasons` are of frames that are no part of a
+    how many bytes of the packet it has (None: as many as there is room). `reasons` are of frames that are not a part of a
     packet, by their places in the table. `tied`: frames whose sessions end one another, which only the rule decides, as
     places in the table, a party each; `tied_sessions` is how many sessions these are.
     """
@@ -64,7 +64,7 @@ class FrameParts:
     broadcast: int = -1
 
     def lose(self, lost: Sequence[tuple[Array, str]], party: Array | None = None) -> None:
-        """Take frames away that are no parts of packets after all (places in `frames`, no place twice), and of the others
+        """Take frames away that are not parts of packets after all (places in `frames`, no place twice), and of the others
         those that are tied: `party` (n) is the number of their party, −1 of all that are free."""
         lost = [run for run in lost if len(run[0])]
         if not lost and party is None:
@@ -288,7 +288,9 @@ def numbers_in(column: Array) -> list[int]:
 
 
 def joined_numbers(parts: Sequence[tuple[Array, int]]) -> Array:
-    """One number for several, each of which is below its count; as narrow as may be, for narrow ones are sorted quicker."""
+    """Return one number for several, each below its count; as narrow as may be, for narrow numbers are sorted
+    quicker.
+    """
     most = math.prod(count for _, count in parts) - 1
     kind = np.dtype(np.uint8 if most < 1 << 8 else np.uint16 if most < 1 << 16 else np.int64)
     joined = parts[0][0].astype(kind, copy=False)

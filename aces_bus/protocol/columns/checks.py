@@ -71,7 +71,7 @@ class CheckColumns:
 
     @staticmethod
     def why_not(framing: Framing, extras: Mapping[int, bytes] | None) -> str:
-        """Why a framing's check cannot be had in columns; empty when it can."""
+        """Say why a framing's check cannot be computed in columns; empty when it can."""
         check = framing.check
         if check is None:
             return ""
@@ -94,7 +94,9 @@ class CheckColumns:
     def judge(
         self, buffer: bytes, starts: Array, sizes: Array
     ) -> tuple[Array | None, Array | None, Array | None]:
-        """(which packets pass, None: all; the codes of those that do not; the packets' rows where they were made)."""
+        """Return (which packets pass, None: all; the codes of those that do not; the packets' rows where they
+        were made).
+        """
         width = self._narrow(sizes) if self._folded is not None else 0
         if not width:
             codes = self._codes(np.frombuffer(buffer, np.uint8), starts, starts + sizes)
@@ -312,7 +314,7 @@ class CrcColumns:
         return np.full(count, self._init, self.dtype)
 
     def words(self, data: Array) -> tuple[Array, Array]:
-        """(bytes, words that start at each byte) of a buffer, as `run` wants them."""
+        """Return (bytes, words that start at each byte) of a buffer, as `run` wants them."""
         if self.is_turned:
             data = _TURN.take(data)
         words = np.empty(max(len(data) - 1, 0), np.uint16)

@@ -12,7 +12,7 @@ from inspect import signature
 from typing import TYPE_CHECKING, Any
 
 from ...errors import CallerError, UnknownNameError
-from ...frame_table import FrameTable
+from ...frame_table import Channels, FrameTable
 from ..counts import ScanCounts, sum_counts
 from ..declare.message import GivenWay, Way, way_of
 from ..declare.protocol import Variant
@@ -142,7 +142,7 @@ def decode_tables(
 
 
 def feed(scanner: ColumnScanner, traffic: Any, time: float | None) -> list[MessageTable]:
-    """`scanner.feed`, with the time of a chunk of bytes where the capture has one and the scanner takes it."""
+    """Call `scanner.feed`, with the time of a chunk of bytes if the capture has one and the scanner takes it."""
     if time is None:
         return scanner.feed(traffic)
     if isinstance(scanner, RecordColumns):
@@ -171,28 +171,42 @@ def capture_pieces(capture: Any, variant: Variant) -> Iterator[tuple[Any, Way | 
         capture = [capture]
     elif isinstance(capture, str) or not hasattr(capture, "__iter__"):
         raise CallerError(
-            f"{type(capture).__name__} is no capture: open it (aces_bus.recordings.open_recording), give frames or bytes,"
+            f"{type(capture).__name__} is not a capture: open it (aces_bus.recordings.open_recording), give frames or bytes,"
             " or call aces_bus.decode(path, protocol)"
         )
+    if is_can:
+        for table in _tables_of(capture.tables() if hasattr(capture, "tables") else capture, variant):
+            yield table, None, None
+        return
+    for item in capture:
+        if isinstance(item, (bytes, bytearray, memoryview)):
+            yield bytes(item), None, None
+        elif (
+            hasattr(item, "data") and not isinstance(item, FrameTable) and not hasattr(item, "arbitration_id")
+        ):
+            yield item.data, getattr(item, "direction", None), getattr(item, "time", None)
+        else:
+            raise _not_decodable(item, variant)
+
+
+def _tables_of(items: Iterable[Any], variant: Variant) -> Iterator[FrameTable]:
+    """Yield tables and frames as tables; single frames are gathered, `PIECE` a table."""
     frames: list[Any] = []
-    channels = None
-    for item in capture.tables() if is_can and hasattr(capture, "tables") else capture:
+    channels: Channels | None = None
+    for item in items:
         if isinstance(item, FrameTable):
-            yield item, None, None
-        elif is_can and hasattr(item, "arbitration_id"):
+            yield item
+        elif hasattr(item, "arbitration_id"):
             frames.append(item)
             if len(frames) >= PIECE:
                 table = FrameTable.from_frames(frames, channels)
-                channels = table.channels
-                frames = []
-                yield table, None, None
-        elif not is_can and isinstance(item, (bytes, bytearray, memoryview)):
-            yield bytes(item), None, None
-        elif not is_can and hasattr(item, "data"):
-            yield item.data, getattr(item, "direction", None), getattr(item, "time", None)
+                channels, frames = table.channels, []
+                yield table
         else:
-            raise CallerError(
-                f"{type(item).__name__} is nothing that {variant.name} ({variant.link}) is decoded from"
-            )
+            raise _not_decodable(item, variant)
     if frames:
-        yield FrameTable.from_frames(frames, channels), None, None
+        yield FrameTable.from_frames(frames, channels)
+
+
+def _not_decodable(item: Any, variant: Variant) -> CallerError:
+    return CallerError(f"{variant.name} ({variant.link}) cannot decode a {type(item).__name__}")

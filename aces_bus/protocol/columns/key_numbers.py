@@ -51,7 +51,7 @@ class KeyNumbers:
         return found
 
     def places(self, keys: Array) -> Array:
-        """Places of keys, below `room` (n,): each key has one of its own, until a new key comes."""
+        """Return places of keys, below `room` (n,): each key has its own, until a new key comes."""
         keys = keys.astype(np.uint32, copy=False)
         if not self._is_scattered and not len(self.known):
             self._learn(keys[:_SAMPLE])  # most are among them, and few are sorted quickly
@@ -110,13 +110,18 @@ class FewKeys(NamedTuple):
 
 
 def few_keys(keys: Array) -> FewKeys | None:
-    """Keys as numbers by the bits in which they differ, which takes no look-up; None where these are too many."""
-    differs = int(np.bitwise_or.reduce(keys ^ keys[:1])) if len(keys) else 0
-    shift = max(0, (differs & -differs).bit_length() - 1)
-    width = (differs >> shift).bit_length()
-    if not len(keys) or width > 8:
+    """Return keys as numbers made of the bits in which they differ; None if these bits span more than eight.
+
+    0x181, 0x182, 0x183 differ in bits 0 and 1: their numbers are 1, 2, 3, and the keys by number 0x180 … 0x183.
+    """
+    if not len(keys):
+        return None
+    differing = int(np.bitwise_or.reduce(keys ^ keys[:1]))
+    lowest = max(0, (differing & -differing).bit_length() - 1)
+    width = (differing >> lowest).bit_length()
+    if width > 8:
         return None
     mask = (1 << width) - 1
-    numbers = (keys >> np.uint32(shift)).astype(np.uint8) & np.uint8(mask)
-    among = np.arange(mask + 1, dtype=np.uint32) << np.uint32(shift)
-    return FewKeys(numbers, among | np.uint32(int(keys[0]) & ~(mask << shift)))
+    numbers = (keys >> np.uint32(lowest)).astype(np.uint8) & np.uint8(mask)
+    shared = np.uint32(int(keys[0]) & ~(mask << lowest))
+    return FewKeys(numbers, shared | np.arange(mask + 1, dtype=np.uint32) << np.uint32(lowest))

@@ -67,7 +67,7 @@ Block = list[ColumnValues]
 
 
 class Labels:
-    """Names by number, as dictionary columns have them; numbers go up as names come, -1 is no name."""
+    """Names by number, as dictionary columns have them; numbers go up as names come, -1 is not a name."""
 
     def __init__(self, names: Iterable[str] = ()) -> None:
         self.names: list[str] = []
@@ -281,14 +281,14 @@ _CONVERSIONS: Mapping[str, Any] = {
 
 
 def concat(blocks: Sequence[Block]) -> Block:
-    """One block of several of a layout, in order."""
+    """Join several blocks of a layout, in order."""
     if len(blocks) == 1:
         return blocks[0]
     return [ColumnValues(*join_pieces(pieces)) for pieces in zip(*blocks, strict=True)]
 
 
 def cut_runs(block: Block, start: int, stop: int) -> Block:
-    """Rows `start` to `stop` of a block."""
+    """Return rows `start` to `stop` of a block."""
     return [
         ColumnValues(piece.values[start:stop], None if piece.absent is None else piece.absent[start:stop])
         for piece in block
@@ -296,7 +296,7 @@ def cut_runs(block: Block, start: int, stop: int) -> Block:
 
 
 def size_of(block: Block) -> int:
-    """About the bytes of memory that a block takes."""
+    """Return the approximate bytes of memory that a block takes."""
     total = 0
     for values, absent in block:
         total += values.nbytes + (0 if absent is None else absent.nbytes)

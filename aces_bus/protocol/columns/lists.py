@@ -3,7 +3,7 @@
 1. The list itself is a column of Python objects, each list as the record has it: nothing is left out.
 2. Of tagged items each kind has the columns of its data: the first good item of the kind in each packet, absent where there
    is none. Of repeated groups each value has one column of lists.
-3. Items of a kind are decoded as packets are (`RowDecoder`); bytes that do not fit are no item of it.
+3. Items of a kind are decoded as packets are (`RowDecoder`); bytes that do not fit are not an item of it.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ def _kind(decoder: RowDecoder, name: str) -> Any:
 
 
 def _cut(rows: PacketRows, row: Array, start: Array, size: Array, least: int) -> FoundItems:
-    """Parts of rows as rows of their own, at least `least` bytes wide; `row` and `start` rise."""
+    """Return parts of rows as rows of their own, at least `least` bytes wide; `row` and `start` rise."""
     if not len(row):
         return FoundItems(row, type(rows)(np.zeros((0, 8), np.uint8), size, size))
     width = max(8, -(-max(int(size.max()), least) // 8) * 8)
@@ -129,7 +129,7 @@ def _groups(node: p.Repeated, rows: PacketRows, tail: int) -> tuple[FoundItems, 
 
 
 def _items(node: p.TaggedItems, rows: PacketRows, tail: int) -> tuple[Array, Array, Array, Array]:
-    """Row, tag, start of the data and their size, of all items whose tag and size are whole; in order."""
+    """Return row, tag, start of the data and their size, of all items whose tag and size are whole; in order."""
     data, width = rows.data.reshape(-1), rows.data.shape[1]
     ends = rows.lengths.astype(np.int64) - tail
     at = np.full(len(rows), node.offset)

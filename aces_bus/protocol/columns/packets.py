@@ -65,7 +65,7 @@ class Batch:
             yield index, buffer[start : start + sizes[place]], key, time
 
     def instants(self, which: Array) -> Array:
-        """Nanoseconds, int64."""
+        """Return the instants of packets, int64 nanoseconds."""
         if self.when is None:
             return np.full(len(which), to_ns(self.times[0]), np.int64)
         found: Array = np.array([to_ns(time) for time in self.times], np.int64)[self.when[which]]
@@ -123,7 +123,7 @@ class _Kind:
         self.extent = self.decoder.extent if self.plan.lengths_by is not None else 0
 
     def column(self, kind: ColumnKind, rows: PacketRows) -> Column:
-        """One column of these packets."""
+        """Return one column of these packets."""
         return self.decoder.column(kind, rows)
 
     def accepted(self, batch: Batch, which: Array, rows: PacketRows) -> tuple[Array | None, list[Any]]:
@@ -170,7 +170,9 @@ class PacketTables:
         self._choice = None if is_live else choose([kind.plan for kind in self._kinds.values()])
 
     def tables(self, batch: Batch) -> tuple[list[MessageTable], Array, list[str]]:
-        """(tables in declared order, numbers of the packets that are no message, rising, why each is none)."""
+        """Return (tables in declared order, numbers of the packets that are not a message, rising, the reason
+        of each).
+        """
         if not len(batch):
             return [], np.zeros(0, np.int64), []
         parts: dict[str, list[_Part]] = {}

@@ -141,13 +141,13 @@ class _Piece:
         self._reasons: list[str] = []
 
     def decided(self) -> DecidedTable:
-        """Everything."""
+        """Return everything that was decided."""
         packets = [self._joined(some) for some in self._packets.values()]
         lost = np.concatenate(self._lost) if self._lost else np.empty(0, np.int64)
         return DecidedTable(self.table, self.rows, packets, lost, self._reasons)
 
     def _joined(self, some: list[_Alike]) -> CarriedTable:
-        """Packets of one table, in the order of their last frames."""
+        """Join packets of one table, in the order of their last frames."""
         table = self.table
         sizes = [len(part.starts) for part in some]
         first, last, keys, length = (
@@ -186,7 +186,7 @@ class _Piece:
             self._reasons += [reason] * len(places)
 
     def _add(self, packets: _Alike) -> None:
-        """Packets of as many frames each."""
+        """Add packets that have one number of frames."""
         order, count, starts, first, last, keys, length, data = packets
         if self._unwraps and count > 1:
             good, length, data = self._unwrapped(keys, length, data)
@@ -200,8 +200,9 @@ class _Piece:
         self._packets.setdefault(_class_of(data.shape[1]), []).append(packets)
 
     def _unwrapped(self, keys: Array, length: Array, data: Array) -> tuple[Array, Array, Array]:
-        """Of packets of several frames: where the check that their transport has added is right, and sizes and bytes of
-        these without it."""
+        """Return, for packets of several frames: where the check of their transport is right, and sizes and
+        bytes without it.
+        """
         if self._check is not None:
             return without_check(self._check, self._extra_of, keys, length, data)
         width, raw, unwrapped = data.shape[1], data.tobytes(), self.transport.unwrapped
@@ -269,7 +270,9 @@ class _Piece:
         return np.array(sorted(left), np.int64)
 
     def _gather_whole(self, made: Sequence[tuple[int, bytes, list[int]]]) -> None:
-        """Packets that the rule has made, as key, bytes and places: all of one width and so many frames at once."""
+        """Add packets that the rule has made (key, bytes, places): all of one width and one number of frames
+        at once.
+        """
         shapes: dict[tuple[int, int], list[tuple[int, bytes, list[int]]]] = {}
         for packet in made:
             shapes.setdefault((_class_of(len(packet[1])), len(packet[2])), []).append(packet)
@@ -290,7 +293,7 @@ class _Piece:
             )
 
     def _items(self, places: Array | None) -> dict[int, tuple[int, bytes, int, float | None]]:
-        """Key, data, channel and seconds of frames, by their places."""
+        """Yield key, data, channel and seconds of frames, by their places."""
         table = self.table if places is None else self.table.take(places)
         width, raw = table.data.shape[1], table.data.tobytes()
         numbers = range(len(table)) if places is None else places.tolist()
@@ -398,7 +401,7 @@ def _class_of(size: int) -> int:
 
 
 def _stacked(some: Sequence[Array]) -> Array:
-    """Rows of bytes of several widths as those of the widest one."""
+    """Return rows of bytes of several widths as rows of the widest."""
     if len(some) == 1:
         return some[0]
     data = np.zeros((sum(map(len, some)), max(rows.shape[1] for rows in some)), np.uint8)

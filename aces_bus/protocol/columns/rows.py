@@ -375,7 +375,7 @@ def _float_bits(scalar: p.Scalar) -> Read:
 
 
 def _doubled(numbers: Array) -> Array:
-    """Floats as float64; a signalling NaN becomes a quiet one without a word."""
+    """Return floats as float64; a signalling NaN silently becomes a quiet one."""
     with np.errstate(invalid="ignore"):
         return numbers.astype(np.float64)
 
@@ -467,7 +467,7 @@ def _scaled(value: Array, step: p.Scale, dtype: Any) -> Array:
 
 
 def _exact(value: Array, scale: float, offset: float) -> Array:
-    """Integers times integers: in 64 bits where these hold every step, else as Python's own."""
+    """Multiply integers: in 64 bits where these hold every step, else as Python's own."""
     if value.dtype != object and len(value):
         reach = (
             max(abs(int(value.min())), abs(int(value.max()))) * max(1, abs(int(scale))) + abs(int(offset)) + 1

@@ -125,7 +125,9 @@ class Runs:
     # ------------------------------------------------------------------ what is without fault
 
     def _judge(self, firsts: Array, which: slice | Array) -> None:
-        """Which runs that begin with a first frame are whole packets, and which are under way; `which` are the same ones."""
+        """Judge which runs that begin with a first frame are whole packets, and which are under way; `which`
+        are these runs.
+        """
         transport, parts = self.transport, self.parts
         begin, sizes, size = self.starts[which], self.sizes[which], self._size[which]
         length = _same(parts.frames.length.take(begin))
@@ -189,8 +191,10 @@ class Runs:
     def _ends(
         self, which: slice | Array, begin: Array, sizes: Array, room: Array
     ) -> tuple[Array, Array, Array]:
-        """Of runs that begin there: how many bytes of the packet the last frame has (`room` where there is but one), whether
-        it says that it is the last, and whether those between are full and say that they are not."""
+        """Return, for runs that begin at `begin`: bytes of the packet in the last frame (`room` in a lone
+        frame), whether that frame says it is the last, and whether the frames between are full and say
+        that they are not the last.
+        """
         parts, starts = self.parts, self.starts
         last = begin + (sizes - 1)
         ends = last if isinstance(which, slice) else starts + (self.sizes - 1)
@@ -247,7 +251,7 @@ class Runs:
         )
 
     def _in_time(self, firsts: Array, which: Array) -> Array:
-        """Those of some runs (numbers in `firsts`) of which no frame is late."""
+        """Return those of some runs (numbers in `firsts`) of which no frame is late."""
         if not len(which):
             return which
         runs, time = firsts[which], self.time
@@ -312,7 +316,7 @@ def _alike(shape: Array) -> Sequence[slice | Array]:
 
 
 def _ranges(starts: Array, sizes: Array) -> Array:
-    """`sizes` numbers from each start on, one range behind the other."""
+    """Return `sizes` numbers from each start on, one range behind the other."""
     before = np.cumsum(sizes) - sizes
     found: Array = np.arange(int(sizes.sum())) + np.repeat(starts - before, sizes)
     return found

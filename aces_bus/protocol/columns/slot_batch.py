@@ -190,12 +190,12 @@ def table_of_lost(table: FrameTable, rows: Array, places: Array, reasons: Sequen
 
 
 def _way(flags: Array) -> Array:
-    """1 received, 0 sent, 2 not said."""
+    """Return 1 for received, 0 for sent, 2 where it is not said."""
     return np.where(flags & RX, 1, np.where(flags & TX, 0, 2)).astype(np.uint8)
 
 
 def merge_tables(tables: Iterable[MessageTable]) -> list[MessageTable]:
-    """One table a message, in the order of the capture."""
+    """Merge tables to one a message, in the order of the capture."""
     merged: list[MessageTable] = []
     for some in by_message(tables):
         whole = MessageTable.concat(some)

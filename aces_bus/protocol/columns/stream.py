@@ -134,7 +134,9 @@ class StreamColumns:
         return _merged([*tables, *self._records.tables(self.scanner.close(), None)])
 
     def sent(self, data: bytes, time: float | None = None) -> list[MessageTable]:
-        """Our own transmission, one packet: a request that replies may hang on. Gives what came before it."""
+        """Note our own transmission, one packet: a request that replies may need. Return the tables of what
+        came before it.
+        """
         tables = self.flush()
         self.scanner.sent(data, time)
         return tables
@@ -173,7 +175,7 @@ class StreamColumns:
         return tables
 
     def _lost(self, losses: LossRuns, buffer: bytes, base: int, stop: int) -> list[MessageTable]:
-        """Tables of what was lost. A run that may go on is left with the live scanner, which knows how to end it."""
+        """Return tables of lost bytes. A run that may go on is left to the live scanner, which knows how to end it."""
         scanner, records = self.scanner, self._records
         first, last = 0, len(losses)
         if last and scanner.run is not None:
@@ -227,5 +229,5 @@ def _instants(
 
 
 def _merged(tables: list[MessageTable]) -> list[MessageTable]:
-    """One table a message, of several that follow each other; columns are still computed when asked for."""
+    """Merge tables that follow each other to one a message; columns are still computed when asked for."""
     return [MessageTable.concat(some, is_lazy=True) for some in by_message(tables)]

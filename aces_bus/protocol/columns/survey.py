@@ -57,7 +57,7 @@ class Survey(PacketHeaders):
 
     @staticmethod
     def why_not(framing: Framing, extras: Mapping[int, bytes] | None) -> str:
-        """Why a framing cannot be surveyed; empty when it can."""
+        """Say why a framing cannot be surveyed; empty when it can."""
         if not framing.sync:
             return "no sync bytes"
         if framing.affine is None and framing.fixed_size is None:
@@ -172,14 +172,14 @@ class LossRuns:
         return len(self.starts)
 
     def by_reason(self, some: slice = slice(None)) -> dict[str, int]:
-        """Bytes by reason."""
+        """Return lost bytes by reason."""
         totals = (
             np.bincount(self.numbers[some], self.sizes[some], len(self.reasons)).astype(np.int64).tolist()
         )
         return {reason: total for reason, total in zip(self.reasons, totals, strict=True) if total}
 
     def item(self, index: int, base: int, buffer: bytes) -> tuple[int, int, str, bytes]:
-        """One run: offset in the stream, size, reason, bytes."""
+        """Return a run: offset in the stream, size, reason, bytes."""
         start, size = int(self.starts[index]), int(self.sizes[index])
         return base + start, size, self.reasons[int(self.numbers[index])], buffer[start : start + size]
 
@@ -210,7 +210,7 @@ class LossRuns:
 
 
 def totals_of(decided: Decided, unknown: Array, why: Sequence[str]) -> dict[str, int]:
-    """Only how many bytes were lost, by reason."""
+    """Return how many bytes were lost, by reason."""
     lost = len(decided.bad)
     totals = {"skipped": decided.stop - int(decided.sizes.sum()) - lost}
     if lost:

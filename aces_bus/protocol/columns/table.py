@@ -120,7 +120,7 @@ def join_pieces(pieces: Sequence[_Piece]) -> tuple[Array, Array | None]:
 
 
 def concat_columns(kind: ColumnKind, columns: Sequence[Column]) -> Column:
-    """One column of several."""
+    """Join several columns."""
     return columns[0] if len(columns) == 1 else Column(kind, *join_pieces(columns))
 
 
@@ -223,7 +223,7 @@ class MessageTable:
 
     @classmethod
     def concat(cls, tables: Sequence[MessageTable], *, is_lazy: bool = False) -> MessageTable:
-        """One table of several of the same message and capture, in order. All columns are computed, unless `is_lazy`."""
+        """Join several tables of one message and capture, in order. All columns are computed, unless `is_lazy`."""
         first = tables[0]
         if len(tables) == 1:
             return first
@@ -257,7 +257,7 @@ class MessageTable:
 
 
 def _together(parts: Sequence[Array | None]) -> Array | None:
-    """Columns of several tables as one; None where they have none."""
+    """Return columns of several tables as one; None where they have none."""
     some = [part for part in parts if part is not None]
     return np.concatenate(some) if len(some) == len(parts) else None
 
@@ -273,7 +273,7 @@ def by_message(tables: Iterable[MessageTable]) -> list[list[MessageTable]]:
 
 #: The columns of the table of what was not decoded, named "" in `include_unknown` mode.
 LOST = (
-    ColumnKind("reason", doc="why it is no message", is_object=True),
+    ColumnKind("reason", doc="why it is not a message", is_object=True),
     ColumnKind("raw", doc="data bytes of the frame, or the bytes of the stream", is_object=True),
 )
 
@@ -324,7 +324,8 @@ def take_rows(rows: Array, which: Array) -> Array:
 
 
 def cells_of(rows: Array, sizes: Array, start: int, size: int | None, tail: int) -> Array:
-    """Bytes of each packet as Python objects: `size` from `start`, or (None) all up to `tail` bytes before its end.
+    """Return bytes of each packet as Python objects: `size` from `start`, or (None) all up to `tail` bytes
+    before its end.
 
     Packets of one length are cut at once.
     """

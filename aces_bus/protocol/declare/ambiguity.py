@@ -203,8 +203,9 @@ def opposite_conflicts(messages: Iterable[Message]) -> Iterator[tuple[Message, M
 
 
 def needing_context(messages: Sequence[Message]) -> frozenset[str]:
-    """Names of the messages that can only be recognised with their request: bytes alone leave a choice, or the record
-    holds fields of the request."""
+    """Return the names of messages that only their request identifies: the bytes leave a choice, or the
+    record holds fields of the request.
+    """
     return frozenset(
         message.name
         for message in messages
@@ -219,8 +220,9 @@ def needing_context(messages: Sequence[Message]) -> frozenset[str]:
 def request_names(
     messages: Sequence[Message], contextual: Collection[str]
 ) -> tuple[frozenset[str], frozenset[str]]:
-    """Names of the messages that the `contextual` ones hang on; of those that need no request to be recognised, but use
-    one up: else it would stay open for a later reply."""
+    """Return the names of the messages that `contextual` ones need, and of those that need no request but use
+    one up: otherwise it would stay open for a later reply.
+    """
     asked = frozenset(
         request.message.name
         for message in messages
@@ -283,7 +285,7 @@ def demands(message: Message, length: int | None) -> Demands | None:
 
 
 def _merge(one: Message, other: Message, length: int | None) -> dict[int, int] | None:
-    """Bytes that satisfy both messages' templates (by offset), or None when there are none: exact.
+    """Return bytes that satisfy both messages' templates (by offset), or None when there are none: exact.
 
     `length` is that of a frame's data; None leaves it open.
     """
@@ -301,7 +303,7 @@ def _merge(one: Message, other: Message, length: int | None) -> dict[int, int] |
 
 
 def solved(fixed: dict[int, int], choices: Sequence[_Choice]) -> dict[int, int] | None:
-    """Bits that satisfy every choice, those in `fixed` being given; None when there are none."""
+    """Return bits that satisfy every choice, with those in `fixed` given; None when there are none."""
     if not choices:
         return fixed
     first, rest = choices[0], choices[1:]

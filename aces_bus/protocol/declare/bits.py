@@ -107,7 +107,7 @@ class Bits(Construct):
             try:
                 stream.write(struct.pack(FLOATS[self.width], obj))
             except (struct.error, OverflowError) as error:
-                raise FieldError(f"{path}: {obj!r} is no number of {self.width} bits: {error}") from None
+                raise FieldError(f"{path}: {obj!r} is not a number of {self.width} bits: {error}") from None
             return obj
         obj = plain_number(obj)
         if not isinstance(obj, int):
@@ -138,7 +138,7 @@ def float_bits(width: int, at: int | None = None, *, order: str | None = None) -
 
 
 def Split(*pieces: tuple[int, int], signed: bool = False, order: str | None = None) -> Bits:
-    """One number in several places: `(at, width)` of each piece, least significant piece first.
+    """Declare a number in several places: `(at, width)` of each piece, least significant piece first.
 
     In a `BitLayout` places are the layout's. Where its pieces are whole bytes side by side, it may also be a field of a
     `Struct`, like a number of so many bytes; places are counted from its own first byte, in "lsb" order.
@@ -168,7 +168,7 @@ class ByteSplit(Bits):
             end = end + width if at == end else -1
         if end < 0 or end % 8:
             raise SpecError(
-                f"{field.place}: the pieces of a Split that is no field of a BitLayout are whole bytes side by side;"
+                f"{field.place}: the pieces of a Split that is not a field of a BitLayout are whole bytes side by side;"
                 " where other fields lie between them, they all go into one:"
                 ' BitLayout(3, "mode" / bits(8, at=8), "angle" / Split((0, 8), (16, 8)))'
             )

@@ -104,7 +104,7 @@ class Check:
             parts = list(Formatter().parse(text))
             least, most = (text.format(number).encode("ascii") for number in (0, (1 << 8 * self.bytes) - 1))
         except (ValueError, LookupError, AttributeError) as error:
-            raise SpecError(f"{self.place}: {text!r} is no format of a check's number: {error}") from None
+            raise SpecError(f"{self.place}: {text!r} is not a format of a check's number: {error}") from None
         numbers = [index for index, part in enumerate(parts) if part[1] is not None]
         if len(numbers) != 1:
             raise SpecError(

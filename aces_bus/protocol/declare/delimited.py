@@ -98,7 +98,7 @@ class AsciiInteger(AsciiField):
 
 
 def degrees(text: str | bytes) -> float:
-    """`4807.038` (degrees and minutes run together) as degrees."""
+    """Convert `4807.038` (degrees and minutes run together) to degrees."""
     number = float(text)
     whole = number // 100
     return whole + (number - 100 * whole) / 60

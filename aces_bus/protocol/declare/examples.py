@@ -75,7 +75,7 @@ class Example(msgspec.Struct, frozen=True):
 
 
 def frame_text(frame: Any) -> str:
-    """`063#78 00`, from anything with `identifier`, `data`, `extended`, `remote` and `fd`."""
+    """Return `063#78 00`, from anything with `identifier`, `data`, `extended`, `remote` and `fd`."""
     digits = 8 if frame.extended else _LONGEST_ID
     data = "R" if frame.remote else frame.data.hex(" ").upper()
     return f"{frame.identifier:0{digits}X}#{'#0' if frame.fd else ''}{data}"
@@ -104,7 +104,7 @@ def parse_packet(text: str | bytes, *, is_can: bool) -> ExampleFrame:
     try:
         data = bytes.fromhex(found["long"] or found["data"] or "")
     except ValueError:
-        raise ValueError(f"{text!r}: an odd number of digits is no whole number of bytes") from None
+        raise ValueError(f"{text!r}: an odd number of digits is not a whole number of bytes") from None
     if len(data) > (64 if found["fd"] else 8):
         raise ValueError(f"{text!r}: {len(data)} bytes are more than a frame has")
     return ExampleFrame(data, identifier, extended, found["remote"] is not None, found["fd"] is not None)

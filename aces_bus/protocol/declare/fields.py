@@ -695,7 +695,7 @@ _OF_INTEGERS = (SignMagnitude, Enumeration, Flags, Counter)
 
 
 def Reserved(size: int) -> Construct:
-    """`size` bytes that mean nothing: zero when we send, kept as they are when we receive."""
+    """Declare `size` bytes without a meaning: zero when we send, kept as they are when we receive."""
     if size < 0:
         raise SpecError(f"{caller()}: Reserved takes a number of bytes, not {size}")
     return Default(Bytes(size), bytes(size))

@@ -123,7 +123,7 @@ class Affine(msgspec.Struct, frozen=True):
         return number if not rest and self.escape <= number < 1 << 8 * self.wide.size else None
 
     def size_of(self, packet: bytes) -> int | None:
-        """Return the size of a packet that begins so: None while its length is not there, 0 where that is no length."""
+        """Return the size of a packet that begins so: None while its length is not there, 0 where that is not a length."""
         head = self.length
         if len(packet) < head.offset + head.size:
             return None
@@ -297,7 +297,7 @@ class Framing:
             raise SpecError(f"{self.place}: not_inside has a byte with which the end {self.end!r} may begin")
         self.fixed_size = size if isinstance(size, int) else None
         self.affine: Affine | None = None
-        #: What says the size where it is no multiple of a length: bits of the header, or fields that are there by bits.
+        #: What says the size where it is not a multiple of a length: bits of the header, or fields that are there by bits.
         self.measure: BitSize | FieldSize | None = None
         if isinstance(size, Escaped):
             self.affine = self._escaped(size)
@@ -554,7 +554,7 @@ class Framing:
         return self.protocol.message(name, framing=self, **declared)
 
     def family(self, prefix: Struct, **shared: Any) -> Any:
-        """Messages that share the fields of `prefix` at the start of their payload; see `Protocol.family`."""
+        """Declare messages that share the fields of `prefix` at the start of their payload; see `Protocol.family`."""
         return self.protocol.family(prefix=prefix, framing=self, **shared)
 
     # ------------------------------------------------------------------ the truth about one candidate
@@ -664,17 +664,20 @@ class Framing:
         if self.stuffing is None:
             return packet
         if self.stuffing.is_inside:
-            body, behind = self.parted(packet)
-            end = len(body) - self.check_size
-            inner = body[self.head_end : end]
-            plain = self.stuffing.unstuff(inner)
-            if self.sizes:
-                plain = (
-                    plain.rstrip(b"\0").ljust(self.sizes.get(self.extra_number(packet), 0), b"\0") + behind
-                )
-            return packet if plain is inner else body[: self.head_end] + plain + body[end:]
+            return self._unstuffed_inside(packet, self.stuffing)
         inner = packet[len(self.sync) : len(packet) - len(self.end)]
         return self.sync + self.stuffing.unstuff(inner) + self.end
+
+    def _unstuffed_inside(self, packet: bytes, stuffing: Stuffing) -> bytes:
+        """Return the packet whose payload alone is stuffed, between head and check, without stuffing."""
+        body, behind = self.parted(packet)
+        end = len(body) - self.check_size
+        inner = body[self.head_end : end]
+        plain = stuffing.unstuff(inner)
+        if self.sizes:  # zeros at the end were left out: the payload has its declared size
+            size = self.sizes.get(self.extra_number(packet), 0)
+            plain = plain.rstrip(b"\0").ljust(size, b"\0") + behind
+        return packet if plain is inner else body[: self.head_end] + plain + body[end:]
 
     @property
     def is_enclosed(self) -> bool:

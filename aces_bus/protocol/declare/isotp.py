@@ -2,7 +2,7 @@
 
 Facts: the frame types, their fields and limits are those of ISO 15765-2 as python-can-isotp 2 carries them out
 (`isotp/protocol.py`, `isotp/address.py`).
-Choice: only what is received is judged; a receiver's flow control is counted and is no part of a packet.
+Choice: only what is received is judged; a receiver's flow control is counted and is not a part of a packet.
 """
 
 from __future__ import annotations
@@ -140,7 +140,9 @@ class IsoTp(Transport):
         return {}
 
     def go_ahead(self, key: int, data: bytes, start: int = 1, frames: int = 0) -> tuple[int, bytes] | None:
-        """Flow control: go on, with all of it, as fast as you like. None where its identifier or address is not declared."""
+        """Return a flow control: go on, with all of it, at full speed. None if its identifier or address is
+        not declared.
+        """
         address = data[: self.address]
         back = self.answered_by(key, address)
         if back is None or self.part(key, data).role != "first":

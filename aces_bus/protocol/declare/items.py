@@ -57,7 +57,7 @@ class Items(c.Construct):
 
         Items(tag=Byte, size=Byte, kinds={"temperature": (1, Quantity(Int16sb, unit="°C", scale=0.01))})
 
-    Raises `SpecError` for a tag or size that is no plain unsigned number, and for kinds that share a number.
+    Raises `SpecError` for a tag or size that is not a plain unsigned number, and for kinds that share a number.
     """
 
     def __init__(
@@ -169,7 +169,7 @@ class Items(c.Construct):
             is_whole = False
         if is_whole:
             return c.Container(kind=kind, data=value, reason=None), stop
-        reason = f"malformed: data of size {len(inside)} are no {name}"
+        reason = f"malformed: data of size {len(inside)} are not a {name}"
         return c.Container(kind=kind, data=inside, reason=reason), stop
 
     # ------------------------------------------------------------------ building

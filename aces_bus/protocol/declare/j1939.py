@@ -51,7 +51,7 @@ _GIVEN_UP: dict[GivenUp, int] = {
 }
 #: Parameter groups below this PDU format are sent to one address.
 BROADCAST = 0xF0
-#: Bytes of a packet; frames of up to 8 are no packets.
+#: Bytes of a packet; frames of up to 8 are not packets.
 LEAST, MOST, PIECE = 9, 1785, 7
 #: Between two frames of a broadcast (s): 50 to 200 ms (J1939-21, Tb of can-j1939).
 PAUSE_S = 0.05
@@ -195,7 +195,7 @@ class J1939Transport(Transport):
     def is_for(
         self, key: int, data: bytes, message: Message, known: Mapping[str, object], sent: Iterable[Message]
     ) -> bool:
-        """Only where the session's destination is an address of the receiver's own.
+        """Return whether the session's destination is an address of the receiver's own.
 
         That is the source of what it sends, or the destination of the message, as far as constants or `known` fields say
         them, of messages with a direction: a packet to an address that may be another's is not let go on.

@@ -176,7 +176,7 @@ def way_of(word: GivenWay | None) -> Way | None:
     way = _WAYS.get(word, word) if isinstance(word, str) else word
     if way is not None and way != "both" and way not in DIRECTIONS:
         words = ", ".join(map(repr, (*DIRECTIONS, "both")))
-        raise CallerError(f"{word!r} is no direction: write {words}, or in short 'to' and 'from'")
+        raise CallerError(f"{word!r} is not a direction: write {words}, or in short 'to' and 'from'")
     return way
 
 
@@ -306,7 +306,7 @@ class Message:
             and escape is not None
             and self.length_pattern.match(escape) is not None
         ):
-            raise SpecError(f"{place}: {derived} {escape} of {name} is no length: a wider one follows")
+            raise SpecError(f"{place}: {derived} {escape} of {name} is not a length: a wider one follows")
         self.request_fields = self._request_fields()
         numbers = [h.name for h in self.heads_written if h.name is not None and not h.is_text]
         self.payload = normalised(payload, place, self._enumerations(), numbers)

@@ -604,7 +604,7 @@ def _either(cases: list[c.Construct]) -> tuple[int, int | None]:
 
 
 def check_selectors(con: c.Construct, place: SourceLine, path: str = "payload") -> None:
-    """Raise `SpecError` for a `Multiplexed` that is no field of its own, or goes by what is not the raw number."""
+    """Raise `SpecError` for a `Multiplexed` that is not a field of its own, or goes by what is not the raw number."""
     if isinstance(con, Multiplexed):
         raise SpecError(f"{con.place}: {path}: Multiplexed makes a named field of a Struct or BitLayout")
     if isinstance(con, c.Struct):

@@ -129,7 +129,7 @@ def judge_conversation(transport: Transport, given: Sequence[GivenFrame]) -> Jud
 
 
 def conversation_given_up(transport: Transport, given: Sequence[GivenFrame]) -> str:
-    """Why an acknowledged packet is given up whose receiver says that it is over."""
+    """Say why an acknowledged packet is given up whose receiver says that it is over."""
     roles = [frame.part.role for frame in given]
     if roles[-1] == "next" or "next" in roles[_last_place(roles, "taken") :]:
         return "malformed: acknowledgement missing"
@@ -142,11 +142,12 @@ def _last_place(roles: Sequence[str], role: str) -> int:
 
 
 def _named_data(transport: Transport, first: FramePart, number: int) -> str:
-    """Return a frame with data by its number, the first one being 0; the last one of all ends the packet."""
+    """Name a frame with data by its number (the first is 0): `frame 2 of 5`; without a size `frame 2`."""
     if first.size is None:
         return f"frame {number + 1}"
-    rest = range(first.size - len(first.data))
-    return f"frame {number + 1} of {2 + max(1, len(rest[:: transport.room(transport.frame_size)]))}"
+    left = first.size - len(first.data)
+    following = -(-left // transport.room(transport.frame_size))
+    return f"frame {number + 1} of {2 + max(1, following)}"  # with the first frame, and the one that ends the packet
 
 
 def is_repeated(transport: Transport, given: Sequence[GivenFrame], more: GivenFrame) -> bool:
@@ -160,7 +161,7 @@ def is_repeated(transport: Transport, given: Sequence[GivenFrame], more: GivenFr
 
 
 def given_up(transport: Transport, given: Sequence[GivenFrame], reason: str) -> str:
-    """Why frames that are not a whole packet are given up."""
+    """Say why frames that are not a whole packet are given up."""
     first = given[0].part
     if _is_any_order(transport, first):
         full = transport.room(len(given[0].data))
@@ -217,124 +218,138 @@ def packet_frame(image: bytes, last: Any) -> CarriedPacket:
     return CarriedPacket(word & 0x1FFF_FFFF, image[5:], bool(word & EXTENDED), last.timestamp, last.channel)
 
 
+@dataclass(eq=False)
+class _Session:
+    """The frames of a sender that belong together: a packet under way, or the last frame of a session that is lost."""
+
+    #: Channel, and the session as the transport names it.
+    who: Hashable
+    frames: list[GivenFrame]
+
+    @property
+    def first(self) -> FramePart:
+        return self.frames[0].part
+
+    @property
+    def is_lost(self) -> bool:
+        """True if nothing is known of the packet: its frames have been given already."""
+        return self.first.role != "first"
+
+    def lose(self, last: GivenFrame) -> None:
+        """Forget all frames; keep when the last one came."""
+        part = FramePart("ready", last.part.session, is_acknowledged=True)
+        self.frames = [GivenFrame(last.frame, last.number, last.data, part)]
+
+
 class PacketRule:
     """The rule of one transport, frame by frame."""
 
     def __init__(self, transport: Transport) -> None:
         self.transport = transport
-        self.open: list[tuple[Hashable, list[GivenFrame]]] = []
+        #: Sessions in the order in which they began.
+        self.open: list[_Session] = []
 
     def decide(self, frame: Any, number: int, key: int, data: bytes) -> list[DecidedFrames]:
         """Return what one more frame decides."""
         decided: list[DecidedFrames] = []
-        for session in self.transport.conversations(key):
-            talk = self._open((frame.channel, session))
-            if talk is not None and self._is_late(talk[1], frame.timestamp):
-                if talk[1][0].part.is_acknowledged:
-                    decided += self._lost(talk, "timed out")
+        for name in self.transport.conversations(key):
+            session = self._session((frame.channel, name))
+            if session is not None and session.first.is_acknowledged and self._is_late(session, frame):
+                decided += self._lost(session, "timed out")
         part = self._within(frame.channel, key, data) or self.transport.part(key, data)
         mine = GivenFrame(frame, number, data, part)
         if part.role in ("bad", "control"):
             return [*decided, DecidedFrames((mine,), part.reason)]
         who = (frame.channel, part.session)
-        if part.role == "abort" and self._open(who) is None:
+        if part.role == "abort" and self._session(who) is None:
             who = (frame.channel, part.other)
-        before = self._open(who)
-        if before is not None and self._is_late(before[1], frame.timestamp):
+        before = self._session(who)
+        if before is not None and self._is_late(before, frame):
             decided += self._lost(before, "timed out")
             before = None
         if part.role in ("next", "ready", "taken", "end"):
             return decided + self._followed(who, before, mine)
-        if before is not None and part.role == "over" and before[1][0].part.role == "first":
+        if before is not None and part.role == "over" and not before.is_lost:
             self.open.remove(before)
-            decided.append(DecidedFrames(tuple(before[1]), conversation_given_up(self.transport, before[1])))
+            why = conversation_given_up(self.transport, before.frames)
+            decided.append(DecidedFrames(tuple(before.frames), why))
         elif before is not None:
             decided += self._lost(before, "aborted" if part.role == "abort" else "restarted")
         if part.role in ("single", "first") and part.other is not None:
-            beside = self._open((frame.channel, part.other))
+            beside = self._session((frame.channel, part.other))
             decided += self._lost(beside, "restarted") if beside is not None else []
         if part.role == "first":
-            return decided + self._ended((who, [mine]))
+            return decided + self._ended(_Session(who, [mine]))
         return [*decided, DecidedFrames((mine,), part.reason, part.key, part.data)]
 
-    def _open(self, who: Hashable) -> tuple[Hashable, list[GivenFrame]] | None:
-        return next((talk for talk in self.open if talk[0] == who), None)
+    def _session(self, who: Hashable) -> _Session | None:
+        return next((session for session in self.open if session.who == who), None)
 
     def _within(self, channel: Any, key: int, data: bytes) -> FramePart | None:
         """Return what a frame is to an acknowledged packet that is under way, or lost."""
-        for session in self.transport.conversations(key):
-            talk = self._open((channel, session))
-            if talk is not None and talk[1][0].part.is_acknowledged:
-                part = self.transport.within([frame.part for frame in talk[1]], key, data)
+        for name in self.transport.conversations(key):
+            session = self._session((channel, name))
+            if session is not None and session.first.is_acknowledged:
+                part = self.transport.within([frame.part for frame in session.frames], key, data)
                 if part is not None:
                     return part
         return None
 
-    def _followed(
-        self, who: Hashable, before: tuple[Hashable, list[GivenFrame]] | None, mine: GivenFrame
-    ) -> list[DecidedFrames]:
-        """Return what a frame decides that does not begin a packet."""
+    def _followed(self, who: Hashable, before: _Session | None, mine: GivenFrame) -> list[DecidedFrames]:
+        """Return what a frame decides that does not begin a packet; `before` is its session."""
         orphan = DecidedFrames((mine,), mine.part.reason or "malformed: no first frame")
         # With a reason the frame opens a packet that is refused.
-        is_spoken = before is not None and before[1][0].part.is_acknowledged and not mine.part.reason
+        is_spoken = before is not None and before.first.is_acknowledged and not mine.part.reason
         if mine.part.role != "next" and not is_spoken:
-            lost = self._lost(before, "restarted") if before is not None else []
-            return [*lost, orphan, *self._enter((who, [_silent(mine)]))]
+            decided = self._lost(before, "restarted") if before is not None else []
+            lost = _Session(who, [])
+            lost.lose(mine)
+            return [*decided, orphan, *self._enter(lost)]
         if before is None:
             return [orphan]
-        if before[1][0].part.role != "first":  # it is lost
-            before[1][:] = [_silent(mine)]
+        if before.is_lost:
+            before.lose(mine)
             return [orphan]
-        if is_repeated(self.transport, before[1], mine):
+        if is_repeated(self.transport, before.frames, mine):
             return [DecidedFrames((mine,), "malformed: repeated")]
-        before[1].append(mine)
+        before.frames.append(mine)
         return self._ended(before)
 
-    def _ended(self, talk: tuple[Hashable, list[GivenFrame]]) -> list[DecidedFrames]:
-        """Return what frames are, if they are anything yet."""
-        given = talk[1]
-        is_acknowledged = given[0].part.is_acknowledged
-        found = (judge_conversation if is_acknowledged else judge_frames)(self.transport, given)
-        if found.state == "under way":
-            return self._enter(talk) if len(given) == 1 else []
-        decided = DecidedFrames(tuple(given), found.reason, given[0].part.key, found.data)
-        if is_acknowledged and found.state == "broken":
-            given[:] = [_silent(given[-1])]
+    def _ended(self, session: _Session) -> list[DecidedFrames]:
+        """Return the packet that the frames of a session are, or why they are none; nothing while it is under way."""
+        first, frames = session.first, session.frames
+        judge = judge_conversation if first.is_acknowledged else judge_frames
+        judged = judge(self.transport, frames)
+        if judged.state == "under way":
+            return self._enter(session) if len(frames) == 1 else []
+        decided = DecidedFrames(tuple(frames), judged.reason, first.key, judged.data)
+        if first.is_acknowledged and judged.state == "broken":
+            session.lose(frames[-1])
         else:
-            self.open = [other for other in self.open if other is not talk]
+            self.open = [other for other in self.open if other is not session]
         return [decided]
 
-    def _enter(self, talk: tuple[Hashable, list[GivenFrame]]) -> list[DecidedFrames]:
-        """One more session: where there are too many, the oldest is given up."""
+    def _enter(self, session: _Session) -> list[DecidedFrames]:
+        """Add a session; where there are too many, give up the oldest and return its frames."""
         full = len(self.open) == self.transport.senders
         decided = self._lost(self.open[0], "too many senders at once", whole=True) if full else []
-        self.open.append(talk)
+        self.open.append(session)
         return decided
 
-    def _lost(
-        self, talk: tuple[Hashable, list[GivenFrame]], reason: str, whole: bool = False
-    ) -> list[DecidedFrames]:
-        """Return the frames of a packet that is given up; none of one that is lost already."""
-        self.open.remove(talk)
-        if talk[1][0].part.role != "first":
+    def _lost(self, session: _Session, reason: str, whole: bool = False) -> list[DecidedFrames]:
+        """Give up a session; return its frames, but none of a session that is lost already."""
+        self.open.remove(session)
+        if session.is_lost:
             return []
-        is_acknowledged = whole or talk[1][0].part.is_acknowledged
-        why = f"malformed: {reason}" if is_acknowledged else given_up(self.transport, talk[1], reason)
-        return [DecidedFrames(tuple(talk[1]), why)]
+        is_acknowledged = whole or session.first.is_acknowledged
+        why = f"malformed: {reason}" if is_acknowledged else given_up(self.transport, session.frames, reason)
+        return [DecidedFrames(tuple(session.frames), why)]
 
-    def _is_late(self, given: Sequence[GivenFrame], time: float | None) -> bool:
-        last = given[-1].frame.timestamp
-        return last is not None and time is not None and time - last > self.transport.gap_s(given[0].part)
+    def _is_late(self, session: _Session, frame: Any) -> bool:
+        last, now = session.frames[-1].frame.timestamp, frame.timestamp
+        return last is not None and now is not None and now - last > self.transport.gap_s(session.first)
 
     def end(self) -> list[DecidedFrames]:
         """End the input; return the frames that are pending."""
         left, self.open = self.open, []
-        return [
-            DecidedFrames(tuple(frames), "pending") for _, frames in left if frames[0].part.role == "first"
-        ]
-
-
-def _silent(last: GivenFrame) -> GivenFrame:
-    """Return what is kept of a session that is lost: when its last frame came."""
-    part = FramePart("ready", last.part.session, is_acknowledged=True)
-    return GivenFrame(last.frame, last.number, last.data, part)
+        return [DecidedFrames(tuple(session.frames), "pending") for session in left if not session.is_lost]

@@ -250,7 +250,7 @@ def as_pattern(value: int | IdField | IdPattern | Collection[int], name: str = "
         pattern.check()
         return pattern
     if not isinstance(value, Collection) or not value or not all(isinstance(number, int) for number in value):  # pyright: ignore[reportUnnecessaryIsInstance]
-        raise SpecError(f"{caller()}: {value!r} is no number, set of numbers or pattern of captures")
+        raise SpecError(f"{caller()}: {value!r} is not a number, set of numbers or pattern of captures")
     return IdPattern(0, (IdField(name, tuple(sorted(value))),))
 
 
@@ -262,7 +262,7 @@ def bounds(values: Collection[int]) -> tuple[int, int]:
 
 
 def describe_values(values: Collection[int]) -> str:
-    """`0…47` or `1, 2, 5`; only a few values are ever sorted."""
+    """Return `0…47` or `1, 2, 5`; only a few values are ever sorted."""
     count = len(values)
     if count > 2:
         low, high = bounds(values)

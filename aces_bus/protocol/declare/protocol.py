@@ -286,7 +286,7 @@ class DeclaredProtocol:
             raise SpecError(f"{caller()}: a message has no keyword {keyword!r} ({name}){hint}")
 
     def family(self, prefix: c.Struct, **shared: Any) -> Any:
-        """Messages with the same first fields: `Command("Stop", opcode=0x0F, payload=…)`.
+        """Declare messages with the same first fields: `Command("Stop", opcode=0x0F, payload=…)`.
 
         Keywords named like a prefix field say what it must be; all others are those of `message`.
         """
@@ -469,5 +469,5 @@ class Variant:
 
 
 def _listed(given: Any) -> list[Any]:
-    """Several things that a spec may write, or one thing that is none of several."""
+    """Return a list of what a spec may write as a list, or as one item."""
     return list(given) if isinstance(given, Iterable) else [given]

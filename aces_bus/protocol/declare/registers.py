@@ -182,7 +182,7 @@ class RegisterMap(Mapping[str, Register]):
         return chosen[0].address, data
 
     def sync_write(self, name: str, values: Mapping[int, Any]) -> bytes:
-        """One packet that writes the register `name` of many devices: id → value."""
+        """Return one packet that writes the register `name` of many devices: id → value."""
         register = self[name]
         if self.sync_message is None:
             raise SpecError(f"{self.place}: {self.protocol.name} has no message that writes to many devices")

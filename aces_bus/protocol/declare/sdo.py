@@ -108,7 +108,9 @@ class SdoTransfer(Transport):
         return FramePart("bad", reason=f"malformed: no frame of {self.title}")
 
     def _first(self, key: int, data: bytes) -> FramePart:
-        """One without a size, or of no bytes, goes on until a segment says that it is the last."""
+        """Classify a first frame; without a size, or of no bytes, the packet goes on until a segment says
+        that it is the last.
+        """
         size = int.from_bytes(data[_HEAD:], "little") if data[0] & _SIZED else 0
         if size + _HEAD > self.max_size:
             return FramePart("bad", reason="malformed: too long")
@@ -154,7 +156,7 @@ class SdoTransfer(Transport):
         return FramePart("next", key, data[1:], number=data[0] & 0x7F, is_last=bool(data[0] & 0x80))
 
     def unwrapped(self, data: bytes, extra: bytes) -> bytes | None:
-        """Without the CRC of a transfer in blocks."""
+        """Return the packet without the CRC of a transfer in blocks."""
         if data[0] >> 5 != _HAS:
             return data
         crc = int.from_bytes(data[-_CRC_SIZE:], "little")

@@ -5,7 +5,7 @@ transfer's number (bits 4–0). In v0 the toggle begins at 0 and a CRC-16/CCITT-
 frames, little-endian, seeded by the type's signature; in v1 the toggle begins at 1, and the CRC is behind, big-endian,
 without a seed (dronecan 1.0.27 `transport.py`; pycyphal 1.27.1 `transport/can/_session/`; Cyphal specification §4.2).
 Choice: the zeros that fill up a frame of CAN FD are part of the transfer and of its message, for nothing in it says how many
-they are. A spec ends with `Reserved(n)` where its fields alone are no length that there is.
+they are. A spec ends with `Reserved(n)` where its fields alone are not a length that there is.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _CRC_BYTES = 2
 
 @cache
 def _added(version: int) -> AddedCheck:
-    """CRC-16/CCITT-FALSE, by its other name; made when the first transfer needs it."""
+    """Return CRC-16/CCITT-FALSE, by its other name; made when the first transfer needs it."""
     return AddedCheck(Crc("CRC16-IBM-3740", order="big" if version else "little"), is_in_front=not version)
 
 
@@ -91,7 +91,7 @@ class TailByte(Transport):
         return data if _crc()(extra + data) == check else None
 
     def carries(self, size: int) -> bool:
-        """In CAN FD only transfers whose last frame has a length that there is."""
+        """Return whether a transfer may have `size` bytes: in CAN FD its last frame must have a length that exists."""
         return not self.fd or self._last(size) + 1 in FD_LENGTHS
 
     def _last(self, size: int) -> int:
@@ -100,7 +100,7 @@ class TailByte(Transport):
         return size if size <= room else (size + _CRC_BYTES - 1) % room + 1
 
     def numbered_by(self, key: int) -> int:
-        """Transfers are counted whatever their priority."""
+        """Return the key that transfers are counted by: whatever their priority."""
         return key & ~(0x7 << 26 if self.version else 0x1F << 24)
 
     def split(self, key: int, data: bytes, sequence: int = 0, extra: bytes = b"") -> list[tuple[int, bytes]]:

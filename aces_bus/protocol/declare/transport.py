@@ -111,7 +111,7 @@ class FramePart(NamedTuple):
 
     `session` tells packets apart that are under way at the same time; frames of one packet have the same. `key` (identifier
     and flags, see `keys`) is that of the packet. `size` is the packet's, of a first frame; None where its last frame says
-    that it is the last. `number` is that of a following frame. `reason` says what a frame is that is no part of a packet:
+    that it is the last. `number` is that of a following frame. `reason` says what a frame is that is not a part of a packet:
     "control: flow control", "malformed: length".
     """
 

@@ -132,7 +132,7 @@ def construct_class(con: c.Construct) -> type | None:
 
 
 def refusal_of(con: c.Construct) -> str:
-    """Why a payload cannot have this construct, its content aside; empty when it can."""
+    """Say why a payload cannot have this construct, its content aside; empty when it can."""
     kind = construct_class(con)
     if kind is None:
         return f"{type(con).__name__} is a word of construct that aces-bus does not know"

@@ -26,7 +26,7 @@ SHARING = "of the same bits:"
 
 @dataclass(frozen=True)
 class Mark:
-    """Bytes that are no field: `offset` counts from the packet's first byte, or, negative, from its end."""
+    """Bytes that are not field: `offset` counts from the packet's first byte, or, negative, from its end."""
 
     offset: int
     size: int
@@ -181,7 +181,7 @@ def is_long(node: p.Node) -> bool:
 
 
 def span_of(node: p.Node) -> tuple[int, int] | None:
-    """Offset and size of a list whose items stand one behind the other in whole bytes."""
+    """Return offset and size of a list whose items stand one behind the other in whole bytes."""
     if isinstance(node, p.Scalar) and node.size is not None:
         if node.bits and len(node.bits) != 8 * node.size:
             return None
@@ -311,7 +311,7 @@ def _rows(cells: _Cells, plan: p.MessagePlan | None, tail: int) -> list[Row]:
 
 
 def _merged(rows: Sequence[Row]) -> list[Row]:
-    """Neighbouring bytes of nothing but multiplexed fields are one row."""
+    """Merge neighbouring bytes of nothing but multiplexed fields to one row."""
     found: list[Row] = []
     for place, parts in rows:
         if found and found[-1][1] == parts and len(parts) == 1 and parts[0][1].startswith("(by "):
@@ -352,5 +352,5 @@ def _byte(cells: _Cells, byte: int) -> list[tuple[int, str]]:
 
 
 def listed(values: Sequence[int]) -> str:
-    """Numbers one by one, or many as their runs."""
+    """List numbers one by one, or many as their runs."""
     return ", ".join(map(str, values)) if len(values) <= 4 else number_runs(values)

@@ -113,7 +113,7 @@ def text_width(text: str, size: float = SIZE) -> float:
 
 
 def fitted(text: str, width: float, size: float = SIZE) -> str:
-    """Return a text that is no wider than `width` points: its end is cut off, and marked by `…`."""
+    """Return a text that is not wider than `width` points: its end is cut off, and marked by `…`."""
     room = int(width / (CHARACTER * size))
     return text if len(text) <= room else text[: max(0, room - 1)] + "…" if room > 0 else ""
 
@@ -175,7 +175,7 @@ def _panel(canvas: Canvas, panel: LayoutPanel, top: float, fills: dict[str, str]
 
 
 def _short(text: str, width: float, size: float) -> str:
-    """Of a nested record the name alone, where there is no room for its path."""
+    """Return the name alone of a nested record, where there is no room for its path."""
     inner = text.rpartition(".")[2]
     return text if text_width(text, size) <= width or not inner or inner[0].isdigit() else inner
 

@@ -162,7 +162,7 @@ def _scalar_row(name: str, node: p.Scalar, doc: str) -> FieldRow:
 
 
 def _order_of(node: p.Scalar) -> str:
-    """Byte order, where there is one to speak of."""
+    """Return the byte order, if there are several bytes."""
     if node.size == 1 or (node.bits and len({bit // 8 for bit in node.bits}) == 1):
         return ""
     if not node.bits:
@@ -175,7 +175,7 @@ def _order_of(node: p.Scalar) -> str:
 
 
 def bits_place(bits: Sequence[int]) -> str:
-    """`byte 2…5`, `byte 1 bits 7…4 + byte 2`."""
+    """Return a place in words: `byte 2…5`, `byte 1 bits 7…4 + byte 2`."""
     by_byte: dict[int, list[int]] = {}
     for bit in sorted(bits):
         by_byte.setdefault(bit // 8, []).append(bit % 8)

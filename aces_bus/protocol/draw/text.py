@@ -57,7 +57,9 @@ def _picture(rows: Sequence[Row]) -> list[str]:
 
 
 def _fitted(text: str, width: int) -> str:
-    """Text in a cell, with a blank on each side where there is room; a long name loses its end, never its bits."""
+    """Fit a text into a cell, with a blank on each side where there is room; a long name loses its end, never
+    its bits.
+    """
     if len(text) + 2 <= width:
         return f" {text}".ljust(width)
     if len(text) <= width:

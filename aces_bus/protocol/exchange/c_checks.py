@@ -27,13 +27,13 @@ class CheckPrinter:
         return [(f"data[{size} - {back - k}u]", 8 * at) for k, at in enumerate(order)]
 
     def test(self) -> list[str]:
-        """Statements that refuse a packet of `size` bytes whose check does not hold."""
+        """Return statements that refuse a packet of `size` bytes whose check does not hold."""
         terms = [f"(uint32_t){cell}{f' << {at}' if at else ''}" for cell, at in self._cells("size")]
         lines = [f"    {line}" for line in self._computed("size")]
         return [f"    {line}" for line in ["{", *lines, *refuse_if(f"check != ({' | '.join(terms)})"), "}"]]
 
     def fill(self) -> list[str]:
-        """Statements that put the number into a packet of `length` bytes."""
+        """Return statements that put the number into a packet of `length` bytes."""
         cells = [f"{cell} = (uint8_t)(check >> {at});" for cell, at in self._cells("length")]
         return [f"    {line}" for line in [*self._computed("length"), *cells]]
 

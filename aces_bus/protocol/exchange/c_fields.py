@@ -53,7 +53,7 @@ def rest_mask(node: p.Rest) -> int:
 
 
 def under_conditions(leaf: p.NodePath, lines: Sequence[str]) -> list[str]:
-    """Statements under the conditions of a field."""
+    """Return statements under the conditions of a field."""
     conditions = [f"({test})" for when in leaf.whens for test in _conditions(when)]
     if not conditions or not lines:
         return [f"    {line}" if line else "" for line in lines]
@@ -85,7 +85,7 @@ def c_type(node: p.Node) -> str:
 
 
 def taken_out(field: CField) -> list[str]:
-    """Statements that take a number out of `data`."""
+    """Return statements that take a number out of `data`."""
     node, target, bits = field.leaf.node, f"to->{field.name}", place_of(field.leaf.node)
     word, terms, half = word_of(bits), terms_of(bits), 1 << len(bits) - 1
     if field.type.startswith("uint"):
@@ -102,7 +102,9 @@ def taken_out(field: CField) -> list[str]:
 
 
 def put_in(field: CField) -> list[str]:
-    """Statements that put a member into `data`, which is 0 there; what is in a number of several, goes there with these."""
+    """Return statements that put a member into `data`, which is 0 there; parts of a shared number are put in
+    with that number.
+    """
     node, value = field.leaf.node, f"from->{field.name}"
     if isinstance(node, p.Rest):
         free = (1 << unsigned_bits(8 * node.size)) - 1 & ~rest_mask(node)

@@ -36,7 +36,7 @@ def c_name(text: str, taken: set[str]) -> str:
 
 
 def unsigned_bits(width: int) -> int:
-    """Bits of the C integer that holds so many."""
+    """Return the bits of the C integer that holds `width` bits."""
     return next(size for size in (8, 16, 32, 64) if size >= width)
 
 
@@ -66,7 +66,7 @@ def comment(text: str) -> str:
 
 
 def refuse_if(test: str, depth: int = 1) -> list[str]:
-    """Statements that end a function with -1."""
+    """Return statements that end a function with -1."""
     indent = "    " * depth
     return [f"{indent}if ({test}) {{", f"{indent}    return -1;", f"{indent}}}"]
 
@@ -100,7 +100,7 @@ def terms_of(bits: Sequence[int]) -> str:
 
 
 def written(bits: Sequence[int]) -> list[str]:
-    """Statements that put `raw` into these bits of `data`, which are 0."""
+    """Return statements that put `raw` into these bits of `data`, which are 0."""
     found: list[str] = []
     for byte, shift, width, place in bit_pieces(bits):
         text = f"raw >> {place}" if place else "raw"

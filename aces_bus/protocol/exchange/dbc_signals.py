@@ -283,7 +283,7 @@ class _Group:
         return "its request" if has_request else "bytes that no multiplexer of a DBC can be here"
 
     def _common(self, names: Sequence[str]) -> list[p.NodePath]:
-        """Leaves without a condition that all messages have alike, and that have no signal yet."""
+        """Add leaves without a condition that all messages share, and that have no signal yet."""
         if len(names) < 2:
             return []
         others = [{(leaf.path, leaf.node) for leaf in self.leaves[name]} for name in names[1:]]
@@ -370,7 +370,7 @@ class _Group:
             selector = self.named.get((name, path), "")
             owner = next((signal for signal in self.found if signal.name == selector), None)
             if owner is None or owner.width > 16:
-                self._lose(name, leaf.path, f"multiplexed by {path}, which is no plain signal: left out")
+                self._lose(name, leaf.path, f"multiplexed by {path}, which is not a plain signal: left out")
                 return
             if min(values) < 0:
                 self._lose(

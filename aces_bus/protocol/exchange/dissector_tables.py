@@ -12,7 +12,7 @@ from ..declare.transport import FrameKind, FrameNumber, Transport
 
 
 def bit_pieces(bits: Sequence[int]) -> list[list[int]]:
-    """Bits as the program reads them: {byte, shift, width, place in the number}."""
+    """Return bits as the program reads them: {byte, shift, width, place in the number}."""
     found: list[list[int]] = []
     for first, at, width in runs_of(bits):
         while width:
@@ -38,7 +38,7 @@ def id_pattern(pattern: IdPattern) -> dict[str, Any]:
 
 
 def value_set(values: Collection[int]) -> dict[Any, Any]:
-    """Numbers as {low, high, step} where they are that, else as a set."""
+    """Return numbers as {low, high, step} where they are a range, else as a set."""
     if isinstance(values, range) and values.step > 0:
         return {"low": values[0], "high": values[-1], "step": values.step}
     listed: Iterable[int] = sorted(values)

@@ -150,7 +150,7 @@ class _Printer:
 
 
 def _refusal(message: Message) -> str:
-    """Why C does not have a message; empty where it has."""
+    """Say why C does not have a message; empty if it has."""
     plan, framing = message.plan, message.framing
     if message.transport is not None:
         return f"carried by {message.transport.title}, in several frames"

@@ -294,7 +294,7 @@ def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 
 
 def _escaped(text: str) -> str:
-    """Text as Markdown that shows it, on one line."""
+    """Return a text as Markdown that shows it, on one line."""
     flat = " ".join(clean_text(text).split())
     flat = flat.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     # What a spec's author writes as `code` stays that.
@@ -305,7 +305,7 @@ def _escaped(text: str) -> str:
 
 
 def _code(text: str, *, is_cell: bool = False) -> str:
-    """Text as code; in a cell of a table a bar is escaped even there."""
+    """Return a text as code; in a cell of a table a bar is escaped even there."""
     flat = " ".join(clean_text(text).split()).replace("`", "'")
     flat = flat.replace("|", "\\|") if is_cell else flat
     return f"`{flat}`" if flat else ""

@@ -46,7 +46,7 @@ def print_source(
     """Return the module that declares `protocol`. `problems` are what is not in it; `origin` is what it was made from,
     in our words ("a DBC file"). Raises `CallerError` for what this page of the language does not hold."""
     if protocol.link != "can":
-        raise CallerError(f"{protocol.name} is no protocol on CAN: its framings are not printed as source")
+        raise CallerError(f"{protocol.name} is not a protocol on CAN: its framings are not printed as source")
     return _Printer(protocol).module(problems, origin)
 
 
@@ -270,7 +270,7 @@ _OURS = frozenset(
 
 
 def _under(name: str, field: Expression) -> Expression:
-    """`"name" / field`, and what is said of it behind."""
+    """Return `"name" / field`, with what is said of it behind."""
     first, rest = (field.first, field.rest) if isinstance(field, Operation) else (field, ())
     return Operation(python_literal(name), (("/", first), *rest))
 
@@ -456,7 +456,7 @@ def expression_lines(expression: Expression, indent: int = 0, before: str = "", 
 
 
 def _columns(line: str) -> int:
-    """Columns as formatters count them: wide characters are two."""
+    """Count columns as formatters do: wide characters are two."""
     if line.isascii():
         return len(line)
     from unicodedata import combining, east_asian_width

@@ -12,7 +12,7 @@ J1939 messages of more than 8 bytes are carried by its transport (BAM, RTS/CTS);
 J1939 messages are recognised by their parameter group (SAE J1939-21): `priority` and `source` are captured, and
 `destination` where the group is addressed (PDU format below 240). Where a group has several messages, each has its
 declared identifier's source address (and destination, and priority, where that does not tell them apart). Frames of other
-sources are the first message where all are laid out alike, else unknown. A message that is no parameter group goes before
+sources are the first message where all are laid out alike, else unknown. A message that is not a parameter group goes before
 one that is.
 
 Differences to cantools, on purpose: a multiplexer value that no signal is for leaves those signals None, where cantools

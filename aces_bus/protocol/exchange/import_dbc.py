@@ -131,7 +131,7 @@ def _check_size(path: str, text: str, kind: str) -> None:
     _check_count(path, messages, signals)
     for found in re.finditer(_NUMBERS[kind], text):
         line = text.count("\n", 0, found.start(1)) + 1
-        raise CallerError(f"{path}:{line}: {found[1][:20]} is no place and no length in a message")
+        raise CallerError(f"{path}:{line}: {found[1][:20]} is not a place and no length in a message")
     for found in _RANGE.finditer(text) if kind == "sym" else ():
         if int(found[2], 16) - int(found[1], 16) >= MOST_IDENTIFIERS:
             line = text.count("\n", 0, found.start(1)) + 1
@@ -269,8 +269,9 @@ def _parsed(path: str, statements: list[Statement]) -> tuple[list[Statement], li
 def _parsed_signals(
     message: Statement, complaint: Callable[[str], _Complaint | None], problems: list[ImportProblem]
 ) -> list[Statement]:
-    """Leaves a message the signals that can be parsed; gives what was found inside those that cannot: a string that was
-    not closed has taken in what follows."""
+    """Leave a message the signals that can be parsed; return what was found inside the others: a string that
+    was not closed has taken in what follows.
+    """
     waiting = message.inner[::-1]
     message.inner = []
     behind: list[Statement] = []

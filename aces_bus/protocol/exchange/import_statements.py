@@ -136,7 +136,7 @@ def join_statements(statements: Iterable[Statement]) -> str:
 
 
 def safe_statements(statements: list[Statement]) -> tuple[list[Statement], list[ImportProblem]]:
-    """Without the statements that must not be loaded, and why not each of them."""
+    """Return the statements without those that must not be loaded, and why not each of them."""
     problems = _widened(statements)
     kept: list[Statement] = []
     signals: dict[str, set[str]] = {}
@@ -210,7 +210,9 @@ def _widened(statements: list[Statement]) -> list[ImportProblem]:
 
 
 def usable(statements: list[Statement]) -> tuple[list[Statement], list[ImportProblem]]:
-    """Without statements that cantools can parse and then refuses the file for, as far as a glance shows."""
+    """Return the statements without those that cantools parses and then refuses the file for, as far as a
+    glance shows.
+    """
     problems: list[ImportProblem] = []
     kept: list[Statement] = []
     defined = {m[1] for statement in statements if (m := _DEFINITION.match(statement.text))}
@@ -259,7 +261,7 @@ def _unsafe_signal(statement: Statement) -> str:
 
 
 def _crowded(statements: list[Statement]) -> dict[str, int]:
-    """Messages whose multiplexers have too many combinations of values, with their number."""
+    """Return messages whose multiplexers have too many combinations of values, with their number."""
     children: dict[str, dict[str, dict[str, int]]] = {}
     for statement in statements:
         found = _MUX.match(statement.text) if statement.word == "SG_MUL_VAL_" else None

@@ -38,5 +38,5 @@ def unused(name: str, taken: set[str]) -> str:
 
 
 def snake(name: str) -> str:
-    """`NameInfo3` as `name_info3`, in ASCII."""
+    """Return `NameInfo3` as `name_info3`, in ASCII."""
     return re.sub(r"\W", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name), flags=re.ASCII).lower()

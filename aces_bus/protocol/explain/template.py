@@ -49,7 +49,7 @@ class Template:
     # ------------------------------------------------------------------ what rules it out
 
     def death(self, data: bytes, judged: Judgement | None, size: int | None) -> tuple[str, str] | None:
-        """Why no packet that begins with `data` is this message: (class, detail).
+        """Say why no packet that begins with `data` is this message: (class, detail).
 
         `judged` is the framing's verdict (streams), `size` the packet's size where it is known.
         """
@@ -91,7 +91,7 @@ class Template:
         return None
 
     def last_part(self, image: bytes, request: Mapping[str, Any] | None) -> tuple[str, str] | None:
-        """Why a whole packet or frame is not this message after all."""
+        """Say why a whole packet or frame is not this message after all."""
         try:
             self.message.struct.parse(image, raw=True, request=request)
         except NotThisError as error:
@@ -211,7 +211,7 @@ class Template:
         return found
 
     def readings(self, data: bytes) -> list[tuple[str, Any, str]]:
-        """(name, value, unit) of the fields that the last byte of `data` completes."""
+        """Return (name, value, unit) of the fields that the last byte of `data` completes."""
         if self.plan.split is not None and not self.is_moved and len(data) > self.plan.split.start:
             return self._delimited(data)[1]
         ended = self._ends.get(len(data) - 1)

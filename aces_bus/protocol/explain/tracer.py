@@ -220,7 +220,7 @@ class _Contest:
         self.parts: list[tuple[list[Death], list[Template]]] = []
 
     def part(self, reasons: Iterable[tuple[Template, tuple[str, str] | None]]) -> None:
-        """One part more; each template with the reason that rules it out."""
+        """Take one more part; rule out templates, each with its reason."""
         died: list[Death] = []
         for template, why in list(reasons):
             if why is not None:
@@ -264,7 +264,7 @@ def _death(
     silent: bool,
     is_last: bool,
 ) -> tuple[str, str] | None:
-    """Why a packet that begins with `prefix` is not the template's; None while it may be."""
+    """Say why a packet that begins with `prefix` is not the template's; None while it may be."""
     why = template.death(prefix, judged, size)
     if why is not None or template.message.name == found.message:
         return why
@@ -278,7 +278,7 @@ def _death(
 
 
 def _whole_death(template: Template, image: bytes, found: ReferenceItem) -> tuple[str, str] | None:
-    """Why a whole packet or frame is not the template's; None where it is."""
+    """Say why a whole packet or frame is not the template's; None if it is."""
     if template.message.name == found.message:
         return None
     past = found.request
@@ -308,7 +308,7 @@ def _readings(lead: Template, living: Sequence[Template], prefix: bytes) -> tupl
 
 
 def _completed(steps: list[Step], found: ReferenceItem) -> list[Step]:
-    """Fields that have no place of their own (texts, lists, stuffed bytes) are read when the packet is whole."""
+    """Read fields that have no place of their own (texts, lists, stuffed bytes), when the packet is whole."""
     if found.fields is None or not steps:
         return steps
     shown = {reading.name.partition(".")[0] for step in steps for reading in step.read}
@@ -371,7 +371,7 @@ def _kind(message: Message) -> str:
 
 
 def unchosen(template: Template, found: ReferenceItem, request: PastRequest | None) -> tuple[str, str] | None:
-    """Why a template whose bytes fit is not what the frame is."""
+    """Say why a template whose bytes fit is not what the frame is."""
     asks = [*template.message.reply_to, *template.message.after]
     if found.message is not None:
         if request is not None and asks:

@@ -283,7 +283,7 @@ class Decoder(FunctionSetup):
         self.present: dict[p.Selector, str] = {}
 
     def print(self) -> tuple[list[str], list[str]]:
-        """(module-level lines, function lines)."""
+        """Return (module-level lines, function lines)."""
         plan, out = self.plan, self.body
         needs = not plan.is_flat or plan.needs_request
         out.line(f"def {self.function}({self.arguments}{', request=None' if needs else ''}):")
@@ -745,7 +745,7 @@ class ListDecoder(FunctionSetup):
             "    continue",
             "item = kind[3](inside)",
             "if item is None:",
-            '    reason = f"malformed: data of size {len(inside)} are no {kind[1]}"',
+            '    reason = f"malformed: data of size {len(inside)} are not a {kind[1]}"',
             f"    item = {made}(kind[0], inside, reason)",
             "found.append(item)",
         )

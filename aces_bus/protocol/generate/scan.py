@@ -182,7 +182,7 @@ def seek_pattern(framings: Sequence[Framing]) -> bytes:
 
 
 def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
-    """One framing's block: falls out of its bottom when the candidate is dead or bad."""
+    """Print one framing's block, which falls out of its bottom when the candidate is dead or bad."""
     if framing.end and framing.stuffing is None:
         _ended(out, number, framing, decode, alone=alone)
         return
@@ -283,7 +283,7 @@ def _number_in(head: Head) -> str:
 
 
 def _set_of(numbers: Collection[int]) -> str:
-    """Numbers as a set that is written once."""
+    """Return numbers as a set that is written once."""
     return f"{{{', '.join(map(str, sorted(numbers)))}}}"
 
 
@@ -310,7 +310,7 @@ def _asks_sums(framing: Framing) -> bool:
 
 
 def _ended(out: SourceText, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
-    """Framings whose packets are closed by a mark."""
+    """Print framings whose packets are closed by a mark."""
     sync, at, back = framing.sync, len(framing.sync), len(framing.end)
     out.line(f"# {comment_line(f'{framing.name}: {describe(framing)}')}")
     depth = out.depth
@@ -420,7 +420,7 @@ def _checked(out: SourceText, number: int, framing: Framing, decode: str, *, alo
 
 
 def _asked(out: SourceText, number: int, check: Check) -> None:
-    """Cuts the packet out, asks `check_N` of it, and begins the branch of a failure."""
+    """Print the cutting of the packet, the question to `check_N`, and the begin of the branch of a failure."""
     out.line("packet = buffer[i:j]")
     if check.kind == "crc":
         out.lines(
@@ -482,7 +482,7 @@ def _accept(out: SourceText, framing: Framing, decode: str, *, alone: bool, cut:
 
 
 def _judged(out: SourceText, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
-    """Framings that end by silence, are stuffed as a whole or have no sync: judged by the framing itself."""
+    """Print framings that end by silence, are stuffed as a whole or have no sync: judged by the framing itself."""
     out.lines(
         f"# {comment_line(f'{framing.name}: {describe(framing)}')}",
         f"verdict, j, reason = judge_{number}(buffer, i, silent)",
@@ -534,7 +534,7 @@ def _stored(check: Check, end: str) -> str:
 
 
 def describe(framing: Framing) -> str:
-    """One line: `FF FF | id length | … | inverted sum, 8 bits`."""
+    """Describe a framing in one line: `FF FF | id length | … | inverted sum, 8 bits`."""
     parts = [framing.sync.hex(" ").upper()] if framing.sync else []
     names = [head.name or "const" for head in framing.heads]
     if names:
@@ -552,7 +552,7 @@ def describe(framing: Framing) -> str:
 
 
 def print_check(out: SourceText, number: int, framing: Framing) -> None:
-    """`check_N(packet)`; packets that are stuffed as a whole cannot be checked so."""
+    """Print `check_N(packet)`; packets that are stuffed as a whole cannot be checked so."""
     check = framing.check
     assert check is not None
     text = check.text

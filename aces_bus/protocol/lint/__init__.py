@@ -37,7 +37,7 @@ from .templates import check_templates
 
 
 def check_protocol(protocol: Protocol) -> list[Finding]:
-    """Everything that can be said of one protocol, by file and line; what comments allow is left out."""
+    """Return all findings of one protocol, by file and line, but those that comments allow."""
     return sorted((finding for finding in every_finding(protocol) if not finding.is_allowed), key=sort_key)
 
 

@@ -58,7 +58,7 @@ def _witness(packet: ExampleFrame) -> str:
 
 
 def failure(message: Message, example: Example) -> str | None:
-    """Why an example does not hold; None when it does."""
+    """Say why an example does not hold; None when it does."""
     request: Mapping[str, Any] | None = None
     if example.request is not None:
         asked = _request_of(message, example.request)
@@ -94,7 +94,7 @@ def failure(message: Message, example: Example) -> str | None:
 
 
 def _wanted_check(message: Message, packet: bytes) -> str:
-    """Of a packet whose framing's check fails: what it would have to be."""
+    """Say what the check of a packet would have to be, if its framing's check fails."""
     framing = message.framing
     if framing is None or framing.check is None or framing.judge(packet, 0, silent=True).reason != "checksum":
         return ""

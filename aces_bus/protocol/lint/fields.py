@@ -2,7 +2,7 @@
 
 1. A rule looks at what the spec wrote: name, adapters, and the number on the wire below them. What an import refuses is not
    asked again.
-2. A construct that several messages share is one field: it is remarked upon once. What is no number of fixed size (texts,
+2. A construct that several messages share is one field: it is remarked upon once. What is not a number of fixed size (texts,
    bytes, opaque constructs) has no limits.
 3. The tables of units are data: SI with its prefixes, and what data sheets write beside it (`count`, `turn`, `%`, `rpm`).
 """
@@ -73,7 +73,7 @@ def _doubt(field: Written) -> Level:
 
 def _unit_text(unit: str) -> str:
     near = suggest(unit)
-    return f"{unit!r} is no unit" + (
+    return f"{unit!r} is not a unit" + (
         f"; is it {near!r}?" if near is not None else "; write it as in 'rad/s', 'N·m'"
     )
 
@@ -146,7 +146,7 @@ def _enumeration(field: Written, enumeration: Enumeration) -> Iterator[Finding]:
 
 
 def _holes(values: list[int]) -> list[int]:
-    """Return the numbers missing in a run of names; none where names are no run."""
+    """Return the numbers missing in a run of names; none where names are not a run."""
     # Counted before they are walked: numbers of 32 bits may lie billions apart.
     if len(values) <= 2 or 2 * (values[-1] - values[0] + 1 - len(values)) > len(values):
         return []
@@ -211,7 +211,7 @@ def _orders(fields: Iterable[Written]) -> Iterator[Finding]:
 
 
 def _signs(fields: Iterable[Written]) -> Iterator[Finding]:
-    """Signed numbers whose range has nothing below 0, where nearly all others of such a range are unsigned."""
+    """Yield signed numbers whose range has nothing below 0, where nearly all others of such a range are unsigned."""
     positive = [field for field in fields if field.is_never_negative]
     signed = [field for field in positive if field.limits is not None and field.limits[0] < 0]
     others = len(positive) - len(signed)

@@ -251,7 +251,7 @@ def _message_check(message: Message, check: Check) -> Iterator[Finding]:
 
 
 def _listed(places: set[int], size: int) -> str:
-    """`byte 2`, `bytes 0…3`, `the last 2 bytes`."""
+    """Name places: `byte 2`, `bytes 0…3`, `the last 2 bytes`."""
     low, high = min(places), max(places)
     if len(places) == 1:
         return "the last byte" if high == size - 1 else f"byte {low}"

@@ -204,7 +204,7 @@ def _fits(variant: Variant, message: Message, request: Request) -> bool:
 
 
 def _shadows(hanging: Mapping[Variant, frozenset[str]]) -> Iterator[Finding]:
-    """Messages whose every frame is another's, which is tried first."""
+    """Yield messages whose every frame is another's, which is tried first."""
     seen: set[tuple[str, str]] = set()
     for variant, names_hanging in hanging.items():
         for first in variant.messages.values():

@@ -396,7 +396,7 @@ class CanScanner:
         return self.transport_of(key) is not None
 
     def feed_numbered(self, frames: Iterable[Any], numbers: Iterable[int]) -> tuple[list[Record], list[int]]:
-        """`feed`, and for each that is given the number of its frame; of a packet, of its last one."""
+        """Feed like `feed`, and return for each record the number of its frame; of a packet, of its last frame."""
         out: list[Any] = []
         origins: list[int] = []
         for frame, number in zip(frames, numbers, strict=True):
@@ -431,7 +431,9 @@ class CanScanner:
     # ------------------------------------------------------------------ packets of several frames
 
     def _find_carrier(self, key: int) -> _Carrier | None:
-        """Whose frames have a key, which is remembered: the first protocol that has it in a transport decides."""
+        """Return the carrier whose frames have a key, and remember it: the first protocol with it in a
+        transport decides.
+        """
         transport = next((t for wire in self.wires if (t := wire.carried_by(key)) is not None), None)
         found = next((carrier for carrier in self._carriers if carrier.transport == transport), None)
         if len(self._carrier_of) < REMEMBERED:
@@ -544,7 +546,7 @@ class CanScanner:
             carrier.reset()
 
     def sent(self, frame: Any) -> None:
-        """Our own transmission: a request that replies may hang on. It is not counted and gives no record."""
+        """Note our own transmission: a request that replies may need. It is not counted and gives no record."""
         key = frame.arbitration_id
         if frame.is_extended_id or frame.is_remote_frame or frame.is_fd:
             key = self._key_of(frame)
@@ -628,7 +630,7 @@ class CanScanner:
         return known
 
     def idle(self, time: float | None = None) -> list[Record]:
-        """Silence: packets of a transport that wait too long at `time`, or for ever, are malformed. Frames are whole."""
+        """Refuse packets of a transport that wait too long at `time`, or for ever. Single frames are whole."""
         return self._end([packet for carrier in self._carriers for packet in carrier.reassembler.idle(time)])
 
     def close(self) -> list[Record]:
@@ -636,7 +638,7 @@ class CanScanner:
         return self.close_numbered()[0]
 
     def close_numbered(self) -> tuple[list[Record], list[int]]:
-        """`close`, and for each that is given the number of its frame."""
+        """Close like `close`, and return for each record the number of its frame."""
         packets = [packet for carrier in self._carriers for packet in carrier.reassembler.close()]
         left = [frame for packet in packets for frame in packet.frames]
         self._left += len(left)

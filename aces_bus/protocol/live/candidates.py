@@ -154,7 +154,7 @@ class Segments:
         return verdict_of(judged, start)
 
     def _judge(self, buffer: bytes, start: int) -> tuple[str, int, str]:
-        """Judges a candidate inside the segment."""
+        """Judge a candidate inside the segment."""
         framing = self._framing
         if self._segment is None:
             wire = buffer[start : self._end]

@@ -99,11 +99,11 @@ class ChannelScanner(ChannelScanners[CanScanner]):
         self._scanners.clear()
 
     def sent(self, frame: Any) -> None:
-        """Our own transmission: a request that replies on its channel may hang on."""
+        """Note our own transmission: a request that replies on its channel may need."""
         self.of(frame.channel).sent(frame)
 
     def idle(self, time: float | None = None) -> list[Record]:
-        """Silence on all channels; see `CanScanner.idle`."""
+        """Note silence on all channels; see `CanScanner.idle`."""
         return [record for scanner in self._scanners.values() for record in scanner.idle(time)]
 
     def close(self) -> list[Record]:

@@ -230,7 +230,7 @@ class Context:
         return None
 
     def needs(self, messages: Sequence[Message]) -> str:
-        """`needs request A|B`, for messages that had none."""
+        """Return `needs request A|B`, for messages that had none."""
         names = dict.fromkeys(link.request.message.name for m in messages for link in self._links[m.name])
         return f"unknown: needs request {'|'.join(names)}"
 

@@ -269,7 +269,7 @@ _names: WeakKeyDictionary[type, tuple[str, ...]] = WeakKeyDictionary()
 
 
 def _counting(decode: Decode, message: Message, decider: Decider) -> Decode:
-    """Watches a message's rolling counters and counts what they say was missed."""
+    """Watch a message's rolling counters and count what they show as missed."""
     last = decider.last_counts.setdefault(message.name, {})
     raw = decider.raw_decoders[message.name]
     captures = [c.name for c in message.identifier.captures]

@@ -2,7 +2,7 @@
 
 1. Each frame comes out once: in a packet, or lost with a reason. Until then it is kept, and counted as pending.
 2. What is kept is bounded: `senders` packets of `max_size` bytes.
-3. An acknowledged packet (`_Conversation`) with a fault stays, without frames, until its end: what follows is no message.
+3. An acknowledged packet (`_Conversation`) with a fault stays, without frames, until its end: what follows is not a message.
 4. The rule is that of `declare.transport.Transport`; `reference` carries it out once more, on whole inputs.
 """
 
@@ -65,7 +65,7 @@ class _Open:
         return f"frame {place + 1} of {self.total}" if self.total else f"frame {place + 1}"
 
     def why(self, reason: str) -> str:
-        """Why it is given up: frames that came without one before them say more than the occasion."""
+        """Say why it is given up: frames that came without one before them say more than the occasion."""
         due = self.due
         is_gap = any(place > due for place in self.pieces)
         return f"malformed: {self.named(due)} missing" if is_gap else f"malformed: {reason}"
@@ -137,7 +137,7 @@ class _Conversation:
         return f"frame {1 + self.count + number}" + (f" of {self.total}" if self.total else "")
 
     def why(self, reason: str) -> str:
-        """Why it is given up."""
+        """Say why it is given up."""
         if reason == "over":
             reason = "acknowledgement missing" if self.block else f"{self.named(1)} missing"
         return f"malformed: {reason}"
@@ -221,7 +221,7 @@ class Reassembler:
         return last is not None and time is not None and time - last > found.gap_s
 
     def _opened(self, who: Hashable, made: _Open | _Conversation) -> Iterator[Packet]:
-        """One more is under way."""
+        """Add a packet that is under way."""
         if len(self._open) >= self.transport.senders:
             yield from self._give_up(next(iter(self._open)), "malformed: too many senders at once")
         self._open[who] = made
@@ -230,7 +230,7 @@ class Reassembler:
     def _spoken(
         self, who: Hashable, found: _Conversation, part: FramePart, mine: CarriedFrame
     ) -> Iterator[Packet]:
-        """One more frame of an acknowledged packet."""
+        """Take one more frame of an acknowledged packet."""
         if found.is_lost:
             found.time = mine.time
             yield Packet([mine], "malformed: no first frame")

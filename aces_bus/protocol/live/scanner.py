@@ -54,7 +54,7 @@ class Scanner(typing.Protocol):
         ...
 
     def sent(self, packet: Any, /) -> None:
-        """Our own transmission: a request that replies may hang on."""
+        """Note our own transmission: a request that replies may need."""
         ...
 
 
@@ -66,7 +66,7 @@ def make_scanner(
     raw: bool = False,
     check_thread: bool = False,
 ) -> Scanner:
-    """One scanner for all protocols of a wire: each byte and frame has one owner, the first in the order given.
+    """Make a scanner for all protocols of a wire: each byte and frame has one owner, the first in the order given.
 
     `direction` limits it to messages "to device" or "from device" (in short "to", "from"); "both" pairs requests and
     replies. Without a direction, CAN frames that only it would tell apart are unknown. With `include_unknown`, what is

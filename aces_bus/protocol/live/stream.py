@@ -372,7 +372,9 @@ class StreamScanner:
     # ------------------------------------------------------------------ requests, and what tests look at
 
     def sent(self, data: bytes, time: float | None = None) -> None:
-        """Our own transmission, one packet: a request that replies may hang on. It is not counted and gives no record."""
+        """Note our own transmission, one packet: a request that replies may need. It is not counted and gives
+        no record.
+        """
         for decider in self.deciders:
             for message in decider.asked:
                 framing = message.framing

@@ -510,7 +510,7 @@ class _Builder:
     # -------------------------------------------------- lists of items
 
     def _items(self, items: Items, path: str) -> p.TaggedItems:
-        """Tagged items up to the end."""
+        """Return tagged items up to the end."""
         self._only_here()
         kinds = [self._item_kind(items, kind, path) for kind in items.data]
         self.is_open = True
@@ -532,7 +532,9 @@ class _Builder:
         return p.TaggedItems(self.offset, tag, size, items.head, items.counted, tuple(kinds), name)
 
     def described(self, items: Items, path: str, reason: str) -> p.DescribedItems:
-        """Tagged items that construct decodes: what is known of the kinds whose data have a flat form, or lists of one."""
+        """Return tagged items that construct decodes: what is known of the kinds whose data have a flat form,
+        or lists of one.
+        """
         kinds: list[p.ItemKind] = []
         for kind in items.data:
             with contextlib.suppress(NotFlat):
@@ -551,7 +553,7 @@ class _Builder:
             name = next((name for name in names if repr(count) == repr(_asked(name))), "")
             found = names.get(name)
             if not isinstance(found, p.Scalar) or found.kind != "uint" or found.steps or found.size is None:
-                raise NotFlat("an array whose count is no plain field beside it")
+                raise NotFlat("an array whose count is not a plain field beside it")
             number = found
         return self._groups(con.subcon, number, path), name
 
@@ -569,7 +571,7 @@ class _Builder:
             raise NotFlat("FocusedSeq has no flat form")
         number = scalar_of(count.subcon, self.offset)
         if number.kind != "uint" or number.steps or number.size is None:
-            raise NotFlat("a count that is no plain number")
+            raise NotFlat("a count that is not a plain number")
         self._advance(number.size)
         return self._groups(items.subcon, number, path)
 

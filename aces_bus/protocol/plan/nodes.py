@@ -94,7 +94,7 @@ class Node:
 
     @property
     def raw_range(self) -> tuple[int, int] | None:
-        """The least and the greatest raw integer; None for what is no integer of the message."""
+        """The least and the greatest raw integer; None for what is not an integer of the message."""
         return None
 
     @property

@@ -17,7 +17,7 @@ class Scale(msgspec.Struct, frozen=True):
     bounds: tuple[float, float] | None = None
     raw_bounds: tuple[int, int] | None = None
     rounding: str = "nearest"
-    #: (raw, name) of raw values that are no quantity.
+    #: (raw, name) of raw values that are not a quantity.
     names: tuple[tuple[int, str], ...] = ()
 
     def physical(self, raw: float) -> float:

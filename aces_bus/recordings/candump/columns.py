@@ -28,6 +28,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ...frame_table import BITRATE_SWITCH, ERROR_STATE, EXTENDED, FD, RX, TX, Channels, FrameTable, Ints
 from ...frames import FD_LENGTHS
@@ -66,10 +67,42 @@ def _weighted(pair: bool, zeros: int) -> Ints:
 
 
 def _kept() -> Ints:
-    """Return for each of 16 little-endian words: number of digits in all of them → mask that keeps those of this word."""
-    kept = np.arange(128)[None, :] < np.arange(129)[:, None]
-    masks: Ints = np.where(kept, 0xFF, 0).astype(np.uint8).view("<u8")
+    """Return masks for 16 words of digits: masks[word, n] keeps those of `word` that are among the first n of all."""
+    digit, number = np.arange(128)[None, :], np.arange(129)[:, None]
+    masks: Ints = (
+        np.where(digit < number, 0xFF, 0).astype(np.uint8).view("<u8")
+    )  # rows of n, columns of words
     return np.ascontiguousarray(masks.T)
+
+
+def _digits(layout: _Layout, sizes: Ints, bad: npt.NDArray[np.bool_]) -> Ints:
+    """Return how many digits of data each line has; mark lines that have an odd number or too many as bad."""
+    digits = sizes - np.uint16(layout.data_at)  # too few wrap around to too many
+    wrong = digits > (128 if layout.fd else 16)
+    wrong |= (digits & np.uint16(1)).astype(bool)
+    if wrong.any():
+        bad |= wrong
+        digits[wrong] = 0
+    return digits
+
+
+def _hex_words(layout: _Layout, window: _Window, digits: Ints, words: int) -> Ints:
+    """Return the digits of identifier and data as words of eight, filled with the digit 0 behind the data."""
+    hexes = np.empty((window.count, 1 + words), np.uint64)
+    identifier = window.word(layout.hash_at - 8)
+    if layout.wide:
+        hexes[:, 0] = identifier
+    else:
+        np.bitwise_or(identifier & _LAST_THREE, _FIVE_ZEROS, out=hexes[:, 0])
+    is_cut = int(digits.min()) < 8 * words
+    for k in range(words):
+        word = window.word(layout.data_at + 8 * k)
+        if is_cut:
+            word = word ^ _ZEROS
+            word &= _KEPT[k].take(digits)
+            word ^= _ZEROS
+        hexes[:, 1 + k] = word
+    return hexes
 
 
 _KEPT = _kept()
@@ -167,6 +200,7 @@ class CandumpColumns:
         return (np.ones(lines, bool), table) if good is None else None
 
     def _mixed(self, block: bytes, buffer: Ints) -> ReadLines:
+        """Read the lines of a block that has several layouts: for each layout all lines that fit it at once."""
         ends = np.flatnonzero(buffer[: len(block)] == _LF)
         lines = len(ends)
         usual = np.zeros(lines, bool)
@@ -177,48 +211,44 @@ class CandumpColumns:
         np.add(ends[:-1], 1, out=starts[1:])
         sizes, ways = _tails(buffer, ends, np.minimum(ends - starts, 0xFFFF).astype(np.uint16))
 
-        left = np.arange(lines)
         found: list[tuple[Ints, FrameTable]] = []
-        used: dict[_Layout, int] = {}
+        #: Layout → number of lines that were read by it.
+        read_by: dict[_Layout, int] = {}
 
-        def attempt(layout: _Layout) -> None:
-            nonlocal left
-            begins = starts[left]
-            alike = np.flatnonzero(
+        def read_lines(layout: _Layout) -> None:
+            unread = np.flatnonzero(~usual)
+            begins = starts[unread]
+            places = unread[
                 (buffer[begins + layout.hash_at] == _HASH)
                 & ((buffer[begins + (layout.hash_at + 1)] == _HASH) == layout.fd)
-                & (sizes[left] >= layout.data_at)
-            )
-            used[layout] = 0
-            if len(alike) < FEW:
+                & (sizes[unread] >= layout.data_at)
+            ]
+            read_by[layout] = 0
+            if len(places) < FEW:
                 return
-            places = left[alike]
             window = _gathered(buffer, starts[places], layout.reach)
             table, good = self._table(layout, window, sizes[places], ways[places])
             if good is not None:
-                alike, places = alike[good], places[good]
-                table = table.take(good)
+                places, table = places[good], table.take(good)
             if len(places):
                 found.append((places, table))
                 usual[places] = True
-                used[layout] = len(places)
-                remain = np.ones(len(left), bool)
-                remain[alike] = False
-                left = left[remain]
+                read_by[layout] = len(places)
 
+        # First the layouts of the block before, then layouts that are learnt from unread lines here and there.
         for layout in self._layouts:
-            if len(left) < FEW:
-                break
-            attempt(layout)
+            if lines - np.count_nonzero(usual) >= FEW:
+                read_lines(layout)
         for sample in range(_SAMPLES):
-            if len(left) < FEW:
+            unread = np.flatnonzero(~usual)
+            if len(unread) < FEW:
                 break
-            place = left[len(left) * sample // _SAMPLES]
-            layout_or_none = _learn(block[starts[place] : min(ends[place], starts[place] + _SLACK)])
-            if layout_or_none is not None and layout_or_none not in used:
-                attempt(layout_or_none)
-        kept = {**dict.fromkeys(self._layouts, 0), **used}
-        self._layouts = sorted(kept, key=lambda known: -kept[known])[:_LAYOUTS]
+            place = unread[len(unread) * sample // _SAMPLES]
+            learnt = _learn(block[starts[place] : min(ends[place], starts[place] + _SLACK)])
+            if learnt is not None and learnt not in read_by:
+                read_lines(learnt)
+        counts = {**dict.fromkeys(self._layouts, 0), **read_by}
+        self._layouts = sorted(counts, key=lambda layout: -counts[layout])[:_LAYOUTS]
         if not found:
             return usual, FrameTable.empty(self._channels)
         return usual, merge_in_order(lines, [places for places, _ in found], [table for _, table in found])
@@ -234,31 +264,9 @@ class CandumpColumns:
         time = _time(layout, window, bad)
         channel = self._channel(layout, window, bad)
 
-        digits = sizes - np.uint16(layout.data_at)  # too few wrap around to too many
-        most = 128 if layout.fd else 16
-        wrong = digits > most
-        wrong |= (digits & np.uint16(1)).astype(bool)
-        if wrong.any():
-            bad |= wrong
-            digits[wrong] = 0
-        longest = int(digits.max())
-        words = max(2, -(-longest // 8))
-        hexes = np.empty((count, 1 + words), np.uint64)
-        identifier = window.word(layout.hash_at - 8)
-        if layout.wide:
-            hexes[:, 0] = identifier
-        else:
-            identifier = identifier & _LAST_THREE
-            np.bitwise_or(identifier, _FIVE_ZEROS, out=hexes[:, 0])
-        cut = int(digits.min()) < 8 * words
-        for k in range(words):
-            word = window.word(layout.data_at + 8 * k)
-            if cut:
-                word = word ^ _ZEROS
-                word &= _KEPT[k].take(digits)
-                word ^= _ZEROS
-            hexes[:, 1 + k] = word
-        raw = _unhex(hexes, bad)
+        digits = _digits(layout, sizes, bad)
+        words = max(2, -(-int(digits.max()) // 8))
+        raw = _unhex(_hex_words(layout, window, digits, words), bad)
 
         width = 4 * (1 + words)
         ids = np.ndarray((count,), ">u4", raw, 0, (width,)).astype(np.uint32)
@@ -276,7 +284,7 @@ class CandumpColumns:
         return table, ~bad if bad.any() else None
 
     def _channel(self, layout: _Layout, window: _Window, bad: Ints) -> Ints:
-        """Return the numbers of the channels; marks lines whose gap is no name between blanks."""
+        """Return the numbers of the channels; marks lines whose gap is not a name between blanks."""
         words: list[Ints] = []
         for start in range(0, layout.gap, 8):
             word = window.word(layout.gap_at + start)
@@ -373,7 +381,7 @@ def _time(layout: _Layout, window: _Window, bad: Ints) -> Ints:
 
 
 def _decimal(window: _Window, column: int, digits: int, zeros: int) -> Any:
-    """Return the number that so many digits and then zeros say; negative where they are no digits. 0 without any digit."""
+    """Return the number that so many digits and then zeros say; negative where they are not digits. 0 without any digit."""
     out: Any = 0
     while digits:
         pair = digits > 1

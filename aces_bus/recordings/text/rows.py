@@ -118,7 +118,7 @@ class LineCapture(CanRecording):
             raise self._not_one()
 
     def _blocks(self) -> Iterator[bytes]:
-        """Blocks of whole lines: of a live source what is there, of a file enough for arrays to be worth it."""
+        """Yield blocks of whole lines: of a live source what is there, of a file enough for arrays to be worth it."""
         kept: list[bytes] = []
         size = 0
         for block in self._source.lines():
@@ -202,7 +202,7 @@ class LineCapture(CanRecording):
         return rows
 
     def _one(self, line: bytes) -> FrameRow | None:
-        """Any line at all; counts it unless it is a frame."""
+        """Read any line; count it unless it is a frame."""
         text = line.strip()
         if len(line) > MAX_LINE:
             self._unreadable(self.lines, f"longer than {MAX_LINE} bytes", line)
@@ -281,7 +281,7 @@ def _any_number(text: bytes, unit: int) -> int:
 
 
 def integer(text: bytes, base: int, what: str) -> int:
-    """Digits of a base, without sign. Raises `UnreadableRow`."""
+    """Parse digits of a base, without sign. Raises `UnreadableRow`."""
     digits = text
     if base == 16 and text[:2] in (b"0x", b"0X"):
         digits = text[2:]
@@ -297,7 +297,9 @@ _BASES = {10: "decimal", 16: "hexadecimal"}
 
 
 def hex_data(cells: Sequence[bytes], size: int, base: int = 16) -> bytes:
-    """`size` bytes of cells with a number each; raises `UnreadableRow` when there are fewer, or one is none."""
+    """Parse `size` bytes of cells with a number each; raise `UnreadableRow` when there are fewer, or one is
+    not a byte.
+    """
     there = next((place for place, cell in enumerate(cells) if not cell), len(cells))
     if there < size:
         raise UnreadableRow(f"{size} bytes are announced, {there} are there")

@@ -116,7 +116,7 @@ class OutFile:
 
     @contextmanager
     def checked(self) -> Generator[None, None, None]:
-        """Errors of the system as one line; a pipe without a reader stays a `BrokenPipeError`."""
+        """Raise errors of the system as one line; a pipe without a reader stays a `BrokenPipeError`."""
         try:
             yield
         except BrokenPipeError:
@@ -131,7 +131,7 @@ class OutFile:
                     layer.flush()
 
     def commit(self) -> None:
-        """All is written: give the file its name."""
+        """Give the file its name: all is written."""
         if self._ended:
             return
         self._ended = True

@@ -89,7 +89,7 @@ class FrameWriter(RecordingWriter, ABC):
 
     @abstractmethod
     def _encoded(self, table: FrameTable) -> bytes:
-        """Frames as the file has them; some thousand, and at least one."""
+        """Return frames as the file has them; some thousand, and at least one."""
 
     def lose_fd(self, table: FrameTable) -> None:
         """Count what is lost of CAN FD where a frame is known as one by its more than 8 bytes alone."""
@@ -174,7 +174,7 @@ class StartedWriter(FrameWriter):
         self.lose("classes and data of error frames", np.count_nonzero(more))
 
     def _times(self, table: FrameTable) -> Ints:
-        """ns from the start, ≥ 0; earlier and unknown times are counted and are 0."""
+        """Return ns from the start, ≥ 0; earlier and unknown times are counted and become 0."""
         time = table.time
         known = time != NO_TIME
         self.lose("unknown times (written as the start)", np.count_nonzero(~known))
@@ -244,7 +244,7 @@ class ChannelMap:
 
 
 def _claim(name: str | None) -> int:
-    """Of names that come together, those that have a right to a number go first."""
+    """Give numbers to names that come together, first to those that have a right to one."""
     return 2 if name is None else 0 if _KEPT.fullmatch(name) else 1 if _DIGITS.fullmatch(name) else 2
 
 
@@ -281,7 +281,7 @@ class ChannelNumbers(ChannelMap):
         return number
 
     def numbers(self, table: FrameTable) -> Ints:
-        """uint16: the number of each frame's channel in the file."""
+        """Return uint16: the number of each frame's channel in the file."""
         highest = int(table.channel.max()) if len(table) else 0
         return np.array(self.row(table.channels, highest) or [0], np.uint16)[table.channel]
 

@@ -84,7 +84,7 @@ class SerialLogWriter(RecordingWriter):
             return "-"
         ns = to_ns(seconds)
         if ns == NO_TIME or abs(ns) >= 10**21:
-            self.lose("times that are no instant")
+            self.lose("times that are not an instant")
             return "-"
         text = f"{'-' if ns < 0 else ''}{abs(ns) // 10**9}.{abs(ns) % 10**9:09}"
         self.lose("times finer than 1 ns", float(text) != seconds)

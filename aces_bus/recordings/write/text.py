@@ -1,6 +1,6 @@
 """Lines of text for thousands of frames at once, out of columns of characters.
 
-1. A column is an array of shape (n, width) of ASCII codes; NUL is no character and vanishes when lines are joined.
+1. A column is an array of shape (n, width) of ASCII codes; NUL is not a character and vanishes when lines are joined.
 2. Nothing here loops over frames.
 
 A line of a log is a row of such columns side by side: `lines([constant, column, …])`. A number with fewer digits, a byte
@@ -81,7 +81,7 @@ _HEX_BLANK = np.frombuffer(b"".join(b" %02X\0" % number for number in range(256)
 
 
 def hexadecimal_text(values: npt.NDArray[Any], *, least: int = 8, fill: bytes = b"") -> Column:
-    """uint32 as eight hexadecimal digits; zeros in front of the last `least` as with `decimal`."""
+    """Return uint32 as eight hexadecimal digits; zeros in front of the last `least` as with `decimal`."""
     column = _HEX[values.astype(">u4").view(np.uint8).reshape(-1, 4)].view(np.uint8)
     return _without_zeros(column, least, fill) if least < 8 else column
 
@@ -116,7 +116,7 @@ def padded_data(table: FrameTable, *, blank: bool = False) -> Column:
 
 
 def interleaved(n: int, parts: Sequence[tuple[npt.NDArray[Any], bytes]]) -> bytes:
-    """Lines of several kinds in one order: each part has its rows' numbers, which are all of 0…n-1 together."""
+    """Return lines of several kinds in one order: each part has its rows' numbers, which are all of 0…n-1 together."""
     parts = [part for part in parts if len(part[0])]
     if len(parts) == 1:
         return parts[0][1]

@@ -36,7 +36,7 @@ class OwnFile:
 
 @cache
 def read_dictionary(path: str | None, node: int, own: OwnFile) -> Any:
-    """canopen's object dictionary of an EDS or DCF file (None: our own device's) for a node.
+    """Read canopen's object dictionary of an EDS or DCF file (None: our own device's) for a node.
 
     Raises `CallerError` for a file that is not there or is none. Shared: it must not be changed.
     """
@@ -71,7 +71,8 @@ def read_dictionary(path: str | None, node: int, own: OwnFile) -> Any:
 
 
 def object_of(dictionary: Any, name: str | int) -> tuple[int, int, Any]:
-    """Index, subindex and canopen's variable (None where the file has none) of "6064", "0x6099:1" or an object's name.
+    """Return index, subindex and canopen's variable (None where the file has none) of "6064", "0x6099:1" or
+    an object's name.
 
     Raises `CallerError` for what is neither a number nor in the file.
     """
@@ -87,7 +88,7 @@ def object_of(dictionary: Any, name: str | int) -> tuple[int, int, Any]:
                 names = _named(dictionary)
                 hint = near(name.lower(), names, 0.5, many=len(names))
                 raise CallerError(
-                    f"{name!r} is no object: write its index, as 6064 or 6099:1 (hexadecimal), or its name{hint}"
+                    f"{name!r} is not an object: write its index, as 6064 or 6099:1 (hexadecimal), or its name{hint}"
                 ) from None
             return found.index, found.subindex, found
     if not 0 <= index <= 0xFFFF or not 0 <= subindex <= 0xFF:
@@ -96,7 +97,7 @@ def object_of(dictionary: Any, name: str | int) -> tuple[int, int, Any]:
 
 
 def _named(dictionary: Any) -> Mapping[str, Any]:
-    """Variables by name in small letters; a record's members as "record.member", and by their own name."""
+    """Return variables by name in small letters; a record's members as "record.member", and by their own name."""
     found: dict[str, Any] = {}
     members: dict[str, Any] = {}
     for entry in dictionary.values():

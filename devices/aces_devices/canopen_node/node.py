@@ -108,7 +108,7 @@ class CanopenNode(Device):
             self.emit_event("alarm", f"cannot be set up: {job.error}")
 
     def _look(self) -> None:
-        """Every now and then: is a node that was absent there, is one that was there gone?"""
+        """Look now and then whether an absent node is there, or a present one is gone."""
         now = self.clock.now()
         is_idle = self._set_up is None or self._set_up.is_over
         if not self.is_set_up and is_idle and now - self._tried_at >= RETRY_NS:
@@ -122,7 +122,7 @@ class CanopenNode(Device):
         self.clock.call_in(min(RETRY_NS, beat or RETRY_NS), self._look)
 
     def received(self, record: Record, instant: int) -> None:
-        """Heartbeats and emergencies."""
+        """Take heartbeats and emergencies."""
         name = type(record).__name__
         if name == "Heartbeat":
             self._beat(record.state, instant)
@@ -210,7 +210,7 @@ class CanopenNode(Device):
         try:
             return bytes(known.encode_raw(value))
         except Exception as error:  # of canopen and struct, by type of object
-            raise CallerError(f"{self.name}: {value!r} is no value of {known.name}: {error}") from None
+            raise CallerError(f"{self.name}: {value!r} is not a value of {known.name}: {error}") from None
 
     def read(self, object: str | int) -> Job:
         """Read an object over SDO: its value, or its bytes in hexadecimal where the file does not know it."""
@@ -264,7 +264,7 @@ class CanopenNode(Device):
 
 
 def _printable(data: bytes) -> str:
-    """Text of a device, without what a terminal would take for a command."""
+    """Return a device's text without characters that a terminal would take for a command."""
     return "".join(
         character if character.isprintable() else "?"
         for character in data.decode("ascii", "replace").rstrip("\0")

@@ -55,7 +55,7 @@ def scan_nodes(host: Host, job: Job, profile: int, driver: str, prefix: str, *, 
 
 
 def _model(probe: Device) -> Steps:
-    """Vendor and product, as the identity object has them."""
+    """Return vendor and product, as the identity object has them."""
     channel = SdoChannel(probe, ANSWER_S)
     parts: list[str] = []
     for name, subindex in (("vendor", 1), ("product", 2)):

@@ -124,7 +124,7 @@ class SdoChannel:
         return made
 
     def _ask(self, message: str, replies: tuple[str, ...], index: int, subindex: int, **fields: Any) -> Steps:
-        """One request about an object and its answer; answers about another object come from an older request."""
+        """Ask once about an object and return the answer; answers about another object come from an older request."""
         for _ in range(3):
             answer = yield self.device.ask(
                 message,
@@ -144,7 +144,7 @@ class SdoChannel:
     def _segment(
         self, message: str, reply: str, index: int, subindex: int, toggle: int, **fields: Any
     ) -> Steps:
-        """One segment. It is not repeated: the node would take it for the next one."""
+        """Send one segment. It is not repeated: the node would take it for the next one."""
         answer = yield self.device.ask(
             message, reply=(reply, "SdoAborted"), timeout_s=self.timeout_s, retries=0, toggle=toggle, **fields
         )

@@ -128,7 +128,7 @@ class BlockSdoServer(SdoServer):
         self._say(0xA1)
 
     def block_upload(self, data: Any) -> None:
-        """Whatever the client says of an upload."""
+        """Handle any request of the client about an upload."""
         says, block = data[0] & 3, self._upload
         if says == _BEGIN:
             self._begin_upload(data)

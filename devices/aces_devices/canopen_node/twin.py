@@ -54,7 +54,7 @@ class CanopenTwin(Twin):
         """React to the loss of the host's heartbeat."""
 
     def changed_state(self, state: str, now: int) -> None:
-        """Network management has led it into a state, as canopen calls it."""
+        """React to a state that network management has set, as canopen calls it."""
 
     def in_order(self, places: Sequence[PdoEntry]) -> Iterable[PdoEntry]:
         """Return the objects of a PDO in the order in which they are taken."""
@@ -97,7 +97,7 @@ class CanopenTwin(Twin):
     # ------------------------------------------------------------------ hearing
 
     def received(self, record: Record, instant: int) -> None:
-        """All messages of the spec."""
+        """Take all messages of the spec."""
         name = type(record).__name__
         state = self.node.nmt.state
         if name in ("Sync", "SyncCounter"):
@@ -202,7 +202,7 @@ class CanopenTwin(Twin):
                 self.send_pdo(number, layout, now)
 
     def _repeat(self) -> None:
-        """PDOs that go out by themselves: on a timer, which here is also how soon a change is seen."""
+        """Send PDOs that go out by themselves: on a timer, which also decides how soon a change is seen."""
         from .network import Periodic
 
         for number, layout in self.outputs.items():

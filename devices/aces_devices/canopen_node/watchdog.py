@@ -1,7 +1,7 @@
 """A node that watches over its host: without the host's heartbeat it goes into its fault reaction, or to safe outputs.
 
 1. It watches while it may move: enabling it, or its first output, begins that, and a stop that is confirmed ends it: an
-   orderly end is no fault.
+   orderly end is not a fault.
 2. One heartbeat a bus, whatever the number of nodes, sent by the thread of the buses: a host that hangs sends none.
 3. Only where the node's file has object 1016; a drive that says that it would do nothing (6007 is 0) is set to a fault.
 

@@ -163,7 +163,7 @@ class Cia401(CanopenNode):
             self._unsent.clear()
 
     def _read_again(self, _: Any) -> None:
-        """All channels over SDO, every now and then, while it is there."""
+        """Read all channels over SDO, now and then, while the module is there."""
         if not self.host.is_open:
             return
 
@@ -194,7 +194,7 @@ class Cia401(CanopenNode):
             signal.update(channel.value(number), instant)
 
     def received(self, record: Record, instant: int) -> None:
-        """PDOs; what any node says."""
+        """Take PDOs, and what any node sends."""
         name = type(record).__name__
         layout = self.inputs.get(int(name[-1])) if name.startswith("Tpdo") else None
         if layout is None:

@@ -33,7 +33,7 @@ class Cia401Twin(CanopenTwin):
     faults: ClassVar = {**CanopenTwin.faults, "stuck": "its outputs stay as they are"}
 
     def setup(self) -> None:
-        """All outputs as the module's file says, all inputs 0."""
+        """Begin with all outputs as the module's file says, all inputs 0."""
         settings = settings_of(self.name, ModuleSettings, self.config.settings)
         dictionary = module_dictionary(settings.eds, self.credentials["node"])
         self.channels = io_channels(self.name, settings, dictionary)

@@ -181,7 +181,7 @@ class DriveAxis:
     # ------------------------------------------------------------------ down
 
     def hold(self) -> None:
-        """Targets that move nothing: where it is, and no speed, no torque."""
+        """Set targets that move nothing: the present position, no speed, no torque."""
         for index in (0x60FF, 0x6042, 0x6071):
             self.outputs[index] = 0
         self.outputs[0x607A] = self.position_raw or 0

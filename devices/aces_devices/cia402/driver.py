@@ -86,7 +86,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
     }
 
     def setup(self) -> None:
-        """Axes, signals; polls as the node's file says."""
+        """Create axes and signals; polls as the node's file says."""
         self.node = self.credentials["node"]
         settings = self.settings = settings_of(self.name, DriveSettings, self.config.settings)
         self.pdo, self.event_ms = settings.pdo, settings.event_ms
@@ -110,7 +110,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
             self.polls = (Poll("Sync", reply=f"Tpdo{number}", timeout_s=0.02),)
 
     def _wire(self) -> None:
-        """Who receives what in PDOs, and which PDO takes which set-point."""
+        """Note which axis reads which PDO, and which PDO takes which set-point."""
         axes = {axis.offset: axis for axis in self.axes}
         self._readers: dict[str, list[tuple[PdoEntry, DriveAxis, int]]] = {}
         self._takers: dict[int, int] = {}
@@ -131,7 +131,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
                 self._takers.setdefault(place.index, pdo.number)
 
     def polls_of(self, name: str) -> list[Poll]:
-        """Sync has all that is in PDOs sent, where the node waits for it."""
+        """Return the polls of a signal; SYNC asks for all PDOs, if the node waits for it."""
         return list(self.polls) if name in self.readable and name != self.network.name else []
 
     # ------------------------------------------------------------------ up
@@ -158,7 +158,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
                 slot.due = self.clock.now()
 
     def received(self, record: Record, instant: int) -> None:
-        """PDOs, heartbeats and emergencies."""
+        """Take PDOs, heartbeats and emergencies."""
         name = type(record).__name__
         readers = self._readers.get(name)
         if readers is not None:
@@ -185,7 +185,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
     # ------------------------------------------------------------------ down
 
     def takes(self, signal: Signal) -> bool | None:
-        """Set-points are taken by an axis that is enabled; while nothing is known of it they wait."""
+        """Return True for an axis that is enabled, None while nothing is known of it: set-points wait."""
         found = next((axis.takes for axis in self.axes if axis.signals.get("position") is signal), True)
         return super().takes(signal) if found else found
 
@@ -293,11 +293,11 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
         raise DeviceError(f"{self.name}: {axis.name} does not get enabled; it is {axis.state!r}")
 
     def disable(self, joint: str | None = None) -> Job:
-        """Torque off."""
+        """Switch torque off."""
         return self._down("disable", SHUTDOWN, self.axes_of(joint), STEP_S)
 
     def stop_motion(self) -> Job:
-        """Quick stop, of all joints."""
+        """Stop all joints by a quick stop."""
         return self._down("stop", QUICK_STOP, self.axes, STOP_S)
 
     def _down(self, name: str, word: int, axes: Sequence[DriveAxis], within_s: float) -> Job:
@@ -389,7 +389,7 @@ class Cia402(CanopenNode, MotorDevice[DriveAxis]):
         return self.lead("reset fault", steps, moves=False)
 
     def set_mode(self, mode: str, joint: str | None = None) -> Job:
-        """Another mode of operation; the joint holds where it is. Raises `CallerError` for one that is none."""
+        """Choose another mode of operation; the joint holds where it is. Raises `CallerError` for an unknown mode."""
         if mode not in TARGETS:
             raise CallerError(f"{self.name}: no mode {mode!r} (there are: {', '.join(TARGETS)})")
         axes = self.axes_of(joint)

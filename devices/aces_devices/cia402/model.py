@@ -349,7 +349,7 @@ class AxisModel:
         return target and self.speed == 0.0 and self._next is None and not self.motor.jammed
 
     def _step(self) -> None:
-        """One millisecond."""
+        """Advance by one millisecond."""
         name = MODE_NAMES.get(self.mode)
         if self.state == "quick stop active":
             self._ramp(0.0, float(self.objects.get(0x6085, 1 << 31)))

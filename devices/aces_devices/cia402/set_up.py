@@ -117,8 +117,8 @@ def _check(device: Cia402) -> None:
 
 
 def _write(device: Cia402) -> Steps:
-    """PDOs as we would have them: an axis has one each way for its state and target, and one for the rest while there
-    are numbers left.
+    """Write the PDOs that the driver prefers: one each way for state and target of an axis, and one for the
+    rest while there are numbers left.
     """
     axes = len(device.axes)
     if axes > MOST:

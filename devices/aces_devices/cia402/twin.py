@@ -67,7 +67,7 @@ class Cia402Twin(CanopenTwin):
     # ------------------------------------------------------------------ objects
 
     def in_order(self, places: Sequence[PdoEntry]) -> Iterable[PdoEntry]:
-        """Targets before the controlword: a rising bit 4 takes what came with it."""
+        """Return targets before the controlword: a rising bit 4 takes what came with it."""
         return sorted(places, key=lambda place: place.index - offset_of(place.index) == 0x6040)
 
     def take_object(self, index: int, subindex: int, value: int, now: int) -> None:

@@ -38,7 +38,7 @@ USUAL_SPEED = 1.0
 NUMBERS: Mapping[str, int] = {"mit": 1, "position_velocity": 2, "velocity": 3, "force_position": 4}
 #: A motor whose ranges could not be read is asked for them again after so long (ns).
 RETRY_NS = 1_000_000_000
-#: Statuses that are no fault.
+#: Statuses that are not a fault.
 _WELL = ("disabled", "enabled")
 
 
@@ -141,7 +141,7 @@ class Damiao(MitMotor):
         for name in ("position_max", "velocity_max", "torque_max"):
             found.append((yield self.read(name)))
         if not all(0 < value < 1e6 for value in found):
-            raise DeviceError(f"{self.name}: its ranges PMAX, VMAX, TMAX are {found}: these are none")
+            raise DeviceError(f"{self.name}: its ranges PMAX, VMAX, TMAX are {found}: they must be positive")
         ranges = whole((found[0], found[1], found[2]))
         if self._filed is not None and any(
             abs(actual - other) > 1e-3 * other for actual, other in zip(ranges, self._filed, strict=True)
@@ -227,7 +227,7 @@ class Damiao(MitMotor):
         return {**fields, **more}
 
     def switch_off(self) -> Ticket:
-        """Off; its answer says so."""
+        """Switch off; the answer confirms it."""
         return self.send_now("Disable", reply="Feedback")
 
     def ask_state(self) -> Ticket:

@@ -1,9 +1,9 @@
 """The twin of a Damiao motor: MIT's law and three other modes, registers, faults, its time-out.
 
-1. Every command of the mode that register 10 says is answered by a feedback; those of other modes are ignored
+1. Every command of the mode in `control_mode` is answered by a feedback; commands of other modes are ignored
    (python-damiao-driver, motor-control-modes).
-2. Registers are kept until it is switched off, or for good by Store. Zero is for good at once.
-3. Without a command for longer than register 9 (units of 50 µs; 0: for ever) it is off: lost_communication.
+2. Registers are kept until the motor is switched off, or for good by Store. A new zero is kept for good at once.
+3. Without a command for longer than `timeout` (units of 50 µs; 0: for ever) the motor goes off: lost_communication.
 """
 
 from __future__ import annotations
@@ -23,6 +23,14 @@ from ..joint_model import AMBIENT, MotorModel, joint_of
 USUAL = MODELS["4310"]
 #: What position modes hold with (N·m/rad), and velocity modes (N·m·s/rad): choices.
 STIFFNESS, DAMPING = 80.0, 2.0
+#: Numbers of the registers that the twin itself reads.
+_MASTER, _CAN_ID = REGISTERS["master_id"], REGISTERS["can_id"]
+_TIMEOUT, _MODE, _BAUD_CODE = REGISTERS["timeout"], REGISTERS["control_mode"], REGISTERS["baud_code"]
+#: Those of position, velocity and torque at the ends of their ranges, in this order.
+_RANGES = tuple(REGISTERS[name] for name in ("position_max", "velocity_max", "torque_max"))
+_ANGLES = (REGISTERS["motor_position"], REGISTERS["output_position"])
+#: Unit of `timeout` (ns), and the baud code of 1 Mbit/s.
+_TIMEOUT_NS, _1_MBIT = 50_000, 4
 _MODES = {1: "Command", 2: "PositionVelocity", 3: "Velocity", 4: "ForcePosition"}
 _FAULTS = (
     "over_voltage",
@@ -47,32 +55,39 @@ class DamiaoTwin(Twin):
     offset = 0.0
 
     def setup(self) -> None:
-        """Off, where it was, with the registers that were stored."""
-        settings = self.config.settings
-        ranges = settings.get("ranges") or MODELS.get(self.config.model or "", USUAL)
+        """Begin disabled, at the joint's place, with the stored registers or those of a new motor."""
         dialect = str(self.variant.dialect)
         self._spec = (1.0, 1.0, 1.0) if dialect == SHARE else MODELS[dialect]
         if self.stored is None:
-            self.stored = {
-                **dict.fromkeys(REGISTERS.values(), 0.0),
-                7: settings.get("master", 0),
-                8: self.credentials["motor"],
-                10: 1,
-                35: 4,
-                **dict(zip((21, 22, 23), ranges, strict=True)),
-            }
+            self.stored = self._new_registers()
         self.registers = dict(self.stored)
         self.scale = JointScale.of(self.joints[0] if self.joints else None)
-        speed, torque = self.registers[22] / self.scale.ratio, self.registers[23] * self.scale.ratio
-        self.motor = joint_of(
-            self, MotorModel(speed=speed, stall_current=10.0, torque_constant=torque / 10.0)
+        _, most_speed, most_torque = (self.registers[number] for number in _RANGES)
+        model = MotorModel(
+            speed=most_speed / self.scale.ratio,
+            stall_current=10.0,
+            torque_constant=most_torque * self.scale.ratio / 10.0,
         )
+        self.motor = joint_of(self, model)
         self.status = "disabled"
         self._watch: Any = None
 
+    def _new_registers(self) -> dict[int, float]:
+        """Return the registers of a motor that was never configured, with the ranges of its model."""
+        settings = self.config.settings
+        ranges = settings.get("ranges") or MODELS.get(self.config.model or "", USUAL)
+        return {
+            **dict.fromkeys(REGISTERS.values(), 0.0),
+            _MASTER: settings.get("master", 0),
+            _CAN_ID: self.credentials["motor"],
+            _MODE: 1,
+            _BAUD_CODE: _1_MBIT,
+            **dict(zip(_RANGES, ranges, strict=True)),
+        }
+
     def draw(self, dice: Random, share: float = 1.0) -> None:
-        """Turn it to an angle of its whole range, and have it warm."""
-        angle = dice.uniform(-1.0, 1.0) * share * self.registers[21]
+        """Draw an angle within the motor's range, and a temperature."""
+        angle = dice.uniform(-1.0, 1.0) * share * self.registers[_RANGES[0]]
         self.motor.place(self.clock.now(), self.scale.angle(angle - self.offset))
         self.motor.temperature = AMBIENT + dice.uniform(0.0, 100.0) * share
 
@@ -84,25 +99,25 @@ class DamiaoTwin(Twin):
         return self.scale.raw_angle(self.motor.position(self.clock.now())) + self.offset
 
     def feedback(self) -> None:
-        """Position, velocity and torque within the ranges, temperatures, status."""
+        """Send position, velocity and torque (limited to the ranges), temperatures and status."""
         for fault in _FAULTS:
             if fault in self.active_faults:
                 self.go_off(fault)
         angle, scale, motor = self.angle, self.scale, self.motor
         measured = (angle, scale.raw_speed(motor.v), scale.raw_torque(motor.torque))
         shares = [
-            max(-unit, min(unit, value / self.registers[21 + index] * unit))
-            for index, (value, unit) in enumerate(zip(measured, self._spec, strict=True))
+            max(-unit, min(unit, value / self.registers[number] * unit))
+            for number, value, unit in zip(_RANGES, measured, self._spec, strict=True)
         ]
         self.reply(
-            "Feedback", master=int(self.registers[7]), status=self.status, position=shares[0], velocity=shares[1],
+            "Feedback", master=int(self.registers[_MASTER]), status=self.status, position=shares[0], velocity=shares[1],
             torque=shares[2], mos_temperature=round(AMBIENT), rotor_temperature=min(255, round(motor.temperature)),
         )  # fmt: skip
 
     # ------------------------------------------------------------------ switching
 
     def go_off(self, status: str = "disabled") -> None:
-        """Give way."""
+        """Switch the motor off, with this status: it gives way."""
         self.status = status
         self.motor.free(self.clock.now())
         if self._watch is not None:
@@ -111,7 +126,7 @@ class DamiaoTwin(Twin):
 
     @on("Enable")
     def enable(self, request: Record) -> None:
-        """On, without torque, unless there is a fault."""
+        """Switch on without torque, unless there is a fault."""
         if self.status == "disabled":
             self.status = "enabled"
             self.motor.impede(self.clock.now(), 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -120,14 +135,14 @@ class DamiaoTwin(Twin):
 
     @on("Disable")
     def disable(self, request: Record) -> None:
-        """Off; a fault stays."""
+        """Switch off; keep a fault."""
         if self.status == "enabled":
             self.go_off()
         self.feedback()
 
     @on("ClearError")
     def clear(self, request: Record) -> None:
-        """Off, without a fault."""
+        """Switch off and clear the fault."""
         self.go_off()
         self.feedback()
 
@@ -139,14 +154,14 @@ class DamiaoTwin(Twin):
 
     @on("AskFeedback")
     def asked(self, request: Record) -> None:
-        """Say how it is."""
+        """Answer with a feedback."""
         self.feedback()
 
     def watch_over(self) -> None:
         """Restart the time-out: a command has come."""
         if self._watch is not None:
             self._watch.cancel()
-        wait = round(self.registers[9] * 50_000)
+        wait = round(self.registers[_TIMEOUT] * _TIMEOUT_NS)
         self._watch = self.clock.call_in(wait, self.lost) if wait else None
 
     def lost(self) -> None:
@@ -164,7 +179,7 @@ class DamiaoTwin(Twin):
 
     def received(self, record: Record, instant: int) -> None:
         """Carry out a command of the present mode; ignore commands of others."""
-        if type(record).__name__ != _MODES[int(self.registers[10])]:
+        if type(record).__name__ != _MODES[int(self.registers[_MODE])]:
             return
         if self.status == "enabled":
             self.watch_over()
@@ -177,8 +192,10 @@ class DamiaoTwin(Twin):
         match type(record).__name__:
             case "Command":
                 raw = [
-                    getattr(record, name) * self.registers[21 + index] / self._spec[index]
-                    for index, name in enumerate(("position", "velocity", "torque"))
+                    getattr(record, name) * self.registers[number] / unit
+                    for name, number, unit in zip(
+                        ("position", "velocity", "torque"), _RANGES, self._spec, strict=True
+                    )
                 ]
                 goal, speed, torque = (
                     scale.angle(raw[0] - self.offset),
@@ -201,19 +218,17 @@ class DamiaoTwin(Twin):
 
     @on("WriteFloat", "WriteInteger")
     def write(self, request: Record) -> None:
-        """Take it, unless it can only be read, or cannot be: the answer says what it is then."""
+        """Take a valid value for a writable register; answer with the register's value."""
         number = REGISTERS.get(request.register)
         if number is not None and number not in READ_ONLY and self._can_be(number, request.value):
             self.registers[number] = request.value
         self.answer(request, "Write")
 
     def _can_be(self, number: int, value: float) -> bool:
-        """Return whether a register can have a value: a mode that there is, an identifier that its answers can come
-        under.
-        """
-        if number == 10:
+        """Return whether a value is valid: an existing mode, an identifier that answers can have, a number that fits."""
+        if number == _MODE:
             return value in _MODES
-        if number == 7:
+        if number == _MASTER:
             return value in Master.values
         return number not in INTEGERS or (math.isfinite(value) and 0 <= value < 1 << 32)
 
@@ -222,9 +237,9 @@ class DamiaoTwin(Twin):
         number = REGISTERS.get(request.register)
         if number is None:
             return
-        value = self.angle if number in (80, 81) else self.registers[number]
+        value = self.angle if number in _ANGLES else self.registers[number]
         kind, value = ("Integer", int(value)) if number in INTEGERS else ("Float", float(value))
-        self.reply(f"{verb}{kind}Reply", master=int(self.registers[7]), register=number, value=value)
+        self.reply(f"{verb}{kind}Reply", master=int(self.registers[_MASTER]), register=number, value=value)
 
     @on("Store")
     def store(self, request: Record) -> None:

@@ -59,7 +59,7 @@ class DynamixelSettings(ServoSettings, frozen=True, kw_only=True):
         Meta(
             ge=0,
             le=127 * WATCHDOG_S,
-            description="without an instruction for so long the servo stops by itself (default 0.5, in steps of 0.02;"
+            description="without an instruction for this time the servo stops by itself (default 0.5, in steps of 0.02;"
             " 0: never)",
         ),
     ] = 0.5
@@ -147,7 +147,7 @@ class Dynamixel(ServoDevice):
         return mode_of(self.joints[0] if self.joints else None, self.settings)
 
     def range_counts(self) -> tuple[int, int]:
-        """One turn, or 256 either way."""
+        """Return one turn, or 256 turns either way."""
         return (0, TURN - 1) if self.mode == "position" else (-FAR, FAR)
 
     def speed_limit_counts(self) -> int:
@@ -155,7 +155,7 @@ class Dynamixel(ServoDevice):
         return SPEED_LIMIT if self.model is None else self.model.velocity_limit
 
     def declare_more(self, owner: str, motion: Mapping[str, Any], health: Mapping[str, Any]) -> None:
-        """Duty, current or load, limits of speed and acceleration."""
+        """Declare duty, current or load, limits of speed and acceleration."""
         direction, speed_step = self.direction, self.speed_step
         sets = self.command == "duty"
         self.duty = self.register_signal(

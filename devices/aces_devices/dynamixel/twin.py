@@ -113,7 +113,7 @@ class DynamixelTwin(ServoTwin):
         return (self.motion.position(now) * self._step - zero) * direction
 
     def before_write(self) -> None:
-        """Motion up to now is as it was."""
+        """Settle the motion up to now."""
         self.motion.settle(self.clock.now())
 
     def apply(self) -> None:
@@ -195,7 +195,7 @@ class DynamixelTwin(ServoTwin):
         return {"range": "data_range"}.get(why, why) or "none"
 
     def with_errors(self, refusal: Any, errors: int) -> Any:
-        """And whether register 70 has something to say."""
+        """Add to a status whether register 70 reports an error."""
         return {"code": refusal, "alert": bool(errors)}
 
     def wrong_place(self, address: int, codec: RegisterCodec | None) -> str:
@@ -209,7 +209,7 @@ class DynamixelTwin(ServoTwin):
         return ""
 
     def wrong_value(self, name: str, value: int) -> str:
-        """Goals have limits of their own."""
+        """Return the error of a value: goals have limits of their own."""
         if why := super().wrong_value(name, value):
             return why
         if name == "operating_mode" and value not in MODES.values():
@@ -223,12 +223,12 @@ class DynamixelTwin(ServoTwin):
         return "" if low <= value <= high else "data_limit"
 
     def identification(self) -> bytes:
-        """Model and firmware."""
+        """Return model and firmware."""
         return bytes(self.table[0:2]) + bytes(self.table[6:7])
 
     @on("SyncRead")
     def answer_together(self, request: Record) -> None:
-        """After those who are asked before."""
+        """Answer after the servos that are asked before."""
         self.answer_in_turn([(number, request.start, request.count) for number in request.ids])
 
     @on("BulkRead")
@@ -279,7 +279,7 @@ class DynamixelTwin(ServoTwin):
 
     @on("BulkWrite")
     def obey_bulk(self, request: Record) -> None:
-        """One's own of many."""
+        """Obey the servo's own part of a bulk write."""
         mine = self.credentials["id"]
         for servo in request.servos:
             if servo.id == mine:

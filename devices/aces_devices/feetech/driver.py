@@ -32,7 +32,7 @@ CURRENT_A = 6.5e-3
 
 
 def series_of(config: DeviceConfig) -> str:
-    """Whose control table a servo has, by its model in the robot's file; STS where that says none."""
+    """Return the series whose control table a servo has, by its model in the robot's file; STS if that says none."""
     model = MODEL_NAMES.get(config.model or "")
     return "STS" if model is None else model.series
 
@@ -91,11 +91,11 @@ class Feetech(ServoDevice):
         return super().command_of_joint()
 
     def wanted_mode(self) -> str:
-        """Position or velocity."""
+        """Return position or velocity."""
         return "velocity" if self.command == "speed" else "position"
 
     def range_counts(self) -> tuple[int, int]:
-        """One turn."""
+        """Return one turn."""
         return 0, self.turn - 1
 
     def speed_limit_counts(self) -> int:
@@ -103,11 +103,11 @@ class Feetech(ServoDevice):
         return FASTEST
 
     def signed(self, raw: int) -> int:
-        """Bit 15 is the sign."""
+        """Return counts with bit 15 as their sign."""
         return from_directed(raw, 15)
 
     def unsigned(self, count: int) -> int:
-        """Bit 15 is the sign."""
+        """Return counts with their sign in bit 15."""
         return to_directed(count, 15)
 
     def declare_more(self, owner: str, motion: Mapping[str, Any], health: Mapping[str, Any]) -> None:

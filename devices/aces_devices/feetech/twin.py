@@ -45,7 +45,7 @@ class FeetechTwin(ServoTwin):
     }
 
     def setup(self) -> None:
-        """With the control table of its series."""
+        """Begin with the control table of the servo's series."""
         self.series = series_of(self.config)
         self.places = TABLES[self.series]
         self.turn = 4096 if self.series == "STS" else 1024
@@ -113,18 +113,18 @@ class FeetechTwin(ServoTwin):
         return ((self.motion.position(now) - self.offset) * self._step - zero) * direction
 
     def turn_by_hand(self, position: float) -> None:
-        """Somebody turns the joint to an angle (rad): it goes there at once, unless its torque is on."""
+        """Turn the joint by hand to an angle (rad): it goes there at once, unless its torque is on."""
         if not self["torque_enable"]:
             direction, zero = self._joint
             self.motion.settle(self.clock.now())
             self.motion.at = (direction * position + zero) / self._step + self.offset
 
     def before_write(self) -> None:
-        """Motion up to now is as it was."""
+        """Settle the motion up to now."""
         self.motion.settle(self.clock.now())
 
     def after_write(self, touched: range) -> None:
-        """Unlocked, what is below the RAM is kept."""
+        """Keep what is below the RAM, if it is unlocked."""
         if touched.start < RAM and not self["lock"]:
             self._saved = bytes(self.table[:RAM])
 
@@ -184,7 +184,7 @@ class FeetechTwin(ServoTwin):
 
     @on("SyncRead")
     def answer_together(self, request: Record) -> None:
-        """After those who are asked before; SCS servos do not know it."""
+        """Answer after the servos that are asked before; SCS servos do not know it."""
         if self.series == "STS":
             self.answer_in_turn([(number, request.start, request.count) for number in request.ids])
 

@@ -23,7 +23,7 @@ class Origin:
     height: float = 0.0
 
     def _radii(self) -> tuple[float, float]:
-        """Metres a radian to the north and to the east."""
+        """Return metres a radian to the north and to the east."""
         bulge = 1 - ECCENTRICITY_2 * sin(self.latitude) ** 2
         meridian = RADIUS_M * (1 - ECCENTRICITY_2) / (bulge * sqrt(bulge))
         across = RADIUS_M / sqrt(bulge)
@@ -41,6 +41,6 @@ class Origin:
         return (latitude - self.latitude) * north, (longitude - self.longitude) * east
 
     def place(self, north: float, east: float) -> tuple[float, float]:
-        """Latitude and longitude (rad) so many metres to the north and to the east."""
+        """Return latitude and longitude (rad) this many metres to the north and to the east."""
         to_north, to_east = self._radii()
         return self.latitude + north / to_north, self.longitude + east / to_east

@@ -115,7 +115,7 @@ def _dop(value: float | None) -> float | None:
 
 
 def _angles(record: Record) -> tuple[float | None, float | None]:
-    """Latitude and longitude (rad) with their signs; None where a number or its letter is not there."""
+    """Return latitude and longitude (rad) with their signs; None where a number or its letter is missing."""
     signs = {"north": 1, "east": 1, "south": -1, "west": -1}
     latitude, longitude = (
         None if value is None or sign not in signs else radians(value) * signs[sign]
@@ -125,7 +125,7 @@ def _angles(record: Record) -> tuple[float | None, float | None]:
 
 
 def _instant_of(date: str | None, time: str | None) -> float | None:
-    """ddmmyy and hhmmss.ss as seconds since 1970; None where they are no instant.
+    """Return ddmmyy and hhmmss.ss as seconds since 1970; None where they are not an instant.
 
     >>> _instant_of("150324", "101736.25"), _instant_of("060321", None), _instant_of("320321", "103607")
     (1710497856.25, None, None)

@@ -144,6 +144,6 @@ def origin_of(settings: ReceiverSettings) -> Origin | None:
     latitude, longitude, *height = settings.origin
     if abs(latitude) > 90 or abs(longitude) > 180:
         raise CallerError(
-            f"an origin is [latitude °, longitude °, height m]: {settings.origin} is no place on the Earth"
+            f"an origin is [latitude °, longitude °, height m]: {settings.origin} is not a place on the Earth"
         )
     return Origin(radians(latitude), radians(longitude), *height)

@@ -140,7 +140,7 @@ def quality_of(record: Record) -> str:
 
 
 def _instant_of(record: Record) -> float | None:
-    """NavPvt's time as seconds since 1970; None where the receiver is not certain of all of it."""
+    """Return NavPvt's time as seconds since 1970; None where the receiver is not certain of all of it."""
     valid = record.valid
     if not (valid.date and valid.time and valid.fully_resolved):
         return None
@@ -360,13 +360,13 @@ class UbxTwin(ReceiverTwin):
         "NavSatPoll",
     )
     def answer(self, request: Record) -> None:
-        """One message, now."""
+        """Send one message, now."""
         wanted = type(request).__name__.removesuffix("Poll")
         self._send_message(next(key for key, (name, _) in MESSAGES.items() if name == wanted), self.epoch())
 
     @on("MonVerPoll")
     def answer_version(self, request: Record) -> None:
-        """Versions of a receiver that does not exist."""
+        """Send versions of a receiver that does not exist."""
         self.reply(
             "MonVer",
             software="EXT CORE 1.00 (aces)",

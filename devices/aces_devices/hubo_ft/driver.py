@@ -34,7 +34,7 @@ class ForceTorqueBoard(SensorBoard):
     _ends: tuple[float, float]
 
     def setup(self) -> None:
-        """Signals and polls as dialect, kind and the robot's file say."""
+        """Add signals and polls as dialect, kind and the robot's file say."""
         force, tilt = self.sensor_of("force_torque"), self.sensor_of("tilt")
         is_foot = self.config.kind == "foot"
         matrix = force is not None and force.matrix is not None

@@ -124,7 +124,7 @@ class ForceTorqueTwin(SensorTwin):
 
     @on("SensorRequestD08")
     def answer_all(self, request: Record) -> None:
-        """Digits of force and, of a foot, of acceleration and rotation."""
+        """Send digits of force and, of a foot, of acceleration and rotation."""
         mx, my, fz = self.sample("force")
         self.reply("ForceTorqueD08", mx=mx, my=my, fz=fz)
         if "motion" in self.groups:
@@ -133,7 +133,7 @@ class ForceTorqueTwin(SensorTwin):
 
     @on("NullSensor")
     def take_null(self, request: Record) -> None:
-        """All of force and torque, one axis of it, or a foot's tilt."""
+        """Null all of force and torque, one axis of it, or a foot's tilt."""
         what = str(request.what)
         if what == "force_torque":
             self.null("force")

@@ -24,7 +24,7 @@ class ImuBoard(SensorBoard):
     facts = "X2; hubo-ach; HuboCan: the request with a third byte"
 
     def setup(self) -> None:
-        """Signals and polls as the dialect says."""
+        """Add signals and polls as the dialect says."""
         sensor = self.sensor_of("imu")
         if self.is_old:
             self.ask_for(Poll("SensorRequestD08", reply="ImuD08", fields={"mode": "all"}))

@@ -49,7 +49,7 @@ class ImuTwin(SensorTwin):
 
     @on("ImuRequest")
     def answer(self, request: Record) -> None:
-        """Attitude and rates."""
+        """Send attitude and rates."""
         roll, pitch, roll_rate, pitch_rate = self.sample("motion")
         self.reply(
             "Imu",
@@ -61,7 +61,7 @@ class ImuTwin(SensorTwin):
 
     @on("SensorRequestD08")
     def answer_all(self, request: Record) -> None:
-        """Digits of acceleration and rotation."""
+        """Send digits of acceleration and rotation."""
         one, two, three, four = self.sample("motion")
         self.reply("ImuD08", acceleration=[one, two], gyro=[three, four])
 

@@ -78,7 +78,7 @@ class MotorAxis:
         return int((self.direction * position + self.zero) * self.counts)
 
     def to_rad(self, count: float) -> float:
-        """Position (rad) of an encoder count."""
+        """Return the position (rad) of an encoder count."""
         return count * self.scale - self.zero * self.direction
 
     def received(self, count: int, instant: int, moves: bool) -> None:
@@ -116,7 +116,7 @@ def search_state(motor: Any) -> str:
 
 
 def unsigned(duties: Any, directions: tuple[str, str]) -> dict[str, Any]:
-    """Duties as magnitudes with a direction each."""
+    """Return duties as magnitudes with a direction each."""
     return {
         "direction": [directions[value < 0] for value in duties],
         "duty": [abs(value) for value in duties],

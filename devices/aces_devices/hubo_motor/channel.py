@@ -125,7 +125,7 @@ class MotorChannel:
         return min(lower - BEYOND, *at), max(upper + BEYOND, *at)
 
     def raw(self, angle: float) -> float:
-        """Raw counts of an angle, from the true zero."""
+        """Return the raw counts of an angle, from the true zero."""
         return (self.direction * angle + self.zero) * self.counts
 
     def angle(self, raw: float) -> float:
@@ -157,7 +157,9 @@ class MotorChannel:
         self.found = dict.fromkeys(self.found, "ok")
 
     def apply_gains(self) -> None:
-        """Gains of the board scale those of the model: what the board came with is what the model was made for."""
+        """Scale the gains of the model by those of the board: the model was made for the gains that the board
+        came with.
+        """
         usual = self.defaults()
         stiffness, damping = self._gains
         self.joint.stiffness = stiffness * self.stored.kp / (usual.kp or 1)
@@ -227,13 +229,13 @@ class MotorChannel:
         self.apply(now)
 
     def drive(self, now: int, duty: float | None) -> None:
-        """Open-loop PWM, −1…1 toward counter-clockwise raw counts; None: off."""
+        """Drive with open-loop PWM, −1…1 toward counter-clockwise raw counts; None: off."""
         self.sync(now)
         self.pwm = duty
         self.apply(now)
 
     def switch(self, now: int, *, driver: bool | None = None, control: bool | None = None) -> None:
-        """Drivers and control on or off. Control begins where the joint is."""
+        """Switch drivers and control on or off. Control begins where the joint is."""
         here = self.count(now)
         if driver is not None:
             self.driver_on = driver

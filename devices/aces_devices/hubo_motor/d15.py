@@ -109,7 +109,7 @@ class HuboMotorD15(MotorDevice[MotorAxis]):
             self.emit_event("not sent", f"{axis.name} is not enabled: the set-point is dropped")
 
     def takes(self, signal: Signal) -> bool | None:
-        """Set-points go out while the board is enabled."""
+        """Return whether the board is enabled: set-points go out then."""
         return super().takes(signal) if self.is_enabled else False
 
     def default_of(self, message: str, path: str) -> Any:
@@ -131,7 +131,7 @@ class HuboMotorD15(MotorDevice[MotorAxis]):
             self.want("ReferenceD15", f"position.{axis.channel}", self._here(axis))
 
     def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
-        """Both slots, also of a board with one joint."""
+        """Fill both slots, also for a board with one joint."""
         held = [*fields["position"], None, None][:2]
         for channel, count in enumerate(held):
             if count is None:
@@ -170,7 +170,9 @@ class HuboMotorD15(MotorDevice[MotorAxis]):
         return self.ask("SendStatusD15", reply=REPLIES)
 
     def enable(self) -> Job:
-        """Drivers on, control on, references from where the joints are. Fails with `DeviceError` when it stays off."""
+        """Switch drivers on, then control, with references where the joints are. Fails with `DeviceError`
+        when it stays off.
+        """
         self.is_driven = True
 
         def steps(job: Job) -> Steps:
@@ -192,11 +194,11 @@ class HuboMotorD15(MotorDevice[MotorAxis]):
         return self.lead("enable", steps)
 
     def disable(self) -> Job:
-        """Control off, drivers off."""
+        """Switch control off, then drivers."""
         return self._off("disable", is_driver_too=True)
 
     def stop_motion(self) -> Job:
-        """Control off."""
+        """Switch control off."""
         return self._off("stop", is_driver_too=False)
 
     def confirm_stopped(self) -> Job:
@@ -373,7 +375,7 @@ class HuboMotorD15Twin(Twin):
 
     @on("SendStatusD15")
     def status(self, request: Record) -> None:
-        """Switches, home, errors, modes."""
+        """Send switches, home, errors, modes."""
         now = self.clock.now()
         states = [{"drive": 0, "home": 0, "errors": 0, "modes": 0} for _ in range(2)]
         for number, motor in self.motors.items():
@@ -408,7 +410,7 @@ class HuboMotorD15Twin(Twin):
 
     @on("SendTemperatureD15")
     def temperature(self, request: Record) -> None:
-        """Of the board and of both motors."""
+        """Send the temperatures of the board and of both motors."""
         now = self.clock.now()
         found = [90.0 if "hot" in self.active_faults else AMBIENT] * 2
         for number, motor in self.motors.items():
@@ -433,7 +435,7 @@ class HuboMotorD15Twin(Twin):
 
     @on("DriverSwitchD15")
     def driver(self, request: Record) -> None:
-        """Driver on or off; without it nothing is controlled."""
+        """Switch the driver on or off; without it nothing is controlled."""
         motor = self._one(request.channel)
         if motor is not None:
             motor.is_driven = request.state == "on"
@@ -443,7 +445,7 @@ class HuboMotorD15Twin(Twin):
 
     @on("ControlD15")
     def control(self, request: Record) -> None:
-        """Control on or off."""
+        """Switch control on or off."""
         motor = self._one(request.channel)
         if motor is None:
             return
@@ -466,7 +468,7 @@ class HuboMotorD15Twin(Twin):
 
     @on("ClearErrorD15")
     def clear(self, request: Record) -> None:
-        """Errors are gone, until there is a reason for them again."""
+        """Clear errors, until there is a reason for them again."""
         motor = self._one(request.channel)
         if motor is not None:
             motor.errors = 0

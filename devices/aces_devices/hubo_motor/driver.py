@@ -73,7 +73,7 @@ from .parameters import (
 )
 from .shapes import BoardSettings, shape_of
 
-#: Status bits that are no error.
+#: Status bits that are not an error.
 _SWITCHES = ("driver_on", "control_on", "current_mode", "limit_switch")
 #: Signals of a status, by what the status of a board says: name → what it is.
 _DRIVE_STATUS: Mapping[str, str] = {
@@ -159,7 +159,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
     axes: list[MotorAxis]
 
     def setup(self) -> None:
-        """Signals of the joints, polls of the board."""
+        """Add signals of the joints, polls of the board."""
         self.dialect, self.kind, self.shape = shape_of(self)
         self.settings = settings_of(self.name, BoardSettings, self.config.settings)
         found, joints = self.shape, {joint.channel: joint for joint in self.joints}
@@ -368,7 +368,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
             )
 
     def _limits(self, axis: MotorAxis, joint: Joint) -> tuple[float, float]:
-        """Soft limits (rad): the file's, and never beyond what the reference's field holds."""
+        """Return soft limits (rad): the file's, and never beyond what the reference's field holds."""
         most = 2 ** (self.shape.position_bits - 1) - 1
         if self.kind in (1, 2, "hand"):
             most = 2**23 - 1
@@ -431,7 +431,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
         return take
 
     def _receive_status(self, record: Record, instant: int) -> None:
-        """Switches, home flags and errors of D12."""
+        """Take switches, home flags and errors of D12."""
         news: list[str] = []
         gone: list[str] = []
         lost: list[str] = []
@@ -470,7 +470,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
                 self.rebooted("drivers or control went off without a command")
 
     def _receive_search(self, record: Record, instant: int) -> None:
-        """Home searches of D08."""
+        """Take home searches of D08."""
         lost: list[str] = []
         for axis, motor in zip(self.axes, record.motor, strict=False):
             lost += self._home_lost(axis, search_state(motor) == "done")
@@ -555,7 +555,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
         return super().due_messages(now)
 
     def _filter(self) -> None:
-        """(old × (n − 1) + new) ÷ n, as hubo-ach; whole counts, the last one exactly."""
+        """Return (old × (n − 1) + new) ÷ n, as hubo-ach; whole counts, the last one exactly."""
         length = self.filter_length
         busy = False
         for axis in self.axes:
@@ -702,7 +702,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
         raise self.fail(f"{', '.join(off)} cannot be enabled" + (f" ({'; '.join(why)})" if why else ""))
 
     def initial_steps(self) -> Steps:
-        """D08: NameInfo, where the robot's file knows its numbers, and position gains."""
+        """Yield the first steps of D08: NameInfo, where the robot's file knows its numbers, and position gains."""
         fields = self._name_info()
         if fields is not None:
             yield self.ask(self.shape.name_info or "", reply="NameInfoReply", **fields)
@@ -736,7 +736,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
         return self._name_info() is not None if self.shape.name_info is not None else self.kind != "neck"
 
     def disable(self) -> Job:
-        """Control off, then drivers off; set-points are forgotten."""
+        """Switch control off, then drivers; forget set-points."""
 
         def steps(job: Job) -> Steps:
             stopped = self.stop_motion()
@@ -793,7 +793,8 @@ class HuboMotor(MotorDevice[MotorAxis]):
         kd: int | None = None,
         torque: bool = False,
     ) -> Job:
-        """Position gains (or those of the torque loop) in the board's numbers; what is None is the robot file's, else 0.
+        """Set position gains (or those of the torque loop) in the board's numbers; None takes the robot
+        file's, else 0.
 
         The job's result is how many commands were sent. Raises `UnknownNameError` for a joint that is not here.
         """
@@ -852,7 +853,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
         return self.send("GainOverride", gain=[first, second], time=round(1000 * seconds))
 
     def switching_mode(self, *, free_wheeling: bool) -> Ticket:
-        """Non-complementary switching lets a motor wheel freely (D12)."""
+        """Let a motor wheel freely or not, by non-complementary switching (D12)."""
         self.only_d12("the switching mode")
         return self.send("SwitchingMode", mode="non_complementary" if free_wheeling else "complementary")
 
@@ -864,7 +865,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
         return self.send("Beep", time=round(seconds, 1))
 
     def alarm(self, sound: int = 0) -> Ticket:
-        """Sound 1 to 4; 0 is silence (D12)."""
+        """Sound alarm 1 to 4; 0 is silence (D12)."""
         self.only_d12("an alarm")
         if sound not in range(5):
             raise CallerError(f"{self.name}: alarm sounds are 0 to 4, not {sound}")
@@ -937,7 +938,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
         return axis.count is not None and abs((axis.goal or 0) - axis.count) * abs(axis.scale) <= ARRIVED
 
     def _comply(self, instant: int) -> None:
-        """One step: the duties of all channels from what the encoders just said."""
+        """Take one step of compliance: set the duties of all channels from the encoders' answer."""
         paths = self._paths.setdefault("PwmFine", {})
         for axis, duty in zip(self.axes, compliant_duties(self.axes, instant), strict=True):
             path = f"duty.{axis.channel}"
@@ -991,7 +992,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
         return round(self.settings.home_timeout_s * 1e9)
 
     def _arrived(self, axes: list[MotorAxis]) -> None:
-        """Set-points are zero now."""
+        """Make set-points zero."""
         self.epoch += 1
         for axis in axes:
             if self.takes_set_points and axis.joint is not None and self.follows:
@@ -1042,7 +1043,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
         return [axis.name for axis in axes]
 
     def _keep_off(self, now: int) -> None:
-        """While a board searches, its own references stay away."""
+        """Keep a board's own references away while it searches."""
         if self._held_until < now + 4 * LOOK_NS:
             self.hold_off(4 * LOOK_NS / 1e9)
 
@@ -1093,7 +1094,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
         return [axis.name for axis in axes]
 
     def _home_blind(self, job: Job, axes: list[MotorAxis], message: str, fields: dict[str, Any]) -> Steps:
-        """Fingers of D08 are driven against their stop; no status says when they are there."""
+        """Drive fingers of D08 against their stop; no status says when they are there."""
         self._announce()
         yield self.send(message, **fields)
         yield round(self.settings.hold_home_s * 1e9)
@@ -1188,7 +1189,7 @@ class HuboMotor(MotorDevice[MotorAxis]):
         return self.job("parameters", steps)
 
     def _block(self, number: int, name: str) -> Steps:
-        """One block, with no request for currents open beside it."""
+        """Read one block, with no request for currents open beside it."""
         for attempt in range(3):
             self.host.postpone(self, "SendCurrent", 2 * READ_TIMEOUT_S)
             while any(ticket.message == "SendCurrent" for ticket in self.awaiting):
@@ -1250,7 +1251,8 @@ class HuboMotor(MotorDevice[MotorAxis]):
         upper: float | None = None,
         enabled: bool = True,
     ) -> Job:
-        """Position limits (rad) that the board itself keeps; None: the robot file's, and an unknown limit is left as it is.
+        """Set position limits (rad) that the board itself keeps; None takes the robot file's, and leaves an
+        unknown limit as it is.
 
         The stored word's bit 0 is the enable flag, so limits are even counts (RoboWorld2018).
         """

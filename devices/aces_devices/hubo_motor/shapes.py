@@ -66,12 +66,12 @@ class BoardSettings(msgspec.Struct, frozen=True, kw_only=True):
         | None
     ) = None
     hold_start_s: Annotated[
-        float, _number("no references for so long after the start (s, default 0.8)", 0, 3600)
+        float, _number("no references for this time after the start (s, default 0.8)", 0, 3600)
     ] = 0.8
     hold_home_s: Annotated[
         float,
         _number(
-            "no references of any board on the bus for so long after a home command (s, default 3)", 0, 3600
+            "no references of any board on the bus for this time after a home command (s, default 3)", 0, 3600
         ),
     ] = 3
     trigger: Annotated[
@@ -143,7 +143,7 @@ _THREE = ("position.0", "position.1", "position.2")
 
 
 def _d12(channels: int, encoder: tuple[str, ...], status: tuple[str, ...]) -> Shape:
-    """One or two channels of D12."""
+    """Return the shape of one or two channels of D12."""
     return Shape(
         channels,
         encoders=(Ask("SendEncoder", encoder, {"selector": "normal"}),),
@@ -164,7 +164,7 @@ def _d12(channels: int, encoder: tuple[str, ...], status: tuple[str, ...]) -> Sh
 
 
 def _three(**changes: Any) -> Shape:
-    """Three channels of D12."""
+    """Return the shape of three channels of D12."""
     return Shape(
         3,
         encoders=(Ask("SendEncoder", ("Encoder3",), {"selector": "normal"}),),
@@ -182,7 +182,7 @@ def _three(**changes: Any) -> Shape:
 
 
 def _d08(channels: int, encoder: tuple[str, ...], status: str, home: str) -> Shape:
-    """One or two channels of D08."""
+    """Return the shape of one or two channels of D08."""
     return Shape(
         channels,
         encoders=(Ask("SendEncoderD08", encoder),),
@@ -206,7 +206,7 @@ def _d08(channels: int, encoder: tuple[str, ...], status: str, home: str) -> Sha
 
 
 def _three_d08(status: str, home: str) -> Shape:
-    """Three channels of D08: roll has gains A, pitch and yaw share B."""
+    """Return the shape of three channels of D08: roll has gains A, pitch and yaw share B."""
     return Shape(
         3,
         encoders=(Ask("SendEncoderD08", ("Encoder3",)),),
@@ -229,7 +229,7 @@ def _three_d08(status: str, home: str) -> Shape:
 
 
 def _fingers_d08(status: Ask | None) -> Shape:
-    """Five fingers of D08: a duty is all they know; no encoder answers."""
+    """Return the shape of five fingers of D08: a duty is all they know; no encoder answers."""
     return Shape(
         5,
         status=status,
@@ -291,7 +291,7 @@ SHAPES: Final[Mapping[tuple[str, Kind], Shape]] = {
 
 
 def shape_of(board: Device | Twin) -> tuple[str, Kind, Shape]:
-    """Dialect, kind and row of a board. Raises `UnknownNameError` with the kinds that its dialect has."""
+    """Return dialect, kind and row of a board. Raises `UnknownNameError` with the kinds that its dialect has."""
     dialect, own = board.variant.dialect or "D12", board.config.kind
     kind = own if isinstance(own, (int, str)) else board.config.channels
     found = None if kind is None else SHAPES.get((dialect, kind))

@@ -64,7 +64,7 @@ class HuboMotorTwin(Twin):
     }
 
     def setup(self) -> None:
-        """Power-up."""
+        """Power up."""
         now = self.clock.now()
         if "channels" in self.__dict__:
             for channel in self.channels:
@@ -139,7 +139,7 @@ class HuboMotorTwin(Twin):
 
     @on("SendEncoder", "SendEncoderD08")
     def send_encoder(self, request: Record) -> None:
-        """Positions; `upper` are channels 3 and 4 of five."""
+        """Send positions; `upper` are channels 3 and 4 of five."""
         channels, asked = self.shape.channels, self.shape.encoders
         if not asked:
             return
@@ -165,7 +165,7 @@ class HuboMotorTwin(Twin):
 
     @on("SendCurrent")
     def send_current(self, request: Record) -> None:
-        """Magnitudes of the currents, within what the field holds; the temperature of the hottest motor."""
+        """Send magnitudes of the currents, within what the field holds; the temperature of the hottest motor."""
         current = self.shape.current
         if current is None:
             return
@@ -189,7 +189,7 @@ class HuboMotorTwin(Twin):
 
     @on("SendStatus")
     def send_status(self, request: Record) -> None:
-        """Switches, home flags, errors; or how home searches went (D08)."""
+        """Send switches, home flags, errors; or how home searches went (D08)."""
         status = self.shape.status
         if status is None:
             return
@@ -242,7 +242,7 @@ class HuboMotorTwin(Twin):
 
     @on("NameInfo", "NameInfo3", "NameInfo5")
     def name_info(self, request: Record) -> None:
-        """Period and search limits (D08)."""
+        """Send period and search limits (D08)."""
         self.board.period = request.period
         limits = list(getattr(request, "limit", (0, 0)))
         for channel, turns in zip(self.channels, limits, strict=False):
@@ -254,14 +254,14 @@ class HuboMotorTwin(Twin):
 
     @on("Reference", "Reference3D08")
     def reference(self, request: Record) -> None:
-        """Positions in counts."""
+        """Take positions in counts."""
         now = self.clock.now()
         for channel, count in zip(self.channels, request.position, strict=False):
             channel.refer(now, count * 0.01 if channel.mode == "current" else count)
 
     @on("ReferenceHand", "ReferenceHandPosition")
     def reference_hand(self, request: Record) -> None:
-        """Wrist roll in counts; fingers in A, or in steps of 64 counts: the unit is not known."""
+        """Take wrist roll in counts; fingers in A, or in steps of 64 counts: the unit is not known."""
         now = self.clock.now()
         unit = 64 if type(request).__name__ == "ReferenceHandPosition" else 1
         self.channels[0].refer(now, request.position)
@@ -270,7 +270,7 @@ class HuboMotorTwin(Twin):
 
     @on("ReferenceNeck")
     def reference_neck(self, request: Record) -> None:
-        """Servo angles: servos hold what they are set to."""
+        """Set servo angles: servos hold what they are set to."""
         now = self.clock.now()
         for channel, angle in zip(self.channels, request.position, strict=True):
             channel.driver_on = channel.control_on = True
@@ -278,7 +278,7 @@ class HuboMotorTwin(Twin):
 
     @on("PwmFine", "Pwm3", "PwmFingers", "PwmD08", "Pwm3D08", "PwmFingersD08", "Pwm")
     def pwm(self, request: Record) -> None:
-        """Open-loop duties; mode `off` ends them."""
+        """Take open-loop duties; mode `off` ends them."""
         shape, now = self.shape, self.clock.now()
         duties = list(request.duty)
         if hasattr(request, "direction"):
@@ -296,14 +296,14 @@ class HuboMotorTwin(Twin):
 
     @on("DriverSwitch")
     def driver_switch(self, request: Record) -> None:
-        """FETs on or off; what has failed stays off."""
+        """Switch FETs on or off; a failed one stays off."""
         now = self.clock.now()
         for channel in self.channels:
             channel.switch(now, driver=request.state == "on" and "fet_fault" not in channel.faults)
 
     @on("ControlOn", "ControlOff")
     def control(self, request: Record) -> None:
-        """Control begins where the joints are; off: no control, no search, no duty."""
+        """Begin control where the joints are; off: no control, no search, no duty."""
         now = self.clock.now()
         for channel in self.channels:
             channel.switch(now, control=type(request).__name__ == "ControlOn")
@@ -327,14 +327,14 @@ class HuboMotorTwin(Twin):
 
     @on("SwitchingMode", "CurrentLimit")
     def noted(self, request: Record) -> None:
-        """Kept; the motor model knows no difference."""
+        """Keep a setting; the motor model knows no difference."""
         if hasattr(request, "limit"):
             for channel in self.channels:
                 channel.stored.max_current = request.limit
 
     @on("PositionGainA", "PositionGainB", "TorqueGainA", "TorqueGainB")
     def gains(self, request: Record) -> None:
-        """Gains of the motors that this message is for; ki is kept and does nothing."""
+        """Set gains of the motors that this message is for; ki is kept and does nothing."""
         name = type(request).__name__
         is_torque = name.startswith("Torque")
         table = self.shape.torque_gains if is_torque else self.shape.gains
@@ -375,7 +375,7 @@ class HuboMotorTwin(Twin):
 
     @on("HomeD08", "HomeD08X", "GoHome")
     def search_home_d08(self, request: Record) -> None:
-        """One motor; the other stays in run state."""
+        """Search home with one motor; the other stays in run state."""
         way, _, plain = str(request.motor).partition("_without_")
         number = int(way[-1]) - 1 if way.startswith("motor") else 0
         if number < len(self.channels):
@@ -398,7 +398,7 @@ class HuboMotorTwin(Twin):
 
     @on("Home5D08")
     def search_home_5(self, request: Record) -> None:
-        """Fingers go to their stop."""
+        """Drive the fingers to their stop."""
         for channel in self.channels:
             channel.driver_on = True
             channel.begin_search(self.clock.now())
@@ -407,7 +407,7 @@ class HuboMotorTwin(Twin):
 
     @on("GetParameters")
     def get_parameters(self, request: Record) -> None:
-        """One block; a selector that means nothing is not answered."""
+        """Send one block; a selector without a meaning is not answered."""
         number = request.selector
         self.board.number = self.credentials["board"]
         if number in BOARD_BLOCKS:
@@ -420,7 +420,7 @@ class HuboMotorTwin(Twin):
 
     @on(*WRITES)
     def store(self, request: Record) -> None:
-        """Parameters of one motor, or of the board."""
+        """Store parameters of one motor, or of the board."""
         number = getattr(request, "channel", 0)
         if number < len(self.channels):
             channel = self.channels[number]
@@ -441,7 +441,7 @@ class HuboMotorTwin(Twin):
 
     @on("GainOverride")
     def override_gains(self, request: Record) -> None:
-        """Gains of channels 0 and 1 in %, at once: how the board gets there is not modelled."""
+        """Set gains of channels 0 and 1 in %, at once: how the board gets there is not modelled."""
         now = self.clock.now()
         self.gain_override = (list(request.gain), request.time)
         for channel, percent in zip(self.channels, request.gain, strict=False):
@@ -451,7 +451,7 @@ class HuboMotorTwin(Twin):
 
     @on("InitBoard")
     def init_board(self, request: Record) -> None:
-        """Defaults, and as after power-up."""
+        """Load the defaults, and start as after power-up."""
         now = self.clock.now()
         self.board = board_defaults(self.kind)
         self.board.board_type = self.shape.channels

@@ -50,7 +50,7 @@ class PowerBoard(Device):
     }
 
     def setup(self) -> None:
-        """Three signals and one poll, as often as the settings say."""
+        """Add three signals and one poll, as often as the settings say."""
         settings = settings_of(self.name, PowerSettings, self.config.settings)
         every, self.low_v = settings.every_s, settings.low_voltage_v
         self.is_low = False

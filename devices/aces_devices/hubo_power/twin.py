@@ -45,7 +45,7 @@ class PowerTwin(Twin):
         self._places: list[float] | None = None
 
     def measured(self, now: int) -> tuple[float, float]:
-        """Voltage (V) and current (A) at an instant (ns), without noise."""
+        """Return voltage (V) and current (A) at an instant (ns), without noise."""
         if self.feed is not None:
             return self.feed(now)
         passed = now - self._at
@@ -64,7 +64,7 @@ class PowerTwin(Twin):
 
     @on("PowerQuery")
     def answer(self, request: Record) -> None:
-        """Voltage, current, and their product."""
+        """Send voltage, current, and their product."""
         voltage, current = self.measured(self.clock.now())
         gauss = self.random.gauss
         voltage = min(END, max(0.0, voltage + gauss(0.0, NOISE[0])))

@@ -99,7 +99,7 @@ class SensorBoard(Device):
         self.fresh_s = max(0.1, 5 * period)
 
     def polls_of(self, name: str) -> list[Poll]:
-        """In D08 one request has all sent, in several messages."""
+        """Return the polls of a signal: in D08 one request asks for several messages."""
         return list(self.polls) if self.is_old and name in self.readable else super().polls_of(name)
 
     def sensor_of(self, *kinds: str) -> Sensor | None:

@@ -116,7 +116,7 @@ class SensorTwin(Twin):
 
     @on("SetPeriod")
     def take_period(self, request: Record) -> None:
-        """Kept; it does not make the board speak by itself (nothing is known of that)."""
+        """Keep the period; it does not make the board speak by itself (nothing is known of that)."""
         self.period_ms = request.period
 
     @on("DaOut")
@@ -146,7 +146,7 @@ class SensorTwin(Twin):
 
     @on("OffsetQuery")
     def send_pair(self, request: Record) -> None:
-        """Both offsets of one axis."""
+        """Send both offsets of one axis."""
         axis = ("mx", "my", "fz").index(str(request.axis)) if str(request.axis) in ("mx", "my", "fz") else 0
         self.reply("OffsetPair", ad=self._zeros()[axis], da=self.da_value)
 

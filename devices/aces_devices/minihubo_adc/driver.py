@@ -43,7 +43,7 @@ class MinihuboADC(Device):
     when_host_is_lost = HostLoss("nothing moves", "a converter of analog inputs")
 
     def setup(self) -> None:
-        """One signal a channel, and one a sensor."""
+        """Add one signal a channel, and one a sensor."""
         settings = self.settings = settings_of(self.name, AdcSettings, self.config.settings)
         stale_s = max(0.1, 5 / settings.rate_hz)
         for number in range(CHANNELS):

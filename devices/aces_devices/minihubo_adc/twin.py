@@ -34,7 +34,7 @@ class MinihuboADCTwin(Twin):
     source: Callable[[int], Sequence[float]] | None = None
 
     def setup(self) -> None:
-        """Power-up; it begins to send."""
+        """Power up and begin to send."""
         self.samples = 0
         self.every(1 / settings_of(self.name, AdcSettings, self.config.settings).rate_hz, self._sample)
 

@@ -326,7 +326,7 @@ class ModbusDevice(Device):
         return self.job("stop", steps)
 
     def confirm_stopped(self) -> Job | None:
-        """Fails when it was set and nothing says what stops it.
+        """Check that a stop was carried out; fail if a register was set and nothing says what stops it.
 
         Where answers are missing, which may come late and be taken for a stop's, what was written is read back.
         """

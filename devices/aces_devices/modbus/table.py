@@ -114,7 +114,8 @@ def registers_of(who: str, table: str | None, own: Mapping[str, Any]) -> dict[st
 
 
 def stretches(registers: Iterable[ModbusRegister]) -> list[tuple[str, int, int]]:
-    """Table, first address and number of what one request each reads: neighbours together, and nothing between.
+    """Return table, first address and number of what one request each reads: neighbours together, and nothing
+    between.
 
     >>> at = lambda name, address, kind="u16": ModbusRegister(name, RegisterEntry(address=address, type=kind))
     >>> stretches([at("c", 9), at("a", 0, "float"), at("b", 2)])
@@ -138,7 +139,7 @@ def stretches(registers: Iterable[ModbusRegister]) -> list[tuple[str, int, int]]
 
 
 def bits_from(data: bytes, count: int) -> list[int]:
-    """Bits as Modbus packs them: the first is the lowest of the first byte.
+    """Unpack bits as Modbus packs them: the first is the lowest of the first byte.
 
     >>> bits_from(bytes.fromhex("CD01"), 10)
     [1, 0, 1, 1, 0, 0, 1, 1, 1, 0]

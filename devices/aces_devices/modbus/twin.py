@@ -29,7 +29,7 @@ class ModbusTwin(Twin):
     changed: Callable[[str, Any], None] | None = None
 
     def setup(self) -> None:
-        """All registers zero."""
+        """Begin with all registers zero."""
         settings = self.config.settings
         self.table = registers_of(
             self.name, settings.get("table") or self.shipped_table, settings.get("registers", {})
@@ -78,7 +78,7 @@ class ModbusTwin(Twin):
 
     @on("ReadBits")
     def read_bits(self, request: Record) -> None:
-        """Coils or discrete inputs."""
+        """Answer with coils or discrete inputs."""
         found = self._read(request, request.function, MOST_BITS)
         if found is not None:
             self._answer(request, "Bits", function=request.function, bits=bytes_from(found))
@@ -100,13 +100,13 @@ class ModbusTwin(Twin):
 
     @on("WriteRegister")
     def write_register(self, request: Record) -> None:
-        """One register."""
+        """Write one register."""
         if self._write(request, 6, "holding", request.start, [request.value]):
             self._answer(request, "RegisterWritten", start=request.start, value=request.value)
 
     @on("WriteRegisters")
     def write_registers(self, request: Record) -> None:
-        """Several registers."""
+        """Write several registers."""
         numbers = list(request.registers)
         if len(numbers) != request.count:
             self._refuse(request, 16, "value")
@@ -115,7 +115,7 @@ class ModbusTwin(Twin):
 
     @on("WriteBit")
     def write_bit(self, request: Record) -> None:
-        """One coil."""
+        """Write one coil."""
         if request.value not in ("on", "off"):
             self._refuse(request, 5, "value")
         elif self._write(request, 5, "coil", request.start, [int(request.value == "on")]):
@@ -123,7 +123,7 @@ class ModbusTwin(Twin):
 
     @on("WriteBits")
     def write_bits(self, request: Record) -> None:
-        """Several coils."""
+        """Write several coils."""
         if len(request.bits) != (request.count + 7) // 8:
             self._refuse(request, 15, "value")
         elif self._write(request, 15, "coil", request.start, bits_from(request.bits, request.count)):
@@ -131,7 +131,7 @@ class ModbusTwin(Twin):
 
     @on("MaskRegister")
     def mask_register(self, request: Record) -> None:
-        """Bits of a register."""
+        """Write bits of a register."""
         old = self.numbers["holding"].get(request.start, 0)
         new = old & request.and_mask | request.or_mask & ~request.and_mask & 0xFFFF
         if self._write(request, 22, "holding", request.start, [new]):

@@ -69,7 +69,7 @@ class MoteusSettings(msgspec.Struct, frozen=True, kw_only=True):
             float,
             Meta(
                 gt=0,
-                description="without a set-point for so long the controller stops (s), when absent 0.1 or five ticks",
+                description="without a set-point for this time the controller stops (s), when absent 0.1 or five ticks",
             ),
         ]
         | None
@@ -90,7 +90,7 @@ def write(kind: str, **values: Any) -> Item:
 
 
 def one_command(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
-    """One frame a controller, with all of its set-points."""
+    """Send one frame a controller, with all of its set-points."""
     given: dict[Device, dict[str, float]] = {}
     for want in wants:
         given.setdefault(want.device, {})[want.path] = want.value
@@ -120,7 +120,7 @@ class Moteus(Device):
     # ------------------------------------------------------------------ declaration
 
     def setup(self) -> None:
-        """Signals of the joint and of the controller, and what is polled."""
+        """Add signals of the joint and of the controller, and the polls."""
         settings = self.settings = settings_of(self.name, MoteusSettings, self.config.settings)
         if len(self.joints) > 1:
             names = ", ".join(joint.name for joint in self.joints)
@@ -243,7 +243,7 @@ class Moteus(Device):
     # ------------------------------------------------------------------ up
 
     def received(self, record: Record, instant: int) -> None:
-        """Values of registers; what is not a number is not known."""
+        """Take values of registers; NaN is not known."""
         for subframe in record.subframes:
             if subframe.reason is not None:
                 self.emit_event("malformed", f"a sub-frame of its answer is {subframe.reason}")
@@ -322,7 +322,7 @@ class Moteus(Device):
         return self.job("disable", steps)
 
     def stop_motion(self) -> Ticket:
-        """Set-points end; the motor is free, or shorted (setting `stop`)."""
+        """End set-points; free or short the motor (setting `stop`)."""
         self.end_led()
         return self._stop()
 
@@ -368,7 +368,7 @@ class Moteus(Device):
 
 
 def runs(values: dict[str, float]) -> list[Item]:
-    """Values by register as floats, those that follow one another in one sub-frame."""
+    """Return values by register as floats, consecutive registers in one sub-frame."""
     found: list[Item] = []
     last = -2
     for name in sorted(values, key=lambda name: BY_NAME[name].number):

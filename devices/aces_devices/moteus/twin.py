@@ -70,7 +70,7 @@ class MoteusTwin(Twin):
     amounts: ClassVar = {"trip": 38}
 
     def setup(self) -> None:
-        """Just powered: stopped, where the motor is."""
+        """Begin as just powered: stopped, where the motor is."""
         joint = self.joints[0] if self.joints else None
         self._per_rad = (joint.direction if joint else 1) * ((joint.ratio if joint else None) or 1.0) / tau
         self._zero = (joint.zero or 0.0) * (joint.direction if joint else 1) if joint else 0.0
@@ -230,7 +230,7 @@ class MoteusTwin(Twin):
             self.mode, self._until = str(mode), None
 
     def _begin(self) -> None:
-        """Position mode: to the position, on from where it is when there is none, until the watchdog."""
+        """Begin position mode: to the position, or on from the present one, until the watchdog."""
         command = self.command
         place, speed, stop = (
             command[f"command_{name}"] for name in ("position", "velocity", "stop_position")

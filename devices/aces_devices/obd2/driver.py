@@ -72,7 +72,7 @@ class Obd2(Device):
     asking = tuple(actions)
 
     def setup(self) -> None:
-        """Signals, and the poll that asks for them. Raises `CallerError` for more than six values, or none."""
+        """Add signals, and the poll that asks for them. Raises `CallerError` for more than six values, or none."""
         settings = settings_of(self.name, Obd2Settings, self.config.settings)
         if not 1 <= len(settings.values) <= AT_ONCE:
             raise CallerError(
@@ -128,15 +128,15 @@ class Obd2(Device):
         return self._asked("ReadInfo", "Vin", lambda record: record.vin, what="vin")
 
     def stored_codes(self) -> Job:
-        """Codes that the lamp is on for, as text."""
+        """Read the codes that the lamp is on for, as text."""
         return self._asked("ReadStoredCodes", "StoredCodes", lambda record: list(record.codes))
 
     def pending_codes(self) -> Job:
-        """Codes that were seen and are not confirmed, as text."""
+        """Read the codes that were seen and are not confirmed, as text."""
         return self._asked("ReadPendingCodes", "PendingCodes", lambda record: list(record.codes))
 
     def permanent_codes(self) -> Job:
-        """Codes that clearing leaves, as text."""
+        """Read the codes that clearing leaves, as text."""
         return self._asked("ReadPermanentCodes", "PermanentCodes", lambda record: list(record.codes))
 
     def supported(self) -> Job:

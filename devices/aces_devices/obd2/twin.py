@@ -54,13 +54,13 @@ class Obd2Twin(Twin):
 
     @on("ReadPendingCodes", "ReadPendingCodesAll")
     def send_pending(self, request: Record) -> None:
-        """Codes of this or the last drive."""
+        """Send codes of this or the last drive."""
         self.kept()
         self.reply("PendingCodes", codes=self.ecu.with_status({"pending"}))
 
     @on("ReadPermanentCodes", "ReadPermanentCodesAll")
     def send_permanent(self, request: Record) -> None:
-        """Codes that cannot be cleared."""
+        """Send codes that cannot be cleared."""
         self.reply("PermanentCodes", codes=sorted(self.ecu.permanent))
 
     @on("ClearCodes", "ClearCodesAll")

@@ -228,7 +228,7 @@ class Odrive(SingleMotor):
     # ------------------------------------------------------------------ switching
 
     def bring_up(self, job: Job) -> Steps:
-        """Limits and mode; the set-point is where it is before the loop is closed."""
+        """Yield steps that set limits and mode, and a set-point at the present place, before the loop is closed."""
         job.text = "heartbeat"
         yield self.ask_state()
         joint, (message, ramp) = self.joint, TARGETS[self.mode]
@@ -296,7 +296,7 @@ class Odrive(SingleMotor):
         return {**_FORWARD.get(message, {}), **fields}
 
     def switch_off(self) -> Ticket:
-        """Idle; its watchdog ends with it, for nothing feeds an axis that is off."""
+        """Switch to idle; the watchdog ends, for nothing feeds an axis that is off."""
         ticket = self.send_now("SetAxisState", state="idle")
         if self._watches and self.settings.watchdog_endpoints is not None:
             self._watches = False
@@ -336,7 +336,7 @@ class Odrive(SingleMotor):
         return self.send_now("Estop")
 
     def calibrate(self) -> Job:
-        """Full calibration; it moves. Fails with `DeviceError` when it does not succeed."""
+        """Calibrate fully; the motor moves. Fails with `DeviceError` when it does not succeed."""
         self.is_driven = True
 
         def steps(job: Job) -> Steps:
@@ -372,7 +372,8 @@ class Odrive(SingleMotor):
     def set_gains(
         self, position: float | None = None, velocity: float | None = None, integrator: float | None = None
     ) -> Job:
-        """Gains of the controllers, in the drive's units: (rev/s)/rev; N·m/(rev/s) and N·m/rev, which go together.
+        """Set gains of the controllers, in the drive's units: (rev/s)/rev; N·m/(rev/s) and N·m/rev, which go
+        together.
 
         Raises `CallerError` for one of the two without the other.
         """

@@ -38,7 +38,7 @@ class OdriveTwin(Twin):
     }
 
     def setup(self) -> None:
-        """Idle, without errors, where it was."""
+        """Begin idle, without errors, at the present place."""
         self.is_new = self.variant.dialect == "0.6"
         joint = self.joints[0] if self.joints else None
         self.scale = JointScale.of(joint, 1 / tau)
@@ -160,14 +160,14 @@ class OdriveTwin(Twin):
         self.watch()
 
     def received(self, record: Record, instant: int) -> None:
-        """Whatever asks, by a remote frame or by one without data."""
+        """Answer any request, by a remote frame or by one without data."""
         name = type(record).__name__
         if name.startswith("Get"):
             self.answer(name.removeprefix("Get").removesuffix("Empty"))
 
     @on("Discover")
     def discovered(self, request: Record) -> None:
-        """Everybody answers."""
+        """Answer, as every node does."""
         self.answer("Address")
 
     @on("GetAdcVoltage")
@@ -208,7 +208,7 @@ class OdriveTwin(Twin):
             self.go_idle()
 
     def calibrated(self) -> None:
-        """Calibration is over."""
+        """End a calibration."""
         if self.state == "full_calibration":
             self.go_idle()
 
@@ -224,7 +224,7 @@ class OdriveTwin(Twin):
 
     @on("Reboot")
     def boot(self, request: Record) -> None:
-        """Off and on."""
+        """Boot: off and on."""
         self.reboot()
 
     # ------------------------------------------------------------------ control
@@ -281,7 +281,7 @@ class OdriveTwin(Twin):
 
     @on("SetNodeId")
     def renumber(self, request: Record) -> None:
-        """Another number, if there is such a number."""
+        """Take another number, if there is such a number."""
         if request.new_node in Node.values:
             self.twins.renumber(self, node=request.new_node)
 

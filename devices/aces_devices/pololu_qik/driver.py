@@ -42,7 +42,7 @@ PARAMETERS = ("device_id", "pwm", "shutdown_on_error", "serial_timeout")
 
 
 def a_motor(wants: Sequence[Setpoint]) -> Iterable[OutgoingMessage]:
-    """One command a motor: the device takes no two at once."""
+    """Send one command a motor: the device takes no two at once."""
     for want in wants:
         steps = round(want.value)
         size = abs(steps)
@@ -170,7 +170,7 @@ class Qik(Device):
         if type(record).__name__ != "Errors":
             return
         before, self.errors = self.errors, frozenset(record.errors)
-        if not self._was_asked:  # nothing was sent before: that is no fault of this bus
+        if not self._was_asked:  # nothing was sent before: that is not a fault of this bus
             self._was_asked, self.errors = True, self.errors - {"timeout"}
         self.emit_alarms(self.errors, before)
 
@@ -254,7 +254,7 @@ class Qik(Device):
         return self.timeout_s or None
 
     def stop_motion(self) -> Job:
-        """Speed 0, which brakes."""
+        """Brake by speed 0."""
         return self.brake()
 
     @property
@@ -263,7 +263,7 @@ class Qik(Device):
         return "brakes"
 
     def confirm_stopped(self) -> Job | None:
-        """Brake once more, and ask whether it has understood what it was sent; None where it does not answer."""
+        """Brake once more, and ask whether the device has understood; None where it does not answer."""
         if not self.answers:
             return None
 

@@ -73,7 +73,7 @@ class QikTwin(Twin):
     parameters: dict[str, int]
 
     def setup(self) -> None:
-        """Just powered: motors free, no errors. Parameters are as they were left."""
+        """Begin as just powered: motors free, no errors. Parameters are as they were left."""
         now = self.clock.now()
         if "parameters" not in self.__dict__:
             self.parameters = {"device_id": self.credentials["id"], **FACTORY}
@@ -87,7 +87,7 @@ class QikTwin(Twin):
             wheel.free(now)
 
     def receive(self, record: Record, instant: int) -> None:
-        """Any command to this device, in time or not."""
+        """Take any command to this device, in time or not."""
         if self.is_powered:
             self.received_at = instant
             self._watch_over()
@@ -128,7 +128,7 @@ class QikTwin(Twin):
 
     @on("GetFirmware")
     def send_firmware(self, request: Record) -> None:
-        """Version 1."""
+        """Send version 1."""
         self.reply("Firmware", version="1")
 
     @on("GetError")

@@ -25,7 +25,7 @@ START, STOP = 0x0200, b"\xff" * 50
 BROKEN_NS = 160_000_000
 AGAIN_S = 1.0
 PERIOD_S = 0.01
-#: The twin's: so many bytes that are no request, within so long (ns), end its stream.
+#: The twin's: so many bytes that are not a request, within so long (ns), end its stream.
 ENOUGH, BREAK_NS = 40, 500_000_000
 STALE_S = 0.1
 AXES = ("fx", "fy", "fz", "mx", "my", "mz")
@@ -113,7 +113,7 @@ class Ft300Twin(ModbusTwin):
     faults: ClassVar[Mapping[str, str]] = {**ModbusTwin.faults, "quiet": "its stream breaks off"}
 
     def setup(self) -> None:
-        """Switched on: no stream, a small load."""
+        """Begin as switched on: no stream, a small load."""
         super().setup()
         for name, value in {
             "fz": -9.81,
@@ -125,7 +125,7 @@ class Ft300Twin(ModbusTwin):
             self.put(name, value)
         self.put("year", 2024)
         self.is_streaming = False
-        #: Bytes that were no request, and since when they are counted (ns).
+        #: Bytes that were not a request, and since when they are counted (ns).
         self._rubbish, self._since = 0, 0
         self.every(PERIOD_S, self._stream)
 
@@ -136,7 +136,9 @@ class Ft300Twin(ModbusTwin):
             self.is_streaming, self._rubbish = True, self._undecoded()
 
     def _undecoded(self) -> int:
-        """Bytes that were no request: what meets the sensor's own packets on the line arrives as something else."""
+        """Return the number of bytes that were not a request: requests that collide with the sensor's own
+        packets arrive garbled.
+        """
         counts = self.twins.scanner.counts
         return counts.skipped + counts.malformed
 

@@ -30,7 +30,7 @@ UNLOCKED = range(0x18, 0x24)
 
 
 def signed(raw: int) -> int:
-    """Bits 0–9, negative when bit 10 says clockwise."""
+    """Return bits 0–9, negative when bit 10 says clockwise."""
     return from_directed(raw, 10)
 
 
@@ -73,15 +73,15 @@ class RobotisRX(ServoDevice):
         return "duty" if turns else "position"
 
     def range_counts(self) -> tuple[int, int]:
-        """0 to 300°."""
+        """Return the counts of 0 to 300°."""
         return 0, TOP
 
     def signed(self, raw: int) -> int:
-        """Speed and load: bit 10 is clockwise."""
+        """Return speed or load; bit 10 is clockwise."""
         return signed(raw)
 
     def at_count(self, raw: int) -> int:
-        """Positions have no sign; beyond 300° it cannot say where it is."""
+        """Return a position, which has no sign; beyond 300° the servo cannot say where it is."""
         return min(raw, TOP)
 
     def goal_at(self, here: int) -> int:

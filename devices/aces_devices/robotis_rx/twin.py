@@ -102,7 +102,7 @@ class RobotisRXTwin(ServoTwin):
         return not any(self.table[0x06:0x0A])
 
     def before_write(self) -> None:
-        """Motion up to now is as it was."""
+        """Settle the motion up to now."""
         self.motion.settle(self.clock.now())
 
     def apply(self) -> None:
@@ -154,11 +154,11 @@ class RobotisRXTwin(ServoTwin):
         return 1 << ERRORS[why] if why else 0
 
     def with_errors(self, refusal: int, errors: int) -> int:
-        """Both are bits of one byte."""
+        """Return errors and alarms as bits of one byte."""
         return refusal | errors
 
     def wrong_place(self, address: int, codec: RegisterCodec | None) -> str:
-        """Locked, or read only."""
+        """Return the error of an address: locked, or read only."""
         if self["lock"] and address not in UNLOCKED:
             return "range"
         return super().wrong_place(address, codec)

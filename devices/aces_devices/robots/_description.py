@@ -151,7 +151,7 @@ class RobotDescription:
         return len(self.problems) > MOST
 
     def complain(self, line: WordLine, key: str, text: str) -> None:
-        """Something is wrong with a line."""
+        """Report a fault of a line."""
         self.problems.append(RobotFileProblem(line.file, line.number, key, text))
 
     def unknown(self, line: WordLine, key: str, what: str, name: str, known: Collection[str]) -> None:
@@ -161,7 +161,7 @@ class RobotDescription:
         )
 
     def place(self, path: Sequence[str]) -> tuple[str, int]:
-        """File and line that a key comes from, or the innermost of its tables that has one."""
+        """Return file and line that a key comes from, or the innermost of its tables that has one."""
         wanted = tuple(path)
         while wanted and wanted not in self.places:
             wanted = wanted[:-1]

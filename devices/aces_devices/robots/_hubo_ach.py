@@ -4,7 +4,7 @@
 2. A .home table holds the calibration of one robot, in counts unless its rows say `rad`; limits of the boards become
    limits of the joints too, in rad.
 
-The limit words of a .home table carry their switch in bit 0: −169999 is −170000, on. A limit that is off is no limit.
+The limit words of a .home table carry their switch in bit 0: −169999 is −170000, on. A limit that is off is not a limit.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ def import_robot(
     """Return the robot that these files describe.
 
     `base` is a robot that ships, for what a .home table is laid over; `name` is what the robot is to be called.
-    Raises `RobotError` with all that is wrong, and `CallerError` for files that are no descriptions or do not go together.
+    Raises `RobotError` with all that is wrong, and `CallerError` for files that are not descriptions or do not go together.
     """
     kinds: dict[str, list[Path]] = {}
     for given in paths:
@@ -78,7 +78,7 @@ def import_robot(
 
 
 def _kind(path: Path) -> str:
-    """Return what a file is; raises `CallerError` when it is no description that is known."""
+    """Return what a file is; raises `CallerError` when it is not a description that is known."""
     lines = read_lines(path)
     words: tuple[str, ...] = lines[0].words if lines else ()
     if words[:1] in (("begin",), ("include",)):

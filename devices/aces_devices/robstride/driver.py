@@ -256,7 +256,7 @@ class Robstride(MitMotor):
             yield from self._written("limit_cur", joint.max_current)
 
     def completed(self, message: str, fields: dict[str, Any]) -> dict[str, Any]:
-        """Who asks, and which parameter is the mode's set-point."""
+        """Add the asking host, and the parameter of the mode's set-point."""
         if message == "WriteFloat":
             return {**fields, "host": self.settings.host, "index": TARGETS[self.mode]}
         return fields

@@ -77,7 +77,7 @@ class RobstrideTwin(Twin):
             self.reply("FaultReport", host=self.host, faults=bits, warnings=[])
 
     def feedback(self, request: Record | None = None) -> None:
-        """Position, velocity, torque, temperature; state and faults."""
+        """Send position, velocity, torque, temperature; state and faults."""
         self.host = getattr(request, "host", self.host)
         self.look()
         angle, scale, motor = self.angle, self.scale, self.motor
@@ -102,7 +102,7 @@ class RobstrideTwin(Twin):
 
     @on("SetId")
     def renumber(self, request: Record) -> None:
-        """Another number."""
+        """Take another number."""
         self.twins.renumber(self, motor=request.new_motor)
         self.identify(request)
 
@@ -136,7 +136,7 @@ class RobstrideTwin(Twin):
 
     @on("Enable")
     def enable(self, request: Record) -> None:
-        """On, without torque, where nothing is wrong."""
+        """Switch on, without torque, unless there is a fault."""
         self.look()
         if not self.failed and self.state != "run":
             self.state = "run"
@@ -148,7 +148,7 @@ class RobstrideTwin(Twin):
 
     @on("Stop")
     def halt(self, request: Record) -> None:
-        """Off; clear 1: without faults."""
+        """Switch off; with clear 1 clear faults."""
         self.go_off()
         if request.clear == 1:
             self.failed = frozenset()

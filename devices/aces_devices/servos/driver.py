@@ -29,7 +29,7 @@ from aces_bus.protocol import Record
 
 #: What addresses all servos of a line.
 BROADCAST = 0xFE
-#: So many malformed answers in a row are no noise.
+#: So many malformed answers in a row are not noise.
 MALFORMED = 5
 #: Names of the status return levels.
 LEVELS = ("none", "read_only", "all")
@@ -180,7 +180,7 @@ class ServoDevice(RegisterDevice):
     # ------------------------------------------------------------------ declaration
 
     def setup(self) -> None:
-        """Signals of the joint and of the servo, and what is polled."""
+        """Add signals of the joint and of the servo, and the polls."""
         settings = self.settings = settings_of(self.name, self.settings_type, self.config.settings)
         self.timeout_s, self.health_s = settings.timeout_s, settings.health_s
         self.errors: frozenset[str] = frozenset()
@@ -304,7 +304,7 @@ class ServoDevice(RegisterDevice):
     # ------------------------------------------------------------------ up
 
     def received(self, record: Record, instant: int) -> None:
-        """Every status has errors, or says that there are none."""
+        """Take the errors of a status: every status has some, or says that there are none."""
         if type(record).__name__ != "Status":
             return
         self.malformed_in_a_row = 0
@@ -333,7 +333,7 @@ class ServoDevice(RegisterDevice):
         return ", ".join(name for name in record.error if name in self.of_request) if record.error else ""
 
     def changed(self, which: Mapping[str, tuple[int, int]]) -> None:
-        """Torque that is off: by an alarm, or because the servo has rebooted and knows nothing any more."""
+        """React to torque that is off: by an alarm, or because the servo has rebooted."""
         if set(which) <= {"torque_enable", "torque_limit"} and self.trips:
             self.drop(self.goal)
             self.emit_event("alarm", f"torque is off: {', '.join(sorted(self.trips))}")
@@ -406,7 +406,7 @@ class ServoDevice(RegisterDevice):
             self.position.upper = min(self.span[1], ends[1])
 
     def enable(self) -> Job:
-        """Torque on, where the joint is: the goal is set to the present position first, or to no speed.
+        """Switch torque on where the joint is: the goal is set to the present position first, or to no speed.
 
         A set-point that is given meanwhile stays. Where the torque is on already, nothing moves.
         """
@@ -433,7 +433,7 @@ class ServoDevice(RegisterDevice):
         return here
 
     def disable(self) -> Job:
-        """Torque off; set-points given so far are dropped."""
+        """Switch torque off; drop set-points given so far."""
         self.end_led()
         self.drop(self.goal)
         return self.write_now("torque_enable", 0)
@@ -557,7 +557,7 @@ class ServoDevice(RegisterDevice):
         return self.job("set baud", steps)
 
     def factory_reset(self, *, confirm: bool) -> Job:
-        """Everything as from the factory, id and line speed too. It is another servo from then on: scan for it."""
+        """Reset everything to the factory's, id and line speed too. It is another servo from then on: scan for it."""
         if not confirm:
             raise CallerError(
                 f"{self.name}: a reset also forgets id and line speed; say confirm=True to do it"

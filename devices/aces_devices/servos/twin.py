@@ -75,7 +75,7 @@ class ServoTwin(Twin):
         raise NotImplementedError
 
     def begin(self) -> None:
-        """Power-up: what is lost without power has its defaults again."""
+        """Power up: registers that are lost without power have their defaults again."""
         #: Since when it pushes without moving (ns).
         self._pushing_since: int | None = None
 
@@ -155,7 +155,7 @@ class ServoTwin(Twin):
     # ------------------------------------------------------------------ registers
 
     def setup(self) -> None:
-        """Power-up: what the EEPROM has, and the RAM's defaults."""
+        """Power up with the EEPROM's registers and the RAM's defaults."""
         if not hasattr(self, "table"):
             self.table = bytearray(self.places.size)
             self.settings = settings_of(self.name, self.settings_type, self.config.settings)
@@ -300,7 +300,7 @@ class ServoTwin(Twin):
 
     @on("Write")
     def obey_write(self, request: Record) -> None:
-        """Acknowledged as what it was when it was asked: with the id, the speed and the level before the write."""
+        """Write, and acknowledge with the id, the speed and the level before the write."""
         why = self.wrong(request.start, request.data)
         self.answer(request, WRITE, why)
         if not why:
@@ -308,7 +308,7 @@ class ServoTwin(Twin):
 
     @on("RegWrite")
     def hold_write(self, request: Record) -> None:
-        """Held back until Action."""
+        """Hold a write back until Action."""
         why = self.wrong(request.start, request.data)
         if not why:
             self._held = (request.start, bytes(request.data))
@@ -322,7 +322,7 @@ class ServoTwin(Twin):
 
     @on("SyncWrite")
     def obey_together(self, request: Record) -> None:
-        """One's own of many."""
+        """Obey the servo's own part of a joint write."""
         mine = self.credentials["id"]
         for servo in request.servos:
             if servo.id == mine:
@@ -375,7 +375,7 @@ class ServoTwin(Twin):
         """Bring the motion up to now, before the table changes."""
 
     def after_write(self, touched: range) -> None:
-        """Bytes at these addresses were written."""
+        """React to bytes that were written at these addresses."""
 
     # ------------------------------------------------------------------ misbehaving
 

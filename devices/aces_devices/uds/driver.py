@@ -33,7 +33,7 @@ PATIENCE_S = 5.0
 KEEP_NS = 2_000_000_000
 #: One that is busy is asked again, so often and after (ns); it has not done what was asked.
 BUSY_TRIES, BUSY_NS = 5, 50_000_000
-#: Of the bytes of a transfer's request these are no data.
+#: Of the bytes of a transfer's request these are not data.
 TRANSFER_HEAD = 2
 NO_SESSION = ("service_not_in_this_session", "subfunction_not_in_this_session")
 #: Why a routine is not stopped that does not run any more: ISO 14229-1, RoutineControl.
@@ -188,7 +188,7 @@ class Uds(Device):
         super().receive(record, instant)
 
     def received(self, record: Record, instant: int) -> None:
-        """Values by their identifiers; sessions; refusals."""
+        """Take values by their identifiers; sessions; refusals."""
         match type(record).__name__:
             case "Data":
                 self._take(record.meta.raw[1:], instant)
@@ -254,7 +254,7 @@ class Uds(Device):
             self._begun("default")
 
     def takes(self, signal: Signal) -> bool | None:
-        """Only when it is enabled."""
+        """Return whether the device is enabled."""
         is_unlocked = self.unlocked == self.settings.level
         return self.session != "default" and is_unlocked and super().takes(signal)
 
@@ -311,7 +311,9 @@ class Uds(Device):
         return self.job(f"read {name}", steps)
 
     def read_codes(self, status: str = "confirmed") -> Job:
-        """Trouble codes with one of these bits of status, or "all" that it can report: code → bits of its status."""
+        """Read trouble codes with one of these bits of status, or "all" that it can report: code → bits of
+        its status.
+        """
         asks = ("ReadKnownCodes", "KnownCodes") if status == "all" else ("ReadCodes", "Codes")
         fields: dict[str, Any] = {} if status == "all" else {"status": status.replace(",", " ").split()}
 
@@ -493,7 +495,7 @@ class Uds(Device):
     # ------------------------------------------------------------------ stopping
 
     def assume_driven(self) -> None:
-        """Another program may have begun a session: a stop ends it."""
+        """Assume that another program may have begun a session: a stop ends it."""
         super().assume_driven()
         self.is_engaged = True
 

@@ -83,7 +83,7 @@ class UdsTwin(Twin):
     carry_out: Callable[[str, int, bytes], bytes] | None = None
 
     def setup(self) -> None:
-        """In the default session, locked. Raises `CallerError` for a wrong table."""
+        """Begin in the default session, locked. Raises `CallerError` for a wrong table."""
         settings = self.config.settings
         self.ecu = ecu_of(self.world, self.config)
         self.session = "default"
@@ -365,7 +365,7 @@ class UdsTwin(Twin):
     # ------------------------------------------------------------------ trouble codes
 
     def _send_codes(self, name: str, request: Record) -> tuple[str, dict[str, Any]]:
-        """Codes with their status; their failure type is 00, which says nothing more."""
+        """Send codes with their status; their failure type is 00, which says nothing more."""
         codes = self.ecu.codes
         every = {"available": 0xFF}
         match name:

@@ -114,7 +114,7 @@ class Vesc(Device):
     # ------------------------------------------------------------------ declaration
 
     def setup(self) -> None:
-        """Signals of the motor and of the controller, and what is polled."""
+        """Add signals of the motor and of the controller, and the polls."""
         settings = self.settings = self._connected()
         sends_status = isinstance(settings, VescSettings) and settings.values == "status"
         if len(self.joints) > 1:
@@ -240,7 +240,7 @@ class Vesc(Device):
     # ------------------------------------------------------------------ up
 
     def received(self, record: Record, instant: int) -> None:
-        """Status messages, and answers that are whole."""
+        """Take status messages, and answers that are whole."""
         match type(record).__name__:
             case "Status":
                 self._know(

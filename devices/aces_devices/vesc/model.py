@@ -68,7 +68,7 @@ class VescModel:
         self.boot()
 
     def boot(self) -> None:
-        """Just powered: released. The motor stays where it is; counters begin at 0."""
+        """Boot: released. The motor stays where it is; counters begin at 0."""
         self._start = self.motor.position(self.clock.now())
         self.release()
 

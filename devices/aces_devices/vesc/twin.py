@@ -59,7 +59,7 @@ class VescTwin(VescMotorTwin):
     protocol = "vesc"
 
     def setup(self) -> None:
-        """Just powered; see `VescModel`."""
+        """Boot; see `VescModel`."""
         number = self.credentials["receiver"] = self.credentials["id"]
         self.powered(number)
         self.buffers = Buffers(number)
@@ -111,7 +111,7 @@ class VescUartTwin(VescMotorTwin):
     protocol = "vesc_uart"
 
     def setup(self) -> None:
-        """Just powered; see `VescModel`."""
+        """Boot; see `VescModel`."""
         self.powered(0)
 
     @on("GetSelected", "GetValues", "GetFirmware", "Alive", *SET_POINTS)

@@ -1,6 +1,6 @@
 """CANopen's predefined connection set: network management, SYNC, TIME, EMCY, four PDOs each way, SDO, heartbeat, LSS.
 
-1. An identifier is function << 7 | node; nodes are 1 to 127. Objects at other identifiers are no messages here.
+1. An identifier is function << 7 | node; nodes are 1 to 127. Objects at other identifiers are not messages here.
 2. What a PDO carries is the device's own: `data` is its bytes. A file of the device (`-p drive.eds`) knows what they mean.
 3. SDO and EMCY have eight bytes, always.
 4. Objects in segments and blocks: in the dialect `frames` each frame is a message, for who makes transfers; in `transfers`

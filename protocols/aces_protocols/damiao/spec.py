@@ -136,7 +136,7 @@ def declared(name: str, *, fd: bool) -> Protocol:
     )
 
     def shown(examples: list[Any]) -> list[Any]:
-        """Worked examples, in the format of this protocol's frames."""
+        """Return worked examples in the format of this protocol's frames."""
         return [
             tuple(part.replace("#", "##1") if isinstance(part, str) and fd else part for part in example)
             for example in examples

@@ -3,7 +3,7 @@
 1. Boards have numbers of their own, 0 (RHY) to 41, one command identifier each, and all one layout: no table says which
    board is what.
 2. The opcode is byte 0; a channel, where there is one, follows and counts from 1.
-3. Only what the source states is declared; what it leaves open is kept as `rest` or is no message (see the README).
+3. Only what the source states is declared; what it leaves open is kept as `rest` or is not a message (see the README).
 """
 
 from __future__ import annotations

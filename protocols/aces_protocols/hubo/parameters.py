@@ -314,7 +314,7 @@ def _current(
     doc: str,
     example: tuple[str, dict[str, Any], str],
 ) -> Message:
-    """Currents in `size` bytes, and the same in a frame of 8 as `NamePadded`."""
+    """Declare currents in `size` bytes, and the same in a frame of 8 as `NamePadded`."""
     data, values, request = example
     long = data + " 00" * (8 - size)
     shared: dict[str, Any] = {

@@ -47,7 +47,7 @@ _stream = modbus.framing(
 
 
 def _framing(name: str, functions: tuple[int, ...], header: Struct | None = None, **ends: Any) -> Any:
-    """Packets of these functions."""
+    """Declare packets of these functions."""
     return modbus.framing(
         name=name,
         header=header or Struct("unit" / Byte, "function" / Byte),

@@ -84,7 +84,7 @@ class Quantum:
         return MEASURES[self.measure][0] if self.measure else ""
 
     def step(self, kind: str) -> float | None:
-        """One step of an integer type; None where values are as they are: floats, plain numbers."""
+        """Return one step of an integer type; None for floats and plain numbers."""
         if not self.measure or kind == "f32":
             return None
         return MEASURES[self.measure][1][("i8", "i16", "i32").index(kind)]

@@ -145,7 +145,7 @@ class Subframes(ItemList):
 
 
 def bytes_of(subframes: Iterable[Any], path: str = "subframes", *, raw: bool = False) -> bytes:
-    """Sub-frames as they are sent, not filled up. Raises `FieldError`."""
+    """Return sub-frames as they are sent, not filled up. Raises `FieldError`."""
     items = list(subframes)
     out = bytearray()
     for number, item in enumerate(items):
@@ -227,7 +227,7 @@ def _built(item: Mapping[str, Any], path: str, raw: bool) -> bytes:
     kind, data, reason = item["kind"], item["data"], item.get("reason")
     if reason is not None or not isinstance(kind, str):
         if not isinstance(data, (bytes, bytearray)):
-            raise FieldError(f"{path}: what is no known sub-frame is sent as bytes, not {data!r}")
+            raise FieldError(f"{path}: what is not a known sub-frame is sent as bytes, not {data!r}")
         return bytes(data) if kind is None else bytes((_tag(kind, path), *data))
     if kind == "nop":
         if not isinstance(data, int) or not 0 < data <= MOST:
@@ -245,7 +245,9 @@ def _built(item: Mapping[str, Any], path: str, raw: bool) -> bytes:
 def _tag(kind: Any, path: str) -> int:
     if isinstance(kind, int) and 0 <= kind <= 0xFF:
         return kind
-    raise FieldError(f"{path}: the first byte of bytes that are no known sub-frame is a number, not {kind!r}")
+    raise FieldError(
+        f"{path}: the first byte of bytes that are not a known sub-frame is a number, not {kind!r}"
+    )
 
 
 def _built_other(kind: str, data: Any, path: str) -> bytes:
@@ -305,7 +307,7 @@ def _number(register: Quantum, kind: str, value: Any, path: str, raw: bool) -> b
         value = next((number for number, name in register.names.items() if name == value), value)
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         known = f"; it is one of {', '.join(register.names.values())}" if register.names else ""
-        raise FieldError(f"{path}: {value!r} is no number{known}")
+        raise FieldError(f"{path}: {value!r} is not a number{known}")
     number: float = value
     if kind != "f32":
         limit = 1 << 8 * _WIDTHS[kind] - 1
@@ -319,7 +321,7 @@ def _number(register: Quantum, kind: str, value: Any, path: str, raw: bool) -> b
                 )
             number = max(1 - limit, min(limit - 1, round(value / step)))
         if number != int(number) if math.isfinite(number) else True:
-            raise FieldError(f"{path}: {value!r} is no whole number")
+            raise FieldError(f"{path}: {value!r} is not a whole number")
         number = int(number)
         if not -limit <= number < limit:
             raise FieldError(f"{path}: {value!r} is outside {-limit}…{limit - 1}")

@@ -1,6 +1,6 @@
 """Pololu qik dual motor drivers in the multi-drop format ("Pololu protocol"), without a check byte.
 
-1. Only the first byte of a command has its high bit set: a device number or argument of 0x80 or more is no command.
+1. Only the first byte of a command has its high bit set: a device number or argument of 0x80 or more is not a command.
 2. An answer is one bare byte: the request before says what it means and whose it is, so one asks at a time.
 3. Motor commands are never answered.
 

@@ -136,7 +136,7 @@ def add_registers(table: RegisterMap) -> None:
         unit="rpm",
         scale=SPEED,
         range=(0, 1023),
-        doc="Speed on the way; 0 is no speed control. In endless turn, raw: bits 0–9 torque, bit 10 clockwise.",
+        doc="Speed on the way; 0 is not a speed control. In endless turn, raw: bits 0–9 torque, bit 10 clockwise.",
     )
     share("torque_limit", 0x22, Int16ul, doc="Greatest torque; a copy of `max_torque` at power-up.")
     angle("present_position", 0x24, Int16ul, access="read", doc="Where it is.")

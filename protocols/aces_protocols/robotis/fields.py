@@ -80,7 +80,9 @@ class RateTable(Field):
             near = min(self.rates, key=lambda rate: abs(rate - value))
             if abs(near - value) < TOLERANCE * value:
                 return self.rates.index(near)
-        raise FieldError(f"{path}: {value!r} is no rate in baud; there are {', '.join(map(str, self.rates))}")
+        raise FieldError(
+            f"{path}: {value!r} is not a rate in baud; there are {', '.join(map(str, self.rates))}"
+        )
 
 
 def switch(off: str = "off", on: str = "on") -> Enumeration:

@@ -1,7 +1,7 @@
 """Packets of Dynamixel protocol 1.0, which Feetech's servos speak too: `declare_packets` gives a protocol its messages.
 
 1. Instruction and status packets look alike; who spoke is known from `direction`, or from the request before (`both`).
-2. A packet's bytes decide its length: a SyncWrite whose length is not 4 + n·(size + 1) is no message.
+2. A packet's bytes decide its length: a SyncWrite whose length is not 4 + n·(size + 1) is not a message.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ def bits_ns(bits: int, bitrate: int) -> int:
 
 def _check_rate(rate: int | None) -> None:
     if rate is not None and rate <= 0:
-        raise CallerError(f"{rate} bit/s is no rate of a bus")
+        raise CallerError(f"{rate} bit/s is not a rate of a bus")
 
 
 def frame_ns(

@@ -43,7 +43,7 @@ def save_budget(found: RobotBudget, path: str) -> None:
 
 
 def _plain(text: str) -> str:
-    """Text that is no formula."""
+    """Return a text that matplotlib does not read as a formula."""
     return printable(text).replace("$", r"\$")
 
 

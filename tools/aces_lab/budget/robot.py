@@ -308,7 +308,7 @@ def _message(sent: SentMessage, wires: Mapping[str, int], jitter_ns: int) -> Bus
 
 
 def _silent_ns(bus: BusTraffic, messages: Sequence[MessageBudget], round_ns: int | None) -> int | None:
-    """When a tick is over in which one device does not answer, where the host waits for that."""
+    """Return when a tick is over in which one device does not answer, if the host waits for it."""
     if not bus.one_by_one or round_ns is None:
         return None
     timeouts = {message.name: message.sent.timeout_ns for message in messages if message.sent.timeout_ns}

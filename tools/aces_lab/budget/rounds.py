@@ -123,8 +123,8 @@ class _Round:
         return found
 
     def _rivals_of(self, index: int) -> tuple[list[int], int, int]:
-        """Which frames may go before a frame while it waits, with what priority it competes, and the longest that may be on
-        the bus already.
+        """Return the frames that may go before a frame while it waits, the priority it competes with, and the
+        longest frame that may be on the bus already.
         """
         frames = self.frames
         mine = frames[index].message

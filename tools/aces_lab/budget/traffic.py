@@ -6,7 +6,7 @@
    seen, and stuffed as much as can be.
 3. How long a device takes to answer is what its twin takes, unless the caller says more.
 
-What was sent once only (the steps of enabling) is no traffic.
+What was sent once only (the steps of enabling) is not traffic.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class BusTraffic:
     notes: tuple[str, ...] = ()
 
     def at(self, factor: float) -> BusTraffic:
-        """Return the same with ticks that are so many times as fast: what is sent in each tick is sent more often."""
+        """Return the same with ticks that are this many times as fast: what is sent in each tick is sent more often."""
         tick = round(self.tick_ns / factor)
         return replace(
             self,
@@ -138,7 +138,7 @@ def robot_traffic(
     virtual time. Raises as `aces_bus.robot.connect` for robots that cannot be connected.
     """
     if rate_hz is not None and not 0 < rate_hz <= 1e6:
-        raise CallerError(f"a rate of {rate_hz} Hz is none")
+        raise CallerError(f"a rate of {rate_hz} Hz; give a rate above 0 Hz")
     return _Watch(robot, rate_hz or robot.rate_hz or USUAL_RATE_HZ, load).traffic()
 
 

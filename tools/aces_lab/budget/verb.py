@@ -73,7 +73,7 @@ ARGUMENTS: Arguments = (
     argument(
         "--errors",
         metavar="N,EVERY",
-        help="CAN: so many frames destroyed at once, and one in each such time, as 2,100ms (default: none)",
+        help="CAN: number of frames destroyed at once, and one in each such time, as 2,100ms (default: none)",
     ),
     argument(
         "--jitter",
@@ -87,14 +87,14 @@ ARGUMENTS: Arguments = (
         type=duration_or_none,
         default=0,
         metavar="DURATION",
-        help="devices take so long to answer (default: as their twins)",
+        help="time that devices take to answer (default: as their twins)",
     ),
     argument(
         "--latency",
         type=duration_or_none,
         default=0,
         metavar="DURATION",
-        help="the host takes so long from an answer to the next request, on half-duplex lines",
+        help="time that the host takes from an answer to the next request, on half-duplex lines",
     ),
     flag("--together", help="polls that are not sent in each tick may all be due in one"),
     flag("--all", help="each message of each device in the table"),

@@ -128,7 +128,7 @@ class _Task:
         self.moving: Mask = np.array([joint in joints for joint in body.joints])
 
     def look(self, q: Floats) -> _Look:
-        """Errors and Jacobian for angles."""
+        """Return errors and Jacobian for angles."""
         errors: list[Floats] = []
         rows: list[Floats] = []
         far = turned = 0.0
@@ -171,7 +171,7 @@ def solve(
     most_nudges: int = 4,
     rotation_weight: float = 0.1,
 ) -> Solution:
-    """Angles that bring the tips to their goals, near `start`.
+    """Return angles that bring the tips to their goals, near `start`.
 
     `locked` joints keep their angle. Bounded: at most `most_steps` steps in all. See `Solution` for the report.
     """
@@ -234,7 +234,7 @@ def _is_singular(here: _Look, free: Mask, tolerances: tuple[float, float]) -> bo
 
 
 def _nudged(body: Body, q: Floats, part: float, moving: Mask) -> Floats:
-    """Return a little towards the posture; without one, by a pattern that is no symmetry of any robot (golden section).
+    """Return a little towards the posture; without one, by a pattern that is not a symmetry of any robot (golden section).
 
     Only joints that move one of the tips take part.
     """

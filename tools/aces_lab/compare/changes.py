@@ -5,7 +5,7 @@
    n / (n + 1)), in how many of B's windows a change is there, and how often the other side showed something new by itself.
 
 How often something new comes by itself is the share of values that were visited once (Good, Biometrika 40, 1953): where
-values come that were never seen, and those before them came once each, too, a number wanders; that is no answer to a button.
+values come that were never seen, and those before them came once each, too, a number wanders; that does not answer a button.
 A bit that follows a bit that changes all the time may be the next one of a counter, and counts half.
 """
 
@@ -134,7 +134,7 @@ class TrafficChange:
 
 
 def bits_text(bits: tuple[int, ...]) -> str:
-    """`bit 5`, `bits 0-3 7`: neighbours together.
+    """Return `bit 5`, `bits 0-3 7`: neighbours together.
 
     >>> bits_text((5,)), bits_text((0, 1, 2, 3, 7)), bits_text((0, 1))
     ('bit 5', 'bits 0-3 7', 'bits 0 1')
@@ -209,14 +209,14 @@ def _lone(
 
 
 def occurrence_text(number: int, what: str, gaps: GapCounts) -> str:
-    """`12 frames, every 10 ms`."""
+    """Return `12 frames, every 10 ms`."""
     text = f"{number} {what}" + ("s" if number != 1 else "")
     median = gaps.median_ns
     return text if median is None else f"{text}, {period_text(median / 1e6)}"
 
 
 def period_text(period_ms: float) -> str:
-    """`every 10 ms`, in a unit that suits."""
+    """Return `every 10 ms`, in a unit that suits."""
     if period_ms >= 1000:
         return f"every {period_ms / 1000:.4g} s"
     return f"every {period_ms:.4g} ms" if period_ms >= 1 else f"every {period_ms * 1000:.4g} µs"
@@ -352,7 +352,7 @@ def _byte(both: _Sides, byte: int) -> Iterator[TrafficChange]:
 
 
 def _mostly(both: _Sides, byte: int, values: Mapping[str, Any]) -> Iterator[TrafficChange]:
-    """Bits that are most of B what they hardly ever are in A."""
+    """Return bits that have a value in most of B and hardly ever in A."""
     a, b = both.a, both.b
     seen_a, seen_b = a.values[byte], b.values[byte]
     n_a, n_b = int(seen_a.sum()), int(seen_b.sum())
@@ -388,7 +388,7 @@ def _bits_of(mask: int) -> tuple[int, ...]:
 
 
 def _in_windows(b: IdentifierTraffic, byte: int, ones_a: int, zeros_a: int) -> tuple[int, int]:
-    """In how many windows of B a bit is what it never is in A, of those that have the byte."""
+    """Return in how many windows of B a bit has a value that it never has in A, of those that have the byte."""
     ones, zeros = b.ones[:, byte], b.zeros[:, byte]
     there = (ones | zeros) != 0
     new = (ones & np.uint8(~ones_a & 0xFF)) | (zeros & np.uint8(~zeros_a & 0xFF))
@@ -413,7 +413,7 @@ def novelty(share: float, expected: float) -> float:
 
 
 def values_text(counts: Ints) -> str:
-    """Values of a byte, those that come most often first: `00 20`, `13 values 00-4F`."""
+    """Return the values of a byte, the most frequent first: `00 20`, `13 values 00-4F`."""
     found = np.flatnonzero(counts)
     if len(found) > LISTED:
         return f"{len(found)} values {int(found[0]):02X}-{int(found[-1]):02X}"

@@ -80,7 +80,7 @@ class ComparedSide:
         return found
 
     def begin(self) -> None:
-        """Another recording begins, with a first instant of its own."""
+        """Begin another recording, with a first instant of its own."""
         for window in self.windows:
             window.begin()
 
@@ -109,13 +109,13 @@ class ComparisonWatcher(typing.Protocol):
     """Looks on while recordings are compared, to draw them. `sides` says whose recording it is: "a", "b" or "ab"."""
 
     def watch_times(self, times: Ints, sides: str) -> None:
-        """Instants (ns) of all that is read, before what belongs to them."""
+        """Take the instants (ns) of all that is read, before what belongs to them."""
 
     def watch_frames(self, table: FrameTable, sides: str) -> None:
-        """Frames that are compared, in pieces."""
+        """Take frames that are compared, in pieces."""
 
     def watch_messages(self, table: MessageTable, sides: str) -> None:
-        """Messages that are compared; each piece behind its frames."""
+        """Take messages that are compared; each piece behind its frames."""
 
 
 @dataclass
@@ -152,7 +152,7 @@ class RecordingComparer:
         variants = [variant for variant in self.variants if (variant.link == "can") == (link == "can")]
         if link == "serial" and not variants:
             raise CallerError(
-                f"{capture.name}: bytes of a serial line have no identifiers to compare: say what is spoken (protocol=, -p"
+                f"{capture.name}: bytes of a serial line have no identifiers to compare: name the protocol (protocol=, -p"
                 " NAME); 'aces decode FILE' says what fits, 'aces spec new' begins a protocol of your own"
             )
         if isinstance(capture, CanRecording):
@@ -294,7 +294,7 @@ def compare_recordings(
     `MessageTable` are compared (an array of bool), and then nothing but messages is. `direction` is that of
     `aces_bus.decode`. Changes that are less telling than `least` (0 … 1) are counted only.
 
-    Raises `CaptureError` for what is no recording, `CallerError` for one recording without times, bytes without a protocol,
+    Raises `CaptureError` for what is not a recording, `CallerError` for one without times, bytes without a protocol,
     a selection without one, and times that no frame is in.
     """
     if selected is not None and protocol is None:

@@ -23,7 +23,7 @@ class WatchedTime:
         self._last: Ints = np.full(windows, NO_TIME, np.int64)
 
     def add(self, times: Ints, windows: Ints) -> None:
-        """Instants (ns), and the window that each is in; -1 is none."""
+        """Add instants (ns), and the window of each; -1 for none."""
         inside = windows >= 0
         self.frames += int(np.count_nonzero(inside))
         known = inside & (times != NO_TIME)
@@ -47,7 +47,9 @@ class Exposure:
 
     @classmethod
     def of(cls, a: WatchedTime, b: WatchedTime) -> Exposure:
-        """Of two sides; frames count where one has no times, or all of its frames at one instant."""
+        """Return the exposure of two sides; frames count where one side has no times, or all of its frames at
+        one instant.
+        """
         if a.seconds and b.seconds:
             return cls(a.seconds, b.seconds, True)
         return cls(float(a.frames), float(b.frames), False)

@@ -53,7 +53,7 @@ class LanePart:
         self._first = self._last = NO_TIME
 
     def see(self, times: Array) -> None:
-        """Instants of the recording."""
+        """Take instants of the recording."""
         self.clock.see(times)
         self._frames += len(times)
         known = times[times != NO_TIME]
@@ -63,7 +63,7 @@ class LanePart:
             self._last = max(last, self._last)
 
     def add(self, table: FrameTable) -> None:
-        """Frames, without a protocol."""
+        """Add frames, without a protocol."""
         self.images.add(table)
         self.is_of_frames = True
         for identifier, rows in identifier_groups(table):
@@ -134,11 +134,11 @@ class LanePicture:
         return self._parts[sides]
 
     def watch_times(self, times: Array, sides: str) -> None:
-        """All of a recording's instants, before what belongs to them."""
+        """Take all of a recording's instants, before what belongs to them."""
         self._part(sides).see(times)
 
     def watch_frames(self, table: FrameTable, sides: str) -> None:
-        """Frames of the recording of these sides ("a", "b", or "ab")."""
+        """Take frames of the recording of these sides ("a", "b", or "ab")."""
         self._part(sides).add(table)
 
     def watch_messages(self, table: MessageTable, sides: str) -> None:

@@ -7,7 +7,7 @@
     14:05:30    pressed          clock times, as --from takes them
 
 1. Times are those of `aces_bus.recordings.window`: seconds from the recording's first frame, since 1970, or by the clock.
-2. Marks of one name are one thing done several times. A line that is no mark is refused, with its number.
+2. Marks of one name are one thing done several times. A line that is not a mark is refused, with its number.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ class TimeMark:
 
 
 def parse_window(text: str, what: str) -> TimeWindow:
-    """`START..STOP`, either of which may be empty; `what` says in messages whose it is. Raises `CallerError`."""
+    """Parse `START..STOP`, either of which may be empty; `what` names it in messages. Raises `CallerError`."""
     found = _RANGE.fullmatch(text.strip())
     if found is None or not (found["start"] or found["stop"]):
         raise CallerError(
-            f"{what} {text!r} is no range of time; write START..STOP, such as 10..20, 10.. or 14:05..14:06"
+            f"{what} {text!r} is not a range of time; write START..STOP, such as 10..20, 10.. or 14:05..14:06"
         )
     window = TimeWindow.parse(found["start"] or None, found["stop"] or None, (what, "its end"))
     assert window is not None

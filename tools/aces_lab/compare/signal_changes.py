@@ -54,7 +54,7 @@ def message_changes(a: MessageProfile, b: MessageProfile, exposure: Exposure) ->
 
 
 def _natural(key: DeviceMessage) -> Any:
-    """Board 10 comes after board 9."""
+    """Return a sort key by which board 10 comes after board 9."""
     device = [(int(value) if value.isdecimal() else -1, value) for _, value in key.device]
     return key.protocol, key.message, device, str(key.channel)
 
@@ -83,7 +83,7 @@ def _changes_of(
 
 
 def _signal(a: SignalValues, b: SignalValues) -> tuple[ChangeKind, float, dict[str, Any]] | None:
-    """Kind, score and evidence of a signal's change; None where there is none."""
+    """Return kind, score and evidence of a signal's change; None where there is none."""
     if not a.count or not b.count:
         if not a.count and not b.count:
             return None

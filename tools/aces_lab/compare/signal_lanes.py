@@ -65,7 +65,7 @@ class Arrivals:
         self.kept: dict[BusIdentifier | DeviceMessage, Series] = {}
 
     def add(self, kind: BusIdentifier | DeviceMessage, x: Array) -> None:
-        """More of a kind, at these places of the axis."""
+        """Add more of a kind, at these places of the axis."""
         series = self.kept.get(kind)
         if series is None:
             if len(self.kept) >= MOST_SIGNALS:

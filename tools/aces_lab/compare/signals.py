@@ -63,7 +63,7 @@ class SignalValues:
     _is_begun: bool = False
 
     def add(self, values: Array, windows: Array) -> None:
-        """More values in order, numbers or objects, and the window of each."""
+        """Add values in order, numbers or objects, and the window of each."""
         if not len(values):
             return
         names: list[Hashable] | None = None
@@ -111,7 +111,7 @@ class SignalValues:
                     found.windows |= 1 << window
 
     def add_absent(self, windows: Array) -> None:
-        """Messages in which the value is not known."""
+        """Add messages in which the value is not known."""
         if len(windows):
             found = self.values.setdefault(None, ValueCount())
             self.count += len(windows)

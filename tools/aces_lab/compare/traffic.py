@@ -31,7 +31,7 @@ class IdentifierTraffic(FrameCount):
         self._before: tuple[Ints, int] | None = None
 
     def add(self, data: Ints, lengths: Ints, times: Ints, windows: Ints) -> None:
-        """More frames in order: bytes (n, 8 or 64), their number, instants, and each one's window."""
+        """Add frames in order: bytes (n, 8 or 64), their number, instants, and each one's window."""
         follows = self.count(times, lengths, windows)
         self._widen(int(lengths.max()) if self.has_data else 0)
         width = self.width
@@ -99,7 +99,7 @@ class TrafficProfile:
         return self.identifiers.frames
 
     def add(self, table: FrameTable, windows: Ints) -> None:
-        """Frames, and the window that each is in; -1 is none."""
+        """Add frames, and the window of each; -1 for none."""
         if not (windows >= 0).all():
             rows = np.flatnonzero(windows >= 0)
             table, windows = table.take(rows), windows[rows]

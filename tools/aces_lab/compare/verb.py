@@ -107,7 +107,7 @@ ARGUMENTS: Arguments = (
     argument(
         "--for", dest="lasting", type=duration, metavar="DURATION", help="a mark lasts so long: 500ms, 2s"
     ),
-    PROTOCOL.but(help="what is spoken: messages and signals are compared; serial lines need it"),
+    PROTOCOL.but(help="protocols: messages and signals are compared; serial lines need it"),
     DIRECTION,
     MESSAGE.but(help="compare only this message, in any case, also Motor*; may be given several times"),
     WHERE.but(help="compare only records such as field=value, as of 'aces decode'"),
@@ -191,8 +191,7 @@ class Comparing:
             return None
         if not self.variants:
             raise CallerError(
-                f"--{'message' if asked.message else 'where'} needs to know what is spoken; name a protocol: -p NAME"
-                " (aces protocols)"
+                f"--{'message' if asked.message else 'where'} needs a protocol: -p NAME (aces protocols)"
             )
         plans = plans_of(self.variants)
         names = named_messages(asked.message, plans)

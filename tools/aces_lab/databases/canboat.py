@@ -176,7 +176,7 @@ class _Form:
         return self.given.get("Type") == "Fast"
 
     def head_size(self, behind: Sequence[Sequence[_Field]]) -> int:
-        """Bytes before these cells, of a form without lists."""
+        """Return the bytes before these cells, of a form without lists."""
         left = sum(field.size for cell in behind for field in cell)
         return (sum(field.size for field in self.fields) - left) // 8
 
@@ -352,7 +352,7 @@ class _Shape:
     # ------------------------------------------------------------------ what fixed values are in
 
     def _head(self, cell: Sequence[_Field], match: dict[str, Any]) -> c.Construct:
-        """Whole bytes of the template: fixed values, and beside them what is captured."""
+        """Return whole bytes of the template: fixed values, and the captured numbers beside them."""
         size = sum(field.size for field in cell) // 8
         if len(cell) == 1 and cell[0].match is None and not cell[0].is_padding:
             return self._named(cell[0], self._alone(cell[0]))
@@ -394,7 +394,7 @@ class _Shape:
         return c.Struct(*made)
 
     def _layout(self, fields: Sequence[_Field], trailing: str = "", path: Any = None) -> BitLayout:
-        """Fields in bits; `path` is how the layout is asked for."""
+        """Return fields in bits; `path` is how the layout is asked for."""
         made: list[c.Construct] = []
         at = 0
         for field in fields:
@@ -474,7 +474,7 @@ class _Shape:
 
 
 def _is_in_bytes(field: _Field) -> bool:
-    """Return whether a field is read as bytes or text: what is no number, at the borders of bytes."""
+    """Return whether a field is read as bytes or text: what is not a number, at the borders of bytes."""
     return field.kind in _STRINGS or (field.is_bytes and field.is_aligned)
 
 

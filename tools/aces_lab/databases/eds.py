@@ -12,6 +12,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 import construct as c
@@ -115,38 +116,49 @@ def _sections(text: str) -> tuple[list[_Section], list[ImportProblem]]:
 
 
 def _dictionary(sections: Sequence[_Section]) -> tuple[Any, list[ImportProblem]]:
-    """canopen's object dictionary; objects that it cannot read are left out."""
-    general = [section for section in sections if section.name.lower() == "devicecomissioning"]
-    objects: dict[int, list[_Section]] = {}
+    """Return canopen's object dictionary, and the problems of the objects that canopen cannot read.
+
+    The whole file is tried first. Where that fails, each part is tried by itself, and those that fail are left out.
+    """
+    commissioning = [section for section in sections if section.name.lower() == "devicecomissioning"]
+    by_index: dict[int, list[_Section]] = {}
     for section in sections:
         found = _INDEX.match(section.name)
         if found is not None:
-            objects.setdefault(int(found[1], 16), []).append(section)
-    types = [section for index, some in objects.items() if index < 0x1000 for section in some]
-    groups = [some for index, some in objects.items() if index >= 0x1000]
+            by_index.setdefault(int(found[1], 16), []).append(section)
+    types = [section for index, parts in by_index.items() if index < 0x1000 for section in parts]
+    objects = [parts for index, parts in by_index.items() if index >= 0x1000]
+    whole, reason = _attempt([*commissioning, *types, *chain(*objects)])
+    if whole is not None:
+        return whole, []
     problems: list[ImportProblem] = []
-    try:
-        return _read([*general, *types, *(section for some in groups for section in some)]), problems
-    except Exception:  # whatever a parser of a damaged file may raise
-        pass
-    for part in (general, types):
-        try:
-            _read(part)
-        except Exception as error:  # as above
+    readable: list[list[_Section]] = []
+    for part in (commissioning, types):
+        dictionary, reason = _attempt(part)
+        readable.append(part if dictionary is not None else [])
+        if dictionary is None:
             problems += [
-                ImportProblem(section.line, f"cannot be read: {excerpt(str(error))}", f"[{section.name}]")
+                ImportProblem(section.line, f"cannot be read: {reason}", f"[{section.name}]")
                 for section in part
             ]
-            part.clear()
+    commissioning, types = readable
     kept: list[_Section] = []
-    for some in groups:
-        try:
-            _read([*types, *some])
-            kept += some
-        except Exception as error:  # as above
-            reason = f"an object that cannot be read: {excerpt(str(error))}"
-            problems.append(ImportProblem(some[0].line, reason, f"[{some[0].name}]"))
-    return _read([*general, *types, *kept]), problems
+    for parts in objects:
+        dictionary, reason = _attempt([*types, *parts])
+        if dictionary is not None:
+            kept += parts
+        else:
+            text = f"an object that cannot be read: {reason}"
+            problems.append(ImportProblem(parts[0].line, text, f"[{parts[0].name}]"))
+    return _read([*commissioning, *types, *kept]), problems
+
+
+def _attempt(sections: Sequence[_Section]) -> tuple[Any | None, str]:
+    """Return the object dictionary of some sections, or None and the reason why canopen cannot read them."""
+    try:
+        return _read(sections), ""
+    except Exception as error:  # whatever a parser of a damaged file may raise
+        return None, excerpt(str(error))
 
 
 def _read(sections: Sequence[_Section]) -> Any:

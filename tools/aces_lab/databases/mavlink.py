@@ -160,7 +160,7 @@ class _Builder:
         if size > MOST_PAYLOAD:
             raise _LeftOut(f"{size} bytes of fields, and a packet has {MOST_PAYLOAD}")
         if not 0 <= one.number <= MOST_V2:
-            raise _LeftOut(f"{one.number} is no number of a message")
+            raise _LeftOut(f"{one.number} is not a number of a message")
         name = unused(one.name, self.taken)
         names = {*self.heads, TRAILING, *TAKEN_BY_RECORDS}
         made = [self._field(one, each, names) for each in fields]
@@ -220,7 +220,7 @@ class _Builder:
         multiplier: str,
         invalid: str,
     ) -> c.Construct:
-        """One number of a field, and what it means."""
+        """Return one number of a field, with its meaning."""
         number = TYPES[one.type]
 
         def note(reason: str) -> None:
@@ -249,7 +249,7 @@ class _Builder:
         try:
             scale = float(Fraction(multiplier.strip()) * Fraction(str(factor))) if multiplier else factor
         except (ValueError, ZeroDivisionError):
-            note(f"its multiplier {one_line(multiplier)[:40]!r} is no number")
+            note(f"its multiplier {one_line(multiplier)[:40]!r} is not a number")
             scale = factor
         try:
             unknown = _invalid(invalid, is_list=bool(one.count), is_float=wire.kind == "float")
@@ -270,7 +270,7 @@ class _LeftOut(Exception):
 
 
 def _invalid(text: str, *, is_list: bool, is_float: bool) -> Sequence[float]:
-    """Return the raw values of a number that mean unknown. Raises `ValueError` for what is no number.
+    """Return the raw values of a number that mean unknown. Raises `ValueError` for what is not a number.
 
     Of a list an ordinary number such as 0 says something of the whole list (`[0]`), and is not taken for one of an item.
     """

@@ -133,7 +133,7 @@ class Dialect:
         self._left = MOST_BYTES
 
     def problem(self, file: str, line: int, reason: str, *, is_note: bool = False) -> None:
-        """`file` is empty for the dialect's own."""
+        """Note a problem; `file` is empty for the dialect's own."""
         said = f"{file}:{line}: {reason}" if file else reason
         self.problems.append(ImportProblem(0 if file else line, said, is_note=is_note))
 
@@ -171,7 +171,7 @@ class Dialect:
     def _include(self, path: Path, text: str) -> None:
         other = path.parent / text
         if not text or other.name != text or text in (".", ".."):
-            raise CallerError(f"<include>{one_line(text)[:80]}</include> is no file beside this one")
+            raise CallerError(f"<include>{one_line(text)[:80]}</include> is not a file beside this one")
         if other.resolve() in self._seen:
             return
         if len(self._seen) >= MOST_FILES:

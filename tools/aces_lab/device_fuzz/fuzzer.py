@@ -72,7 +72,7 @@ class DeviceFinding:
         return f"{self.device} {self.problem.kind}: {self.problem.text}"
 
     def records(self) -> list[Any]:
-        """Return the steps as their receiver reads them; what is no message is `Unknown`."""
+        """Return the steps as their receiver reads them; what is not a message is `Unknown`."""
         scanner: Any = make_scanner([self.variant], direction="to device", include_unknown=True)
         found: list[Any] = []
         for step in self.steps:
@@ -238,7 +238,7 @@ class DeviceFuzzer:
         return bool(found) and found[0] is not None, problem
 
     def _drawn(self, source: Dice) -> Iterator[tuple[str, AnyPacket, int]]:
-        """Packets without an end, and the pause (ns) behind each: new ones, earlier ones again, bursts of one."""
+        """Yield packets without an end, and the pause (ns) behind each: new ones, earlier ones again, bursts of one."""
         kept: list[tuple[str, AnyPacket]] = []
         while True:
             how = source.integer(0, 127)
@@ -301,7 +301,7 @@ class DeviceFuzzer:
         return tuple(((instant - first) / 1e9, packet) for instant, packet in sent)
 
     def simpler_packets(self, packet: AnyPacket) -> Iterator[AnyPacket]:
-        """Packets with less in them that may be sent, too."""
+        """Yield packets with less in them that may be sent, too."""
         if isinstance(packet, tuple):
             return
         simpler: Iterator[AnyPacket]
@@ -349,7 +349,7 @@ class _Least:
         return True
 
     def make_small(self) -> None:
-        """Fewer steps first, then simpler ones."""
+        """Try fewer steps first, then simpler ones."""
         if not self.offer(self.steps) or self.offer([]):
             return
         size = 1
@@ -387,7 +387,7 @@ class _Least:
         return False
 
     def _fewer(self) -> None:
-        """Delta debugging: ever smaller runs of steps are left out."""
+        """Leave out ever smaller runs of steps (delta debugging)."""
         size = max(1, len(self.steps) // 2)
         while self.steps and not self.is_over:
             at, is_less = max(0, len(self.steps) - size), False

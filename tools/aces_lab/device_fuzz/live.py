@@ -35,7 +35,7 @@ SET_UP_NS, SET_UP_TRIES = 1_000_000_000, 10
 def asking_rules(device: Device) -> tuple[frozenset[str], dict[str, dict[str, Collection[Any]]]]:
     """Return the messages that only ask a device, and the values of their enumerations.
 
-    They are those of its driver's polls which are no set-points. What an enumeration of theirs names may be another command:
+    They are those of its driver's polls which are not set-points. What their enumerations name may be another command:
     it is what the polls have it be.
     """
     names = {poll.message for poll in device.polls} - device.commanding

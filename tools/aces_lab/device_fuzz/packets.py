@@ -335,7 +335,7 @@ def plain_way(leaf: NodePath) -> tuple[str | int, ...] | None:
 
 
 def _with(values: Any, way: Sequence[str | int], number: int) -> Any:
-    """Values with another number at a place; None where there is no number."""
+    """Return values with another number at a place; None where there is no number."""
     if not way:
         return number if isinstance(values, int) else None
     step, *rest = way

@@ -32,7 +32,7 @@ QUIET_NS, BUSY_NS = 2_000_000, 400_000_000
 ANSWERED_NS = 50_000_000
 #: No answer for so long, and none is under way (ns).
 SETTLED_NS = 5_000_000
-#: An enumeration with greater numbers is a list of codes that others may add to: a number without a name is no fault there.
+#: An enumeration with greater numbers is a list of codes to be added to: a number without a name is not a fault there.
 MOST_NAMED = 0xFF
 
 Kind = Literal[
@@ -82,7 +82,7 @@ class Tap:
         self._is_open = False
 
     def end(self) -> TapEnd:
-        """One more end."""
+        """Return one more end."""
         return TapEnd(self)
 
     def attach(self, received: Callable[[Any, int], Any]) -> None:

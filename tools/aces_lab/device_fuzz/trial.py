@@ -74,7 +74,7 @@ def missed(
 ) -> int | None:
     """Ask the polls that a fresh device answers; the first that is not answered now. Each step is given to `note`.
 
-    `is_late`: answers to what was asked before may still come, so that two are no fault. The device is quiet otherwise
+    `is_late`: answers to what was asked before may still come, so that two are not a fault. The device is quiet otherwise
     (`DeviceTester.settle`).
     """
     for number, usual in fresh.answers.items():

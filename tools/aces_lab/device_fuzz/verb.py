@@ -101,8 +101,13 @@ ARGUMENTS: Arguments = (
         "--not", metavar="MESSAGE[.FIELD=VALUES]", help="do not send this; may be given several times"
     ).but(dest="leave_out"),
     flag("--allow-motion", help="real device: send what moves or enables it, too"),
-    argument("--frames", type=at_least(1), metavar="N", help="so many (default: 10,000; a real device: 500)"),
-    FOR.but(help="so long instead: 10min"),
+    argument(
+        "--frames",
+        type=at_least(1),
+        metavar="N",
+        help="number of frames (default: 10,000; a real device: 500)",
+    ),
+    FOR.but(help="for this time instead: 10min"),
     argument(
         "--rate", type=positive, default=50.0, metavar="N", help="real device: N a second (default: 50)"
     ),
@@ -111,7 +116,7 @@ ARGUMENTS: Arguments = (
         "--rests-after",
         type=duration,
         metavar="DURATION",
-        help="twin: without a frame for so long it must be at rest, as when it was fresh: a watchdog",
+        help="twin: without a frame for this time it must be at rest, as when it was fresh: a watchdog",
     ),
     several(
         "--then", metavar="ACTION", help="twin: this action of its driver must succeed after any sequence"
@@ -298,7 +303,7 @@ class Searching:
             return self._searched(fuzzer, frames, progress, patience)
 
     def _no_ports(self) -> dict[str, Any]:
-        """Ports on no bus: what would be sent is known without one."""
+        """Return ports on no bus: the packets are known without one."""
         from aces_bus.device.config import alone
         from aces_bus.robot import VirtualRobot
 
@@ -439,7 +444,7 @@ def _where(link: str, channel: str | None, interface: str | None) -> str:
 
 
 def step_lines(found: DeviceFinding) -> list[str]:
-    """Return the packets of a finding, one a line: `2 × Configure key=0 value=65535`; what is no message as it is on
+    """Return the packets of a finding, one a line: `2 × Configure key=0 value=65535`; what is not a message as it is on
     the wire.
     """
     lines = [f"{len(list(same)):>4} × {text}" for text, same in groupby(map(_shown, found.records()))]

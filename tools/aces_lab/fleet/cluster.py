@@ -52,7 +52,7 @@ class Workers(ABC):
 
     @abstractmethod
     def watch(self, task: Any) -> None:
-        """`done` gives this one when it is finished."""
+        """Have `done` give this future when it is finished."""
 
     @abstractmethod
     def done(self) -> Any:
@@ -196,7 +196,7 @@ def open_workers(cluster: Any) -> Workers:
         return DaskWorkers(processes=number)
     if "://" not in cluster:
         raise CallerError(
-            f"{cluster!r} is no cluster; write here, local:4, tcp://HOST:8786 or tls://HOST:8786"
+            f"{cluster!r} is not a cluster; write here, local:4, tcp://HOST:8786 or tls://HOST:8786"
         )
     return DaskWorkers(address=cluster)
 

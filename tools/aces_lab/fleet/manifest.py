@@ -170,12 +170,12 @@ class FleetDataset:
         return found
 
     def forget(self, names: Iterable[str]) -> None:
-        """Entries of the journal go."""
+        """Remove entries of the journal."""
         for name in names:
             self.place.remove(self.path(FLEET, "journal", name))
 
     def remove(self, outputs: Iterable[str]) -> None:
-        """Parts go."""
+        """Remove parts."""
         for name in outputs:
             self._check_inside(self.path(name))
             self.place.remove(self.path(name))

@@ -62,7 +62,8 @@ class FleetProtocol(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
         configuration: str | Mapping[str, Mapping[int, Any]] | None = None,
         channel: str | None = None,
     ) -> FleetProtocol:
-        """`protocol` is what `load_protocol` takes: "hubo", "car.dbc", "lamp.py", "lamp.py:NAME", "common.xml".
+        """Return a protocol; `protocol` is what `load_protocol` takes: "hubo", "car.dbc", "lamp.py",
+        "lamp.py:NAME", "common.xml".
 
         Raises `CallerError` for a file that cannot be read.
         """
@@ -96,7 +97,7 @@ class FleetProtocol(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=Tru
         """Return the folder with the protocol's files."""
         for name in self.files:
             if os.path.basename(name) != name or name in ("", ".", ".."):
-                raise CallerError(f"{name!r} is no name of a file beside the protocol's")
+                raise CallerError(f"{name!r} is not a name of a file beside the protocol's")
         try:
             place = tempfile.mkdtemp(dir=folder)
             for name, data in self.files.items():

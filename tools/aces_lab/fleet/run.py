@@ -190,7 +190,7 @@ class _Run:
                 self._leftovers.setdefault(entry.uri, []).extend(entry.outputs)
 
     def plan(self, inputs: Iterable[str]) -> None:
-        """Which inputs there are, and which are to be decoded."""
+        """Decide which inputs there are, and which are to be decoded."""
         found: dict[str, StoredFile] = {}
         for uri in inputs:
             place = Place(uri)

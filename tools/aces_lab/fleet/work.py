@@ -174,7 +174,7 @@ class InputWork:
             return call()
 
     def _renew(self) -> None:
-        """Another attempt is of what is there by now."""
+        """Begin another attempt, from the parts that are there by now."""
         now = Place(self.task.uri).file()
         self.task.size, self.task.stamp = now.size, now.stamp
 
@@ -318,7 +318,7 @@ class InputWork:
             self.selection.window.see(began)
 
     def _see(self, time: Any, parts: DayParts) -> None:
-        """Frames have been read, of these instants: the first one says how the recording counts them."""
+        """Take the instants of frames: the first one says how the recording counts them."""
         if self.began is None:
             known = time[time != NO_TIME]
             if len(known):
@@ -453,7 +453,9 @@ class InputWork:
             self.dataset.note(entry)
 
     def _stale(self, new: Sequence[str], noted: Sequence[str] = ()) -> list[str]:
-        """Parts that are known of this input and no longer of it; `noted` are those of a dead attempt of this task."""
+        """Return parts that are known of this input and no longer of it; `noted` are those of a dead attempt
+        of this task.
+        """
         before = self.task.before
         known = [*self.task.leftovers, *(before.outputs if before is not None else ()), *noted]
         return [name for name in dict.fromkeys(known) if name not in set(new)]

@@ -14,7 +14,7 @@
       30.005021 CANFD   1 Rx  30a  Name   1 0 9 12 01 02 … 0C  102203 133 303000 e0006659 46500250 …
     End TriggerBlock
 
-1. Every line is one of: frame, header or comment, blank, an event that is no frame (`others`, by kind), unreadable.
+1. Every line is one of: frame, header or comment, blank, an event that is not a frame (`others`, by kind), unreadable.
 2. Times are from 1970 when the file has a date, and from the start of the measurement when it has none.
 3. A line that announces more bytes than it holds is unreadable, not a shorter frame. So is a CANFD line whose length code
    and length differ, or that ends before its flags, which alone say whether it is a CAN FD frame.
@@ -72,7 +72,7 @@ _BASE = re.compile(rb"base\s+(hex|dec)(?:\s+timestamps\s+(absolute|relative))?",
 _DATED = re.compile(rb"(?:(date)|begin\s+triggerblock)\b\s*(.*)", re.IGNORECASE)
 _START = re.compile(rb"[0-9.]+\s+Start of measurement\b", re.IGNORECASE)
 
-#: What the first word behind the time stamp, or behind the channel, is for events that are no frames.
+#: What the first word behind the time stamp, or behind the channel, is for events that are not frames.
 _EVENTS: tuple[tuple[re.Pattern[bytes], str], ...] = tuple(
     (re.compile(pattern, re.IGNORECASE), kind)
     for pattern, kind in (
@@ -336,7 +336,7 @@ class AscCapture(LineCapture):
         )
 
     def _common(self, words: Words, channel: int, identifier: int, way: int) -> tuple[Mask, Ints, FrameTable]:
-        """Channel, and a table of time, identifier and direction; all but the time are at these words."""
+        """Return channel, and a table of time, identifier and direction; all but the time are at these words."""
         word = words.word
         time, good = words.time(word(0), 9)
         bus, _, is_bus = words.number(word(channel), 10, 1, 5)
@@ -395,7 +395,7 @@ _DATE = re.compile(
 
 
 def date_ns(text: bytes) -> int | None:
-    """Nanoseconds from 1970 of a date as ASC files write it, in local time; None when it is none.
+    """Return nanoseconds from 1970 of a date as ASC files write it, in local time; None for another text.
 
     >>> date_ns(b"Fre M\\xe4r 3 09:21:13.159 pm 2023") == date_ns("Fri Mar 3 21:21:13.159 2023".encode())
     True

@@ -112,7 +112,7 @@ def _times(offsets: Ints) -> Column:
 
 
 def _identifiers(table: FrameTable) -> Column:
-    """Digits without zeros in front, and x behind those of 29 bits; blanks in front up to nine."""
+    """Return digits without zeros in front, and x behind those of 29 bits; blanks in front up to nine."""
     digits = hexadecimal_text(table.id, least=1)
     mark = np.where(table.flags & EXTENDED, ord("x"), 0).astype(np.uint8)
     return np.hstack([digits, mark[:, None]])

@@ -143,7 +143,7 @@ class BusmasterCapture(LineCapture):
             day, month, year, hour, minute, second, ms = (int(part) for part in found.groups())
             midnight = _midnight(year, month, day)
             if midnight is None:
-                raise UnreadableRow("this start time is no date; times count from midnight")
+                raise UnreadableRow("this start time is not a date; times count from midnight")
             self._start = midnight, ((hour * 60 + minute) * 60 + second) * _SECOND + ms * 1_000_000
             self._days, self._last, self._clock = 0, None, 0
 

@@ -271,7 +271,7 @@ def _cells(line: bytes, separator: bytes) -> list[bytes]:
 
 
 def _header(head: bytes) -> tuple[bytes, bytes, list[str]]:
-    """Return the first line that is no comment, its separator, and the names in it."""
+    """Return the first line that is not a comment, its separator, and the names in it."""
     for line in head.split(b"\n", 100)[:100]:
         text = line.strip()
         if text and not text.startswith(b"#"):

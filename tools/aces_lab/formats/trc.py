@@ -13,7 +13,7 @@
          5)      1346.8  Warng  FFFFFFFF  4  00 00 00 04  BUSLIGHT              1.3 a reserved column behind the identifier,
          7)      1352.7  Rx         0100  3  RTR                                1.0 neither type nor start time
 
-1. Every line is one of: frame, comment or header (`;`), blank, something that is no frame (`others`), unreadable.
+1. Every line is one of: frame, comment or header (`;`), blank, something that is not a frame (`others`), unreadable.
 2. Times are from 1970 when the file says when it starts, and from its start when it does not (1.0).
 3. A line whose bus, direction, length or number of bytes is not understood is unreadable: no default is used. A column
    that is not there, or is "-", says nothing.

@@ -124,7 +124,7 @@ class Words:
         return _sum(values, base), digits, good
 
     def time(self, word: Word, digits: int, *, whole_too: bool = False) -> tuple[Ints, Mask]:
-        """Digits with a point, times 10^digits, and whether a word is so, with as many digits behind it as one of them has.
+        """Return digits with a point, times 10^digits, and whether each word is such a number.
 
         With `whole_too`, all may be without a point.
         """
@@ -152,7 +152,7 @@ class Words:
         return values * 10 ** (digits - behind), good
 
     def data(self, word: Word, length: npt.NDArray[Any]) -> tuple[Bytes, Mask]:
-        """So many bytes of two digits each from a word on, one separator between: of shape (n, 8) or (n, 64)."""
+        """Return bytes of two digits each from a word on, one separator between: of shape (n, 8) or (n, 64)."""
         width = 8 if not len(length) or int(length.max()) <= 8 else 64
         places = self._starts[word][:, None] + 3 * np.arange(width)
         places = np.minimum(places, len(self.codes) - 3)
@@ -172,7 +172,7 @@ class Words:
 def channel_numbers(
     values: Ints, channels: Channels, name: Callable[[int], str | None]
 ) -> npt.NDArray[np.uint16]:
-    """Numbers of channels in a file as numbers of `channels`, in the order in which they appear."""
+    """Return numbers of channels in a file as numbers of `channels`, in the order in which they appear."""
     if len(values) and bool((values == values[0]).all()):
         return np.full(len(values), channels.number(name(int(values[0]))), np.uint16)
     found, places, inverse = np.unique(values, return_index=True, return_inverse=True)
@@ -183,7 +183,7 @@ def channel_numbers(
 
 
 def _sum(values: npt.NDArray[Any], base: int) -> Ints:
-    """Digits in rows as numbers."""
+    """Parse rows of ASCII digits into integers."""
     total = values[:, 0].astype(np.int64)
     for place in range(1, values.shape[1]):
         total *= base

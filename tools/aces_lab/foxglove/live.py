@@ -101,7 +101,7 @@ def foxglove() -> Any:
 
 
 def parse_live_address(text: str) -> tuple[str, int]:
-    """Host and port of `8765`, `HOST:8765` or `[::1]:8765`; "" is the usual one. Raises `CallerError`.
+    """Return host and port of `8765`, `HOST:8765` or `[::1]:8765`; "" is the usual one. Raises `CallerError`.
 
     >>> parse_live_address(""), parse_live_address("9000"), parse_live_address("0.0.0.0:8765")
     (('127.0.0.1', 8765), ('127.0.0.1', 9000), ('0.0.0.0', 8765))
@@ -110,7 +110,7 @@ def parse_live_address(text: str) -> tuple[str, int]:
     host = host.removeprefix("[").removesuffix("]") if colon else HOST
     port = port or ("" if colon else str(PORT))
     if not host or not port.isdecimal() or int(port) > 65_535:
-        raise CallerError(f"{text!r} is no address of a live view: write PORT or HOST:PORT, such as 8765")
+        raise CallerError(f"{text!r} is not an address of a live view: write PORT or HOST:PORT, such as 8765")
     return host, int(port)
 
 
@@ -287,7 +287,7 @@ class FoxgloveView:
         self.put(self._log_feed, (instant + self.epoch_ns, _log_line, (level, name, message)))
 
     def event(self, instant: int, kind: str, source: str, detail: str = "", level: Level = "info") -> None:
-        """Something that happened, for `/events`, and as a line for `/log`."""
+        """Publish an event for `/events`, and as a line for `/log`."""
         self.put(self._event_feed, (instant + self.epoch_ns, _event, (kind, source, detail, level)))
         self.log(instant, level, source, f"{kind}: {detail}" if detail else kind)
 
@@ -299,7 +299,7 @@ class FoxgloveView:
         self._publish()
 
     def _publish(self) -> None:
-        """All that waits, feed by feed."""
+        """Publish all that waits, feed by feed."""
         queue = self._queue
         by_feed: dict[int, tuple[Feed, list[Any]]] = {}
         for feed, item in (queue.popleft() for _ in range(len(queue))):
@@ -438,7 +438,7 @@ class LiveStates:
         body: Body | None = None,
     ) -> None:
         if not 0 < rate_hz <= 10_000:
-            raise CallerError(f"live view: rate_hz = {rate_hz!r} is no rate up to 10 kHz")
+            raise CallerError(f"live view: rate_hz = {rate_hz!r} is not a rate up to 10 kHz")
         self.name, self.rate_hz = "live view", rate_hz
         self.view = view
         self.states: tuple[str, ...] = () if states is None else tuple(dict.fromkeys(states))
@@ -466,7 +466,7 @@ class LiveStates:
         )
 
     def read(self, reads: Mapping[str, tuple[str, Callable[[], Any]]]) -> None:
-        """Have these quantities: name → unit, and what gives the value (whatever is no number is unknown)."""
+        """Have these quantities: name → unit, and what gives the value (whatever is not a number is unknown)."""
         self._names = list(reads)
         self._reads = [read for _, read in reads.values()]
         units = {name: unit for name, (unit, _) in reads.items()}
@@ -487,7 +487,7 @@ class LiveStates:
         """End nothing: the view is its owner's."""
 
     def publish(self, items: Sequence[Any]) -> None:
-        """Rows, and of the transforms the newest."""
+        """Publish rows, and of the transforms the newest."""
         view, names = self.view, self._names
         if view.is_wanted(self._channel):
             for instant, values in items:
@@ -516,7 +516,7 @@ def _number(read: Callable[[], Any]) -> float | None:
 
 
 def _usual(rig: Any, states: Mapping[str, Any]) -> Iterable[str]:
-    """Joints with their set-points, and what sensors measure, of devices that are there."""
+    """Return joints with their set-points, and what sensors measure, of devices that are there."""
     for joint in rig.robot.joints.values():
         if joint.active and joint.device in rig.devices and joint.name in states:
             yield joint.name

@@ -1,7 +1,7 @@
 """The way to a WebSocket server: which browsers' pages may come, before the server sees them.
 
 1. A page of any website may open a WebSocket to a program on its visitor's machine; what browsers add is where the page is
-   from, its origin. Those that are not allowed are refused (403). Programs that are no browsers say none, and are let in.
+   from, its origin. Those that are not allowed are refused (403). Programs that are not browsers say none, and are let in.
 2. The server itself is where no page can guess it: at an address 127.x.y.z drawn by lot, where the system has those.
 3. What a viewer sends and gets is passed on as it is; one that stops reading holds up nobody but itself.
 
@@ -113,7 +113,7 @@ class OriginGate:
             threading.Thread(target=self._serve, args=(viewer,), name="foxglove viewer", daemon=True).start()
 
     def _serve(self, viewer: socket.socket) -> None:
-        """One viewer, from its request to its end."""
+        """Serve one viewer, from its request to its end."""
         with suppress(OSError), viewer, self._kept(viewer):
             try:
                 request = self._request(viewer)
@@ -145,7 +145,7 @@ class OriginGate:
 
     @contextmanager
     def _kept(self, connection: socket.socket) -> Generator[None]:
-        """While it is open, `close` ends it."""
+        """Keep a connection while it is open: `close` ends it."""
         with self._lock:
             if self._is_closed:
                 raise OSError("closed")
@@ -184,7 +184,7 @@ def _is_origin(name: str) -> bool:
 
 
 def _pass_on(source: socket.socket, sink: socket.socket) -> None:
-    """All bytes, up to the end of one of the two; both are shut then."""
+    """Pass all bytes on, up to the end of one of the two; both are shut then."""
     with suppress(OSError):
         while piece := source.recv(PIECE):
             sink.sendall(piece)

@@ -77,7 +77,7 @@ def merged_pieces(
 ) -> list[tuple[list[int], ByteOrder]]:
     """Return the pieces; those of one byte that change at the same time are one, with the constant bits between them.
 
-    A byte that takes few values has bits that never change between others that do: it is no row of flags.
+    A byte that takes few values has bits that never change between others that do: it is not a row of flags.
     """
     constant = free & ~sample.varies
     found: list[tuple[list[int], ByteOrder]] = []

@@ -2,7 +2,7 @@
 
 1. What is said was tried by the scanner that a draft will have: at least `PACKETS` packets of several frames are whole, and
    hardly a frame is malformed.
-2. A number that counts is no tail byte: without a packet whose CRC holds none is said.
+2. A number that counts is not a tail byte: without a packet whose CRC holds none is said.
 """
 
 from __future__ import annotations

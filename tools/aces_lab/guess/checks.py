@@ -30,7 +30,7 @@ from .crc_families import CrcFamily, CrcModel, bytes_giving, crc_families, stack
 
 #: Different rows that are looked at, and of these the ones that a trial sees first.
 ROWS, FIRST = 256, 24
-#: The share of these that must agree: where one row in twenty is no packet, one pair in ten is none.
+#: The share of these that must agree: where one row in twenty is not a packet, one pair in ten is none.
 TRIAL = 0.65
 #: Pairs of rows that a CRC is tried on first.
 PAIRS = 12
@@ -280,7 +280,7 @@ class _Search:
             yield self._covering(place, everything, is_all=True)
 
     def _covering(self, place: _Place, ends: Array, *, is_all: bool) -> _Covering:
-        """Bytes of prefix and row without the check, up to `ends`, the last first."""
+        """Return bytes of prefix and row without the check, up to `ends`, the last first."""
         index = ends[:, None] - 1 - np.arange(int(ends.max()))
         behind = index >= (self.lead.shape[1] + place.at)[:, None]
         source = np.clip(index + np.where(behind, place.size, 0), 0, self.all.shape[1] - 1)
@@ -314,7 +314,7 @@ class _Search:
     def _rest(
         self, kind: str, order: Order, rest: Array, place: _Place, covering: _Covering, starts: Array
     ) -> Iterator[_Fit]:
-        """Ranges in which nearly all rows leave the same rest."""
+        """Return ranges in which nearly all rows leave one rest."""
         self.tried += len(starts)
         few = rest[self.few]
         if max(
@@ -499,7 +499,9 @@ def _orders(size: int) -> tuple[Order, ...]:
 
 
 def _sum_of(kind: str, order: Order, size: int, constant: int) -> tuple[str, dict[str, Any], bytes] | None:
-    """(class, its arguments, constant bytes that are covered as well) of a sum that leaves a constant; None: no class."""
+    """Return (class, its arguments, constant bytes that are covered as well) of a sum that leaves a constant;
+    None: no class.
+    """
     if kind == "fletcher":
         return None if constant else ("Fletcher", {}, b"")
     if kind == "xor":

@@ -1,7 +1,7 @@
 """A guess as the source of a spec: a draft to be edited, with its evidence in comments.
 
 1. What is printed loads, passes `aces spec check`, and accounts for every frame that it was guessed from.
-2. A constant in a recording is no promise: bytes that never changed belong to no field, and are kept as `reserved`.
+2. A constant in a recording is not a promise: bytes that never changed belong to no field, and are kept as `reserved`.
 3. An enumeration has the values that occurred, named by their numbers; another one decodes to its number.
 4. Nothing of a recording reaches the source but numbers and printable ASCII in comments.
 """
@@ -42,7 +42,7 @@ _OURS = frozenset(
 )
 _CONSTRUCTS = frozenset(("Byte", "Bytes", "GreedyBytes", "Int16ub", "Int16ul", "Struct", "this"))
 _WORDS = re.compile(r"\b(?:" + "|".join(sorted(_OURS | _CONSTRUCTS)) + r")\b")
-#: What is no code: comments and texts.
+#: What is not a code: comments and texts.
 _NO_CODE = re.compile(r"""#.*|b?'(?:[^'\\\n]|\\.)*'|b?"(?:[^"\\\n]|\\.)*\"""")
 
 
@@ -129,12 +129,12 @@ def _shown(key: int) -> str:
 
 
 def plain(text: str) -> str:
-    """Text of others, as one line of ASCII."""
+    """Return foreign text as one line of ASCII."""
     return "".join(c if " " <= c < "\x7f" else "?" for c in text)
 
 
 def wrapped(text: str, first: str, others: str) -> list[str]:
-    """Return a comment, or code without texts, in lines that are no wider than `WIDTH` where there are blanks."""
+    """Return a comment, or code without texts, in lines that are not wider than `WIDTH` where there are blanks."""
     return textwrap.wrap(
         text,
         WIDTH,
@@ -205,7 +205,7 @@ def nodes_name(nodes: dict[str, str], name: str, values: str) -> str:
 
 
 def _values(numbers: Sequence[int]) -> str:
-    """Numbers as a range where they are one, else as a tuple."""
+    """Return numbers as a range where they are one, else as a tuple."""
     numbers = sorted(set(numbers))
     if len(numbers) > 1 and numbers[-1] - numbers[0] == len(numbers) - 1:
         return f"range({numbers[0]}, {numbers[-1] + 1})" if numbers[0] else f"range({numbers[-1] + 1})"

@@ -151,7 +151,7 @@ class Rows:
         return out
 
     def pairs(self, values: Array) -> tuple[Array, Array]:
-        """(before, after) of values of rows that follow each other."""
+        """Return (before, after) of values of rows that follow each other."""
         return values[:-1][self.follows], values[1:][self.follows]
 
 

@@ -115,12 +115,12 @@ _CHARACTERS = np.zeros(256, bool)
 _CHARACTERS[32:127] = _CHARACTERS[[9, 10, 13]] = True
 #: A line among other bytes.
 _SENTENCE = re.compile(rb"[!$#][ -~]{4,}\r?\n")
-#: A check at the end of a line: a character that is no digit, then hexadecimal digits.
+#: A check at the end of a line: a character that is not a digit, then hexadecimal digits.
 _WRITTEN = re.compile(rb"([^0-9A-Za-z])([0-9A-Fa-f]{2}|[0-9A-Fa-f]{4})$")
 
 
 def _lines(sample: Sample, free: list[tuple[int, int]]) -> Iterator[FramingGuess]:
-    """Text that ends by a line end, of each first character a framing."""
+    """Yield framings of text lines, one for each first character."""
     texts: list[bytes] = []
     for start, stop in free:
         data = sample.data[start:stop]

@@ -1,7 +1,7 @@
 """How packets of one kind stand in bytes: sync, length, end, stuffing, check; as a guess, and as a protocol declares it.
 
 1. What a guess finds is found by the scanner of a protocol that declares it (`spans_of`): a draft decodes just that.
-2. What cannot be declared is no guess: `SpecError` says so.
+2. What cannot be declared is not a guess: `SpecError` says so.
 """
 
 from __future__ import annotations

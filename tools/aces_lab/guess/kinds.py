@@ -187,7 +187,7 @@ def _float_at(sample: Rows, byte: int, order: ByteOrder) -> FieldGuess:
 
 
 def classified(sample: Rows, piece: tuple[list[int], ByteOrder]) -> FieldGuess:
-    """Bits that belong together, as what their values say."""
+    """Return bits that belong together as the kind of field that their values suggest."""
     positions, order = piece
     width, start = len(positions), positions[0]
     if width > 64:

@@ -76,7 +76,7 @@ def families(frames: FrameTable, groups: Sequence[Members]) -> list[Members]:
 
 
 def _candidates(keys: Sequence[int]) -> Iterator[tuple[int, list[int]]]:
-    """(shift of the number, indices of keys that only differ in it)."""
+    """Yield (shift of the number, indices of keys that only differ in it)."""
     # By extended identifiers: the source address of J1939. Then numbers at the lower end, then above a command.
     for mask, shift, wanted in (
         (0xFF, 0, EXTENDED),
@@ -155,7 +155,7 @@ def _joined(groups: Sequence[Members], alike: Sequence[int], shift: int) -> Memb
 
 
 def _base(identifiers: Sequence[int]) -> int:
-    """Numbers count from 0 or 1 above a base with zeros behind it, where they can."""
+    """Return the base of numbers, so that they count from 0 or 1 above a base with zeros behind it, if they can."""
     for bits in (7, 6, 5, 4):
         base = identifiers[0] >> bits << bits
         if identifiers[-1] < base + (1 << bits):

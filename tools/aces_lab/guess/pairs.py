@@ -135,7 +135,7 @@ def _echo(frames: FrameTable, at: Array) -> str | None:
     for byte in range(size):
         steps, repeats = np.unique(np.diff(asked[:, byte]), return_counts=True)
         if len(steps) < VALUES or repeats.max() > 0.9 * len(at):
-            continue  # it never changes, or counts: whatever counts, too, is no answer
+            continue  # it never changes, or counts: whatever counts, too, is not an answer
         for place in range(size):
             values, counts = np.unique(answered[:, place] - asked[:, byte], return_counts=True)
             if counts.max() >= 0.95 * len(at):

@@ -119,7 +119,7 @@ class StreamTraffic:
         self._recording += 1
 
     def add(self, data: bytes, time: float | None = None, direction: str | None = None) -> None:
-        """Bytes of one direction, and when they came (s)."""
+        """Add bytes of one direction, and when they came (s)."""
         self.bytes += len(data)
         data = data[: KEPT - self.kept]
         if data:
@@ -198,7 +198,9 @@ def _sample(lines: Sequence[_Line]) -> Sample:
 def _silences(
     chunks: list[tuple[int, int, float]], borders: set[int]
 ) -> Iterator[tuple[float, list[tuple[int, int]]]]:
-    """(pause in seconds, what is between pauses that are longer), where pauses are plainly of two kinds, or all alike."""
+    """Return (pause in seconds, what is between pauses that are longer), if pauses are plainly of two kinds,
+    or all alike.
+    """
     starts = np.array([chunk[0] for chunk in chunks])
     times = np.array([chunk[2] for chunk in chunks])
     pauses = np.diff(times)
@@ -250,7 +252,7 @@ def _logical(framing: FramingGuess, packets: list[bytes]) -> list[bytes]:
 
 
 def body_end(framing: FramingGuess) -> int:
-    """Return how many bytes at the end of a packet (unstuffed) are no fields: the check, what is behind it, the end."""
+    """Return how many bytes at the end of a packet (unstuffed) are not fields: the check, what is behind it, the end."""
     size = framing.check.size + len(framing.tail) if framing.check is not None else 0
     if framing.written is not None:
         size = framing.written.size
@@ -309,7 +311,7 @@ def _is_length(framing: FramingGuess, at: int) -> bool:
 
 
 def _explained(codes: Array, sizes: Array, columns: Sequence[Array]) -> float:
-    """Return how many bits of sizes and contents a number explains; 0 where it is no number of kinds."""
+    """Return how many bits of sizes and contents a number explains; 0 where it is not a number of kinds."""
     _, kinds = np.unique(codes, return_inverse=True)
     count = int(kinds.max()) + 1
     if count < 2 or count > OPCODES or len(codes) < EACH * count:
@@ -319,7 +321,7 @@ def _explained(codes: Array, sizes: Array, columns: Sequence[Array]) -> float:
 
 
 def _shared(values: Array, kinds: Array, count: int) -> float:
-    """Mutual information in bits, less what as many kinds give by chance."""
+    """Return mutual information in bits, less what this many kinds give by chance."""
     _, values = np.unique(values, return_inverse=True)
     number = int(values.max()) + 1
     if number < 2:

@@ -119,7 +119,7 @@ def _votes_of(sync: bytes, places: Array, ends: Array, padded: Array, total: int
             sizes = said[hits] + constant
             if len(sizes) < 3 or len(np.unique(sizes)) < 2:
                 continue
-            # What one size explains as well is no length.
+            # What one size explains as well is not a length.
             usual = int(np.bincount(sizes).max())
             bits = _chain_bits(int(hits.sum()), count, density) - (8.0 if width == 2 else 0.0)
             if len(sizes) - usual < 3 and usual > 0.9 * len(sizes):
@@ -128,7 +128,7 @@ def _votes_of(sync: bytes, places: Array, ends: Array, padded: Array, total: int
 
 
 def _chain_bits(hits: int, count: int, density: float) -> float:
-    """Bits of evidence that `hits` of `count` places are followed by another one where a number says it."""
+    """Return bits of evidence that `hits` of `count` places are followed by another one where a number says it."""
     share = hits / count
     if share <= density:
         return 0.0

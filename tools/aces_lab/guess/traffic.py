@@ -41,7 +41,7 @@ GAPS, REGULAR = 6, 0.3
 
 
 def runs_text(numbers: Sequence[int], step: int = 1, text: Callable[[int], str] = str) -> str:
-    """Rising numbers, of which those at equal distances are a run.
+    """Return rising numbers, of which those at equal distances are a run.
 
     >>> runs_text([1, 2, 3, 5, 8, 9]), runs_text([0x20, 0x40, 0x60], 0x20, hex)
     ('1…3, 5, 8, 9', '0x20…0x60')
@@ -164,7 +164,7 @@ class Traffic:
         self._kept = 0
 
     def add(self, table: FrameTable) -> None:
-        """More frames of the same recordings; the tables of one recording share their channels."""
+        """Add frames of the same recordings; the tables of one recording share their channels."""
         self.frames += len(table)
         is_error = (table.flags & ERROR) != 0
         self.errors += int(is_error.sum())
@@ -236,7 +236,7 @@ def rows_by_key(frames: FrameTable) -> dict[int, list[Array]]:
 
 
 def timing_of(gaps: GapCounts) -> TimingGuess | None:
-    """Period and jitter of a message by the gaps between its frames; None where there are too few."""
+    """Return period and jitter of a message by the gaps between its frames; None where there are too few."""
     found = gaps.quantiles_ns((0.1, 0.5, 0.9))
     if found is None or gaps.count < GAPS:
         return None
@@ -286,7 +286,7 @@ def _messages(frames: FrameTable, standards: Sequence[ProtocolGuess]) -> tuple[l
 
 
 def _packets(group: Members, transport: str) -> MessageGuess:
-    """Frames that are parts of packets, as packets of bytes."""
+    """Return frames that are parts of packets, as packets of bytes."""
     lengths, timing = group.lengths, group.timing
     return MessageGuess(
         _name(group), group.keys, len(group.rows), None, 0, lengths, timing, (), transport=transport

@@ -53,7 +53,7 @@ class Outcome:
 
 
 def summary(outcomes: Iterable[Outcome]) -> str:
-    """`proved 71, bounded 4, sampled 2 (reason; reason)`: all messages, the weak ones with their reasons."""
+    """Return `proved 71, bounded 4, sampled 2 (reason; reason)`: all messages, the weak ones with their reasons."""
     listed = list(outcomes)
     counts = Counter[Status]()
     for outcome in listed:

@@ -100,7 +100,7 @@ def accepted_packet(message: Message) -> Witness | None:
 
 
 def field_rows(base: Witness, bits: tuple[int, ...], chance: random.Random, *, all_others: bool) -> Any:
-    """Packets in which a field has many numbers; uint8 (n, size)."""
+    """Return packets in which a field has many numbers; uint8 (n, size)."""
     width = len(bits)
     if width <= MOST_BITS:
         numbers = list(range(1 << width))

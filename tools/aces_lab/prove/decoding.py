@@ -302,7 +302,7 @@ def _claim_same(search: PathSearch, got: Any, want: dict[str, Any]) -> None:
 
 
 def _pairs(name: str, got: Any, want: Any) -> Iterator[tuple[str, Any, Any]]:
-    """Pairs of single values in two values of a record; a nested record or list of another shape is one pair."""
+    """Yield pairs of single values in two values of a record; a nested record or list of another shape is one pair."""
     if isinstance(want, dict) and type(got) is SymbolicRecord and list(got.values) == list(want):
         for inner in want:
             yield from _pairs(f"{name}.{inner}", got.values[inner], want[inner])
@@ -395,7 +395,7 @@ def decoders(variant: Variant, name: str) -> list[tuple[types.FunctionType, bool
 
 
 def drawn(message: Message, sizes: Sequence[int], count: int) -> Iterator[Witness]:
-    """Packets of a message: its constants, and behind them anything; always the same ones."""
+    """Draw packets of a message: its constants, and behind them anything; always the same packets."""
     chance = random.Random(f"{message.protocol.name}.{message.name}")
     framing = message.framing
     is_text = isinstance(message.payload, Delimited)

@@ -346,7 +346,7 @@ class Reader:
                 return c.Container(kind=kind, data=value, reason=None)
         except NotThis:
             pass
-        return c.Container(kind=kind, data=inside, reason=f"malformed: data of size {size} are no {name}")
+        return c.Container(kind=kind, data=inside, reason=f"malformed: data of size {size} are not a {name}")
 
 
 def adapters_of(field: c.Construct) -> list[f.Field]:

@@ -26,7 +26,7 @@ SECONDS = 15.0
 
 
 def count_text(outcomes: Sequence[Outcome]) -> str:
-    """`proved 71, bounded 4`: how many messages are what."""
+    """Return `proved 71, bounded 4`: the number of messages by outcome."""
     counts: Counter[str] = Counter()
     for outcome in outcomes:
         counts[outcome.status] += outcome.count

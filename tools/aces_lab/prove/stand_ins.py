@@ -374,7 +374,7 @@ def head_number(head: Head, fields: Mapping[str, Any]) -> SymbolicInt:
     if type(raw) is SymbolicBytes:
         return raw.number(head.order)
     if type(raw) is not SymbolicInt:
-        raise NotProvable(f"{head.name}: a head that is no integer")
+        raise NotProvable(f"{head.name}: a head that is not an integer")
     return raw
 
 

@@ -231,7 +231,7 @@ class SymbolicInt:
         return int(self.term.size())
 
     def limits(self) -> tuple[int, int]:
-        """Bounds of the number on this path: those of the least number of bits that holds it."""
+        """Return bounds of the number on this path: those of the least number of bits that holds it."""
         term, size = z3.simplify(self.term), self.width
         if z3.is_bv_value(term):
             value = int(term.as_signed_long())

@@ -94,7 +94,7 @@ def plain_meaning(values: dict[str, Any] | None) -> Any:
 
 
 def text_of(value: Any) -> str:
-    """Fields for a comparison: NaN is NaN."""
+    """Return fields as a text to compare: NaN is NaN."""
     return repr(value)
 
 

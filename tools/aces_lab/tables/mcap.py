@@ -60,7 +60,7 @@ class McapExport(Export):
             self._file.chunk(messages[start : start + CHUNK_MESSAGES])
 
     def _commit(self) -> None:
-        """Each chunk is with the system already."""
+        """Do nothing: each chunk is with the system already."""
 
     def _finish(self) -> None:
         self._file.close()

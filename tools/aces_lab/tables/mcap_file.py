@@ -163,13 +163,13 @@ class Fields:
         return self.at < len(self.data)
 
     def take(self, form: str) -> tuple[int, ...]:
-        """Numbers of these formats."""
+        """Return numbers of these formats."""
         found = struct.unpack_from("<" + form, self.data, self.at)
         self.at += struct.calcsize("<" + form)
         return found
 
     def bytes(self, form: str = "I") -> memoryview:
-        """Bytes with their number in front."""
+        """Return bytes with their number in front."""
         (size,) = self.take(form)
         if size > len(self.data) - self.at:
             raise struct.error("a text that is longer than its record")
@@ -191,7 +191,7 @@ class McapReader:
         self._place = 0
 
     def records(self) -> Iterator[tuple[int, Fields]]:
-        """Opcode and content of each record up to the end of data; raises `McapFault`."""
+        """Yield opcode and content of each record up to the end of data; raise `McapFault`."""
         try:
             for opcode, content in self._outer():
                 if opcode != CHUNK:

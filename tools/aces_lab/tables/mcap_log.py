@@ -100,7 +100,7 @@ def read_mcap_log(path: str, most_numbers: int) -> Log:
                 if len(numbers) + len(instants) > most_numbers:
                     raise McapFault(f"more than {most_numbers} numbers")
     except msgspec.MsgspecError as error:
-        raise LogError(f"{path}: a row that is no JSON of numbers ({error})") from None
+        raise LogError(f"{path}: a row that is not JSON of numbers ({error})") from None
     except (McapFault, struct.error, RecursionError) as error:
         raise LogError(f"{path}: {error}") from None
     if about is None:

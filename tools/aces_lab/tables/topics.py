@@ -166,7 +166,7 @@ _JSON_TYPES = {"bool": "boolean", "label": "string", "bytes": "string", "text": 
 
 
 class _Leaf(dict[str, Any]):
-    """The schema of one value, which is no branch of the tree."""
+    """The schema of one value, which is not a branch of the tree."""
 
 
 def _object(tree: Tree) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from aces_bus.errors import AcesError
 from aces_bus.frames import FD_LENGTHS
 from aces_bus.protocol import Variant
 
-#: What comes so long behind a request (ns) is no answer to it.
+#: What comes so long behind a request (ns) is not an answer to it.
 ASKED_NS = 50_000_000
 #: What a fault makes of an answer: each packet with its delay (ns).
 Sendings = Sequence[tuple[int, Any]]

@@ -175,7 +175,7 @@ class Publisher:
     ) -> None:
         self.name = f"zenoh {endpoint}"
         if not 0 < rate_hz <= 10_000:
-            raise CallerError(f"{self.name}: rate_hz = {rate_hz!r} is no rate up to 10 kHz")
+            raise CallerError(f"{self.name}: rate_hz = {rate_hz!r} is not a rate up to 10 kHz")
         self.rate_hz, self.endpoint, self.robot = rate_hz, endpoint, robot
         self.states = tuple(dict.fromkeys(states))
         if not 0 < len(self.states) <= MOST_STATES:
@@ -184,7 +184,7 @@ class Publisher:
             )
         self.allow_set, self.dead_man_s, self.on_lost = allow_set, dead_man_s, on_lost
         self.events = AccessEvents()
-        #: Messages sent; that zenoh did not take; that were no set-points.
+        #: Messages sent; that zenoh did not take; that were not set-points.
         self.sent = self.failed = self.bad = 0
         self._clock = clock
         self._options = dict(options or {})

@@ -64,7 +64,7 @@ class RemoteClock:
         self._received_at = here
 
     def forget(self) -> None:
-        """Another clock is there."""
+        """Forget the clock: another one is there."""
         self._behind = self._received_at = None
 
     @property
@@ -207,7 +207,7 @@ class RemoteStates(Mapping[str, State]):
         return self
 
     def close(self) -> None:
-        """Hear no more: all states become unknown. Twice does nothing."""
+        """Stop listening: all states become unknown. A second call does nothing."""
         self._closing.set()
         watcher, self._watcher = self._watcher, None
         if watcher is not None and watcher is not threading.current_thread():

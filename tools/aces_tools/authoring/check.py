@@ -245,7 +245,7 @@ def _check_robot(name: str, result: Checked) -> None:
         text = f"{problem.key}: {problem.text}" if problem.key else problem.text
         result.findings.append(
             Finding(
-                # What `aces robot check` warns of (a driver that is not installed) is no fault of a spec.
+                # What `aces robot check` warns of (a driver that is not installed) is not a fault of a spec.
                 "note" if problem.is_warning else "error",
                 "robot",
                 SourceLine(problem.file, problem.line),

@@ -92,7 +92,9 @@ def spec_difference(old: Mapping[str, Message], new: Mapping[str, Message]) -> D
 
 
 def _renamed(removed: Sequence[Message], added: Sequence[Message]) -> list[tuple[str, str]]:
-    """Pairs with one template, where it is clear which goes with which; same fields before same template alone."""
+    """Return pairs with one template, where it is clear which goes with which; same fields before same
+    template alone.
+    """
     found: list[tuple[str, str]] = []
     for key in (_exactly, _template_key):
         mine = [m for m in removed if m.name not in {before for before, _ in found}]
@@ -232,7 +234,7 @@ def _constant(offset: int, mask: int, value: int) -> str:
 
 
 def difference_lines(found: Difference) -> list[tuple[str, str]]:
-    """(style, line) of a difference for people: `-` is gone, `+` is new, `~` is another."""
+    """Return (style, line) of a difference for people: `-` is gone, `+` is new, `~` has changed."""
     lines: list[tuple[str, str]] = []
     lines += [("malformed", f"- {name}") for name in found.removed]
     lines += [("from device", f"+ {name}") for name in found.added]

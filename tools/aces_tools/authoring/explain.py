@@ -50,7 +50,7 @@ ARGUMENTS: Arguments = (
         metavar="OFFSET|FRAME",
         help="what this byte or frame belongs to (from 0; 0x10 too)",
     ),
-    COUNT.but(help="so many decisions (default: 12, with --at 1)"),
+    COUNT.but(help="number of decisions (default: 12, with --at 1)"),
     DIRECTION,
     JSON,
     argument("--svg", metavar="FILE", help="write a picture too"),

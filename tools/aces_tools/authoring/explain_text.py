@@ -57,7 +57,7 @@ def attempt_lines(attempt: Attempt, width: int | None, paint: Paint) -> list[str
 
 
 def _grouped(steps: Sequence[Step]) -> Iterator[list[Step]]:
-    """Parts by themselves; long runs of one field in which nothing happens together."""
+    """Yield parts by themselves, and long runs of one field in which nothing happens together."""
     run: list[Step] = []
     for step in steps:
         is_quiet = bool(step.what) and not step.died and not step.read

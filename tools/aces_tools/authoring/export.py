@@ -69,7 +69,7 @@ ARGUMENTS: Arguments = (
                 type=at_least(0),
                 default=256,
                 metavar="N",
-                help="dbc: make messages of at most so many identifiers of one (default: %(default)s)",
+                help="dbc: make messages of at most this many identifiers of one (default: %(default)s)",
             ),
         ),
     ),

@@ -107,7 +107,7 @@ _KINDS = (
 
 
 def dbc_losses(path: str) -> list[ImportProblem]:
-    """Remarks about a DBC file. Raises `CallerError` when it cannot be read."""
+    """Return remarks about a DBC file. Raises `CallerError` when it cannot be read."""
     found: dict[str, list[int]] = {}
     for statement in split_statements(read_text(path, "dbc")):
         what = ""

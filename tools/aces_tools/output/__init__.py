@@ -138,7 +138,7 @@ def live_kind(path: str | None, chosen: Format | None, link: Link, *, is_decoded
     if _is_recording(path, link):
         return "frames"
     if _grows(table):
-        raise CallerError(f"-o {path}: {suffix} is for decoded messages; name what is spoken: -p NAME")
+        raise CallerError(f"-o {path}: {suffix} is for decoded messages; name the protocol: -p NAME")
     from aces_bus.recordings.write import writer_formats
 
     frames = dict.fromkeys(

@@ -2,7 +2,7 @@
 
 1. Nothing is cut off. Where the last column has no room beside the others, it goes below them, indented.
 2. Cells and paragraphs are of others: nothing in them reaches the terminal as a control character.
-3. `width` None is no limit: one row, one line.
+3. `width` None is not a limit: one row, one line.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ INDENT = 4
 def column_output(
     head: Sequence[str], rows: Sequence[Sequence[str]], width: int | None, paint: Paint
 ) -> list[str]:
-    """Rows below a head; columns that are empty throughout are left out."""
+    """Return rows below a head; columns that are empty throughout are left out."""
     rows = [[printable_lines(cell) for cell in row] for row in rows]
     used = [index for index in range(len(head)) if any(row[index] for row in rows)]
     if not used:

@@ -7,7 +7,7 @@ columns `field`, `value` and `unit`, as pivot tables and data frames take it.
 1. The columns are known before the first record: they depend on the protocols and messages asked for, not on the data.
 2. What is not decoded has no message; its reason is under `field`, its bytes under `value`. In the form with one
    message there is no place for it.
-3. A text that a spreadsheet would take for a formula (it begins with = + - @, a tab or a carriage return, and is no number)
+3. A text that a spreadsheet would take for a formula (it begins with = + - @, a tab or CR, and is not a number)
    has an apostrophe in front. Numbers are as they are.
 4. Identifiers are hexadecimal text (0x063), flags are joined by `|`, bytes are hexadecimal; no value is an empty cell.
 5. The values of a record are printed by a function that is generated from its plan, what stands before them by `CsvOutput`.
@@ -134,7 +134,7 @@ def _row(cells: Sequence[Any]) -> bytes:
 
 
 def _cells(cells: Sequence[Any]) -> bytes:
-    """Cells with one after them."""
+    """Return cells with one after them."""
     return f"{','.join(map(_written, cells))},".encode("utf-8", "replace")
 
 

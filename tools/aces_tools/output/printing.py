@@ -85,18 +85,23 @@ class LinePrinter(FunctionSetup):
         )
 
     def joined(self, parts: Sequence[str | Read]) -> None:
-        """Print the bytes of some parts, joined: a line for each expression with the text before it."""
+        """Print the joining of parts to bytes: a line for each expression (`Read`), behind the text before it."""
         self.body.line("return join((")
-        constant = ""
-        for part in [*parts, Read()]:
-            if not isinstance(part, Read):
-                constant += part
-                continue
-            before = [self.constant(constant.encode("utf-8", "replace"))] if constant else []
-            if before or part:
-                self.body.line(f"    {', '.join([*before, *filter(None, [part])])},")
-            constant = ""
+        text = ""
+        for part in parts:
+            if isinstance(part, Read):
+                before = f"{self._encoded(text)}, " if text else ""
+                self.body.line(f"    {before}{part},")
+                text = ""
+            else:
+                text += part
+        if text:
+            self.body.line(f"    {self._encoded(text)},")
         self.body.line("))")
+
+    def _encoded(self, text: str) -> str:
+        """Return the name of a constant: the bytes of a text."""
+        return self.constant(text.encode("utf-8", "replace"))
 
 
 def has_few_values(node: p.Node) -> bool:

@@ -34,7 +34,9 @@ def flag_names(flags: Any) -> list[str]:
 
 
 def json_value(value: Any) -> Any:
-    """Any value as what JSON has: NaN, infinities and what is unknown are null, flags a list of names, bytes hexadecimal."""
+    """Return any value as JSON has it: NaN, infinities and the unknown are null, flags a list of names, bytes
+    hexadecimal.
+    """
     match value:
         case None | bool():
             return value

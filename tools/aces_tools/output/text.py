@@ -73,7 +73,7 @@ def no_paint(style: str, text: str) -> str:
 
 
 def make_paint() -> Paint:
-    """Colours as rich has them for this terminal."""
+    """Return a function that colours as rich does for this terminal."""
     from rich.color import ColorSystem
     from rich.style import Style
 
@@ -284,7 +284,7 @@ class TextOutput:
         return tokens
 
     def _wrapped(self, head: str, size: int, tokens: list[PrintedField]) -> list[str]:
-        """Fields behind the head, on as many lines as the terminal's width asks for."""
+        """Yield fields behind the head, on as many lines as the terminal's width asks for."""
         limit, paint = self._width, self._paint
         if limit is None:
             limit = sys.maxsize

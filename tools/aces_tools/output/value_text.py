@@ -84,7 +84,7 @@ def _show_items(shows: Mapping[str, tuple[Show, str]], otherwise: Show | None = 
 
 
 def _named_values(data: Any, units: Mapping[str, str]) -> str:
-    """Values by name, with their units where they are numbers."""
+    """Return values by name, with their units where they are numbers."""
     names = getattr(data, "__struct_fields__", None)
     if names is None:
         return anything(data)
@@ -125,7 +125,7 @@ def step_format(node: p.Node) -> str:
 
 
 def decimals(scale: float, offset: float) -> int:
-    """So many that one raw step shows, and no more than the scale has."""
+    """Return the number of decimals that one raw step shows, and no more than the scale has."""
     wanted = 0
     for number in (scale, offset):
         text = f"{number:.9f}".rstrip("0")

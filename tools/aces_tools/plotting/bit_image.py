@@ -22,7 +22,7 @@ from .series import Array
 BINS = 1024
 #: Identifiers of which images are kept: 256 KB each of 8-byte frames, eight times that of 64-byte ones.
 MOST_IMAGES = 256
-#: Frames that are no further apart than this many times the usual are no gap.
+#: Frames that are not further apart than this many times the usual are not a gap.
 NEAR = 2
 #: The first width of a bin (ns), and without times in frames.
 FIRST_NS, FIRST_FRAMES = 1000, 1
@@ -49,7 +49,7 @@ class BitImage:
         return ("frames", "steps", "ones", "flips", "there")
 
     def add(self, data: Array, lengths: Array, bins: Array) -> None:
-        """Frames in order, and the bin of each."""
+        """Add frames in order, and the bin of each."""
         longest = int(lengths.max(initial=0))
         if longest > self.length:
             more = ((0, 0), (0, 8 * (longest - self.length)))
@@ -86,7 +86,7 @@ class BitImage:
             self.there[which] += np.repeat(seen, 8, axis=1)
 
     def halve(self) -> None:
-        """Each two bins become one."""
+        """Join each two bins to one."""
         for name in self.arrays:
             array = getattr(self, name)
             joined = array.reshape(BINS // 2, 2, *array.shape[1:]).sum(axis=1, dtype=np.uint32)
@@ -116,7 +116,7 @@ class BitImage:
         return sums
 
     def _between(self, count: int, used: int) -> Array:
-        """Return which joined bins without a frame are between two frames that are no further apart than usual: no gaps."""
+        """Return which joined bins without a frame are between two frames that are not further apart than usual: no gaps."""
         places = np.flatnonzero(self.frames[:used])
         near = np.flatnonzero(np.diff(places) <= NEAR * self.coarseness())
         edges = np.zeros(used + 1, np.int64)
@@ -170,7 +170,7 @@ class BitImages:
         return 1e9 if self.has_times else 1.0
 
     def add(self, table: FrameTable) -> None:
-        """Frames in the order of the recording."""
+        """Add frames in the order of the recording."""
         if not len(table):
             return
         if self.has_times is None:
@@ -221,7 +221,7 @@ class BitImages:
         return (self.start - zero) / self.unit, (self.start + self.used * self.width - zero) / self.unit
 
     def begin(self, image: BitImage, origin: int | None = None) -> float:
-        """When the first frame of an image came: its joined bins may begin before it."""
+        """Return when the first frame of an image came: its joined bins may begin before it."""
         (there,) = image.frames.nonzero()
         place = int(there[0]) if len(there) else 0
         return self.extent(1, place, origin)[1]

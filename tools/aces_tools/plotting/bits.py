@@ -54,7 +54,7 @@ class BitPicture:
         return "time in s" if self.images.has_times else "frame"
 
     def names(self) -> list[str]:
-        """Of each image: the identifier, behind its channel where there are several."""
+        """Return the identifier of each image, behind its channel where there are several."""
         several = len({image.identifier.channel for image in self.images.images.values()}) > 1
         return [
             f"{image.identifier.channel} {image.identifier}" if several else str(image.identifier)
@@ -148,12 +148,12 @@ def draw_bits(picture: BitPicture, figure: Any) -> None:
 
 
 def _height(image: BitImage, bit: float) -> float:
-    """Inches, where a bit has so many."""
+    """Return inches, where a bit has `per_bit`."""
     return min(max(0.24, bit * 8 * image.length), HIGHEST if bit == LARGE_ROW else HIGHEST / 2)
 
 
 def _bit_ticks(ax: Any, length: int) -> None:
-    """Of an image alone, each bit's number on the right."""
+    """Put each bit's number on the right of an image that is alone."""
     if length <= 8:
         right = ax.secondary_yaxis("right")
         right.set_yticks(
@@ -239,7 +239,9 @@ def terminal_bits(picture: BitPicture, width: int, *, is_rich: bool, is_by_byte:
 
 
 def _wrapped(parts: Sequence[str], width: int) -> list[str]:
-    """Parts beside each other, in as many lines as a narrow terminal takes; what is wider alone is cut."""
+    """Return parts beside each other, in as many lines as a narrow terminal takes; a part that is wider alone
+    is cut.
+    """
     lines = [""]
     for part in parts:
         if lines[-1] and len(lines[-1]) + 2 + len(part) > width:

@@ -35,7 +35,7 @@ LONGEST_NAME = 32
 
 
 def load_matplotlib() -> Any:
-    """matplotlib; raises `CallerError` when it is not installed."""
+    """Return matplotlib; raise `CallerError` when it is not installed."""
     try:
         import matplotlib
     except ImportError as error:
@@ -136,7 +136,7 @@ def styled(style: str | None) -> Generator[None, None, None]:
 
 
 def height_of(picture: Picture) -> float:
-    """Inches that all panels together want."""
+    """Return the inches that all panels together want."""
     return min(TALLEST, max(2.6, sum(map(_height, picture.panels)) + 0.6 + (0.3 if picture.title else 0)))
 
 

@@ -208,13 +208,13 @@ class LineNames:
                 self._telling.discard((owner, CHANNEL))
 
     def key(self, curve: Series) -> str:
-        """`[board=3]`, or nothing."""
+        """Return `[board=3]`, or nothing."""
         owner = curve.signal.owner
         parts = [f"{name}={value}" for name, value in curve.key if (owner, name) in self._telling]
         return f"[{','.join(parts)}]" if parts else ""
 
     def full(self, curve: Series) -> str:
-        """`Encoder[board=3].position.0`."""
+        """Return `Encoder[board=3].position.0`."""
         return f"{curve.signal.message}{self.key(curve)}.{curve.signal.path}"
 
 
@@ -271,7 +271,7 @@ def _categorise(panel: PlotPanel) -> None:
 
 
 def value_changes(x: Array, y: Array) -> tuple[Array, Array]:
-    """Without the samples that say again what the last one said and the next one says: of steps, nothing is lost."""
+    """Return samples without those that repeat the sample before and behind them: of steps, nothing is lost."""
     gone = np.isnan(y)
     same = (y[1:] == y[:-1]) | (gone[1:] & gone[:-1])
     kept = np.ones(len(y), bool)
@@ -280,7 +280,7 @@ def value_changes(x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def steps(x: Array, y: Array) -> tuple[Array, Array]:
-    """With a corner at each sample: a value holds until the next one comes."""
+    """Return samples with a corner at each: a value holds until the next one comes."""
     if len(x) < 2:
         return x, y
     out_x, out_y = np.repeat(x, 2)[1:], np.repeat(y, 2)[:-1]

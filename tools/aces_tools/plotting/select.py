@@ -75,7 +75,7 @@ def parse_format(text: str, where: str) -> ImageFormat:
             marker, rest = rest[0], rest[1:]
         else:
             raise CallerError(
-                f"{where!r}: {text!r} is no format; it is made of a colour (b g r c m y k w C0…C9), a line"
+                f"{where!r}: {text!r} is not a format; it is made of a colour (b g r c m y k w C0…C9), a line"
                 " (- -- -. :) and a marker (. o s x + D …), such as r-- or .k; | in front draws stems"
             )
     return ImageFormat(colour, marker, line, is_stem)
@@ -88,7 +88,7 @@ def parse_format(text: str, where: str) -> ImageFormat:
 class PlotSignal:
     """One number of a message over time. `column` is the table's column; of a flag, `bit` is its bit in that column.
 
-    `conditional` says that other messages of the kind do not carry it (multiplexing): its absence is no gap.
+    `conditional` says that other messages of the kind do not carry it (multiplexing): its absence is not a gap.
     """
 
     protocol: str
@@ -166,7 +166,7 @@ def _declared(protocol: str, message: str, plan: p.MessagePlan) -> Declared:
 
 
 def glob(text: str) -> re.Pattern[str]:
-    """`*` is any number of characters, `?` one; case does not count."""
+    """Return a pattern in which `*` is any number of characters, `?` one; case does not count."""
     parts = (".*" if c == "*" else "." if c == "?" else re.escape(c) for c in text)
     return re.compile("".join(parts), re.IGNORECASE | re.DOTALL)
 
@@ -230,7 +230,7 @@ def parse_pattern(text: str) -> SignalPattern:
     found = _PATTERN.fullmatch(text)
     if found is None or not (found["head"] or found["where"]):
         raise CallerError(
-            f"{text!r} is no signal; write Message.signal, Message[board=3].signal or signal, with * and ?,"
+            f"{text!r} is not a signal; write Message.signal, Message[board=3].signal or signal, with * and ?,"
             " and :FMT behind it such as :r--"
         )
     where: list[tuple[str, str]] = []
@@ -238,7 +238,7 @@ def parse_pattern(text: str) -> SignalPattern:
         name, equals, value = condition.partition("=")
         if condition.strip() and not (equals and name.strip() and value.strip()):
             raise CallerError(
-                f"{text!r}: {condition.strip()!r} is no condition; write [board=3] or [board=*]"
+                f"{text!r}: {condition.strip()!r} is not a condition; write [board=3] or [board=*]"
             )
         if equals:
             where.append((name.strip(), value.strip()))
@@ -250,7 +250,7 @@ def parse_pattern(text: str) -> SignalPattern:
 
 
 def parse_groups(texts: Sequence[str]) -> list[list[list[SignalPattern]]]:
-    """Subplots, divided by `-`; in each its vertical axes, divided by `,`; in each the patterns."""
+    """Parse subplots, divided by `-`; in each its vertical axes, divided by `,`; in each the patterns."""
     groups: list[list[list[SignalPattern]]] = [[[]]]
     for text in texts:
         if text == "-":

@@ -40,7 +40,8 @@ MOST_SERIES = 4096
 
 
 def thin(x: Array, y: Array, buckets: int) -> tuple[Array, Array]:
-    """Of each of `buckets` equal stretches of `x` the first, last, lowest and highest point, and one gap; in order of x.
+    """Return of each of `buckets` equal stretches of `x` the first, last, lowest and highest point, and one
+    gap; in order of x.
 
     `x` and `y` are float64 of one length, `y` NaN in gaps. What comes back has at most 5 × `buckets` points.
     """
@@ -83,7 +84,7 @@ class Series:
     count: int = 0
     low: float | int | None = None
     high: float | int | None = None
-    #: Types of values that are no numbers: "bytes", "str".
+    #: Types of values that are not numbers: "bytes", "str".
     others: str = ""
     #: Points that it may hold before it is thinned.
     room: int = MOST_POINTS
@@ -102,7 +103,7 @@ class Series:
             self.high = high if self.high is None else max(self.high, high)
 
     def extend(self, x: Array, y: Array) -> None:
-        """More points, `y` NaN in gaps."""
+        """Add points, `y` NaN in gaps."""
         self._x.append(x)
         self._y.append(y)
         self._held += len(x)
@@ -120,13 +121,13 @@ class Series:
 
 
 def broken(x: Array, y: Array, longest: float) -> tuple[Array, Array]:
-    """With a gap wherever more than `longest` lies between two points."""
+    """Return points with a gap wherever more than `longest` lies between two of them."""
     at = np.flatnonzero(np.diff(x) > longest) + 1
     return (np.insert(x, at, x[at - 1]), np.insert(y, at, np.nan)) if len(at) else (x, y)
 
 
 def longest_period(x: Array) -> float:
-    """Return the longest time between two points that is no gap: some periods where they come periodically, else any."""
+    """Return the longest time between two points that is not a gap: some periods where they come periodically, else any."""
     steps = np.diff(x)
     if len(steps) < PERIODS:
         return np.inf
@@ -258,7 +259,7 @@ class Collector:
             series.extend(x, y)
 
     def _take_lists(self, signal: PlotSignal, key: Key, x: Array, column: Column, at: Any) -> None:
-        """Every value of every list is a point at the time of its message."""
+        """Take every value of every list as a point at the time of its message."""
         lists = column.values[at].tolist()
         values = [value for row in lists for value in row]
         if not all(value is None or isinstance(value, (int, float)) for value in values):
@@ -322,7 +323,7 @@ def _by_key(table: MessageTable, names: Sequence[str], rows: Array | None) -> li
 
 
 def _numbers(column: Column, signal: PlotSignal) -> tuple[Array, Array | None]:
-    """Return the values as they are, and as float64 with NaN in gaps; None instead when they are no numbers."""
+    """Return the values as they are, and as float64 with NaN in gaps; None instead when they are not numbers."""
     if signal.bit is not None:
         bit = signal.bit
         if column.kind.is_object:

@@ -16,7 +16,9 @@ ALL, PANELS, LINES = 24, 4, 6
 
 
 def telling_signals(series: Sequence[Series]) -> list[str]:
-    """SIGNALs as they are typed, with `-` between subplots; none where there are few enough to draw all of them."""
+    """Return SIGNALs as they are typed, with `-` between subplots; none where there are few enough to draw
+    all of them.
+    """
     drawn = [curve for curve in series if curve.count and not curve.others]
     if len(drawn) <= ALL:
         return []

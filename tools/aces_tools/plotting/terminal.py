@@ -50,7 +50,7 @@ APART = 24
 
 
 def make_plot_paint() -> Paint:
-    """Colours as rich has them for this terminal, or its 16 where it cannot tell."""
+    """Return a function that colours as rich does for this terminal, or by its 16 colours where it cannot tell."""
     from rich.color import ColorSystem
     from rich.console import Console
     from rich.style import Style
@@ -138,7 +138,7 @@ class _Drawing:
         return "\n".join(lines) + "\n"
 
     def _rows(self, height: int | None) -> list[int]:
-        """Lines of each panel."""
+        """Return the lines of each panel."""
         fixed: list[int | None] = []
         for panel, _ in self.parts:
             if panel.sort == "flags":
@@ -157,7 +157,7 @@ class _Drawing:
     # ------------------------------------------------------------------ vertical axis
 
     def _scale(self, panel: PlotPanel, place: int, rows: int) -> dict[int, str]:
-        """Labels of the vertical axis by row."""
+        """Return labels of the vertical axis by row."""
         if panel.sort == "flags":
             return {row: printable(line.label) for row, line in enumerate(panel.lines)}
         if panel.sort == "names":
@@ -308,15 +308,21 @@ class _Drawing:
         return self._cells(cells, owner, lines, marks)
 
     def _number(self, mine: Array, number: int, count: int, marks: dict[tuple[int, int], str]) -> None:
-        """Put a line's number on it here and there, where there is no other number."""
-        mark = str(number + 1)
-        first = round(APART / 2 * (number + 0.5) / count) + 1
+        """Write a line's number onto the line, about every `APART` columns, beside no other number.
+
+        `mine` has the cells of the line; `marks` are the characters so far, by row and column.
+        """
+        digits = str(number + 1)
+        first = round(APART / 2 * (number + 0.5) / count) + 1  # lines begin at different columns
         for start in range(first, self.columns, APART):
-            for column in range(start, min(start + APART - 4, self.columns - len(mark))):
-                at = np.flatnonzero(mine[:, column])
-                if len(at) and not any((int(at[0]), column + n) in marks for n in range(-1, len(mark) + 1)):
-                    for n, character in enumerate(mark):
-                        marks[int(at[0]), column + n] = character
+            for column in range(start, min(start + APART - 4, self.columns - len(digits))):
+                rows = np.flatnonzero(mine[:, column])
+                if not len(rows):
+                    continue
+                row = int(rows[0])
+                around = range(column - 1, column + len(digits) + 1)
+                if not any((row, place) in marks for place in around):
+                    marks.update(((row, column + n), digit) for n, digit in enumerate(digits))
                     break
 
     def _cells(
@@ -415,7 +421,7 @@ def nice_step(least: float) -> float:
 
 
 def ticks(low: float, high: float, step: float) -> list[float]:
-    """Multiples of `step` in [low, high]."""
+    """Return multiples of `step` in [low, high]."""
     first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
     return [number * step for number in range(first, min(last, first + 200) + 1)]
 

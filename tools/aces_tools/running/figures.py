@@ -152,7 +152,7 @@ class Watch:
             self.last.append(event_text(event))
 
     def begin(self, wall_ns: int) -> None:
-        """Rates are reckoned from here on."""
+        """Reckon rates from here on."""
         self.look(wall_ns)
         self._at_first, self._wall_first, self._first = self._at, wall_ns, dict(self._before)
 
@@ -209,7 +209,7 @@ class Watch:
         )
 
     def _jitter_of(self, task: Task) -> tuple[int, int]:
-        """Median and 99 %; sorting thousands of numbers would disturb, so not at each look."""
+        """Return median and 99 %; sorting thousands of numbers would disturb, so not at each look."""
         known = self._jitter.get(task.name)
         if known is None or self._wall - known[0] >= JITTER_EVERY:
             known = self._jitter[task.name] = (self._wall, task.jitter_ns(), task.jitter_ns(0.99))

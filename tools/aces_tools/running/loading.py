@@ -45,7 +45,7 @@ def load_controllers(
 
 
 def _split(word: str) -> tuple[str, str]:
-    """`walk.py:knee` as file and name."""
+    """Split `walk.py:knee` into file and name."""
     path, colon, name = word.rpartition(":")
     return (path, name) if colon and path.endswith(".py") else (word, "")
 
@@ -73,7 +73,7 @@ def _of_program(path: str, name: str) -> list[ControllerLike]:
         several: list[Any] = list(cast("list[Any]", item)) if isinstance(item, (list, tuple)) else []
         items: list[Any] = [item] if _is_controller(item) else several
         if not items or not all(map(_is_controller, items)):
-            raise CallerError(f"{path}: {name} is no controller, but {type(item).__name__}")
+            raise CallerError(f"{path}: {name} is not a controller, but {type(item).__name__}")
         return items
     every = {id(item): item for item in vars(module).values() if _is_controller(item)}
     inside = {id(getattr(item, "controller", None)) for item in every.values()}  # a supervisor's own
@@ -104,7 +104,7 @@ def reactions_of(
     """Return what `--on-trip [KIND[@SOURCE,…]=]REACTION` says: how motion stops where nothing else is said, and
     reactions by kind.
 
-    Raises `CallerError` for what is no reaction, and for kinds and sources that there are not.
+    Raises `CallerError` for what is not a reaction, and for kinds and sources that there are not.
     """
     action: Action = "disable"
     words: dict[str, str] = {}
@@ -241,7 +241,7 @@ def _log_parts(text: str) -> tuple[str, list[str]]:
 
 
 def _states_of(patterns: Sequence[str], robot: Robot) -> list[str]:
-    """Names as they are; `*` and `?` stand for joints: `L*`, `L*.setpoint`."""
+    """Return names as they are; `*` and `?` stand for joints: `L*`, `L*.setpoint`."""
     joints = [joint.name for joint in robot.joints.values() if joint.active]
     found: dict[str, None] = {}
     for pattern in patterns:

@@ -65,7 +65,7 @@ def panel(figures: Figures, title: str, width: int, height: int) -> list[Line]:
 
 
 def plain_line(figures: Figures) -> str:
-    """One line that says how it is."""
+    """Return one line that says how the run is."""
     parts = [f"{figures.seconds:9.2f} s"]
     for component in figures.components:
         late = f" late {_ms(component.median_ns)}/{_ms(component.most_ns)} ms" if component.most_ns else ""
@@ -222,7 +222,7 @@ def _fitted(line: Line, width: int) -> Line:
 
 
 def to_rich(lines: Sequence[Line]) -> Any:
-    """Lines as rich shows them."""
+    """Return lines as rich shows them."""
     from rich.text import Text
 
     whole = Text(no_wrap=True, overflow="crop")

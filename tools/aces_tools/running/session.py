@@ -129,7 +129,7 @@ class Session:
 
     @staticmethod
     def _show_live(view: LiveView, runner: Runner, stack: ExitStack) -> None:
-        """Buses, events, and what controllers log."""
+        """Show buses, events, and what controllers log."""
         for name, host in runner.rig.hosts.items():
             show_bus(view, name, host, is_host=True)
         runner.handlers.append(lambda event: show_event(view, event))
@@ -200,7 +200,7 @@ class Session:
             return self._summarise(runner, watch, self._end or ended, missing, status)
 
     def _acts(self, runner: Runner, stack: ExitStack) -> ActLog | None:
-        """Who did what, where it is wanted; beside the first log of a run that moves a real robot."""
+        """Return the log of who did what, if it is wanted; beside the first log of a run that moves a real robot."""
         path = self.arguments.acts
         if path is None and self.loggers and self.arguments.tx and self.is_real:
             path = f"{os.path.splitext(self.loggers[0].path)[0]}.acts.jsonl"
@@ -212,7 +212,7 @@ class Session:
 
     @staticmethod
     def _stop(runner: Runner) -> tuple[Ended, bool]:
-        """Ctrl-C at the end shortens what hangs, and skips nothing: how it ended, and whether there was one."""
+        """Stop; Ctrl-C shortens what hangs, and skips nothing. Return how the run ended, and whether there was one."""
         was_interrupted = False
         while True:
             try:
@@ -227,7 +227,7 @@ class Session:
             say(f"{name} cannot be held, and may fall: without this program it {why}")
 
     def _prepare(self, runner: Runner, missing: Sequence[str]) -> bool:
-        """Home and enable what is driven; False when some of it is not there."""
+        """Home and enable the driven devices; return False when some of them are not there."""
         asked = self.arguments
         if missing and self.is_real and not (asked.ask or asked.tx):
             say(f"nothing came from {', '.join(missing)}: no other program asks; --ask does")
@@ -239,7 +239,7 @@ class Session:
             device.name: device for supervisor in runner.supervisors for device in runner.driven(supervisor)
         }
         if any(name in driven for name in missing):
-            say("nothing was moved: what is to be driven has to be there")
+            say("nothing was moved: the driven devices must answer first")
             return False
         devices: list[Device] = list(driven.values())
         for name, why in runner.unparkable.items():
@@ -273,7 +273,7 @@ class Session:
         return not runner.unhomed
 
     def _look(self, runner: Runner, watch: Watch) -> bool:
-        """Asked every millisecond: show, keep the pace; whether it is to end."""
+        """Show, and keep the pace; return whether the run is to end. Called every millisecond."""
         if self.patience.is_over or self._is_played(runner):
             return True
         now = time.monotonic_ns()
@@ -360,7 +360,7 @@ class Session:
             self._live = None
 
     def _happened(self, event: Any) -> None:
-        """Without a panel, what happens is said when it does; of what happens again and again the first."""
+        """Report events at once, without a panel; of repeated events the first."""
         if event.kind in USUAL:
             return
         key = event.kind, event.source

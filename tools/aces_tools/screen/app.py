@@ -209,7 +209,7 @@ class Table(ScrollView, can_focus=True):
         self.select(number if number >= 0 else len(self.rows) - 1)
 
     def on_click(self, event: Click) -> None:
-        """Select what is clicked at."""
+        """Select the row that is clicked at."""
         number = event.y + self.scroll_offset.y
         if number < len(self.rows):
             self.select(number)
@@ -348,7 +348,7 @@ class LiveScreen(App[None]):
         self.model.take_events()
 
     def picture(self) -> None:
-        """Paint what is known."""
+        """Paint the screen."""
         if not self.query("#head"):  # not composed yet
             return
         now = self._now()
@@ -412,7 +412,7 @@ class LiveScreen(App[None]):
     # ------------------------------------------------------------------ keys
 
     def _again(self) -> None:
-        """Something about the picture was changed."""
+        """Paint again: something about the picture was changed."""
         self._needs = None
         self.picture()
 
@@ -465,7 +465,7 @@ class LiveScreen(App[None]):
         self.query_one(Input).focus()
 
     def action_leave(self) -> None:
-        """Esc: out of the filter, then out of the details."""
+        """Leave the filter, then the details, at Esc."""
         if self.has_class("filtering") or self.view.text:
             self.query_one(Input).value = ""
             self.view.look_for("")

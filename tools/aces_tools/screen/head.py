@@ -219,7 +219,7 @@ def _about(row: RepeatedFrame, model: Model, now_ns: int) -> list[Line]:
 
 
 def _values(values: Sequence[Value], width: int) -> list[Line]:
-    """Fields in columns: name, value and unit, curve, place, what it is."""
+    """Return fields in columns: name, value and unit, curve, place, doc."""
     name = min(28, max((cell_len(value.path) for value in values), default=0))
     shown = [printable(value.text) + (f" {value.unit}" if value.unit else "") for value in values]
     text = min(max(12, width - name - CURVE - 4), max(map(cell_len, shown), default=0))

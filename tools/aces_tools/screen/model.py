@@ -118,7 +118,7 @@ class RepeatedFrame:
     # ------------------------------------------------------------------ hot
 
     def received(self, data: bytes, stamp: float) -> None:
-        """One more: `stamp` in seconds of whichever clock stamps this bus."""
+        """Take one more frame; `stamp` in seconds of whichever clock stamps this bus."""
         if data != self.data and self.count:
             self.fresh_mask |= changed_bits(self.data, data)
         self.data = data
@@ -162,7 +162,7 @@ class RepeatedFrame:
         return sqrt(max(0.0, self._variance))
 
     def rate(self, now_ns: int) -> float:
-        """So many a second, smoothed; of what comes seldom, the reciprocal of its interval."""
+        """Return the frames a second, smoothed; of a rare frame, the reciprocal of its interval."""
         if self.count < 2:
             return 0.0
         if self._interval_ns * 3 > ROW_TAU_S * 1e9:
@@ -283,7 +283,7 @@ class Model:
     # ------------------------------------------------------------------ events
 
     def emit(self, event: BusEvent) -> None:
-        """Something happened to the bus; called on any thread."""
+        """Take an event of the bus; called on any thread."""
         self._incoming.append(event)
 
     def take_events(self) -> None:
@@ -296,7 +296,7 @@ class Model:
     # ------------------------------------------------------------------ CAN
 
     def feed(self, items: Sequence[Received[Frame]]) -> None:
-        """Frames as a gate hands them over, in order."""
+        """Take frames as a gate hands them over, in order."""
         if not items:
             return
         touched: list[RepeatedFrame] = []
@@ -363,7 +363,7 @@ class Model:
     # ------------------------------------------------------------------ streams
 
     def feed_records(self, records: Sequence[Any], host_ns: int, bits: int = 0) -> None:
-        """Packets that a scanner found, and the bits on the line that brought them."""
+        """Take packets that a scanner found, and the bits on the line that brought them."""
         touched: list[RepeatedFrame] = []
         for record in records:
             kind = type(record)
@@ -518,7 +518,7 @@ class Meter:
         self._amount = 0.0
 
     def add(self, now_ns: int, amount: float) -> None:
-        """So much has come until `now_ns`."""
+        """Add an amount that has come until `now_ns`."""
         age = now_ns - self._at
         if age > 0:
             half = exp(-0.5 * age / self._tau)

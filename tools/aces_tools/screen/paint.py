@@ -86,7 +86,7 @@ def styles(*, has_colour: bool = True) -> dict[str, Style]:
 
 
 def rate(value: float) -> str:
-    """Per second, in five places."""
+    """Return a rate per second, in five places."""
     if value <= 0:
         return "–"
     if value >= 99_950:
@@ -95,7 +95,7 @@ def rate(value: float) -> str:
 
 
 def milliseconds(seconds: float) -> str:
-    """In ms, in five places; from 100 s on in seconds."""
+    """Return ms, in five places; from 100 s on in seconds."""
     value = seconds * 1000
     if value >= 99_950:
         return f"{value / 1000:.0f}s"
@@ -111,7 +111,7 @@ def paint_bits(value: float) -> str:
 
 
 def elapsed(ns: int) -> str:
-    """Hours, minutes, seconds."""
+    """Return hours, minutes, seconds."""
     seconds = max(0, ns) // 1_000_000_000
     hours, rest = divmod(seconds, 3600)
     minutes, seconds = divmod(rest, 60)
@@ -248,7 +248,7 @@ def title(found: Sequence[TableColumn], sort: str, *, is_reversed: bool) -> list
 def line(
     row: RepeatedFrame, model: Model, found: Sequence[TableColumn], now_ns: int, *, is_marking: bool = True
 ) -> list[StyledText]:
-    """One row of the table."""
+    """Return one row of the table."""
     silent = row.is_silent(now_ns)
     spans: list[StyledText] = []
     for column in found:
@@ -324,7 +324,7 @@ def _data(row: RepeatedFrame, width: int, now_ns: int, *, is_marking: bool) -> l
 def paint_hexadecimal(
     row: RepeatedFrame, shown: bytes, now_ns: int, gap: str, *, is_marking: bool
 ) -> list[StyledText]:
-    """Bytes as hexadecimal digits, each by the age of the change of its four bits."""
+    """Return bytes as hexadecimal digits, each by the age of the change of its four bits."""
     text = shown.hex(" ").upper() if gap else shown.hex().upper()
     if not is_marking or not row.changes:
         return [StyledText(text, "data")] if text else []
@@ -352,7 +352,9 @@ def age_style(marks: Sequence[int], bit: int, mask: int) -> str:
 
 
 def binary(byte: int, number: int, marks: Sequence[int]) -> list[StyledText]:
-    """One byte as bits, the highest first, each by the age of its change; `number` is the byte's, `marks` are `ages`."""
+    """Return one byte as bits, the highest first, each by the age of its change; `number` is the byte's,
+    `marks` are `ages`.
+    """
     spans: list[StyledText] = []
     for bit in range(7, -1, -1):
         style = age_style(marks, 8 * number + bit, 1)
@@ -398,7 +400,7 @@ def _values(row: RepeatedFrame, model: Model, width: int, style: str) -> list[St
 
 
 def fit(spans: Sequence[StyledText], width: int) -> list[StyledText]:
-    """So much of a line as there is room for."""
+    """Return as much of a line as there is room for."""
     found: list[StyledText] = []
     for span in spans:
         length = cell_len(span.text)

@@ -136,7 +136,7 @@ def _is_number(value: Any) -> bool:
 
 
 class FieldsOfKinds(dict[type, FieldFormat | None]):
-    """By the type of an item; None for what is no record. Each is made when the first of its items comes."""
+    """By the type of an item; None for what is not a record. Each is made when the first of its items comes."""
 
     def __init__(self, variants: Sequence[Variant]) -> None:
         super().__init__()

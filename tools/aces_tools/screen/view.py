@@ -1,6 +1,6 @@
 """Which rows are shown, and in which order.
 
-1. What is typed as a filter never raises: what is no filter yet is said in `problem`.
+1. What is typed as a filter never raises: what is not a filter yet is said in `problem`.
 2. A frozen view shows copies; the model behind it goes on.
 
 A filter is either one of candump's (`060:7F0`, `can0,150~7FF`) or words, all of which a row must have in its channel,

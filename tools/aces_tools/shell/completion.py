@@ -103,7 +103,9 @@ def _robot(words: str) -> Robot | None:
 
 
 def _devices(words: str) -> Iterable[str]:
-    """Devices, joints and sensors of the robot; for `fuzz --twin` drivers; beside devices what `aces device` does else."""
+    """Return devices, joints and sensors of the robot; for `fuzz --twin` drivers; beside devices what `aces
+    device` does else.
+    """
     typed, robot = _typed(words), _robot(words)
     is_action = typed[2:3] == ["fuzz"]
     if is_action and "--twin" in typed:
@@ -137,7 +139,7 @@ def _actions(words: str) -> Iterable[str]:
 
 
 def _values(words: str) -> Iterable[str]:
-    """Signals to read, signals to set, or arguments of the action of the line."""
+    """Return signals to read, signals to set, or arguments of the action of the line."""
     from ..device_do import signals_of
 
     found, placed = _device(words), _placed(words, "device")

@@ -68,7 +68,7 @@ def our_verbs() -> list[str]:
 
 
 def whole_parser() -> Parser:
-    """One parser of all verbs."""
+    """Return one parser of all verbs."""
     whole = Parser(prog="aces", allow_abbrev=False)
     whole.add_argument("-V", "--version", action="store_true", help="print the version")
     subparsers = whole.add_subparsers(dest="verb")
@@ -89,7 +89,7 @@ def whole_parser() -> Parser:
 
 
 def _complete(verb: str, parser: Parser) -> None:
-    """Say what completes each argument that is no choice."""
+    """Say what completes each argument that is not a choice."""
     from shtab import FILE
 
     parser.description = summary_of(verb)
@@ -198,7 +198,7 @@ def _help(argument: argparse.Action, parser: Parser) -> str:
 
 
 def _prose(text: str) -> Iterator[str]:
-    """Paragraphs as they are; what is indented line by line."""
+    """Yield paragraphs as they are; indented text line by line."""
     for paragraph in text.strip("\n").split("\n\n"):
         lines = paragraph.splitlines()
         is_code = any(line.startswith(" ") for line in lines)

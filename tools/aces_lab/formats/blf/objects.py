@@ -115,7 +115,7 @@ _FD_FLAGS = np.array(
     [n & 1 and FD | (n >> 1 & 1) * BITRATE_SWITCH | (n >> 2) * ERROR_STATE for n in range(8)], np.uint8
 )
 _VERSIONS = (1, 2, 3)
-#: An instant beyond is no time; and so no sum leaves 63 bits.
+#: An instant beyond is not a time; and so no sum leaves 63 bits.
 _MOST_TIME = 1 << 61
 
 
@@ -233,7 +233,7 @@ def _kind(
     start_ns: int,
     channels: Channels,
 ) -> None:
-    """Objects of one type and header version."""
+    """Decode objects of one type and header version."""
     name, least, reach, read = _READERS[kind]
     payload = 40 if version == 2 else 32
     short = sizes < payload + least
@@ -384,7 +384,7 @@ def _with_data(
     given: Ints,
     offset: int,
 ) -> _Frames:
-    """Frames that may be FD: with a length code and a number of data bytes."""
+    """Return frames that may be FD: with a length code and a number of data bytes."""
     fd = (flags & FD) != 0
     objects.check(code > 15, lambda row: f"length code {int(code[row])} does not exist")
     objects.check(remote & fd, lambda row: "a remote frame exists only in classic CAN")
@@ -422,13 +422,15 @@ def _way(sent: Ints) -> Ints:
 
 
 def _fd_flags(bits: Ints) -> Ints:
-    """Of bits 0 (CAN FD), 1 (bit rate switch) and 2 (error state), of which the others mean something in CAN FD alone."""
+    """Return flags of bits 0 (CAN FD), 1 (bit rate switch) and 2 (error state), of which 1 and 2 mean
+    something in CAN FD alone.
+    """
     flags: Ints = _FD_FLAGS[bits & 7]
     return flags
 
 
 def _channels(given: Ints, channels: Channels) -> Ints:
-    """Numbers in a log, which count from 1, as numbers of the channels that are named from 0."""
+    """Return numbers in a log, which count from 1, as numbers of the channels that are named from 0."""
     first = int(given[0])
     if (given == first).all():
         return np.full(len(given), channels.number(one_less(first)), np.uint16)

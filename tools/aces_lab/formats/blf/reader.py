@@ -17,7 +17,7 @@ Objects are counted like lines: `lines` is their number, with one for each damag
 objects after the start of the measurement, exact to the nanosecond.
 
 *Facts*: python-can `can/io/blf.py`; Wireshark `wiretap/blf.h` (objects may come before the containers). Objects are
-padded: the next begins within 8 bytes. Vector's programs pad with zeros behind the last one, which is no damage. Logs may
+padded: the next begins within 8 bytes. Vector's programs pad with zeros behind the last one, which is not damage. Logs may
 be joined: another header begins another log, with its own start. The number of objects is without containers.
 *Choice*: the start is taken as UTC, as python-can takes it; Vector's programs write the local time of their machine.
 """
@@ -218,7 +218,7 @@ class BlfCapture(CanRecording):
                 file.drop(len(file.data))
                 break
         if not is_blank or file.data.startswith(_OBJECT):
-            self.damaged(f"{why}{file.offset - offset:,} bytes at offset {offset:,} are no object", first)
+            self.damaged(f"{why}{file.offset - offset:,} bytes at offset {offset:,} are not an object", first)
 
     def _can_begin(self, data: bytearray, place: int) -> bool:
         signature, _, _, long, kind = _BASE.unpack_from(data, place)
@@ -227,7 +227,7 @@ class BlfCapture(CanRecording):
         return self._can_be(long, kind)
 
     def damaged(self, reason: str, excerpt: bytes) -> None:
-        """Count bytes that are no object, of which `excerpt` are the first."""
+        """Count bytes that are not an object, of which `excerpt` are the first."""
         self.lines += 1
         self._unreadable(self.lines, reason, excerpt[:24].hex(" ").encode())
 
@@ -279,7 +279,7 @@ class _File:
         return True
 
     def first(self, size: int) -> bytes:
-        """So many bytes, or what there is."""
+        """Return `size` bytes, or what there is."""
         with memoryview(self.data) as view:
             return bytes(view[:size])
 
@@ -298,7 +298,7 @@ class _Stream:
         self._waiting: list[bytes] = []
         self._size = 0
         self._offset = 0  # of the first byte that waits
-        self._lost: int | None = None  # offset of the first byte that is no object
+        self._lost: int | None = None  # offset of the first byte that is not an object
         self._is_blank = False  # all bytes from there on are zeros, which is padding where nothing follows
 
     def feed(self, piece: bytes | None, flush: bool) -> Iterator[FrameTable]:
@@ -330,7 +330,7 @@ class _Stream:
         return tables
 
     def end_lost(self) -> None:
-        """Count the bytes at the end that are no object, unless they are padding."""
+        """Count the bytes at the end that are not an object, unless they are padding."""
         if self._lost is not None and not self._is_blank:
             self._capture.damaged(self._found(self._offset), b"")
         self._lost = None
@@ -408,7 +408,7 @@ class _Stream:
         """Return the end of the damage, in words."""
         assert self._lost is not None
         lost, self._lost = self._lost, None
-        return f"{offset - lost:,} bytes at unpacked offset {lost:,} are no object"
+        return f"{offset - lost:,} bytes at unpacked offset {lost:,} are not an object"
 
 
 def _next_object(data: bytes, place: int, size: int, final: bool) -> tuple[int, bool]:
@@ -430,7 +430,9 @@ def _limit(kind: int) -> int:
 
 
 def _run(view: Ints, size: int, place: int) -> tuple[Ints, Ints]:
-    """Objects of which each begins where the one before ends: at least the one at `place`, which is known to be whole."""
+    """Return objects of which each begins where the one before ends: at least the one at `place`, which is
+    known to be whole.
+    """
     step = int(np.ndarray((1,), "<u4", view, place + 8, (4,))[0])
     if step <= _LARGEST_CAN:
         count = min((size - place) // step, LARGE // step)
@@ -456,7 +458,9 @@ def _run(view: Ints, size: int, place: int) -> tuple[Ints, Ints]:
 
 
 def _system_time(raw: bytes | bytearray) -> int:
-    """Nanoseconds since 1970 of a SYSTEMTIME (year, month, day of the week, day, hour, minute, second, ms), or 0."""
+    """Return nanoseconds since 1970 of a SYSTEMTIME (year, month, day of the week, day, hour, minute, second,
+    ms), or 0.
+    """
     year, month, _, day, hour, minute, second, milliseconds = struct.unpack("<8H", raw)
     try:
         when = datetime.datetime(year, month, day, hour, minute, second, tzinfo=datetime.UTC)

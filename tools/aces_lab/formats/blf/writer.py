@@ -169,7 +169,7 @@ class BlfWriter(StartedWriter):
 
 
 def _system_time(ns: int) -> tuple[int, ...]:
-    """Windows' SYSTEMTIME; all zero for what counts from no calendar."""
+    """Return Windows' SYSTEMTIME; all zero for times that count from no calendar."""
     if ns < EARLIEST:
         return (0,) * 8
     at = datetime.fromtimestamp(ns // 1_000_000_000, UTC)
@@ -178,7 +178,7 @@ def _system_time(ns: int) -> tuple[int, ...]:
 
 
 def _made(kind: np.dtype[Any], table: FrameTable, offsets: Ints, channels: Ints) -> npt.NDArray[Any]:
-    """Objects with what all kinds have."""
+    """Return objects with the head that all kinds have."""
     made = np.zeros(len(table), kind)
     made["signature"] = b"LOBJ"
     made["header_size"], made["header_version"] = 32, 1

@@ -63,7 +63,7 @@ def header(first_group_at: int, history_at: int, comment_at: int, start_ns: int)
 
 
 def history(comment_at: int, time_ns: int) -> bytes:
-    """Who wrote the file."""
+    """Return the block that says who wrote the file."""
     return block(b"FH", (0, comment_at), struct.pack("<QhhB3x", time_ns, 0, 0, 0))
 
 

@@ -201,7 +201,7 @@ def is_tree(file: BinaryIO) -> bool:
 
 
 def _limit(memory: int, disk: int) -> None:
-    """Bound what this process may take from here on, where the system can (not on Windows)."""
+    """Bound the memory of this process from here on, where the system can (not on Windows)."""
     try:
         import resource
     except ImportError:
@@ -243,7 +243,7 @@ def copy_records(path: str, folder: str, records: str) -> dict[str, Any]:
 
 
 def run_child(arguments: Sequence[str]) -> None:
-    """`arguments`: memory in bytes, a folder for temporary files, and the paths of files to read, one after the other."""
+    """Run a reader; `arguments`: memory in bytes, a folder for temporary files, and the paths of files to read."""
     memory, folder, *paths = arguments
     out = os.fdopen(os.dup(1), "w", encoding="utf-8")
     nowhere = os.open(os.devnull, os.O_WRONLY)

@@ -50,7 +50,7 @@ class ChannelConversion(NamedTuple):
 
 
 def conversion_of(kind: int, values: Ints, texts: Sequence[str]) -> ChannelConversion:
-    """Return the conversion of a kind with parameters; `texts` are those it refers to, "" for what is no text."""
+    """Return the conversion of a kind with parameters; `texts` are those it refers to, "" for what is not text."""
     fault = _NOT_READ.get(kind, f"a conversion of kind {kind}")
     if kind in _IS_WHOLE:
         fault = "" if _IS_WHOLE[kind](values, len(values), len(texts)) else "a damaged conversion"

@@ -114,7 +114,7 @@ class Variable:
         self._number, self._unpacked = -1, b""
 
     def window(self, start: int, end: int) -> bytes:
-        """So many bytes of those there are, fewer at the end. Raises `ValueError` when they cannot be read."""
+        """Return a window of bytes, fewer at the end. Raises `ValueError` when they cannot be read."""
         end = min(end, self.size)
         self._left -= max(0, end - start)
         if end - start > _WINDOW or self._left < 0:
@@ -138,7 +138,8 @@ class Variable:
 
 
 def values_at(window: Callable[[int, int], bytes], size: int, offsets: Ints) -> tuple[Ints, Ints]:
-    """Bytes of variable length at offsets: their lengths, -1 for what does not lie in the `size` bytes, and rows of them.
+    """Return bytes of variable length at offsets: their lengths, -1 for what does not lie in the `size`
+    bytes, and rows of them.
 
     Rows have 8 bytes, or 64; of longer bytes the first 64.
     """
@@ -193,7 +194,7 @@ class Sorted:
     ) -> None:
         self.segments: dict[int, list[Segment]] = {number: [] for number in wanted}
         self.counts: dict[int, int] = {group.number: 0 for group in stream.groups}
-        #: Bytes at the end that are no whole record.
+        #: Bytes at the end that are not a whole record.
         self.rest = 0
         self._variable = {group.number for group in stream.groups if group.flags & VARIABLE_GROUP}
         self.fault = ""

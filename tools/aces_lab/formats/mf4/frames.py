@@ -1,6 +1,6 @@
 """Fields of an MDF 4 bus log become frames, whether our own code or asammdf found the records.
 
-1. What is no frame is reported with its record's number and the reason; the other records are read.
+1. What is not a frame is reported with its record's number and the reason; the other records are read.
 2. Nothing is kept: a piece comes, a piece goes.
 """
 
@@ -103,7 +103,7 @@ def broken_off(kind: str, group: int, announced: int | None, there: int, reason:
 
 def no_log(groups: int) -> str:
     """Return what to say of a file without bus logging."""
-    return f"it holds no bus logging, but measured signals in {groups} groups; it is no CAN log"
+    return f"it holds no bus logging, but measured signals in {groups} groups; it is not a CAN log"
 
 
 def frame_columns(
@@ -191,7 +191,7 @@ def piece_of(
     good: Ints | None = None
     wrongs = list(fields.wrong)
     if n and int(time.min()) == NO_TIME:
-        wrongs.append((time == NO_TIME, "a time that is no instant"))
+        wrongs.append((time == NO_TIME, "a time that is not an instant"))
     if fields.stored is not None:
         wrongs.append((fields.stored < 0, "data bytes that are not in the file"))
         wrongs.append((length != fields.stored, "a length that is not that of its data bytes"))
@@ -231,7 +231,7 @@ def piece_of(
 
 
 def _data(data: Ints | None, length: Ints) -> Ints:
-    """Rows of 8 or 64 bytes, zero behind the length."""
+    """Return rows of 8 or 64 bytes, zero behind the length."""
     n = len(length)
     if data is None:
         return np.zeros((n, 8), np.uint8)
@@ -254,7 +254,7 @@ def _data(data: Ints | None, length: Ints) -> Ints:
 
 
 def instants(since: Ints, start_ns: int) -> Ints:
-    """int64 nanoseconds since 1970, of integer nanoseconds since `start_ns`; `NO_TIME` where they do not fit."""
+    """Return int64 nanoseconds since 1970, of integer nanoseconds since `start_ns`; `NO_TIME` where they do not fit."""
     if not len(since) or (int(since.min()) + start_ns > -_NO_MORE and int(since.max()) + start_ns < _NO_MORE):
         return since.astype(np.int64) + start_ns
     wrong = (since <= -_NO_MORE - start_ns) | (since >= _NO_MORE - start_ns)
@@ -262,7 +262,7 @@ def instants(since: Ints, start_ns: int) -> Ints:
 
 
 def instants_of_seconds(since: Ints, start_ns: int) -> Ints:
-    """Return the same of seconds; `NO_TIME` too for what is no number, and for more than a hundred years."""
+    """Return the same of seconds; `NO_TIME` too for what is not a number, and for more than a hundred years."""
     wrong = ~(np.abs(since) < 4e9)
     if not wrong.any():
         return instants(np.rint(since * 1e9).astype(np.int64), start_ns)

@@ -78,7 +78,7 @@ class _Number:
             ),
             (
                 is_text and (part != "Dir" or channel.data_type == _BYTES),
-                f"has data type {channel.data_type}, and is no number",
+                f"has data type {channel.data_type}, and is not a number",
             ),
             (is_text and not self._is_plain, "is a text with a conversion, which is not read"),
             name=channel.name,
@@ -215,11 +215,11 @@ class _Layout:
             refuse(
                 (
                     data.kind not in (VALUE, SIZED, VARIABLE) or data.data_type != _BYTES,
-                    f"has data type {data.data_type}, and is no bytes",
+                    f"has data type {data.data_type}, and is not bytes",
                 ),
                 (
                     bool(data.conversion.fault) or data.conversion.kind != IDENTITY,
-                    "has a conversion, and is no bytes",
+                    "has a conversion, and is not bytes",
                 ),
                 name=data.name,
             )
@@ -307,7 +307,7 @@ class GroupReader:
         return piece_of(kind, key, time, channel, fields, self._channels)
 
     def _time(self, time: _Number, rows: Ints, first: int) -> Ints:
-        """int64 nanoseconds since 1970."""
+        """Return int64 nanoseconds since 1970."""
         conversion, field = time.conversion, time.field
         is_exact = conversion.kind == LINEAR and conversion.parameters[:2].tolist() == [0.0, 1e-9]
         if is_exact and (field is None or not field.is_real):

@@ -148,7 +148,7 @@ class Mf4Capture(CanRecording):
             timer.cancel()
         if is_over.is_set():
             raise CaptureError(
-                f"{self.name}: reading this MF4 file came to nothing for {self._patience:.0f} s and was stopped; it"
+                f"{self.name}: no progress for {self._patience:.0f} s while reading this MF4 file, which was stopped; it"
                 " is damaged"
             )
         if not line.endswith(b"\n"):

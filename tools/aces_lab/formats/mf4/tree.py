@@ -309,7 +309,7 @@ class Blocks:
             at = group.links[0]
         width = block.data[0]
         if width not in (0, 1, 2, 4, 8):
-            raise Damaged(f"numbers of groups of {width} bytes are no numbers")
+            raise Damaged(f"numbers of groups of {width} bytes are not numbers")
         segments: list[Segment] = []
         fault = ""
         try:

@@ -73,7 +73,7 @@ class _Interface:
     dropped: dict[int, int] = field(default_factory=dict)
 
     def nanoseconds(self, ticks: Ints) -> Ints:
-        """int64 from uint64 ticks since 1970; `NO_TIME` where that is beyond the year 2262."""
+        """Convert uint64 ticks since 1970 to int64 ns; `NO_TIME` beyond the year 2262."""
         exponent = self.resolution & 0x7F
         if self.resolution & 0x80:  # of 2
             if exponent > 63:
@@ -274,7 +274,7 @@ class PcapngCapture(PacketCapture):
     def _flush_without(
         self, buffer: bytes, starts: Ints, is_bad: Ints, is_known: Ints, is_more: Ints
     ) -> list[FrameTable]:
-        """Packets of which some are unreadable; those before and behind keep their order and their numbers."""
+        """Flush packets of which some are unreadable; those before and behind keep their order and their numbers."""
         tables: list[FrameTable] = []
         edges = np.flatnonzero(np.diff(is_bad.astype(np.int8))) + 1
         for part in np.split(np.arange(len(starts)), edges):
@@ -294,7 +294,7 @@ class PcapngCapture(PacketCapture):
         return tables
 
     def _ways(self, buffer: bytes, view: Ints, at: Ints, size: Ints, end: Ints, is_simple: Ints) -> Ints:
-        """uint8: RX, TX or nothing, from the option `epb_flags`, which mostly is the first one."""
+        """Return uint8: RX, TX or nothing, from the option `epb_flags`, which mostly is the first one."""
         options = at + ((size + 3) & -4)
         ways = np.zeros(len(at), np.uint8)
         rows = np.flatnonzero((options + 8 <= end) & ~is_simple)
@@ -337,7 +337,7 @@ def _agreeing(column: Ints, value: int) -> int:
 
 
 def _options(order: str, body: bytes, position: int) -> Iterator[tuple[int, bytes]]:
-    """Code and value of each option, up to the end or to what cannot be one."""
+    """Yield code and value of each option, up to the end or to what cannot be an option."""
     head = struct.Struct(order + "HH")
     while position + 4 <= len(body):
         code, size = head.unpack_from(body, position)

@@ -125,7 +125,7 @@ class PacketCapture(CanRecording):
     def _frames(
         self, view: Ints, starts: Ints, sizes: Ints, links: Ints, is_little: bool
     ) -> tuple[Packets, Ints]:
-        """Packets of any link types: their columns and which of them are frames; the others are counted."""
+        """Return packets of any link types: their columns and which of them are frames; the others are counted."""
         is_can = np.isin(links, LINK_TYPES)
         if not is_can.all():
             kinds, numbers = np.unique(links[~is_can], return_counts=True)
@@ -302,13 +302,13 @@ class PcapCapture(PacketCapture):
         return at <= len(buffer) or not self._is_final
 
     def _end_damage(self, position: int) -> None:
-        """Count what lies before this place of the buffer, and is no packet, as one unreadable object."""
+        """Count what lies before this place of the buffer, and is not a packet, as one unreadable object."""
         assert self._damage is not None
         offset, fault, excerpt = self._damage
         self._damage = None
         self.lines += 1
         lost = self._before + position - offset
-        self._unreadable(self.lines, f"{fault} at offset {offset}; {lost} bytes are no packet", excerpt)
+        self._unreadable(self.lines, f"{fault} at offset {offset}; {lost} bytes are not a packet", excerpt)
 
     def _table(self, buffer: bytes, starts: Ints) -> list[FrameTable]:
         n = len(starts)

@@ -68,7 +68,7 @@ class Packets(NamedTuple):
 
 
 def gather_rows(view: Ints, starts: Ints, width: int) -> Ints:
-    """uint8 of shape (n, width): the bytes at each start. Equal distances need no gathering."""
+    """Return uint8 of shape (n, width): the bytes at each start. Equal distances need no gathering."""
     n = len(starts)
     if n > 1:
         stride = int(starts[1] - starts[0])
@@ -79,7 +79,7 @@ def gather_rows(view: Ints, starts: Ints, width: int) -> Ints:
 
 
 def big(rows: Ints, column: int, size: int) -> Ints:
-    """int64: big-endian numbers at a column of byte rows."""
+    """Return int64: big-endian numbers at a column of byte rows."""
     return np.ascontiguousarray(rows[:, column : column + size]).view(f">u{size}")[:, 0].astype(np.int64)
 
 
