@@ -357,6 +357,28 @@ def test_source_roots_are_folders_not_packages() -> None:
     assert [name for name, (folder, _) in PACKAGES.items() if not (folder / "py.typed").exists()] == []
 
 
+def test_benchmarks_are_out_of_the_wheel() -> None:
+    """What measures lives in `tests/bench`: no package that is installed has a folder or a script of benchmarks."""
+    found = [
+        path.relative_to(ROOT).as_posix()
+        for folder, _ in PACKAGES.values()
+        for path in folder.rglob("*.py")
+        if "benchmarks" in path.parts or path.stem.startswith("bench_")
+    ]
+    assert found == []
+
+
+def test_the_core_names_nothing_of_the_rings_outside() -> None:
+    """No text of the core, a place of a plug-in for instance, leads to a module of catalogue, shell or lab."""
+    outside = re.compile(r"[\"'](?:aces_protocols|aces_devices|aces_tools|aces_lab)[.:]")
+    found = [
+        f"{path.relative_to(ROOT).as_posix()}: {match[0]}"
+        for path in PACKAGES["aces_bus"][0].rglob("*.py")
+        for match in outside.finditer(path.read_text(encoding="utf-8"))
+    ]
+    assert found == []
+
+
 #: All that stands at the top of the repository.
 TOP = {
     *(
