@@ -1,7 +1,7 @@
 """Databases that others made, proved and held beside cantools: `python -m tests.lab.prove.databases FOLDER [NAME …]`.
 
 FOLDER is `tests/files/dbc` of the source distribution of cantools; nothing is fetched here. The table of a run is kept in
-`tests/golden/prove/databases.txt`.
+`tests/lab/prove/databases.txt`.
 
 1. Every message is proved as `aces spec prove FILE` proves it.
 2. Frames that were drawn, and each witness, are decoded by the reference and by cantools, in raw numbers. Where they differ,
@@ -78,7 +78,7 @@ def differences(
             if not signal.is_float and mine != other:
                 truth = bits_added(signal, frame.data)
                 lines.append(
-                    f"{name}.{signal.name} {frame.data.hex()}: {mine} here, {other} in cantools, {truth} by its bits"
+                    f"{name}.{signal.name} {frame.data.hex()}: {mine!r} here, {other!r} in cantools, {truth} by its bits"
                 )
     return [*lines, *(f"{count} × {text}" for text, count in refused.items())]
 

@@ -15,16 +15,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
-from aces_bus.protocol import Variant
+from aces_bus.protocol import Record, Variant
 from aces_bus.protocol.exchange import print_c_source
+from aces_bus.protocol.exchange.c_fields import CField
 from aces_bus.protocol.exchange.export_c import CMessage
 from aces_bus.protocol.generate.load import decoders_of
 
 from .account import Outcome
 from .columns import accepted_packet, field_rows, with_constants
 from .decoding import Witness
+from .witness import value_at
 
 _MAIN = """
 #include "spec.h"
@@ -149,8 +150,7 @@ def _compared(variant: Variant, number: int, printed: CMessage, folder: Path) ->
     return outcome
 
 
-def _number(record: Any, field: Any) -> int:
-    value = record
-    for step in field.leaf.way:
-        value = value[step] if isinstance(step, int) else getattr(value, step)
-    return 0 if value is None else int(value)
+def _number(record: Record, field: CField) -> int:
+    """Return the number that C has in a field: 0 where the record has none."""
+    value = value_at(record, field.leaf.path)
+    return value if isinstance(value, int) else 0

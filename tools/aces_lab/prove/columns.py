@@ -10,18 +10,20 @@ from __future__ import annotations
 import math
 import random
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aces_bus.protocol import Message, Variant
 from aces_bus.protocol.columns.rows import PacketRows, RowDecoder
 from aces_bus.protocol.generate.load import decoders_of
-from aces_bus.protocol.record import plain_value
+from aces_bus.protocol.plan.nodes import NodePath
 
 from .account import Outcome
 from .decoding import Witness, drawn, proof_lengths
-from .witness import by_reference, image_of
+from .witness import Value, by_reference, image_of, value_at
+
+Bytes = NDArray[np.uint8]
 
 #: Bits of a field of which every number is tried.
 MOST_BITS = 16
@@ -76,7 +78,7 @@ def check_columns(variant: Variant, message: Message) -> Outcome | None:
             if not bits or max(bits) >= 8 * len(base.data):
                 continue
             rows = field_rows(base, bits, chance, all_others=raw)
-            wrong = _differing(variant, message, decoder, rows, base, leaf.path, raw)
+            wrong = _differing(variant, message, decoder, rows, base, leaf, raw)
             if wrong is not None:
                 outcome.witness = wrong
                 outcome.add("columns", "refuted", f"{leaf.path}: another value than the decoder's")
@@ -99,7 +101,7 @@ def accepted_packet(message: Message) -> Witness | None:
     return max(found, key=lambda w: len(w.data), default=None)
 
 
-def field_rows(base: Witness, bits: tuple[int, ...], chance: random.Random, *, all_others: bool) -> Any:
+def field_rows(base: Witness, bits: tuple[int, ...], chance: random.Random, *, all_others: bool) -> Bytes:
     """Return packets in which a field has many numbers; uint8 (n, size)."""
     width = len(bits)
     if width <= MOST_BITS:
@@ -118,7 +120,7 @@ def field_rows(base: Witness, bits: tuple[int, ...], chance: random.Random, *, a
     return np.concatenate(blocks)
 
 
-def with_constants(message: Message, data: Any, base: Witness) -> Any:
+def with_constants(message: Message, data: Bytes, base: Witness) -> Bytes:
     """Return the packets with sync, heads and constants as the message has them."""
     for at in range(len(message.framing.sync) if message.framing is not None else 0):
         data[:, at] = base.data[at]
@@ -132,7 +134,13 @@ def with_constants(message: Message, data: Any, base: Witness) -> Any:
 
 
 def _differing(
-    variant: Variant, message: Message, decoder: RowDecoder, data: Any, base: Witness, path: str, raw: bool
+    variant: Variant,
+    message: Message,
+    decoder: RowDecoder,
+    data: Bytes,
+    base: Witness,
+    leaf: NodePath,
+    raw: bool,
 ) -> Witness | None:
     """Return the first packet on which column and decoder differ; packets that are not the message must be refused by
     both.
@@ -143,7 +151,7 @@ def _differing(
     rows = PacketRows(np.ascontiguousarray(data), lengths, np.full(len(data), key, np.uint32))
     rows = rows.reaching(decoder.extent)
     taken = decoder.accepts(rows)
-    kind = next(candidate for candidate in decoder.kinds if candidate.name == path)
+    kind = next(candidate for candidate in decoder.kinds if candidate.name == leaf.path)
     values = decoder.column(kind, rows).to_list()
     decode = decoders_of(variant, raw)[message.name]
     for index in range(len(data)):
@@ -152,22 +160,12 @@ def _differing(
         accepted = taken is None or bool(taken[index])
         if accepted is not (record is not None):
             return Witness("accepted by one alone", base.key, packet)
-        if record is not None and not _equal(_value(record, path), values[index]):
-            return Witness(f"{path}: {values[index]!r} in the column", base.key, packet)
+        if record is not None and not _equal(value_at(record, leaf.path), values[index]):
+            return Witness(f"{leaf.path}: {values[index]!r} in the column", base.key, packet)
     return None
 
 
-def _value(record: Any, path: str) -> Any:
-    for step in path.split("."):
-        record = (
-            record[int(step)]
-            if step.isdigit() and isinstance(record, tuple | list)
-            else getattr(record, step)
-        )
-    return int(record) if isinstance(record, int) and not isinstance(record, bool) else plain_value(record)
-
-
-def _equal(one: Any, other: Any) -> bool:
+def _equal(one: Value, other: Value) -> bool:
     if isinstance(one, float) and isinstance(other, float) and math.isnan(one):
         return math.isnan(other)
     return bool(one == other)

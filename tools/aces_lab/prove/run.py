@@ -7,14 +7,16 @@
 
 from __future__ import annotations
 
+import inspect
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from aces_bus.protocol import Message, Variant
+from aces_bus.protocol.declare.pattern import IdPattern
 from aces_bus.protocol.encoder import quick_encoders
 
 from . import witness as w
@@ -49,7 +51,7 @@ class MessageJob:
 
     variant: Variant
     message: Message
-    encode: Any = None
+    encode: w.Encode | None = None
     no_encoder: str = ""
     #: How many messages it stands for.
     count: int = 0
@@ -68,7 +70,7 @@ class MessageJob:
 
 def jobs_of(variants: Sequence[Variant], only: str | None = None) -> list[MessageJob]:
     """Return the messages of some variants; equal ones are one job."""
-    found: dict[Any, MessageJob] = {}
+    found: dict[tuple[Hashable, ...], MessageJob] = {}
     for variant in variants:
         encoders, _, others = quick_encoders(variant)
         for name, message in variant.messages.items():
@@ -82,7 +84,7 @@ def jobs_of(variants: Sequence[Variant], only: str | None = None) -> list[Messag
     return list(found.values())
 
 
-def signature(variant: Variant, message: Message, encode: Any) -> tuple[Any, ...]:
+def signature(variant: Variant, message: Message, encode: w.Encode | None) -> tuple[Hashable, ...]:
     """Return what makes two messages one proof: the text of their functions, the constructs, and where they occur."""
     texts = [source_of(function) for function, _, _ in decoders(variant, message.name)]
     heads = tuple(
@@ -90,7 +92,7 @@ def signature(variant: Variant, message: Message, encode: Any) -> tuple[Any, ...
         for h in message.heads_written
     )
     pattern = (message.identifier.constant, _parts(message.identifier))
-    own = "" if encode is None else text_of_encoder(encode)
+    own = "" if encode is None else inspect.getsource(encode)
     return (
         *texts,
         own,
@@ -102,18 +104,11 @@ def signature(variant: Variant, message: Message, encode: Any) -> tuple[Any, ...
     )
 
 
-def _parts(pattern: Any) -> tuple[Any, ...]:
+def _parts(pattern: IdPattern) -> tuple[Hashable, ...]:
     return tuple(
         (c.name, c.shift, c.values if isinstance(c.values, range) else tuple(c.values))
         for c in pattern.captures
     )
-
-
-def text_of_encoder(encode: Any) -> str:
-    """Return the text of one generated encoder."""
-    import inspect
-
-    return inspect.getsource(encode)
 
 
 # ---------------------------------------------------------------------- one message
@@ -160,8 +155,9 @@ def prove_message(job: MessageJob, seconds: float = SECONDS) -> Outcome:
             claim = partial(prove_decoder, message, function, sizes=sizes, raw=raw, quick=quick)
             if attempt(what, claim):
                 break
-    if job.encode is not None:
-        attempt("encode", lambda s: prove_encoder(message, job.encode, s, sizes))
+    encode = job.encode
+    if encode is not None:
+        attempt("encode", lambda s: prove_encoder(message, encode, s, sizes))
     elif job.no_encoder:
         outcome.add("encode", "unknown", f"construct itself builds it ({job.no_encoder})")
     for scale in scale_claims(message):
@@ -201,7 +197,7 @@ def differs(job: MessageJob, found: Witness, what: str = "decode") -> bool:
     """Return whether a generated function and the reference differ on a witness."""
     message = job.message
     image = w.image_of(message, found)
-    if what == "encode":
+    if what == "encode" and job.encode is not None:
         built = w.by_encoder(message, job.encode, image)
         return built is not None and built != image
     return any(
@@ -256,7 +252,7 @@ def _sample(job: MessageJob, outcome: Outcome, sizes: Sequence[int]) -> None:
         ]
 
 
-def _no_container(values: dict[str, Any]) -> bool:
+def _no_container(values: Mapping[str, object]) -> bool:
     return not any(isinstance(value, dict | list | tuple) for value in values.values())
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import construct as c
 import numpy as np
@@ -27,7 +27,7 @@ Steps = tuple[tuple[str, float], ...]
 Status = Literal["proved", "bounded", "sampled", "refuted"]
 
 
-def scaled_fields(con: Any, name: str = "") -> Iterator[tuple[str, Quantity]]:
+def scaled_fields(con: c.Construct, name: str = "") -> Iterator[tuple[str, Quantity]]:
     """Yield the scaled integers in a construct, with their names."""
     if isinstance(con, c.Renamed):
         name = con.name or name
@@ -117,7 +117,7 @@ def comes_back(limits: Limits, steps: Steps, rounding: str) -> bool:
             error_bound(limits, steps) < 0.5
         )  # so small an error `truncated` rounds away, too; see `error_bound`
     for start in range(low, high + 1, _PIECE):
-        raw: Any = np.arange(start, min(high + 1, start + _PIECE), dtype=np.int64)
+        raw = np.arange(start, min(high + 1, start + _PIECE), dtype=np.int64)
         found = raw.astype(np.float64)
         for operation, number in steps:
             if isinstance(number, int):

@@ -76,15 +76,17 @@ def run(arguments: argparse.Namespace) -> int:
 
     start = time.monotonic()
     given: list[Outcome] = []
-    page = Page(arguments.color)
+    found: list[Outcome] = []
+    title, page = "", Page(arguments.color)
     try:
         for title, jobs in sections(variants, arguments):
-            found = _proved(jobs, arguments)
+            found = []
+            _prove(jobs, found, arguments)
             given += found
             if found and not arguments.json:
                 _print_wrapped(f"{arguments.protocol}{title}: {summary(found)}", page)
     except KeyboardInterrupt:
-        say(f"interrupted; what was proved before is above ({counted(len(given), 'outcome')})")
+        say(f"interrupted; {summary(found) if found else 'nothing proved'} so far{title}")
         return 130
     if arguments.json:
         print_json([_as_dict(one) for one in given])
@@ -113,11 +115,10 @@ def sections(
         yield ", C", [CJob(variant) for variant in variants]
 
 
-def _proved(jobs: Sequence[ProofJob], arguments: argparse.Namespace) -> list[Outcome]:
-    """Prove jobs, and say at once what is no more than bounded, and what is refuted."""
+def _prove(jobs: Sequence[ProofJob], given: list[Outcome], arguments: argparse.Namespace) -> None:
+    """Prove jobs into a list, and say at once what is no more than bounded, and what is refuted."""
     from .run import prove_all
 
-    given: list[Outcome] = []
     for job, outcomes in zip(jobs, prove_all(jobs, arguments.jobs, arguments.seconds), strict=True):
         given += outcomes
         if arguments.json:
@@ -127,7 +128,6 @@ def _proved(jobs: Sequence[ProofJob], arguments: argparse.Namespace) -> list[Out
                 _print_outcome(outcome, Page(arguments.color), with_time=arguments.verbose)
             if outcome.status == "refuted" and outcome.witness is not None:
                 _show(job.variant, outcome, outcome.witness, arguments)
-    return given
 
 
 def _print_outcome(outcome: Outcome, page: Page, *, with_time: bool) -> None:

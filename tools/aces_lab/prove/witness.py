@@ -4,19 +4,24 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from aces_bus import Frame, FrameTable
 from aces_bus.errors import AcesError
 from aces_bus.frames import EXTENDED, FD, REMOTE
-from aces_bus.protocol import Message, Variant
+from aces_bus.protocol import FlagSet, Message, Variant
 from aces_bus.protocol.declare.packet import key_image
-from aces_bus.protocol.record import plain_value
+from aces_bus.protocol.record import Record, Unknown, as_dict, plain_value
 from aces_tools.output.text import Paint
 
 from .decoding import Witness
+
+#: Values of fields as they are compared.
+Value = int | float | str | bytes | list["Value"] | dict[str, "Value"] | None
+Plain = dict[str, Value]
+Decode = Callable[[bytes, int, float | None, str | None, bytes, bool | None], Record | None]
+Encode = Callable[[dict[str, Value]], tuple[int, bytes, bytes]]
 
 
 def image_of(message: Message | None, witness: Witness) -> bytes:
@@ -52,7 +57,7 @@ def frame_of(witness: Witness) -> Frame:
     )
 
 
-def by_reference(message: Message, image: bytes, *, raw: bool = True) -> dict[str, Any] | None:
+def by_reference(message: Message, image: bytes, *, raw: bool = True) -> Plain | None:
     """Return the fields that the reference reads; None when it refuses."""
     try:
         values = message.struct.parse(image, raw=raw)
@@ -62,8 +67,8 @@ def by_reference(message: Message, image: bytes, *, raw: bool = True) -> dict[st
 
 
 def by_function(
-    message: Message, decode: Callable[..., Any], witness: Witness, image: bytes, *, quick: bool = False
-) -> dict[str, Any] | None:
+    message: Message, decode: Decode, witness: Witness, image: bytes, *, quick: bool = False
+) -> Plain | None:
     """Return the fields that a generated function reads, or what it raises; None when it refuses."""
     framing = message.framing
     try:
@@ -74,7 +79,7 @@ def by_function(
     return None if record is None else {name: plain_value(getattr(record, name)) for name in message.fields}
 
 
-def by_encoder(message: Message, encode: Callable[..., Any], image: bytes) -> bytes | None:
+def by_encoder(message: Message, encode: Encode, image: bytes) -> bytes | None:
     """Return the image that a generated encoder makes of what the reference reads; None where it leaves it to construct."""
     values = message.struct.parse(image, raw=False)
     fields = {name: values[name] for name in message.fields if name not in message.request_fields}
@@ -88,14 +93,26 @@ def by_encoder(message: Message, encode: Callable[..., Any], image: bytes) -> by
     return (flags | int(identifier)).to_bytes(4, "big") + image[4:5] + bytes(head + body)
 
 
-def plain_meaning(values: dict[str, Any] | None) -> Any:
+def plain_meaning(values: Mapping[str, object] | None) -> Plain | None:
     """Return the declaration's fields as plain values, as the reference's are compared."""
     return None if values is None else {name: plain_value(value) for name, value in values.items()}
 
 
-def text_of(value: Any) -> str:
+def text_of(value: Plain | None) -> str:
     """Return fields as a text to compare: NaN is NaN."""
     return repr(value)
+
+
+def value_at(record: Record, path: str) -> Value:
+    """Return the value of a record at a path of names and numbers, as `channels.0`; a flag set as its number."""
+    held: Record | Sequence[Value] = record
+    for step in path.split("."):
+        if step.isdigit() and isinstance(held, tuple | list):
+            held = held[int(step)]
+        else:
+            held = getattr(held, step)
+    found: Value = int(held) if isinstance(held, FlagSet) else plain_value(held)
+    return found
 
 
 def explained(
@@ -135,7 +152,7 @@ def scanned(variant: Variant, message: Message | None, witness: Witness) -> tupl
     from aces_bus.protocol.reference import Reference
 
     way = witness.way if message is None else message.direction
-    scanner: Any = make_scanner([variant], direction=way, include_unknown=True, raw=True)
+    scanner = make_scanner([variant], direction=way, include_unknown=True, raw=True)
     reference = Reference([variant], direction=way, raw=True)
     image = image_of(message, witness)
     if witness.key is not None:
@@ -144,23 +161,19 @@ def scanned(variant: Variant, message: Message | None, witness: Witness) -> tupl
     else:
         records = [*scanner.feed(image), *scanner.close()]
         items = reference.stream(image)
-    live = "; ".join(_line(type(r).__name__, _fields(r)) for r in records)
+    live = "; ".join(
+        r.reason if isinstance(r, Unknown) else _line(type(r).__name__, plain_value(as_dict(r)))
+        for r in records
+    )
     slow = "; ".join(
         _line(i.message or i.reason, None if i.fields is None else plain_value(i.fields)) for i in items
     )
     return live or "nothing", slow or "nothing"
 
 
-def _fields(record: Any) -> Any:
-    from aces_bus.protocol.record import field_names
-
-    try:
-        return {name: plain_value(getattr(record, name)) for name in field_names(type(record))}
-    except (AcesError, AttributeError):
-        return getattr(record, "reason", None)
-
-
-def _line(name: str, fields: Any) -> str:
-    if isinstance(fields, dict):
-        return f"{name}({', '.join(f'{key}={value!r}' for key, value in fields.items())})"
-    return name if fields is None else f"{name}: {fields}"
+def _line(name: str, fields: Plain | None) -> str:
+    return (
+        name
+        if fields is None
+        else f"{name}({', '.join(f'{key}={value!r}' for key, value in fields.items())})"
+    )
