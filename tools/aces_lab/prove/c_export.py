@@ -25,7 +25,7 @@ from aces_bus.protocol.generate.load import decoders_of
 from .account import Outcome
 from .columns import accepted_packet, field_rows, with_constants
 from .decoding import Witness
-from .witness import value_at
+from .witness import value_in_record
 
 _MAIN = """
 #include "spec.h"
@@ -152,5 +152,5 @@ def _compared(variant: Variant, number: int, printed: CMessage, folder: Path) ->
 
 def _number(record: Record, field: CField) -> int:
     """Return the number that C has in a field: 0 where the record has none."""
-    value = value_at(record, field.leaf.path)
+    value = value_in_record(record, field.leaf.path)
     return value if isinstance(value, int) else 0

@@ -21,7 +21,7 @@ from aces_bus.protocol.plan.nodes import NodePath
 
 from .account import Outcome
 from .decoding import Witness, drawn, proof_lengths
-from .witness import Value, by_reference, image_of, value_at
+from .witness import Value, by_reference, image_of, value_in_record
 
 Bytes = NDArray[np.uint8]
 
@@ -160,7 +160,7 @@ def _differing(
         accepted = taken is None or bool(taken[index])
         if accepted is not (record is not None):
             return Witness("accepted by one alone", base.key, packet)
-        if record is not None and not _equal(value_at(record, leaf.path), values[index]):
+        if record is not None and not _equal(value_in_record(record, leaf.path), values[index]):
             return Witness(f"{leaf.path}: {values[index]!r} in the column", base.key, packet)
     return None
 

@@ -103,7 +103,7 @@ def text_of(value: Plain | None) -> str:
     return repr(value)
 
 
-def value_at(record: Record, path: str) -> Value:
+def value_in_record(record: Record, path: str) -> Value:
     """Return the value of a record at a path of names and numbers, as `channels.0`; a flag set as its number."""
     held: Record | Sequence[Value] = record
     for step in path.split("."):
