@@ -66,6 +66,7 @@ class UnknownNameError(CallerError):
         from difflib import get_close_matches
 
         names = sorted(known)
+        name = str(name)  # a caller may give anything
         near = get_close_matches(name, names, n=NAMED)
         if not near:  # the same in another case, or a part of it
             near = [candidate for candidate in names if name and name.lower() in candidate.lower()][:NAMED]

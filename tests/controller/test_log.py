@@ -372,7 +372,7 @@ def test_wrong_calls_are_said_before_anything_runs(tmp_path: Path) -> None:
         (lambda: Logger("a.csv", ["X", "x"]), "there twice"),
         (lambda: Logger("a.csv", ["time"]), "column of seconds"),
         (lambda: Logger("a.csv", ["X(speed)"]), "no attribute of a state"),
-        (lambda: Logger("a.csv", ["X\n"]), "no column"),
+        (lambda: Logger("a.csv", ["X\n"]), "not a column"),
         (lambda: Logger("a.csv", ["X"], rate_hz=0), "not a rate"),
         (lambda: Logger("a.csv", ["X"], digits=6), "is for text"),
         (lambda: Logger("a.csv", ["X"], queue_s=-1), "queue_s"),

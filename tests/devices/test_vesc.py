@@ -198,7 +198,7 @@ def test_any_program_talks_to_it_at_a_terminal() -> None:
     """Worked packets, by a pseudo-terminal: what is sent is done, and answered with a right check."""
     robot, problems = parse_robot(LINE)
     assert robot is not None, problems
-    with twins_at_a_terminal(robot, "can") as made, serial.Serial(made.port.path, timeout=30) as line:
+    with twins_at_a_terminal(robot, "can") as made, serial.Serial(made.port.path, 115200, timeout=30) as line:
 
         def asked(packet: str) -> bytes:
             line.write(bytes.fromhex(packet))

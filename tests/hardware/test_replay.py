@@ -57,7 +57,7 @@ def test_a_capture_is_sent_on_a_virtual_bus() -> None:
 def test_impossible_paces() -> None:
     """Backwards, standing still, or no pace where one is needed."""
     for speed in (0.0, -1.0, float("nan")):
-        with pytest.raises(CallerError, match="no pace"):
+        with pytest.raises(CallerError, match="is not a pace"):
             next(paced(FRAMES, speed=speed))
     with pytest.raises(CallerError, match="virtual time"):
         replay_into(VirtualClock(), FRAMES, print, speed=None)

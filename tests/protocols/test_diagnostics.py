@@ -58,7 +58,7 @@ def test_trouble_codes_are_text_both_ways(code: str, data: str) -> None:
 @pytest.mark.parametrize("code", ["P4301", "X0301", "P030", "P0301-11", 301])
 def test_what_is_no_code_is_refused(code: object) -> None:
     """The error has an example of one."""
-    with pytest.raises(FieldError, match="no trouble code such as P0301"):
+    with pytest.raises(FieldError, match="not a trouble code such as P0301"):
         obd2.encode("StoredCodes", ecu=0, codes=[code])
 
 

@@ -82,7 +82,7 @@ def test_frames_are_filled_up() -> None:
             [("write_i8", {"command_position_max_torque": 500.0})],
             "500 N·m does not fit into i8, which ends at 63.5",
         ),
-        ([("write_i16", {"mode": math.nan})], "no whole number"),
+        ([("write_i16", {"mode": math.nan})], "not a whole number"),
         ([("write_i8", {"mode": "psoition"})], "it is one of stopped, fault"),
         ([("write_f32", {"position": 1.0, "torque": 1.0})], "torque does not follow position"),
         ([("write_f32", {"positoin": 1.0})], "there is no register 'positoin'"),

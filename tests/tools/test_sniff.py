@@ -460,7 +460,7 @@ def test_who_sends_is_told_what_to_look_at(capsys: pytest.CaptureFixture[str]) -
         (["-i", "aces", "--filter", "060"], "060:7FF"),
         (["--serial", "a", "-p", "robotis"], "--direction"),
         (["-i", "aces", "--record", "x.foo"], "the suffix names no format"),
-        (["-i", "aces", "--record", "x.slog"], "does not hold CAN frames; there are .log .asc"),
+        (["-i", "aces", "--record", "x.slog"], "does not hold CAN frames; there are .log .csv"),
         (["-i", "aces", "--record", "-"], "standard output is for the lines"),
         (["-i", "aces", "--record", "/nowhere/x.log"], "cannot be written"),
         (["--serial", "/dev/nothing-here"], "/dev/nothing-here cannot be opened"),

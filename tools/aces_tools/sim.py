@@ -1,7 +1,7 @@
 """Put a robot's simulated devices on a bus, for programs and people to talk to.
 
-  aces sim -p moteus --id 1           one device, without a robot's file: the line
-                                      printed is what a program takes
+  aces sim -p moteus --id 1           one device, without a robot's file:
+                                      prints the line that a program takes
   aces sim -p feetech --id 1,2 --model STS3215
   aces sim -r hubo2plus               serve its buses, with its devices on them;
                                       others join with -i aces -c unix:can0
