@@ -330,6 +330,16 @@ def _death(code: int | None, megabytes: int) -> str:
     return f"its process died, of {megabytes} MB or less memory (exit status {code})"
 
 
+def _data_held() -> int:
+    """Return how many bytes of data this process holds, as RLIMIT_DATA counts them; 0 where the system does not say."""
+    try:
+        status = Path("/proc/self/status").read_text(encoding="ascii", errors="replace")
+    except OSError:
+        return 0
+    sizes = (line.split()[1] for line in status.splitlines() if line.startswith("VmData:"))
+    return int(next(sizes, "0")) << 10
+
+
 def _work(job: ProofJob, pipe: Connection, seconds: float, megabytes: int) -> None:
     """Prove a job within limits that the system keeps: a search stops by itself, what runs on is killed."""
     import resource
@@ -337,10 +347,14 @@ def _work(job: ProofJob, pipe: Connection, seconds: float, megabytes: int) -> No
     import z3
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends its processes
-    resource.setrlimit(resource.RLIMIT_DATA, (megabytes << 20, megabytes << 20))
+    held = _data_held()  # a fork begins with all that its parent holds
+    most = (megabytes << 20) + held
+    resource.setrlimit(resource.RLIMIT_DATA, (most, most))
     limit = int(seconds * job.patience) + 1
     resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5))
-    z3.set_param("memory_max_size", megabytes * 3 // 4)  # an answer `unknown`, rather than the end
+    z3.set_param(
+        "memory_max_size", megabytes * 3 // 4 + (held >> 20)
+    )  # an answer `unknown`, rather than the end
     try:
         outcomes = job.prove(seconds)
     except MemoryError:
