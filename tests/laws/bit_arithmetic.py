@@ -148,7 +148,7 @@ def _items(node: Node, data: bytes, raw: bool, seen: Seen) -> Tagged:
         item = Item(kind=tag if raw or name is None else name, data=inside, reason="unknown")
         item.name = name
         if body is not None:
-            item["reason"] = f"malformed: data of size {len(inside)} are no {name}"
+            item["reason"] = f"malformed: data of size {len(inside)} are not a {name}"
             try:
                 value, at = _read(body, inside, 0, {}, raw, seen, f"in {tag}")
                 if at == len(inside):

@@ -107,6 +107,12 @@ BUGS: dict[str, tuple[str, tuple[Bug, ...]]] = {
     ),
 }  # fmt: skip
 #: Appended where a bug needs it.
+#: Bugs that no fault finds, with the reason.
+MISSED = {
+    "pymodbus": {
+        "what is old is not thrown away": "its framer drops what answers no request, buffer cleared or not"
+    }
+}
 MORE = {"abs_of(": "\n\ndef abs_of(*values):\n    return abs(uint_to_float(*values))\n"}
 
 
@@ -212,7 +218,8 @@ def main() -> int:
             if arguments.shown and by:
                 print(found.faults[by[0]])
     print(f"{caught} of {count} found")
-    return caught < 0.9 * count
+    missed = sum(len(MISSED.get(package, ())) for package in arguments.packages)
+    return caught < count - missed
 
 
 if __name__ == "__main__":
