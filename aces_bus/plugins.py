@@ -16,7 +16,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from functools import cache, lru_cache
 from importlib import import_module
@@ -129,7 +129,7 @@ def warn(text: str) -> None:
 
 
 @contextmanager
-def slow_named(point: InstalledPoint, what: str) -> Iterator[None]:
+def slow_named(point: InstalledPoint, what: str) -> Generator[None]:
     """Name another package's plug-in whose import, inside the block, takes longer than `SLOW_S`."""
     begun = perf_counter()
     yield

@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_planted_bugs_of_a_package_are_found() -> None:
-    """The bugs in a copy of pymodbus but the one that is known to stay, each by a fault under which the package as it is does not fail."""
+    """All bugs in a copy of pymodbus but a known one, each by a fault under which the package itself does not fail."""
     oracle("pymodbus", "pymodbus")
     command = [sys.executable, "-m", "tests.oracles.planted", "pymodbus"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)

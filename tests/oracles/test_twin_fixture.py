@@ -264,7 +264,8 @@ def test_udsoncan(aces_twin: Any) -> None:
     stack = isotp.CanStack(ecu.bus, address=address, params={"stmin": 0, "blocksize": 4, "tx_padding": 0xAA})
     codecs = {0x0110: ">H", 0x0111: udsoncan.AsciiCodec(30)}
     config: Any = {**udsoncan.configs.default_client_config, "data_identifiers": codecs, "request_timeout": 2}
-    with Client(PythonIsoTpConnection(stack), config=config) as client:
+    with Client(PythonIsoTpConnection(stack), config=config) as opened:
+        client: Any = opened
         read = client.read_data_by_identifier([0x0110, 0x0111]).service_data.values
         assert read[0x0110] == (ecu.state.take("limit"),)
         assert read[0x0111] == "a text that takes some frames."

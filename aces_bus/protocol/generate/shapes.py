@@ -104,7 +104,8 @@ class _Tables:
                 self._count = 0
                 self._first.clear()
             self._count += 1
-            table[key if len(key) > 1 else key[0]] = made
+            number, *more = key
+            table[key if more else number] = made
             return made
 
         names = {"get": table.get, "grow": grow, "from_bytes": int.from_bytes}

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from ..counts import ScanCounts
 from ..declare.checks import Sums, fletcher_of, xor_of
 from ..declare.framing import Framing, Verdict
-from ..declare.message import GivenWay, way_of
+from ..declare.message import GivenWay, Way, way_of
 from ..declare.protocol import Variant
 from ..declare.stuffing import Insert
 from ..generate.load import load_source
@@ -54,7 +54,7 @@ class StreamScanner:
     ) -> None:
         self.link = variants[0].link
         self.variants = tuple(variants)
-        self.direction = way_of(direction)
+        self.direction: Way | None = way_of(direction)
         self.include_unknown = include_unknown
         self.max_size = 0
         self.deciders = [Decider(variant, direction, raw=raw) for variant in variants]

@@ -219,11 +219,9 @@ def _by_bits(message: Message, reason: str) -> dict[str, p.Node]:
         return {}
     nodes = {field.name: field.node for field in found.fields}
     return {
-        item.name: p.ByBits(
-            reason,
-            nodes[item.name],
-            *((body.selector, body.bit) if isinstance(body, Present) else ()),
-        )
+        item.name: p.ByBits(reason, nodes[item.name], body.selector, body.bit)
+        if isinstance(body, Present)
+        else p.ByBits(reason, nodes[item.name])
         for item, body in shapes.items
         if item.name in nodes
     }

@@ -48,18 +48,23 @@ class ShapeReader(Protocol[T_co]):
 
     def single(self, node: Node) -> T_co:
         """Return what is made of a single value."""
+        ...
 
     def several(self, node: Node, items: Sequence[Node]) -> T_co:
         """Return what is made of a tuple with a node for each place."""
+        ...
 
     def record(self, node: Node, type_name: str, fields: Sequence[PlanField]) -> T_co:
         """Return what is made of a nested record."""
+        ...
 
     def each(self, node: Node, item: Node) -> T_co:
         """Return what is made of a tuple of any length, whose items are all alike."""
+        ...
 
     def tagged(self, node: Node, type_name: str, kinds: Sequence[ItemKind]) -> T_co:
         """Return what is made of a tuple of items `kind`, `data` and `reason`; an empty name: construct makes them."""
+        ...
 
 
 class Node:
@@ -825,7 +830,7 @@ class ByBits(Opaque, frozen=True):
     """A field of a message whose fields are there by bits: `known` is what it is, of no fixed place; `selector` and `bit`
     say when it is there (empty: always)."""
 
-    known: Node
+    known: Node  # pyright: ignore[reportIncompatibleVariableOverride]
     selector: str = ""
     bit: int = 0
 

@@ -396,7 +396,7 @@ def _opens(sync: bytes, data: bytes) -> bool:
 def other_byte(framings: Sequence[Framing]) -> int:
     """Return a byte that plays no part in marks, sizes and matches."""
     used = {*b"".join(f.sync + f.end + f.not_inside for f in framings)}
-    used |= {byte for f in framings for head, numbers in f.match if len(numbers) < 200 for byte in numbers}
+    used |= {byte for f in framings for _, numbers in f.match if len(numbers) < 200 for byte in numbers}
     return next(byte for byte in range(0x5A, 0x15A) if byte & 0xFF not in used) & 0xFF
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from aces_bus import Frame, FrameTable
@@ -105,7 +105,7 @@ def text_of(value: Plain | None) -> str:
 
 def value_in_record(record: Record, path: str) -> Value:
     """Return the value of a record at a path of names and numbers, as `channels.0`; a flag set as its number."""
-    held: Record | Sequence[Value] = record
+    held: Record | Value = record
     for step in path.split("."):
         if step.isdigit() and isinstance(held, tuple | list):
             held = held[int(step)]

@@ -127,8 +127,7 @@ class TwinState:
         object.__setattr__(self, "_twin", twin)
 
     def __getattr__(self, name: str) -> Any:
-        twin = self._twin
-        found = self._bench.call(lambda: getattr(twin, name))
+        found = self._bench.call(lambda: getattr(self._twin, name))
         if isinstance(found, MethodType):
             return lambda *values, **named: self._bench.call(lambda: found(*values, **named))
         return found
