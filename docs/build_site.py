@@ -36,7 +36,7 @@ PACKAGES = ["aces_bus"] + [
     f"aces_bus.{room}"
     for room in (
         "protocol",
-        "recordings",
+        "recordings.write",
         "export",
         "hardware",
         "device",
