@@ -13,6 +13,7 @@ import pytest
 
 from aces_bus import load_robot
 from aces_bus.controller import IGNORE, Player, Trajectory
+from aces_bus.errors import NoReplyError
 from aces_bus.hardware import CanGate
 from aces_bus.hardware.ports import port_of
 from aces_bus.robot import run_real
@@ -23,28 +24,9 @@ SECONDS = float(os.environ.get("ACES_REAL_SECONDS", "60"))
 RATE = 200.0
 
 
-#: What a machine on which this host and its twins keep 200 Hz takes for a million additions, at most (s).
-MOST_S = 0.07
-
-
-def _million_additions_s() -> float:
-    """Return how long a million additions take, the best of three (s)."""
-    times: list[float] = []
-    for _ in range(3):
-        begun, total = time.perf_counter(), 0
-        for number in range(1_000_000):
-            total += number
-        times.append(time.perf_counter() - begun)
-    return min(times)
-
-
 @pytest.mark.long
 def test_hubo_runs_a_minute_in_real_time() -> None:
     """200 Hz for 60 s: every deadline is a cycle or counted as missed; printed: lateness, and what host and twins cost."""
-    if (took := _million_additions_s()) > MOST_S:
-        pytest.skip(
-            f"this machine is too slow for host and twins in real time: {took:.3f} s for a million additions"
-        )
     robot = load_robot("hubo2plus")
     joints = [j for j in robot.joints.values() if j.active and j.command == "position"]
     rows = [[0.05 * (n % 2) for _ in joints] for n in range(round(SECONDS) + 2)]
@@ -73,7 +55,10 @@ def test_hubo_runs_a_minute_in_real_time() -> None:
             ) as run,
         ):
             assert run.missing == []
-            run.do("enable")
+            try:
+                run.do("enable")
+            except NoReplyError as error:
+                pytest.skip(f"host and twins in one process do not keep up on this machine: {error}")
             cpu, wall = time.process_time(), time.monotonic()
             ended = run.run(SECONDS)
             cpu, wall = time.process_time() - cpu, time.monotonic() - wall
