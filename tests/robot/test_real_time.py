@@ -13,20 +13,37 @@ import pytest
 
 from aces_bus import load_robot
 from aces_bus.controller import IGNORE, Player, Trajectory
-from aces_bus.errors import NoReplyError
 from aces_bus.hardware import CanGate
 from aces_bus.hardware.ports import port_of
-from aces_bus.robot import run_real
+from aces_bus.robot import VirtualRobot, run_real
 from aces_bus.robot.rig import simulate
 from aces_bus.runtime.loop import Loop
 
 SECONDS = float(os.environ.get("ACES_REAL_SECONDS", "60"))
 RATE = 200.0
+#: How much faster than real time a machine simulates the robot that runs host, bus and twins in one process (× real time).
+SPARE = 2.0
+
+
+def virtual_speed() -> float:
+    """Return how much faster than real time this machine simulates the robot (× real time, the best of three)."""
+    speeds: list[float] = []
+    with VirtualRobot(load_robot("hubo2plus"), rate_hz=RATE) as hubo:
+        hubo.rig.each("enable").wait(30)
+        for _ in range(3):
+            begun = time.process_time()
+            hubo.advance(0.2)
+            speeds.append(0.2 / (time.process_time() - begun))
+    return max(speeds)
 
 
 @pytest.mark.long
 def test_hubo_runs_a_minute_in_real_time() -> None:
     """200 Hz for 60 s: every deadline is a cycle or counted as missed; printed: lateness, and what host and twins cost."""
+    if (speed := virtual_speed()) < SPARE:
+        pytest.skip(
+            f"this machine simulates the robot at {speed:.1f} × real time; host and twins together need {SPARE:g}"
+        )
     robot = load_robot("hubo2plus")
     joints = [j for j in robot.joints.values() if j.active and j.command == "position"]
     rows = [[0.05 * (n % 2) for _ in joints] for n in range(round(SECONDS) + 2)]
@@ -55,10 +72,7 @@ def test_hubo_runs_a_minute_in_real_time() -> None:
             ) as run,
         ):
             assert run.missing == []
-            try:
-                run.do("enable")
-            except NoReplyError as error:
-                pytest.skip(f"host and twins in one process do not keep up on this machine: {error}")
+            run.do("enable")
             cpu, wall = time.process_time(), time.monotonic()
             ended = run.run(SECONDS)
             cpu, wall = time.process_time() - cpu, time.monotonic() - wall
