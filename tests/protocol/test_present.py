@@ -23,7 +23,7 @@ from construct import (
 
 from aces_bus import Frame
 from aces_bus.errors import FieldError, SpecError
-from aces_bus.protocol import BitLayout, Crc, Flags, Present, Protocol, Quantity, bits
+from aces_bus.protocol import BitLayout, Crc, Flags, Present, Protocol, Quantity, Sum, bits
 from aces_bus.testing import law_tests
 
 
@@ -161,6 +161,11 @@ def test_what_cannot_be_there_by_bits() -> None:
         wire.framing(sync=b"%", header=Struct("m" / Byte), size="fields", max_size=9)(
             "Open", payload=Struct("x" / Present("m", 0, GreedyBytes))
         )
+    with pytest.raises(SpecError, match="size='fields' is for a Struct"):
+        wire.framing(sync=b"&", size="fields", max_size=9)("Bits", payload=BitLayout(1, "x" / bits(8)))
+    payload = Struct("m" / Byte, "x" / Present("m", 0, Byte), "sum" / Byte)
+    with pytest.raises(SpecError, match="check field 'sum' has no fixed place"):
+        made.message("C", id=2, payload=payload, check=Sum(field="sum"))
     with pytest.raises(SpecError, match="not 'field'"):
         wire.framing(sync=b"!", size="field", max_size=9)
     with pytest.raises(SpecError, match="depend on one header field"):

@@ -199,7 +199,7 @@ def packets(name: str) -> tuple[bytes, ...]:
         check = framing.check
         if check is not None:
             whole = packet + bytes(check.size)
-            packet += check.encode(check.covered(whole, len(framing.sync), len(packet)))
+            packet += check.encode(framing.check_covers(whole))
         found.append(packet)
     return tuple(found)
 
@@ -359,7 +359,7 @@ def test_wide_checks_are_those_of_the_reference(check: Check) -> None:
     stream = b""
     for number in range(120):
         packet = b"\xa5\x03\x01" + bytes([number, 2, 0xFF])
-        end = check.encode(check.covered(packet + bytes(check.size), 1, len(packet)))
+        end = check.encode(framing.check_covers(packet + bytes(check.size)))
         if number % 3 == 0:
             end = end[:-1] + bytes([end[-1] ^ 1]) if number % 2 else bytes([end[0] ^ 1]) + end[1:]
         stream += packet + end

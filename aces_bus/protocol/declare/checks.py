@@ -142,16 +142,6 @@ class Check:
             return self.text.format(number).encode("ascii")
         return number.to_bytes(self.bytes, self.order)
 
-    def covered(
-        self, packet: bytes, start: int, end: int, *, identifier: int = 0, extra: bytes = b""
-    ) -> bytes:
-        """Return the covered bytes of `packet`, whose sync ends at `start` and whose check starts at `end`."""
-        return (
-            packet[start:end]
-            if self.over is None
-            else self.joined(packet, self.over, identifier=identifier, extra=extra)
-        )
-
     @staticmethod
     def joined(packet: bytes, over: Sequence[Covered], *, identifier: int = 0, extra: bytes = b"") -> bytes:
         """Return what `over` takes of a packet, in order."""

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Callable, Collection, Iterable, Mapping
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
@@ -351,7 +352,7 @@ class Framing:
             raise SpecError(f"{self.place}: a check in the header does not go with stuffing")
         return found
 
-    @property
+    @cached_property
     def derived(self) -> frozenset[str | None]:
         """The header fields that are computed, and that records do not have: the packet's length, its check."""
         heads = (self.affine.length if self.affine is not None else None, self.check_head)
@@ -377,10 +378,7 @@ class Framing:
 
     def check_covers(self, packet: bytes, extra: bytes = b"") -> bytes:
         """Return the bytes that the check of a packet (up to its trailer, without stuffing around it) covers."""
-        assert self.check is not None
-        if len(self.check_over) == 1 and self.check.over is None:
-            return packet[self.check_over[0]]  # type: ignore[index]
-        return self.check.joined(packet, self.check_over, extra=extra)
+        return Check.joined(packet, self.check_over, extra=extra)
 
     def check_in(self, packet: bytes) -> bytes:
         """Return the check's bytes in such a packet."""
@@ -526,6 +524,10 @@ class Framing:
                 raise SpecError(
                     f"{message.place}: packets of {self.name} are as long as the fields of"
                     f" {self.measure.shapes.message.name} say; give {message.name} a framing of its own"
+                )
+            if not isinstance(message.payload, Struct):
+                raise SpecError(
+                    f"{message.place}: size='fields' is for a Struct, which {message.name} does not have"
                 )
             self.measure.shapes = Shapes(message)
             if any(sizes(body)[0] != sizes(body)[1] for body in self.measure.shapes.bodies):
@@ -691,13 +693,7 @@ class Framing:
     @property
     def extra_head(self) -> Head | None:
         """The header field that picks a message's `check_extra`: the last one."""
-        named = [
-            h
-            for h in self.heads
-            if h.name
-            and (self.affine is None or h.name != self.affine.length.name)
-            and h is not self.check_head
-        ]
+        named = [head for head in self.heads if head.name is not None and head.name not in self.derived]
         return named[-1] if named else None
 
     def extras_of(self, messages: Iterable[Message]) -> dict[int, bytes] | None:

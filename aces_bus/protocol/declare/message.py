@@ -312,7 +312,9 @@ class Message:
         self.payload = normalised(payload, place, self._enumerations(), numbers)
         check_selectors(self.payload, place)
         if has_shapes(self):
-            Shapes(self)  # what is wrong with it is found here
+            Shapes(self)  # what is wrong with it is found here, and a check without a fixed place, too
+            if self.check is not None:
+                _ = self.check_span
         self.lengths = lengths_of(self, length)
         self._check_fields()
         check_room(self)

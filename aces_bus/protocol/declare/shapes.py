@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import construct as c
 import msgspec
@@ -36,11 +36,11 @@ class DecidingBits(msgspec.Struct, frozen=True):
     name: str
     offset: int
     size: int
-    order: str
+    order: Literal["little", "big"]
     mask: int
 
     def of(self, packet: bytes) -> int:
-        return int.from_bytes(packet[self.offset : self.offset + self.size], self.order) & self.mask  # type: ignore[arg-type]
+        return int.from_bytes(packet[self.offset : self.offset + self.size], self.order) & self.mask
 
 
 class ShapeLevel(msgspec.Struct):
