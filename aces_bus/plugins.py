@@ -1,7 +1,7 @@
 """Protocols, drivers, formats, verbs and more of all installed packages: found by entry point, imported on use.
 
 1. Lazy: listing imports nothing. Loud: an unknown name lists those that exist.
-2. Ours are registered as others' are, and keep their names. A name that two other packages claim is nobody's: using it
+2. Ours are registered as others' are, and keep their names. Using a name that two other packages claim
    raises `SpecError` with both places.
 3. A plug-in that cannot be imported, is slow to import or claims a taken name costs only itself; a `PluginWarning` names its
    distribution once.

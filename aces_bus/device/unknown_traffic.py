@@ -30,7 +30,10 @@ UNKNOWN_DEVICES = 10_000
 
 
 class UnknownTraffic:
-    """What one bus has had of it. `emit` reports: kind, a device's name, details; `period_ns` is how long a tick is."""
+    """The unknown traffic of one bus, counted and reported.
+
+    `emit` reports an event: its kind, a device's name, details. `period_ns` is the duration of a tick (ns).
+    """
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Which format of tables a path asks for, by its suffix.
+"""Formats of decoded tables, chosen by the suffix of a path.
 
 1. A format is a `TableFormat`: the core's are in `FORMATS`, others are entry points of the group `aces_bus.exporters`.
 2. A format's module and libraries are imported when it is written; a missing library is named with the extra that has it.
@@ -23,8 +23,8 @@ class TableFormat(NamedTuple):
     """A format of decoded tables; an entry point of the group `aces_bus.exporters` is one, or a tuple of them.
 
     `suffixes` choose it. `place` is the module and the class that writes (`their_package.module:TheirExport`), an `Export`
-    made of a path, `Options` and variants. `growing` is that of the class which writes while the export grows, and whose
-    rows survive a kill once they are committed; "" where there is none.
+    made of a path, `Options` and variants. `growing` is the place of the class that writes while the export grows, whose
+    committed rows survive a kill; "" for a format that needs its end.
     """
 
     name: str

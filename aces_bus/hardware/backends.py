@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 class Backend(NamedTuple):
-    """What a gate knows of a backend of python-can; an entry point of the group `aces_bus.backends` is one, or a tuple.
+    """The peculiarities of a python-can backend; an entry point of the group `aces_bus.backends` is a `Backend`, or a tuple.
 
     `name` is python-can's name of the interface, or a package that its bus's module is in. The backend itself is an entry
     point of python-can's own group, `can.interface`, ours too.
@@ -77,7 +77,7 @@ BACKENDS: tuple[Backend, ...] = (
 
 def backend_of(interface: str, bus: can.BusABC | None = None) -> Backend:
     """Return what is known of a backend, by its name or the module of an open bus; otherwise one without peculiarities."""
-    known = {one.name: one for one in (*installed_items("aces_bus.backends", Backend), *BACKENDS)}
+    known = {backend.name: backend for backend in (*installed_items("aces_bus.backends", Backend), *BACKENDS)}
     names = [interface, *(type(bus).__module__.split(".") if bus is not None else ())]
     return next((known[name] for name in names if name in known), Backend(interface))
 

@@ -67,7 +67,7 @@ STALLED = "the adapter does not take them in time, and they do not leave late"
 
 
 class ContentFilter(Protocol[Filtered]):
-    """What a reader wants: a `CanFilter` for frames."""
+    """A filter of received items: a `CanFilter` for frames."""
 
     def matches(self, content: Filtered, /) -> bool:
         """Return whether the reader wants this."""
@@ -75,7 +75,7 @@ class ContentFilter(Protocol[Filtered]):
 
 
 class Received(msgspec.Struct, Generic[Item], frozen=True, gc=False):
-    """What a gate received (a frame, bytes of a line, a datagram), and the host's monotonic clock when it was read (ns).
+    """A received frame, run of bytes or datagram, with the instant of the host's monotonic clock when it was read (ns).
 
     `is_own`: bytes that this gate has sent. `source`: who sent a datagram.
     """

@@ -87,8 +87,8 @@ def reader_tests(name: str, sample: bytes, *, frames: int) -> Callable[[str, Pat
         if isinstance(recording, CanRecording):
             with open_recording(io.BytesIO(sample), link="can") as again:
                 rows = [frame for table in again.tables() for frame in table.frames()]
-            assert [(one.arbitration_id, one.data) for one in rows] == [
-                (one.arbitration_id, one.data) for one in items
+            assert [(frame.arbitration_id, frame.data) for frame in rows] == [
+                (frame.arbitration_id, frame.data) for frame in items
             ]
 
     def accounts(_: Path) -> None:
@@ -135,11 +135,11 @@ def writer_tests(name: str) -> Callable[[str, Path], None]:
         ) as recording:
             found: list[Any] = list(recording)
         if form.link == "can":
-            assert [(one.arbitration_id, one.data) for one in found] == [
-                (one.arbitration_id, one.data) for one in FRAMES
+            assert [(frame.arbitration_id, frame.data) for frame in found] == [
+                (frame.arbitration_id, frame.data) for frame in FRAMES
             ]
         else:
-            assert b"".join(one.data for one in found) == b"".join(one.data for one in CHUNKS)
+            assert b"".join(chunk.data for chunk in found) == b"".join(chunk.data for chunk in CHUNKS)
 
     def whole(folder: Path) -> None:
         """Check that a recording that is not finished leaves no file, and another that has the name stays."""

@@ -1,4 +1,4 @@
-"""What of a recording is not a message: undeclared identifiers and opcodes, lengths and constants that differ, checks
+"""Parts of a recording that are not messages: undeclared identifiers and opcodes, lengths and constants that differ, checks
 that fail.
 
 1. What occurs once or twice may be noise or another protocol's: a note. What occurs again and again contradicts the spec.

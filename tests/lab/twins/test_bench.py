@@ -130,6 +130,10 @@ def test_faults_of_a_device_by_their_names() -> None:
         assert asked(bus, 0.02) is None
         with pytest.raises(UnknownNameError, match="late"):
             motor.fault("sulks")
+        with pytest.raises(UnknownNameError, match=r"no device of .* named 'other'"):
+            motor.fault("silent", device="other")
+        with pytest.raises(UnknownNameError, match="did you mean 'state'"):
+            motor.state.stat = "idle"
 
 
 def test_virtual_time_waits_for_nobody() -> None:

@@ -81,7 +81,7 @@ class _Reader:
         if is_over:
             for is_answer, scanner in self._scanners.items():
                 self.seen += [
-                    Seen(self.seconds(0), self._line.name, is_answer, one) for one in scanner.close()
+                    Seen(self.seconds(0), self._line.name, is_answer, left) for left in scanner.close()
                 ]
         return self.seen
 
@@ -133,7 +133,15 @@ class TwinState:
         return found
 
     def __setattr__(self, name: str, value: Any) -> None:
-        self._bench.call(lambda: setattr(self._twin, name, value))
+        """Set an attribute that the twin has. Raises `UnknownNameError`: a misspelt name would set nothing."""
+
+        def give() -> None:
+            if not hasattr(self._twin, name):
+                known = [known for known in dir(self._twin) if not known.startswith("_")]
+                raise UnknownNameError(f"state of {self._twin.name}", name, known)
+            setattr(self._twin, name, value)
+
+        self._bench.call(give)
 
     def __getitem__(self, name: str) -> Any:
         return self._bench.call(lambda: self._twin[name])
@@ -260,9 +268,12 @@ class TwinBench:
 
     def __getitem__(self, name: str) -> TwinState:
         """Return the state of a device's twin. Raises `UnknownNameError`."""
+        return TwinState(self, self._twin(name))
+
+    def _twin(self, name: str) -> Twin:
         if name not in self.twins:
             raise UnknownNameError(f"device of {self.robot.name}", name, self.twins)
-        return TwinState(self, self.twins[name])
+        return self.twins[name]
 
     @property
     def state(self) -> TwinState:
@@ -282,7 +293,7 @@ class TwinBench:
         if len(amount) > 1:
             raise CallerError(f"fault {name}: one amount, not {', '.join(amount)}")
         given = next(iter(amount.values()), None)
-        for twin in self.twins.values() if device is None else [self.twins[device]]:
+        for twin in self.twins.values() if device is None else [self._twin(device)]:
             self.call(partial(twin.fault, name, given, on=on))
 
     def reboot(self, off_s: float = 0.1) -> None:
@@ -356,7 +367,7 @@ class TwinBench:
         """Return the conversation in lines, decoded: its last `SHOWN`. -> is to the device, <- its answer."""
         seen = self._seen(is_over=is_over)
         lines = [f"({len(seen) - SHOWN} before)"] if len(seen) > SHOWN else []
-        lines += [str(one) for one in seen[-SHOWN:]]
+        lines += [str(item) for item in seen[-SHOWN:]]
         lines += [f"{name}: {said}" for name, line in self.lines.items() if (said := line.complaint())]
         lines += [
             said for twin in self.twins.values() if isinstance(twin, RecordedTwin) and (said := twin.report())

@@ -195,8 +195,8 @@ def _others(value: Any) -> list[Any]:
         return [value ^ 3, value + 1, value - 1]
     if isinstance(value, bytes) and value:
         return [bytes(byte ^ 0x11 for byte in value)]
-    if isinstance(value, (list, tuple)) and value and all(isinstance(one, (int, float)) for one in value):
-        return [type(value)(_others(one)[0] for one in value)]
+    if isinstance(value, (list, tuple)) and value and all(isinstance(part, (int, float)) for part in value):
+        return [type(value)(_others(part)[0] for part in value)]
     return []
 
 
