@@ -31,7 +31,7 @@ class PayloadShape(msgspec.Struct, frozen=True):
 
 
 class DecidingBits(msgspec.Struct, frozen=True):
-    """DecidingBits of a packet that decide something: those of `mask` in the number at `offset` of the packet."""
+    """Bits of a packet that decide which fields are there: those of `mask` in the number at `offset` of the packet."""
 
     name: str
     offset: int

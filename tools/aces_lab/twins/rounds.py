@@ -103,7 +103,7 @@ class FaultRounds:
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_protocol(self, item: Any, nextitem: Any) -> bool | None:
-        """FaultRun a test that uses the fixture plainly, then under each fault."""
+        """Run a test that uses the fixture plainly, then under each fault."""
         if "aces_twin" not in getattr(item, "fixturenames", ()):
             return None
         item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
