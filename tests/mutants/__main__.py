@@ -64,7 +64,8 @@ AREAS: dict[str, tuple[str, ...]] = {
     "robot": ("aces_bus/robot",),
     "devices": ("devices/aces_devices",),
     "tools": ("tools/aces_tools",),
-    "lab": ("tools/aces_lab", "aces_bus/guess", "aces_bus/compare", "aces_bus/budget", "aces_bus/fleet"),
+    "testing": ("aces_bus/testing", "aces_bus/access"),
+    "lab": ("tools/aces_lab",),
 }
 #: What `--area all` draws from, in equal parts: "stops" is drawn by itself.
 ALL = tuple(area for area in AREAS if area != "stops")

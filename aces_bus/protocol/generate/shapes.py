@@ -7,33 +7,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 from ..declare.framing import BitSize, FieldSize
 from ..declare.shapes import MOST, DecidingBits, PayloadShape, ShapeLevel, Shapes
 from .source import load_source
-
-Made = TypeVar("Made")
 
 
 def by_shape(shapes: Shapes, arguments: str, label: str, make: Callable[[PayloadShape, int], Any]) -> Any:
     """Return a function of a packet `data` and the other `arguments` that calls what `make` gives for the packet's shape
     and its number; it gives None for a packet that is too short.
     """
-    text = (
-        "def choose({arguments}):\n"
-        "    if len(data) < {reach}:\n"
-        "        return None\n"
-        "    found = get({key})\n"
-        "    if found is None:\n"
-        "        found = grow(data)\n"
-        "    return found({arguments})\n"
-    )
-    plain = arguments.replace("=None", "")
+    passed = arguments.replace("=None", "")
 
     def printed(level: ShapeLevel) -> str:
-        found = text.replace("{arguments}", arguments, 1).replace("{arguments}", plain)
-        return found.replace("{reach}", str(level.reach)).replace("{key}", _key(level, "data", ""))
+        return (
+            f"def choose({arguments}):\n"
+            f"    if len(data) < {level.reach}:\n"
+            "        return None\n"
+            f"    found = get({_key(level, 'data', '')})\n"
+            "    if found is None:\n"
+            "        found = grow(data)\n"
+            f"    return found({passed})\n"
+        )
 
     return _Tables(shapes, label, printed, make).root
 
