@@ -33,6 +33,7 @@ if TYPE_CHECKING:
         Reserved,
         SignMagnitude,
         Text,
+        TwoScales,
         top,
     )
     from .declare.framing import Escaped, Trailer
@@ -99,6 +100,7 @@ __all__ = [
     "Trailer",
     "Transport",
     "Tuple",
+    "TwoScales",
     "Variant",
     "Xor",
     "bits",
@@ -115,7 +117,7 @@ __getattr__, __dir__ = lazy_names(
         ".declare.delimited": "AsciiDegrees AsciiEnumeration AsciiInteger AsciiNumber AsciiText Delimited",
         ".declare.fast_packet": "FastPacket",
         ".declare.fields": "Counter Enumeration Field FlagSet Flags Multiplexed Present Quantity Reserved"
-        " SignMagnitude Text top",
+        " SignMagnitude Text TwoScales top",
         ".declare.framing": "Escaped Trailer",
         ".declare.isotp": "IsoTp",
         ".declare.items": "ItemList Items",

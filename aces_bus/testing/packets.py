@@ -184,9 +184,20 @@ def _payload(message: Message, values: Mapping[str, Any], source: ChoiceSource) 
     around = c.Container(_=root, _params=root)
     around.update({k: v for k, v in values.items() if k not in message.payload_names})
     drawn = drawer(message)(source, around, _room(message, values, source))
+    found = dict(drawn)
+    for head in message.overlaid:
+        if head.pattern is not None:  # its bytes are drawn among those that the template has
+            capture = head.pattern.captures[:1]
+            raws = {part.name: _member(part.values, source) for part in capture}
+            at = head.offset - message.payload_start
+            body = bytes(message.payload.build({**values, **found}, raw=True))
+            body = body[:at] + head.bytes(head.pattern.number(raws)) + body[at + head.size :]
+            found = {
+                name: value for name, value in message.payload.parse(body, raw=True).items() if name in found
+            }
     if message.check is not None and message.check.field is not None:
-        drawn.pop(message.check.field, None)
-    return dict(drawn)
+        found.pop(message.check.field, None)
+    return found
 
 
 def _room(message: Message, values: Mapping[str, Any], source: ChoiceSource) -> Room:

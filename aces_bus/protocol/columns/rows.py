@@ -421,7 +421,7 @@ def _stepped(
     number: Read, steps: Sequence[p.Step], dtype: Any, *, raw: bool
 ) -> Callable[[PacketRows], tuple[Array, Array | None]]:
     """Return the number after its steps, as `dtype` (None: objects), and where it is unknown."""
-    scales = [step for step in steps if isinstance(step, p.Scale)] if not raw else []
+    scales = [step for step in steps if isinstance(step, p.Scale | p.ScaleByBit)] if not raw else []
     magnitude = next((step for step in steps if isinstance(step, p.Magnitude)), None)
 
     def read(rows: PacketRows) -> tuple[Array, Array | None]:
@@ -432,6 +432,10 @@ def _stepped(
             value = value.astype(np.int64) if magnitude.width < 64 else value.astype(object)
             value = np.where(value < half, value, half - value)
         for scale in scales:
+            if isinstance(scale, p.ScaleByBit):
+                clear, set_ = (value % scale.half * one.scale + one.offset for one in scale.scales)
+                value = np.where(value < scale.half, clear, set_)
+                continue
             if scale.unknown:
                 gone = among(value, scale.unknown)
                 absent = gone if absent is None else absent | gone

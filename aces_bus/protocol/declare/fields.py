@@ -231,6 +231,7 @@ class Field(Adapter):
             inner = inner.subcon
         for other in (
             Quantity,
+            TwoScales,
             Enumeration,
             Flags,
             Text,
@@ -499,6 +500,63 @@ def named_number(name: str, names: Mapping[str, int], path: str) -> int:
     return names[name]
 
 
+class TwoScales(Field):
+    """A quantity of two scales: the highest bit of its number chooses, the bits below it are the number in that scale.
+
+    `clear` and `set` are (scale, offset) while that bit is clear and while it is set, both of the one `unit`:
+    `TwoScales(Int16ub, (0.1, -1000), (1, 0), unit="m")`. Physical values are floats. What is sent takes the scale that
+    comes nearest to the value; where both say it, the finer one. Where another bit chooses, `Split` puts it on top.
+    """
+
+    def __init__(
+        self,
+        subcon: Construct,
+        clear: tuple[float, float],
+        set: tuple[float, float],
+        *,
+        unit: str = "",
+        doc: str = "",
+        source: str = "",
+    ) -> None:
+        super().__init__(subcon)
+        limits = raw_limits(subcon)
+        if limits is None or limits[0] or not 1 < limits[1] < 1 << 53:
+            raise SpecError(f"{self.place}: TwoScales takes an unsigned integer of 2 to 53 bits")
+        self.half = (limits[1] + 1) // 2
+        self.unit, self.docs, self.source = unit, doc, source
+        #: (scale, offset) while the highest bit is clear, and while it is set.
+        self.scales = tuple((float(scale), float(offset)) for scale, offset in (clear, set))
+        if not all(scale and math.isfinite(scale) and math.isfinite(offset) for scale, offset in self.scales):
+            raise SpecError(f"{self.place}: a scale must be finite and not zero, and an offset finite")
+
+    def to_physical(self, raw: Any) -> float:
+        scale, offset = self.scales[raw >= self.half]
+        return float(raw % self.half * scale + offset)
+
+    def to_raw(self, value: Any, path: str = "") -> int:
+        number = plain_number(value)
+        if number is None or not math.isfinite(number):
+            raise FieldError(f"{path}: {value!r} is not a number that can be sent")
+        found: list[tuple[float, float, int]] = []
+        is_inside = False
+        for top, (scale, offset) in zip((0, self.half), self.scales, strict=True):
+            part = round((number - offset) / scale)
+            is_inside |= 0 <= part < self.half
+            part = min(max(part, 0), self.half - 1)
+            miss = abs(part * scale + offset - number)
+            is_exact = miss <= 8 * math.ulp(max(abs(number), abs(offset)))
+            found.append((0.0 if is_exact else miss, abs(scale), top + part))
+        if not is_inside:
+            raise FieldError(f"{path}: {value!r} {self.unit} is outside {self.span}")
+        return min(found)[2]
+
+    @property
+    def span(self) -> str:
+        """The values that can be sent, in words."""
+        ends = [sorted((offset, (self.half - 1) * scale + offset)) for scale, offset in self.scales]
+        return " and ".join(f"{low:g}…{high:g} {self.unit}".strip() for low, high in ends)
+
+
 class SignMagnitude(Field):
     """A sign-and-magnitude integer of `width` bits: the top bit is the sign, the others the magnitude.
 
@@ -691,7 +749,7 @@ def text_until(text: str, ends: str) -> str:
 
 
 #: The fields that take integers, an outer one of a pair first.
-_OF_INTEGERS = (SignMagnitude, Enumeration, Flags, Counter)
+_OF_INTEGERS = (SignMagnitude, TwoScales, Enumeration, Flags, Counter)
 
 
 def Reserved(size: int) -> Construct:

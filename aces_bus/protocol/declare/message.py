@@ -238,6 +238,7 @@ class Message:
         transport: Transport | None,
         prefix: c.Struct | None,
         payload: c.Construct | None,
+        payload_from: str | None,
         match: Mapping[str, Any],
         length: int | Collection[int] | None,
         extended: bool,
@@ -292,7 +293,12 @@ class Message:
             raise SpecError(
                 f"{place}: {framing.check_head.name} of {name} is the packet's check; it is not matched"
             )
-        self.heads = tuple(h for h in self.heads_written if h.name is None or h.name not in computed)
+        #: Header fields whose bytes are the payload's, too: templates match them, records have what the payload has.
+        self.overlaid = self._overlaid(payload_from, computed, own) if payload_from is not None else ()
+        if self.overlaid:
+            self.payload_start = self.overlaid[0].offset
+        shown = [h for h in self.heads_written if h not in self.overlaid]
+        self.heads = tuple(h for h in shown if h.name is None or h.name not in computed)
         length_head = next((h for h in self.heads_written if derived is not None and h.name == derived), None)
         #: What `match` says of the framing's length field, which records do not have.
         self.length_pattern = length_head.pattern if length_head is not None else None
@@ -326,6 +332,26 @@ class Message:
             framing.known(self, self.selecting)
 
     # ------------------------------------------------------------------ declaration checks
+
+    def _overlaid(
+        self, first: str, computed: Collection[str | None], own: Sequence[Head]
+    ) -> tuple[Head, ...]:
+        """Return the header fields from `first` on, at which the payload begins."""
+        framed = self.framing.heads if self.framing is not None else ()
+        start = next((head.offset for head in framed if head.name == first), None)
+        if start is None:
+            names = ", ".join(head.name for head in framed if head.name) or "none"
+            raise SpecError(
+                f"{self.place}: payload_from={first!r} is not a field of the framing's header (there are: {names})"
+            )
+        found = tuple(head for head in self.heads_written if head.offset >= start)
+        odd = next(
+            (head.name or "a constant" for head in found if head.name in computed or head.name is None), None
+        )
+        if own or odd is not None:
+            what = f"{odd}, which is computed or constant" if odd is not None else "a family's prefix"
+            raise SpecError(f"{self.place}: the payload of {self.name} would begin in front of {what}")
+        return found
 
     def _matched(self, heads: list[Head], match: dict[str, Any]) -> tuple[Head, ...]:
         found = []
@@ -666,6 +692,7 @@ class Message:
                 heads.append(head)
             kept = {h.name for h in self.heads}
             made.heads_written = tuple(heads)
+            made.overlaid = tuple(h for h in heads if any(h.offset == over.offset for over in self.overlaid))
             made.heads = tuple(h for h in heads if h.name in kept)
         return made
 

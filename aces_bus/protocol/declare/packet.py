@@ -210,7 +210,9 @@ class PacketStruct(Construct):
         )
         inner.update({k: v for k, v in obj.items() if not k.startswith("_")})
         head = b"".join(
-            self._head_bytes(h, obj, context, raw, f"{path} -> {h.name}") for h in message.heads_written
+            self._head_bytes(h, obj, context, raw, f"{path} -> {h.name}")
+            for h in message.heads_written
+            if h not in message.overlaid
         )
         values: Any = obj
         check = message.check
@@ -262,16 +264,24 @@ class PacketStruct(Construct):
         return written
 
     def framed(self, framing: Framing, head: bytes, body: bytes) -> bytes:
-        packet = framing.sync + head
+        inside = max(0, framing.head_end - self.message.payload_start)
+        least = self.message.least - inside
+        packet, body = framing.sync + head + body[:inside], body[inside:]
         behind = b""
+        for over in self.message.overlaid:
+            if over.pattern is not None and over.pattern.match(over.number(packet)) is None:
+                raise FieldError(
+                    f"{self.message.name}: by its fields {over.name} is {over.number(packet):#04x},"
+                    f" which does not go with it ({_described(over.pattern)})"
+                )
         if framing.affine is not None and (size := framing.affine.trailing(packet)):
-            if len(body) < self.message.least + size:
+            if len(body) < least + size:
                 name = framing.affine.flags.name if framing.affine.flags is not None else ""
                 raise FieldError(
                     f"{self.message.name}: by its {name} {size} bytes are behind its check; its last field ends with them"
                 )
             body, behind = body[:-size], body[-size:]
-        if framing.sizes and len(body) > self.message.least and not body[-1]:
+        if framing.sizes and len(body) > least and not body[-1]:
             raise FieldError(f"{self.message.name}: zeros at its end are not sent; leave them out")
         if framing.stuffing is not None and framing.affine is not None:
             packet = packet[: framing.head_end] + framing.stuffing.stuff(packet[framing.head_end :] + body)

@@ -125,6 +125,7 @@ class DeclaredProtocol:
         name: str,
         *,
         payload: c.Construct | None = None,
+        payload_from: str | None = None,
         id: Any = None,
         framing: Framing | None = None,
         transport: Transport | None = None,
@@ -155,7 +156,9 @@ class DeclaredProtocol:
         pattern, `length` the data lengths that occur when the fields leave a choice. With `any_format` frames of up to 8
         bytes are taken in both formats, classic and CAN FD, and sent as `fd` says. `direction`, `dialect`, `when`,
         `reply_to`, `after` (with `within` seconds) say what bytes cannot: see the architecture page. `overrides` names
-        messages that this one takes precedence over. `examples` are worked ones, `(bytes, {field: value})`: see
+        messages that this one takes precedence over. `payload_from` names a field of the framing's header at which the
+        payload begins, so that numbers may have bits in both: `match` says what these bytes may be, the payload what
+        they mean. `examples` are worked ones, `(bytes, {field: value})`: see
         `declare.examples`.
         """
         place = caller(self._scope)
@@ -188,6 +191,7 @@ class DeclaredProtocol:
             transport=transport,
             prefix=prefix,
             payload=payload,
+            payload_from=payload_from,
             match=match or {},
             length=length,
             extended=extended,

@@ -149,6 +149,8 @@ def marks_of(message: Message) -> list[Mark]:
         marks += [Mark(i, 1, f"sync {byte:#04x}") for i, byte in enumerate(framing.sync)]
     shown = {head.name for head in message.heads}
     for head in message.heads_written:
+        if head in message.overlaid:
+            continue
         name = head.name or "constant"
         if head.is_constant:
             assert head.pattern is not None

@@ -447,6 +447,9 @@ class _Group:
             base.unit = clean_text(node.unit)
             if scale is not None:
                 self._scaled(leaf, scale, base, name)
+            if node.by_bit is not None:
+                base.unit = ""
+                self._lose(name, leaf.path, "two scales, of which its highest bit chooses: kept as raw")
         if node.is_magnitude and not _is_run(bits):
             for first, at, width in runs_of(bits):
                 self._place(f"{own}_bit{at}", range(first, first + width), replace(base))

@@ -165,6 +165,7 @@ def _refusal(message: Message) -> str:
         "its length depends on its values": plan.lengths_by is not None,
         "its fields share bits": getattr(message.payload, "overlapping", False),
         "its packets are stuffed": framing is not None and framing.stuffing is not None,
+        "a payload that begins in its header": bool(message.overlaid),
         "a check in its header": framing is not None and framing.check_head is not None,
         "its packets have a trailer": framing is not None and framing.trailer is not None,
         "an escaped length": affine is not None and (affine.escape is not None or affine.flags is not None),
@@ -241,7 +242,13 @@ class _MessagePrinter:
     def _field(self, leaf: p.NodePath) -> None:
         node = leaf.node
         name = c_name(leaf.identifier, self.members)
-        said = comment(", ".join(filter(None, (node.unit and f"[{node.unit}]", leaf.doc))))
+        unit = node.unit
+        if node.by_bit is not None:
+            unit = ""
+            self.printer.lose(
+                self.message.name, leaf.path, "two scales, of which its highest bit chooses: kept as raw"
+            )
+        said = comment(", ".join(filter(None, (unit and f"[{unit}]", leaf.doc))))
         said = f" /* {said} */" if said else ""
         type_ = c_type(node)
         if type_ == "rest":

@@ -451,6 +451,9 @@ class _Printer:
         kind = f"{'int' if is_signed else 'uint'}{_size(width)}"
         more |= self._number(leaf, node, abbr, kind, width)
         more["is_signed"] = is_signed or None
+        if node.by_bit is not None:
+            more["unit"] = ""
+            self._lose(message.name, leaf.path, "two scales, of which its highest bit chooses: shown as raw")
         if flags := node.flag_names:
             more["flags"] = [
                 [bit, self._field(f"{abbr}.{name}", name, "boolean", None, None, "")]

@@ -474,6 +474,15 @@ class Decoder(FunctionSetup):
                 continue
             elif isinstance(step, p.Scale):
                 number = self._scaled(number, step, name)
+            elif isinstance(step, p.ScaleByBit):
+                where = f"{self.plan.name}_{name}"
+                clear, set_ = (
+                    f"{{}} * {self._spec_number(f'_scale{n}_{where}', scale.scale)}"
+                    f" + {self._spec_number(f'_offset{n}_{where}', scale.offset)}"
+                    for n, scale in enumerate(step.scales)
+                )
+                border = f"{step.half:#x}"
+                number = f"({clear.format('q')} if (q := {number}) < {border} else {set_.format(f'(q - {border})')})"
             elif isinstance(step, p.ValueNames):
                 names = dict(step.values)
                 small = 0 < width <= 8 and number_is_index

@@ -133,6 +133,8 @@ class _Encoder(FunctionSetup):
         derived = message.framing.derived if message.framing is not None else frozenset[str | None]()
         parts = []
         for head in message.heads_written:
+            if head in message.overlaid:
+                continue
             if head.name in derived:
                 parts.append(literal(bytes(head.size)))
             elif head.pattern is not None and not head.pattern.captures:
@@ -143,7 +145,9 @@ class _Encoder(FunctionSetup):
         return " + ".join(parts) if parts else "b''"
 
     def _body(self, scalars: list[tuple[p.Scalar, str, str]], start: int) -> str:
-        constants = {c.offset: c.value for c in self.plan.constants if c.offset >= start}
+        # What a template says of bytes that the payload has, too, is seen when the packet is framed.
+        first = max([start, *(head.offset + head.size for head in self.message.overlaid)])
+        constants = {c.offset: c.value for c in self.plan.constants if c.offset >= first}
         size = self.plan.least - self.plan.tail
         tail = ""
         cells: list[_Packed] = []
@@ -272,6 +276,8 @@ class _Encoder(FunctionSetup):
             elif isinstance(step, p.ValueNames):
                 table = self._bound(f"_numbers_{self.plan.name}_{name}", {v: k for k, v in step.values})
                 text = f"{table}.get({text}, {text})"
+            elif isinstance(step, p.ScaleByBit):
+                raise NoEncoder("a quantity of two scales")
             elif isinstance(step, p.FlagBits):
                 variable = self._temporary()
                 self.out.lines(

@@ -25,6 +25,7 @@ from ..declare.fields import (
     Quantity,
     SignMagnitude,
     Text,
+    TwoScales,
     wire_number,
 )
 from ..declare.head import Head
@@ -72,6 +73,11 @@ def peeled(con: c.Construct) -> tuple[c.Construct, list[p.Step], str, str]:
             con = con.subcon
         elif isinstance(con, SignMagnitude):
             steps.append(p.Magnitude(con.width))
+            con = con.subcon
+        elif isinstance(con, TwoScales):
+            doc, unit = doc or con.docs or "", unit or con.unit
+            clear, set_ = (p.Scale(scale, offset) for scale, offset in con.scales)
+            steps.append(p.ScaleByBit(con.half, (clear, set_)))
             con = con.subcon
         elif isinstance(con, Enumeration):
             steps.append(p.ValueNames(tuple((v, k) for k, v in con.names.items())))

@@ -23,6 +23,7 @@ from ..record import EACH, FirstOf, Held, WayStep
 from .steps import FlagBits as FlagBits
 from .steps import Magnitude as Magnitude
 from .steps import Scale as Scale
+from .steps import ScaleByBit as ScaleByBit
 from .steps import Step as Step
 from .steps import ValueNames as ValueNames
 
@@ -111,6 +112,11 @@ class Node:
     def scale(self) -> Scale | None:
         """Step that turns the raw number into a quantity, the first of `scales`."""
         return next(iter(self.scales), None)
+
+    @property
+    def by_bit(self) -> ScaleByBit | None:
+        """Two scales, of which the highest bit chooses."""
+        return next((step for step in self.steps if isinstance(step, ScaleByBit)), None)
 
     @property
     def value_names(self) -> dict[Any, str]:
@@ -208,6 +214,8 @@ class Node:
             return ""
         low, high = self.raw_range
         for step in self.steps if not raw else ():
+            if isinstance(step, ScaleByBit):
+                return "f8"
             if isinstance(step, Scale):
                 if (isinstance(step.scale, float) and step.scale != 1.0) or (
                     isinstance(step.offset, float) and step.offset
@@ -402,6 +410,8 @@ def _after(steps: Sequence[Step], wire: str, named: str) -> str:
             wire = f"{named} | int"
         elif isinstance(step, FlagBits):
             wire = "FlagSet"
+        elif isinstance(step, ScaleByBit):
+            wire = "float"
     return wire
 
 

@@ -56,6 +56,25 @@ class Scale(msgspec.Struct, frozen=True):
         return low, high
 
 
+class ScaleByBit(msgspec.Struct, frozen=True):
+    """Scales of a number whose highest bit, `half`, is clear and set; the bits below it are scaled."""
+
+    half: int
+    scales: tuple[Scale, Scale]
+
+    @property
+    def text(self) -> str:
+        """The step in words."""
+        first, other = (scale.text or "× 1" for scale in self.scales)
+        return f"{first} below {self.half:#x}, from there on {other}"
+
+    @property
+    def spans(self) -> list[tuple[float, float]]:
+        """The least and the greatest value in either scale."""
+        ends = [sorted(map(scale.physical, (0, self.half - 1))) for scale in self.scales]
+        return [(low, high) for low, high in ends]
+
+
 class ValueNames(msgspec.Struct, frozen=True):
     """Raw number to name."""
 
@@ -89,4 +108,4 @@ class Magnitude(msgspec.Struct, frozen=True):
         return f"sign and magnitude of {self.width} bits"
 
 
-Step = Scale | ValueNames | FlagBits | Magnitude
+Step = Scale | ScaleByBit | ValueNames | FlagBits | Magnitude

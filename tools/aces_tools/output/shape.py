@@ -110,6 +110,9 @@ def nameless_number(node: p.Node) -> PlainNumber | None:
     """Return what is known of a node's numbers; None where its values may be something else."""
     if not node.is_number or node.known_names != [] or node.has_flags:
         return None
+    if (both := node.by_bit) is not None:
+        wholes = [_whole(scale, (0, both.half - 1)) for scale in both.scales]
+        return PlainNumber(True, lcm(*wholes) if all(wholes) else 0, False)
     scales = [step for step in node.scales if step.scale != 1 or step.offset]
     is_float = node.is_float or any(
         isinstance(n, float) for step in scales for n in (step.scale, step.offset)

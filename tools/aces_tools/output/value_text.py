@@ -116,7 +116,7 @@ def step_format(node: p.Node) -> str:
     """Return how the numbers of a node are formatted, as many decimals as one raw step has."""
     if node.digits is not None:
         return f".{node.digits}g"
-    scales = node.scales
+    scales = node.scales if node.by_bit is None else node.by_bit.scales
     if scales and not all(float(s.scale).is_integer() and float(s.offset).is_integer() for s in scales):
         return f".{max(decimals(s.scale, s.offset) for s in scales)}f"
     if scales and any(isinstance(s.scale, float) or isinstance(s.offset, float) for s in scales):
