@@ -156,6 +156,16 @@ def test_what_is_not_finite_never_gets_through(value: Any) -> None:
     assert "A" in heard[0].detail
 
 
+def test_what_is_forgotten_is_the_speed_too() -> None:
+    """After `forget` a motion begins from rest: its first step is one of the acceleration."""
+    guard = Guard({"A": Bounds(-10.0, 10.0, rate=5.0, acceleration=2.0)}, period_s=0.01)
+    for n in range(50):
+        guard.apply(n * 10 * MS, {"A": 5.0})
+    guard.forget()
+    out = [guard.apply(n * 10 * MS, {"A": value})["A"] for n, value in ((50, 0.0), (51, 1.0))]
+    assert out == [0.0, pytest.approx(2.0 * 0.01**2)]
+
+
 def test_five_in_a_row_that_are_not_finite_trip() -> None:
     """At the fifth, at once, whatever other states get; and they alone feed no dead-man."""
     guard = Guard({"A": Bounds(), "B": Bounds()}, period_s=0.01, action="disable")

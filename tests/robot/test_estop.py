@@ -124,6 +124,23 @@ def test_a_pressed_input_stops_all_and_bars_the_way(panel: VirtualRobot) -> None
     assert is_off(panel)
 
 
+def test_what_a_controller_gave_up_is_forgotten_by_its_release(panel: VirtualRobot) -> None:
+    """A set-point of before is not where the next one begins: its owner has left while the way was barred."""
+    door = panel.rig.door
+    panel.twins["IO"].put("di1", False)
+    panel.advance(0.1)
+    door.claim("wheel.velocity", "walk", is_supervised=True)
+    door.writer("wheel.velocity")(3.0)
+    assert door.given("wheel.velocity") == 3.0
+    door.give_up("walk")
+    assert "wheel.velocity" in door.tripped
+    panel.twins["IO"].put("di1", True)
+    panel.advance(0.1)
+    door.release()
+    assert door.tripped == {}
+    assert door.given("wheel.velocity") is None
+
+
 def test_clearing_starts_nothing(panel: VirtualRobot) -> None:
     """Cleared, all stays off and refuses set-points, until it is enabled and released; then it moves from where it is."""
     panel.twins["IO"].put("di1", False)

@@ -9,7 +9,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Any
 
@@ -26,7 +26,7 @@ BUSY = 0.9
 
 
 @contextmanager
-def served(channels: dict[str, str]) -> Iterator[None]:
+def served(channels: dict[str, str]) -> Generator[None]:
     """Run `aces sim` with the robot's devices on these channels until the block ends; it must end by itself, well."""
     words = [word for bus, channel in channels.items() for word in ("--bus", f"{bus}={channel}")]
     command = [sys.executable, "-m", "aces_tools", "sim", "-r", "hubo2plus", *words]

@@ -466,6 +466,21 @@ def test_what_raises_on_the_buses_thread_stops_motion() -> None:
     assert ended.tripped["drive"].startswith("buses: bug: RuntimeError: off by one (")
 
 
+def test_what_the_buses_raise_is_told_once_with_its_kind() -> None:
+    """The runner is told of it: the event is a "bug" of the buses, its reaction ends the run, and a second is not another."""
+    run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers, reactions={**CALM, "bug": stop()})
+
+    def broken(now_ns: int) -> None:
+        if run.set_points:
+            run.bus_failed(RuntimeError("off by one"))
+            run.bus_failed(RuntimeError("off by two"))
+
+    run.supervisors[0].controller.during = broken  # type: ignore[attr-defined]
+    ended = run.run(60.0)
+    assert ended.tripped["drive"].startswith("buses: bug: RuntimeError: off by one")
+    assert [(e.source, e.kind) for e in run.events if e.kind == "bug"] == [("buses", "bug")]
+
+
 @pytest.mark.slow
 def test_users_code_is_never_on_a_receive_thread() -> None:
     """Steps run on their controller's thread, handlers on that of the buses; neither on a gate's."""
@@ -543,6 +558,23 @@ def test_a_stop_that_cannot_begin_names_every_device(
     assert run.ended().not_stopped == dict.fromkeys(["A", "B"], "its stop could not begin")
     assert log.did[-1] == "stop"
     assert not run.rig.hosts["line"].is_open
+
+
+@replaces_methods
+def test_a_stop_that_cannot_be_waited_for_names_every_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where its end is not known, every device counts as not stopped, with the reason, and "stop" has failed."""
+
+    def lost(_: Any) -> None:
+        raise DeviceError("the buses' thread is gone")
+
+    run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers)
+    run.open()
+    run.start()
+    run.world.clock.advance(100_000_000)
+    monkeypatch.setattr("aces_bus.robot.run_end.wait_stopped", lost)
+    run.stop()
+    assert run.ended().not_stopped == dict.fromkeys(["A", "B"], "the buses' thread is gone")
+    assert "stop: the buses' thread is gone" in run.ended().failed
 
 
 @replaces_methods
