@@ -467,7 +467,7 @@ def test_what_raises_on_the_buses_thread_stops_motion() -> None:
 
 
 def test_what_the_buses_raise_is_told_once_with_its_kind() -> None:
-    """The runner is told of it: the event is a "bug" of the buses, its reaction ends the run, and a second is not another."""
+    """Told by the runner: a "bug" of the buses, whose reaction ends the run; a second at once is not another."""
     run = run_virtual(robot_of(ROBOT), [Drive()], load=drivers, reactions={**CALM, "bug": stop()})
 
     def broken(now_ns: int) -> None:
