@@ -17,8 +17,9 @@ BUDGETS: dict[str, tuple[int, str]] = {
         "e-stops, stops through the lock, parking, measured limits; formats left for the lab",
     ),
     "statements of the kernel": (
-        9_860,
-        "nodes answer what readers ask; fields by bits; names of any kind in errors; two scales, payloads from the header",
+        9_900,
+        "nodes answer what readers ask; fields by bits; names of any kind in errors; two scales, payloads from the header;"
+        " packets that come by two transports",
     ),
     "public names": (180, ""),
     "members of public names": (900, ""),

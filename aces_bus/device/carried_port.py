@@ -36,7 +36,7 @@ class CarriedPort(UpperPort):
         super().__init__(port)
         self._is_ours = is_ours
         messages = [m for variant in variants for m in variant.messages.values()]
-        self._transports = list(dict.fromkeys(m.transport for m in messages if m.transport is not None))
+        self._transports = list(dict.fromkeys(way for m in messages for way in m.ways if way is not None))
         self._messages = messages
         self._carried: dict[int, Transport | None] = {}
         #: By what they take turns for: packets on their way out, the first one under way.

@@ -246,11 +246,9 @@ class BusEndpoint(Generic[M]):
         for member in self.members.values():
             sent = member.variant.messages_for(other)
             for message in member.variant.messages_for(self.direction):
-                transport = message.transport
-                if (
-                    transport is not None
-                    and member.is_listening
-                    and transport.is_for(key, data, message, member.credentials, sent)
+                if member.is_listening and any(
+                    way is not None and way.is_for(key, data, message, member.credentials, sent)
+                    for way in message.ways
                 ):
                     return True
         return False

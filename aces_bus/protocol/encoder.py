@@ -107,9 +107,9 @@ class Encoder:
 
     def _carried(self, message: Message, parts: CanParts, number: int | None) -> list[CanParts]:
         """Return the frames of a packet, as its transport cuts it."""
-        transport = message.transport
-        assert transport is not None
         identifier, data, extended, _, _ = parts
+        transport = next((way for way in message.ways if way and len(data) <= way.longest), message.ways[-1])
+        assert transport is not None
         key = key_of(identifier, extended=extended)
         if number is None:
             who = (id(transport), transport.numbered_by(key))

@@ -212,9 +212,9 @@ class Reference:
         self.transports: list[_Carrier] = []
         for _, messages, _, _ in self.sides:
             for message in messages:
-                transport = message.transport
-                if transport is not None and all(transport != known.transport for known in self.transports):
-                    self.transports.append(_Carrier(transport, PacketRule(transport), PacketRule(transport)))
+                for way in message.ways:
+                    if way is not None and all(way != known.transport for known in self.transports):
+                        self.transports.append(_Carrier(way, PacketRule(way), PacketRule(way)))
 
     # ------------------------------------------------------------------ one packet
 
@@ -236,7 +236,7 @@ class Reference:
             plain = None
             problem = ""
             for message in messages:
-                if message.framing is not framing or message.transport != transport:
+                if message.framing is not framing or transport not in message.ways:
                     continue
                 is_contextual = message.name in contextual
                 values, why = self._read(context, message, is_contextual, image, channel, time)
@@ -275,9 +275,8 @@ class Reference:
             return message.struct.parse(image, raw=True), ""
         except NotThisError:
             return None, ""
-        except LengthError:
-            size = len(image) - 5
-            return None, f"malformed: length {size}, {message.name} has {message.describe_lengths}"
+        except LengthError as error:
+            return None, f"malformed: length {len(image) - 5}, {error.what}"
         except WrongCheckError:
             return None, "malformed: checksum"
         except (ConstructError, AcesError) as error:
@@ -344,7 +343,7 @@ class Reference:
         """Note our own transmission (on CAN its image): a request that replies may need."""
         for variant, _, _, context in self.sides:
             for message in ordered(variant.messages.values()):
-                if message.name in context.requests and message.transport == transport:
+                if message.name in context.requests and transport in message.ways:
                     try:
                         values = message.struct.parse(image, raw=True)
                     except (ConstructError, AcesError):
@@ -390,9 +389,8 @@ class Reference:
         """Return the transport of the first message, or with the first identifiers, that a frame fits."""
         key = frame.arbitration_id | (EXTENDED if frame.is_extended_id else 0)
         for _, messages, _, _ in self.sides:
-            own = list(dict.fromkeys(m.transport for m in messages if m.transport is not None))
-            for transport in own:
-                if frame.is_remote_frame:
+            for transport in dict.fromkeys(way for m in messages for way in m.ways):
+                if transport is None or frame.is_remote_frame:
                     continue
                 named = any(
                     m.transport == transport
@@ -409,7 +407,7 @@ class Reference:
         """Return the `check_extra` of the first message that an identifier of a packet may be of."""
         for _, messages, _, _ in self.sides:
             for message in messages:
-                is_its = message.transport == transport and message.extended == bool(key & EXTENDED)
+                is_its = transport in message.ways and message.extended == bool(key & EXTENDED)
                 if is_its and message.identifier.match(key & 0x1FFF_FFFF) is not None:
                     return message.check_extra
         return b""

@@ -114,12 +114,14 @@ def _image(message: Message, sent: Sequence[Any]) -> bytes:
     if message.transport is None:
         (packet,) = sent
         return bytes(packet) if message.framing is not None else frame_image(packet)
-    rule, found = PacketRule(message.transport), b""
+    own = key_of(sent[0].arbitration_id, extended=sent[0].is_extended_id)
+    way = next(way for way in reversed(message.ways) if way and (way is message.transport or way.is_own(own)))
+    rule, found = PacketRule(way), b""
     for number, frame in enumerate(sent):
         key = key_of(frame.arbitration_id, extended=frame.is_extended_id)
         for decided in rule.decide(frame, number, key, bytes(frame.data)):
             if not decided.reason and len(decided.frames) == len(sent):
-                found = packet_image(message.transport, decided, message.check_extra) or b""
+                found = packet_image(way, decided, message.check_extra) or b""
     return found
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from functools import cache
+from math import degrees
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +92,10 @@ def test_what_cannot_be_said_is_left_out_by_name() -> None:
     assert said["PGN onCondition"] == "PGN onCondition: a field that is there on a condition: left out"
     assert said["PGN half"] == "PGN half: its fields end inside a byte, 4 bits behind one: left out"
     assert said["PGN rest"] == "PGN rest: an entry for all unknown PGNs: left out"
-    assert said["PGN commanded"].startswith("PGN commanded: of the type ISO, sent in a way that is neither")
+    assert said["PGN mixed"].startswith(
+        "PGN mixed: of the type Mixed, which is neither one frame nor a fast packet"
+    )
+    assert said["PGN transferred"].startswith("PGN transferred: its frames are those of J1939 transport")
     (half,) = (one for one in boat().losses if "half" in one.reason)
     assert '"half"' in BOAT.read_text(encoding="utf-8").splitlines()[half.line - 1]
     assert boat().protocol["ownStatus"].place.line == 37
@@ -217,6 +221,71 @@ def test_a_text_of_fixed_length_ends_at_its_padding(tmp_path: Path, raw: bytes) 
         protocol.encode("name", priority=3, source=9, model="N@1")
 
 
+# ---------------------------------------------------------------------- packets by the transport of ISO 11783
+
+
+def by_iso(group: int, data: bytes, source: int = 9) -> list[Frame]:
+    """The frames of a broadcast announcement and its data."""
+    count = -(-len(data) // 7)
+    head = bytes([0x20, *len(data).to_bytes(2, "little"), count, 0xFF]) + group.to_bytes(3, "little")
+    pieces = (data[7 * n : 7 * n + 7].ljust(7, b"\xff") for n in range(count))
+    numbered = [bytes([n]) + piece for n, piece in enumerate(pieces, 1)]
+    return [
+        Frame(0x18ECFF00 | source, head, 0.0, is_extended_id=True),
+        *(Frame(0x18EBFF00 | source, one, 0.1 * n, is_extended_id=True) for n, one in enumerate(numbered, 1)),
+    ]
+
+
+def test_a_fast_packet_may_come_by_the_transport_of_iso_11783() -> None:
+    """The same message, whichever way it comes, with those of another source between: live, reference and columns."""
+    frames = packet("wide", latitude=48.5, satellites=7, date=20_000)
+    fast = b"".join(bytes(one.data)[2 - bool(n) :] for n, one in enumerate(frames))[:11]
+    pairs = zip(by_iso(126999, fast), by_iso(126999, fast[::-1], source=10), strict=True)
+    mixed = [one for pair in pairs for one in pair]
+    records = boat().protocol.scanner().feed(mixed)
+    assert [(type(one).__name__, one.source, one.meta.raw) for one in records] == [
+        ("wide", 9, fast),
+        ("wide", 10, fast[::-1]),
+    ]
+    assert (records[0].priority, records[0].latitude) == (6, pytest.approx(48.5))
+    for scene in (Scene(tuple(mixed)), Scene((*mixed, *frames))):
+        ORACLE(boat().protocol.variant(), None, scene)
+        columns_agree(boat().protocol.variant(), None, scene)
+
+
+def test_what_is_too_long_for_a_fast_packet_goes_by_iso_11783() -> None:
+    """And a group that is never a fast packet, both ways."""
+    groups = [{"prn": n % 250, "used": "Yes", "snr": 30.5} for n in range(100)]
+    frames = packet("satellites", sid=1, bits={"mode": "No"}, count=100, list=groups, trailing=b"")
+    assert {one.arbitration_id >> 16 & 0xFF for one in frames} == {0xEC, 0xEB}
+    (record,) = boat().protocol.scanner().feed(frames)
+    assert (len(record.list), record.list[99].prn) == (100, 99)
+    frames = packet("commanded", name=1 << 60, address=7)
+    assert [bytes(one.data)[:2].hex() for one in frames] == ["2009", "0100", "0210"]
+    (record,) = boat().protocol.scanner().feed(frames)
+    assert (record.name, record.address, record.trailing) == (1 << 60, 7, b"")
+
+
+def test_a_count_that_is_not_known_is_of_no_item() -> None:
+    """All ones; of another count that the packet is too short for, the reason says its name."""
+    head = bytes.fromhex("010f")
+    scanner = boat().protocol.scanner(include_unknown=True)
+    (record,) = scanner.feed(by_iso(129500, head + b"\xff" + bytes(6)))
+    assert (record.count, list(record.list), record.trailing) == (255, [], bytes(6))
+    sent = packet(
+        "satellites", **{k: v for k, v in as_dict(record).items() if k not in ("priority", "source")}
+    )
+    (again,) = scanner.feed(sent)
+    assert (again.count, again.meta.raw) == (255, record.meta.raw)
+    lost = scanner.feed(by_iso(129500, head + b"\xfe" + bytes(6)))
+    assert {one.reason for one in lost} == {
+        "malformed: length 9, too short for the items of satellites.list that count counts"
+    }
+    scene = Scene((*by_iso(129500, head + b"\xff" + bytes(6)), *by_iso(129500, head + b"\xfe" + bytes(6))))
+    ORACLE(boat().protocol.variant(), None, scene)
+    columns_agree(boat().protocol.variant(), None, scene)
+
+
 # ---------------------------------------------------------------------- canboat's own table and goldens
 
 _GOLDEN = re.compile(r'([^=;:"]+?) = (?:[^=;]*?) ?\(bytes = "([0-9A-F ]*)"(?:, bits = "([01]+)")?\)')
@@ -242,10 +311,44 @@ def test_canboats_goldens_are_decoded_value_for_value(shared_captures: Path) -> 
         (int(line.split()[4]), _GOLDEN.findall(line.partition(":  ")[2]))
         for line in (folder / "recombine-frames.out").read_text().splitlines()
     ]
-    assert len(records) >= 5
+    assert len(records) >= 6
     for record in records:
         of_group = [fields for pgn, fields in goldens if pgn == record.meta.identifier >> 8 & 0x3FFFF]
-        assert max(_agreeing(record, fields, tables[type(record).__name__]) for fields in of_group) >= 6
+        least = 2 if type(record).__name__ == "navicoBoatSpeedPolarTable" else 6
+        assert max(_agreeing(record, fields, tables[type(record).__name__]) for fields in of_group) >= least
+
+
+@pytest.mark.slow
+@pytest.mark.shared
+def test_canboats_golden_by_iso_11783_is_decoded_value_for_value(shared_captures: Path) -> None:
+    """Each satellite, as canboat's analyzer has it; what has no announcement, or a wrong one, is no packet."""
+    folder = shared_captures / "nmea2000"
+    protocol = load_database(folder / "canboat.json").protocol
+    frames = []
+    for line in (folder / "iso-tp-test.in").read_text().split():
+        when, priority, pgn, source, destination, _, *data = line.split(",")
+        key = int(priority) << 26 | int(pgn) << 8 | int(destination) << 8 | int(source)
+        frames.append(
+            Frame(
+                key,
+                bytes.fromhex("".join(data)),
+                float(when[17:-1]) + 60 * int(when[14:16]),
+                is_extended_id=True,
+            )
+        )
+    (record,) = protocol.scanner().feed(frames)
+    columns_agree(protocol.variant(), None, Scene(tuple(frames)))
+    golden = json.loads((folder / "iso-tp-test.out").read_text())["fields"]
+    assert (type(record).__name__, record.satsInView) == ("gnssSatsInView", golden["Sats in View"])
+    for ours, theirs in zip(record.list, golden["list"], strict=True):
+        assert (ours.prn, ours.snr, ours.status, ours.gnssSystem) == (
+            theirs["PRN"],
+            theirs.get("SNR"),
+            theirs["Status"]["name"],
+            theirs["GNSS System"]["name"],
+        )
+        for mine, angle in ((ours.elevation, theirs["Elevation"]), (ours.azimuth, theirs["Azimuth"])):
+            assert degrees(mine) == pytest.approx(angle, abs=0.051)
 
 
 def _agreeing(record: Any, golden: list[tuple[str, str, str]], table: list[dict[str, Any]]) -> int:

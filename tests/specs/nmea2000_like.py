@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from construct import Array, Byte, Int16ul, Int32sl, Int64sl, Struct, this
 
-from aces_bus.protocol import FastPacket, IdField, Protocol, Quantity, Reserved
+from aces_bus.protocol import FastPacket, IdField, J1939Transport, Protocol, Quantity, Reserved
 
 nmea2000_like = Protocol(
     "nmea2000_like", link="can", bitrate=250_000, doc="Instruments of boats.", source="canboat, pgns/"
@@ -18,7 +18,7 @@ nmea2000_like = Protocol(
 
 Priority = IdField("priority", range(8))
 Source = IdField("source", range(254))
-fast = FastPacket()
+fast = FastPacket(also=J1939Transport())
 
 nmea2000_like.message(
     "Position",

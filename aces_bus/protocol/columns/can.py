@@ -159,7 +159,7 @@ class CanColumns:
         if known is not None:
             return known
         for number, wire in enumerate(self._wires):
-            if any(m.transport == transport and self._is_live(number, m) for m in wire.messages):
+            if any(transport in m.ways and self._is_live(number, m) for m in wire.messages):
                 return LIVE
         slot = len(self._candidates)
         self._candidates.append(())

@@ -135,16 +135,18 @@ def check_against(made: Message, declared: Iterable[Message]) -> None:
 
 def check_carrier(carried: Message, other: Message, place: SourceLine) -> None:
     """Raise `SpecError` where the frames by which a transport carries a message are another message."""
-    transport = carried.transport
-    if transport is None or transport == other.transport or not share_dialect(carried, other):
+    if not share_dialect(carried, other):
         return
-    for pattern, extended in transport.patterns:
-        number = meet(pattern, other.identifier, 29 if extended else 11)
-        if number is not None and extended == other.extended:
-            raise SpecError(
-                f"{place}: identifier {number:#x} of {other.name!r} ({other.place}) is of the frames by which"
-                f" {transport.title} carries {carried.name!r} ({carried.place})"
-            )
+    for transport in carried.ways:
+        if transport is None or transport in other.ways:
+            continue
+        for pattern, extended in transport.patterns:
+            number = meet(pattern, other.identifier, 29 if extended else 11)
+            if number is not None and extended == other.extended:
+                raise SpecError(
+                    f"{place}: identifier {number:#x} of {other.name!r} ({other.place}) is of the frames by which"
+                    f" {transport.title} carries {carried.name!r} ({carried.place})"
+                )
 
 
 def _check_apart(made: Message, other: Message) -> None:
@@ -343,11 +345,16 @@ def _can_conflict(one: Message, other: Message) -> Conflict | None:
         or one.identifier.is_apart(other.identifier)
     ):
         return None
-    lengths = sorted(set(one.lengths or ()) & set(other.lengths or ()), reverse=True)
+    lengths: Sequence[int]
+    mine, others = one.lengths or (), other.lengths or ()
+    if isinstance(mine, range) and isinstance(others, range) and mine.step == others.step == 1:
+        lengths = range(min(mine[-1], others[-1]), max(mine[0], others[0]) - 1, -1)
+    else:
+        lengths = sorted(set(mine) & set(others), reverse=True)
     if one.transport is not None and one.plan.lengths_by is None and other.plan.lengths_by is None:
         # Behind the last constant one length is like another.
         reach = max((c.offset for m in (one, other) for c in m.plan.constants), default=0) + 1
-        lengths = [length for length in lengths if length <= reach or length == lengths[0]]
+        lengths = [*lengths[:1], *(length for length in lengths[1:][-reach - 1 :] if length <= reach)]
     identifier = meet(one.identifier, other.identifier, 29 if one.extended else 11) if lengths else None
     if identifier is None:
         return None

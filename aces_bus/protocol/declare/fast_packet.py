@@ -19,7 +19,8 @@ _NUMBER, _SEQUENCE = FrameNumber(0, 0x1F), FrameNumber(0, 0xE0)
 class FastPacket(Transport):
     """NMEA 2000 fast packets: 6 bytes in the first frame, 7 in each other one.
 
-    `timeout_s` is 750 ms between two frames of a packet (as for the transport of ISO 11783, T1).
+    `timeout_s` is 750 ms between two frames of a packet (as for the transport of ISO 11783, T1). With
+    `also=J1939Transport()` the same packets may come by that transport, too, as boats have it; longer ones are sent by it.
     """
 
     title: ClassVar[str] = "fast packet"
@@ -29,6 +30,7 @@ class FastPacket(Transport):
     pad: int | None = 0xFF
     max_size: int = 223
     timeout_s: float = 0.75
+    also: Transport | None = field(default=None, kw_only=True, repr=False)
     kinds: tuple[FrameKind, ...] = field(
         default=(
             FrameKind(

@@ -101,8 +101,9 @@ def _packet_lengths(
         raise SpecError(
             f"{message.place}: fd, remote and any_format are of frames; those of {message.name} are made by its transport"
         )
-    most = transport.longest
-    low = max(low, transport.min_size)
+    ways = [way for way in message.ways if way is not None]
+    most = max(way.longest for way in ways)
+    low = max(low, min(way.min_size for way in ways))
     top = most if high is None else min(most, high + message.payload_start)
     wanted = range(low, top + 1) if length is None else (length,) if isinstance(length, int) else length
     if not wanted or min(wanted) < low or max(wanted) > top:
@@ -112,10 +113,12 @@ def _packet_lengths(
             "" if length is None else f"length {describe_values(wanted)} does not go with {message.name}: "
         )
         raise SpecError(
-            f"{message.place}: {given}its fields take {low}{more} bytes, and packets of {transport.title} have"
+            f"{message.place}: {given}its fields take {low}{more} bytes, and packets of {ways[-1].title} have"
             f" {most} at most"
         )
-    fitting = [size for size in wanted if transport.carries(size)]
+    if any(type(way).carries is Transport.carries for way in ways):
+        return wanted if isinstance(wanted, range) else tuple(sorted(wanted))
+    fitting = [size for size in wanted if any(way.carries(size) for way in ways)]
     if not fitting:
         near = next((n for n in range(min(wanted), most + 1) if transport.carries(n)), None)
         more = "" if near is None else f"; {near} would: end its fields with Reserved({near - min(wanted)})"
@@ -264,6 +267,10 @@ class Message:
         self.framing = framing
         #: What carries its packets in several frames; None where a frame is the message.
         self.transport = transport
+        #: All that carry its packets, its own first; (None,) where a frame is the message.
+        self.ways: tuple[Transport | None, ...] = (transport,)
+        if transport is not None and transport.also is not None:
+            self.ways = (transport, transport.also)
         self.identifier = identifier if identifier is not None else IdPattern(0)
         self.extended, self.remote, self.fd = extended, remote, fd
         #: Whether frames of up to 8 bytes are it in both formats, classic and CAN FD; `fd` is then how it is sent.

@@ -11,12 +11,22 @@ bit 30 remote; linux/can.h), then 1 byte of `canfd_frame` flags (bit 2 set for C
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Mapping
 from contextlib import suppress
 from operator import index
 from typing import TYPE_CHECKING, Any
 
-from construct import ConstError, Construct, ConstructError, Container, StreamError, stream_read_entire
+from construct import (
+    Array,
+    ConstError,
+    Construct,
+    ConstructError,
+    Container,
+    StreamError,
+    Subconstruct,
+    stream_read_entire,
+)
 
 from ...errors import FieldError
 from ...frames import FD, key_of
@@ -37,7 +47,18 @@ class NotThisError(ConstructError):
 
 
 class LengthError(ConstructError):
-    """The packet is this message by its constants, but too short or too long."""
+    """The packet is this message by its constants, but too short or too long; `what` says how long it may be."""
+
+    def __init__(self, message: Message, why: str, path: str, error: StreamError | None = None) -> None:
+        super().__init__(why, path=path)
+        self.what = f"{message.name} has {message.describe_lengths}"
+        where = (getattr(error, "path", "") or "").removeprefix(path).split(" -> ")[1:2]
+        for subcon in getattr(message.payload, "subcons", ()) if where else ():
+            # Where a list ends before its last item, its count is to be looked at.
+            if subcon.name == where[0] and (names := re.findall(r"\['(\w+)'\]", repr(_count_of(subcon)))):
+                self.what = (
+                    f"too short for the items of {message.name}.{where[0]} that {'.'.join(names)} counts"
+                )
 
 
 class WrongCheckError(ConstructError):
@@ -55,6 +76,13 @@ class ContentError(ConstructError):
         super().__init__(str(error) or type(error).__name__, path=path)
         name = f"{message.name}.{where}" if where else message.name
         self.what = "" if isinstance(error, ConstError) else f"{name} cannot be read ({type(error).__name__})"
+
+
+def _count_of(con: Construct) -> Any:
+    """Return what counts the items of a list; None of what is no list."""
+    while isinstance(con, Subconstruct) and not isinstance(con, Array):
+        con = con.subcon
+    return getattr(con, "count", None)
 
 
 def error_text(error: BaseException) -> str:
@@ -142,7 +170,7 @@ class PacketStruct(Construct):
             if data[offset : min(offset + len(wanted), end)] != wanted[: max(0, end - offset)]:
                 raise NotThisError("a constant is another", path=path)
         if short or (message.lengths is not None and len(data) not in message.lengths):
-            raise LengthError(f"length {len(data)}", path=path)
+            raise LengthError(message, f"length {len(data)}", path)
         self._fields(values, data, end, context, path)
         check = message.check
         if check is not None and check.field is not None:
@@ -178,9 +206,9 @@ class PacketStruct(Construct):
         try:
             payload = message.payload._parsereport(body, inner, path)
         except StreamError as error:
-            raise LengthError(str(error), path=path) from None
+            raise LengthError(message, str(error), path, error) from None
         if body.read(1):
-            raise LengthError("bytes left over", path=path)
+            raise LengthError(message, "bytes left over", path)
         for name in message.payload_names:
             values[name] = payload.get(name)  # a StopIf leaves the fields behind it out
 

@@ -280,6 +280,8 @@ def meet(one: IdPattern, other: IdPattern, width: int) -> int | None:
     """
     if one is other and one.largest < 1 << width:
         return one.constant + sum(bounds(capture.values)[0] << capture.shift for capture in one.captures)
+    if one.is_apart(other):
+        return None
     if len(one) > len(other):
         one, other = other, one
     if len(one) <= 4096:

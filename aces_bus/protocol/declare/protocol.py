@@ -240,11 +240,11 @@ class DeclaredProtocol:
         """Raise `SpecError` where a message is of a transport's own frames, or has a transport that takes another's."""
         for carried in self._carried.values():
             ambiguity.check_carrier(carried, made, made.place)
-        transport = made.transport
-        if transport is not None and transport.patterns and transport not in self._carried:
-            for other in self.declared:
-                ambiguity.check_carrier(made, other, made.place)
-            self._carried[transport] = made
+        for transport in made.ways:
+            if transport is not None and transport.patterns and transport not in self._carried:
+                for other in self.declared:
+                    ambiguity.check_carrier(made, other, made.place)
+                self._carried[transport] = made
 
     def _check_order(self, made: Message) -> None:
         """Raise `SpecError` when `overrides=` goes in a circle: no order of trial would be right."""

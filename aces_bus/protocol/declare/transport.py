@@ -172,6 +172,8 @@ class Transport:
 
     `fd`: its frames are CAN FD. `address` bytes at the beginning of each frame belong to the address: they keep packets
     apart, too, and a packet's data begin with them. `pad` fills frames up (None: they are as short as they can be).
+    `also` is another transport by which the same packets may come (that of ISO 11783 beside fast packets): it has
+    identifiers of its own, and what is too long for this one is sent by it.
     """
 
     #: For people, in messages and docs.
@@ -193,6 +195,7 @@ class Transport:
     max_size: int = 4095
     timeout_s: float = 1.0
     senders: int = 256
+    also: Transport | None = field(default=None, init=False, repr=False)
 
     #: The kinds of its frames, in the order of trial.
     kinds: tuple[FrameKind, ...] = field(default=(), kw_only=True, repr=False)
@@ -487,7 +490,8 @@ class Transport:
     @property
     def describe(self) -> str:
         """In words for people."""
-        return f"{self.title}, packets of up to {self.max_size} bytes"
+        own = f"{self.title}, packets of up to {self.max_size} bytes"
+        return own if self.also is None else f"{own}; or by {self.also.describe}"
 
     def is_own(self, key: int) -> bool:
         """Return whether frames of a key, without the flag of CAN FD, are the transport's own, whatever its messages."""

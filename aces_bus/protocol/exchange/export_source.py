@@ -124,10 +124,10 @@ class _Printer:
     def _transport(self, transport: Transport) -> Expression:
         """Return a transport by its settings; identifiers are those of the messages."""
         settings = tuple(
-            (field.name, python_literal(getattr(transport, field.name)))
+            (field.name, self._transport(value) if isinstance(value, Transport) else python_literal(value))
             for field in fields(transport)
             if field.init and field.name not in ("kinds", "to_device", "from_device")
-            if getattr(transport, field.name) != field.default
+            if (value := getattr(transport, field.name)) != field.default
         )
         name = type(transport).__name__
         self.words["aces_bus.protocol"].add(name)

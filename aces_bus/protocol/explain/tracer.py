@@ -343,7 +343,7 @@ def frame_death(
     place, _, offset = part
     match place:
         case "id":
-            if message.transport != transport:
+            if transport not in message.ways:
                 return "transport", message.transport.title if message.transport is not None else "a frame"
             if message.identifier.match(frame.arbitration_id) is None:
                 return "identifier", message.identifier.describe(8 if message.extended else 3)

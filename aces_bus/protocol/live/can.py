@@ -113,11 +113,8 @@ class CanDecider(Decider):
         super().__init__(variant, direction, raw=raw)
         #: The keys of frames (None), and of the packets of each transport.
         self._spaces = {
-            transport: _keys(tuple(m for m in self.messages if m.transport == transport))
-            for transport in (
-                None,
-                *dict.fromkeys(m.transport for m in self.messages if m.transport is not None),
-            )
+            transport: _keys(tuple(m for m in self.messages if transport in m.ways))
+            for transport in dict.fromkeys((None, *(way for m in self.messages for way in m.ways)))
         }
         #: The candidates of each key that is spelt out.
         self.spelt_out = self._spaces[None].spelt_out
@@ -130,7 +127,9 @@ class CanDecider(Decider):
     def carried_by(self, key: int) -> Transport | None:
         """Return the transport whose frames have a key, which is without the flag of CAN FD."""
         for transport, keys in self._spaces.items():
-            if transport is not None and (keys.all.of(key) or transport.is_own(key)):
+            if transport is not None and (
+                transport.is_own(key) or any(m.transport == transport for m in keys.all.of(key))
+            ):
                 return transport
         return None
 
@@ -165,8 +164,8 @@ class CanDecider(Decider):
         for message in self.candidates(key, transport):
             try:
                 message.struct.parse(image, raw=True)
-            except LengthError:
-                return f"malformed: length {len(data)}, {message.name} has {message.describe_lengths}"
+            except LengthError as error:
+                return f"malformed: length {len(data)}, {error.what}"
             except WrongCheckError:
                 return "malformed: checksum"
             except ContentError as error:
@@ -607,7 +606,7 @@ class CanScanner:
                 (wire, message)
                 for wire in self.wires
                 for message in wire.matching(key, wire.asked)
-                if message.transport == transport
+                if transport in message.ways
             ]
             if len(self._asked) < REMEMBERED:
                 self._asked[key if transport is None else (key, transport)] = asked

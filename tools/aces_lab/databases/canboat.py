@@ -1,9 +1,11 @@
 """canboat's table of NMEA 2000 (`canboat.json`) as a protocol: a message each PGN, or each of a PGN's proprietary forms.
 
 1. A PGN whose shape cannot be said is left out, with the reason; it costs itself, not the file.
-2. What has the same numbers in front (manufacturer, industry, …) is matched by them: they are the message's template,
+2. Fast packets may also come by the transport of ISO 11783, and what is too long for them does.
+3. What has the same numbers in front (manufacturer, industry, …) is matched by them: they are the message's template,
    and reserved bits among them are captured, so that no bit is lost.
-3. Work is bounded, by bytes and by numbers of PGNs, fields and names, before it is done.
+4. A count that is not known (all ones) is of no item.
+5. Work is bounded, by bytes and by numbers of PGNs, fields and names, before it is done.
 
 The identifier has `priority`, `source` and, where a PGN is addressed (PDU format below 240, SAE J1939-21), `destination`.
 Bits without a meaning are in `reserved`, bytes behind the known fields in `trailing`. A value is raw × resolution + offset,
@@ -18,7 +20,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import groupby
 from typing import Any
@@ -32,13 +34,16 @@ from aces_bus.protocol import (
     FastPacket,
     Flags,
     IdField,
+    J1939Transport,
     Message,
     Protocol,
     Quantity,
     Text,
+    Transport,
     bits,
     float_bits,
 )
+from aces_bus.protocol.declare.j1939 import CONNECTION, DATA
 from aces_bus.protocol.declare.pattern import IdPattern
 from aces_bus.protocol.declare.place import SourceLine
 from aces_bus.protocol.exchange.import_build import TRAILING
@@ -57,8 +62,15 @@ from aces_bus.protocol.exchange.problems import (
 MOST_BYTES, MOST_PGNS, MOST_FORMS, MOST_FIELDS, MOST_NAMES = 32 * 1024 * 1024, 4096, 128, 32_768, 262_144
 #: bit/s of every NMEA 2000 network.
 BITRATE = 250_000
-#: The longest fast packet, and the longest list item, in bits.
-MOST_BITS = 8 * 223
+#: The longest fast packet, and the longest field and list item, in bits.
+MOST_FAST, MOST_BITS = 8 * 223, 8 * 1785
+
+#: By the type of a PGN what carries it, where that is not one frame.
+_TRANSPORTS: dict[str, Transport | None] = {
+    "Single": None,
+    "Fast": FastPacket(also=J1939Transport()),
+    "ISO": J1939Transport(),
+}
 
 #: What is a number; of the others `_KINDS` says what they are.
 _NUMBERS = frozenset(
@@ -172,8 +184,9 @@ class _Form:
         return sum(field.match is not None for field in self.fields)
 
     @property
-    def is_fast(self) -> bool:
-        return self.given.get("Type") == "Fast"
+    def transport(self) -> Transport | None:
+        """Its transport: fast packets may also come by that of ISO 11783, and what is too long for them does."""
+        return _TRANSPORTS[self.given["Type"]]
 
     def head_size(self, behind: Sequence[Sequence[_Field]]) -> int:
         """Return the bytes before these cells, of a form without lists."""
@@ -232,16 +245,20 @@ class _Builder:
             raise _LeftOut("a PGN has a number below 2¹⁸ and a list Fields")
         if given.get("Fallback"):
             raise _LeftOut("an entry for all unknown PGNs")
-        if len(fields) > MOST_BITS:
+        if len(fields) > MOST_FAST:
             raise _LeftOut(f"{len(fields):,} fields")
+        if number >> 8 in (CONNECTION, DATA):
+            raise _LeftOut(f"its frames are those of {J1939Transport.title}, which are put together")
         kind = given.get("Type")
-        if kind not in ("Single", "Fast"):
+        if kind not in _TRANSPORTS:
             raise _LeftOut(
-                f"of the type {one_line(str(kind))[:20]}, sent in a way that is neither one frame nor a fast packet"
+                f"of the type {one_line(str(kind))[:20]}, which is neither one frame nor a fast packet nor of ISO 11783"
             )
-        return _Form(
-            given, line, str(given.get("Id") or f"pgn{number}"), number, [_field(field) for field in fields]
-        )
+        read = [_field(field) for field in fields]
+        if kind == "Fast" and sum(field.size for field in read) > MOST_FAST and read[-1].is_bytes:
+            # The table gives the longest that it may be; packets have what there is.
+            read[-1] = replace(read[-1], width=None)
+        return _Form(given, line, str(given.get("Id") or f"pgn{number}"), number, read)
 
     def _declare_all(self, forms: Sequence[_Form]) -> None:
         """Declare the forms of a PGN, the one with more fixed values first where a packet may be either."""
@@ -268,7 +285,7 @@ class _Builder:
         return self.protocol.message(
             name,
             id=_identifier(form.pgn),
-            transport=FastPacket() if form.is_fast else None,
+            transport=form.transport,
             prefix=prefix,
             match=match,
             payload=payload,
@@ -381,7 +398,9 @@ class _Shape:
     def _payload(self, cells: Sequence[Sequence[_Field]]) -> c.Construct:
         fields = [field for cell in cells for field in cell]
         size = sum(field.size for field in fields) // 8
-        has_room = self.form.is_fast or bool(self.groups) or self.form.head_size(cells) + size < 8
+        has_room = (
+            self.form.transport is not None or bool(self.groups) or self.form.head_size(cells) + size < 8
+        )
         is_fixed = not self.groups and all(field.width is not None for field in fields)
         if fields and is_fixed and not any(map(_is_in_bytes, fields)):
             return self._layout(fields, TRAILING if has_room else "")
@@ -441,7 +460,7 @@ class _Shape:
         if field.kind == "STRING_LZ":
             return c.Prefixed(c.Byte, Text())
         if field.width is None and field is self.form.fields[-1] and not self.groups:
-            return c.GreedyBytes
+            return Text() if field.kind == "STRING_FIX" else c.GreedyBytes
         if field.width is None:
             raise _LeftOut(f"{one_line(field.name)[:60]} has a length that its own bytes do not say")
         size = field.width // 8
@@ -466,9 +485,11 @@ class _Shape:
             else c.Struct(*self._struct(cells))
         )
         self.taken = outer
-        asked = self.counts[count] if count is not None else None
+        asked: Any = self.counts[count] if count is not None else None
         if count is not None and asked is None:
             raise _LeftOut("a list whose count is not before it")
+        if count is not None and (width := self.form.fields[count].width):
+            asked %= (1 << width) - 1  # all ones: not known, and no item
         name = unused("list", self.taken)
         return c.Renamed(c.GreedyRange(group) if count is None else c.Array(asked, group), newname=name)
 
