@@ -11,7 +11,7 @@ from .._lazy import lazy_names
 
 if TYPE_CHECKING:
     from .declare.bits import BitLayout, Split, Tuple, bits, float_bits
-    from .declare.checks import Check, Crc, Extra, Fletcher, IdBytes, InvertedSum, Sum, Xor
+    from .declare.checks import Check, Crc, Extra, Fletcher, IdBytes, InvertedSum, RequestBytes, Sum, Xor
     from .declare.delimited import (
         AsciiDegrees,
         AsciiEnumeration,
@@ -89,6 +89,7 @@ __all__ = [
     "Protocol",
     "Quantity",
     "Record",
+    "RequestBytes",
     "Reserved",
     "SdoTransfer",
     "SignMagnitude",
@@ -113,7 +114,7 @@ __getattr__, __dir__ = lazy_names(
     __name__,
     {
         ".declare.bits": "BitLayout Split Tuple bits float_bits",
-        ".declare.checks": "Check Crc Extra Fletcher IdBytes InvertedSum Sum Xor",
+        ".declare.checks": "Check Crc Extra Fletcher IdBytes InvertedSum RequestBytes Sum Xor",
         ".declare.delimited": "AsciiDegrees AsciiEnumeration AsciiInteger AsciiNumber AsciiText Delimited",
         ".declare.fast_packet": "FastPacket",
         ".declare.fields": "Counter Enumeration Field FlagSet Flags Multiplexed Present Quantity Reserved"

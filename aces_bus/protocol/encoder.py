@@ -159,7 +159,8 @@ class Encoder:
             try:
                 identifier, head, body = quick(fields if more is None else {**more, **fields})
                 if message.framing is not None:
-                    return bytes(message.struct.framed(message.framing, head, body))
+                    question = message.question(fields)
+                    return bytes(message.struct.framed(message.framing, head, body, question))
                 return identifier, head + body, message.extended, message.remote, message.fd
             except USUAL_FAILURES:
                 pass  # construct decides, and explains

@@ -18,7 +18,7 @@ from construct import ConstructError
 
 from ..errors import AcesError
 from ..frames import EXTENDED
-from .declare.ambiguity import needing_context, ordered, request_names
+from .declare.ambiguity import needing_context, ordered, request_names, unmarked_answers
 from .declare.framing import Framing, Verdict
 from .declare.message import REQUESTS, GivenWay, Message, Request
 from .declare.packet import ContentError, LengthError, NotThisError, WrongCheckError, frame_image
@@ -74,6 +74,8 @@ class RequestRule:
         self, messages: Sequence[Message], contextual: frozenset[str], broadcast: Mapping[str, int]
     ) -> None:
         self.broadcast = broadcast
+        #: Answers that only a pending request tells from other bytes.
+        self.unmarked = unmarked_answers(messages, contextual)
         self.requests, self.answers = request_names(messages, contextual)
         #: All requests in order.
         self.passed: list[PastRequest] = []
@@ -90,6 +92,23 @@ class RequestRule:
     def note(self, past: PastRequest) -> None:
         """Note a request that was received or sent."""
         self.passed.append(past)
+
+    def awaited(self, time: float | None) -> dict[Message, PastRequest]:
+        """Return the answers without a mark that are awaited, each with its request: the latest that such answers hang on,
+        while it is pending."""
+        asking = {r.message.name for m in self.unmarked for r in (*m.reply_to, *m.after)}
+        past = next((past for past in reversed(self.passed) if past.name in asking), None)
+        if past is None:
+            return {}
+        return {
+            message: past
+            for message in self.unmarked
+            for request, is_mode, _ in self.links[message.name]
+            if request.message.name == past.name
+            and request.accepts(past.values)
+            and (is_mode or not past.is_answered)
+            and (None in (message.within, time, past.time) or time - past.time <= message.within)  # type: ignore[operator]
+        }
 
     def of(
         self, fitting: Sequence[tuple[Message, Mapping[str, Any]]], channel: Any, time: float | None
@@ -248,7 +267,9 @@ class Reference:
                 elif plain is None:
                     plain = (message, values)
             if fitting:
-                chosen = context.of(fitting, channel, time)
+                others = {m.name for m in context.unmarked} - {m.name for m in context.awaited(time)}
+                likely = [(m, values) for m, values in fitting if m.name not in others]
+                chosen = context.of(likely, channel, time)
                 if chosen is not None:
                     return self._accepted(context, chosen[0], image, channel, time, chosen[1])
             if plain is not None:
@@ -468,8 +489,11 @@ class Reference:
         found: list[ReferenceItem] = []
         start = 0
         events: list[tuple[int, bytes | None]] = [(offset, None) for offset in idle_at]
+        reached = 0
         for offset, packet in sorted([*events, *sent_at], key=lambda e: (e[0], e[1] is not None)):
-            start = self._until(data[:offset], start, found, silent=packet is None)
+            if offset > reached or packet is None:  # what we send decides about bytes that come behind it
+                start = self._until(data[:offset], start, found, silent=packet is None)
+            reached = offset
             if packet is not None:
                 self.sent(packet)
         start = self._until(data, start, found, silent=True)
@@ -497,10 +521,21 @@ class Reference:
     def _at(self, data: bytes, start: int, *, silent: bool) -> ReferenceItem | None:
         bad = ""
         unclaimed: ReferenceItem | None = None
-        for variant, messages, _, _ in self.sides:
+        for variant, messages, _, context in self.sides:
             framings = dict.fromkeys(m.framing for m in messages if m.framing is not None)
-            for framing in framings:
-                judged = framing.judge(data, start, silent=silent, extras=framing.extras_of(messages))
+            answering = {m.framing for m in context.unmarked}
+            for framing in sorted(framings, key=lambda framing: framing not in answering):
+                request = None
+                if framing in answering:
+                    awaited = context.awaited(None)
+                    asked = [(m, past) for m, past in awaited.items() if m.framing is framing]
+                    if not asked:
+                        if not (awaited or framing.sync or framing.match):
+                            bad = bad or context.needs(context.unmarked)
+                        continue
+                    request, self._request = asked[0][0].question(asked[0][1].values), asked[0][1]
+                extras = framing.extras_of(messages)
+                judged = framing.judge(data, start, silent=silent, extras=extras, request=request)
                 if judged.verdict is Verdict.MORE:
                     if not silent:
                         return None

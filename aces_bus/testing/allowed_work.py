@@ -31,7 +31,8 @@ def work_allowed(framings: Sequence[Framing], traffic: bytes, chunks: int) -> in
             continue
         candidates = len(candidates_in(framing, traffic, 0))
         is_whole = framing.end and framing.stuffing is None  # the bytes on the wire are what is summed
-        if framing.check.kind == "crc" or not ((framing.sync and not framing.end) or is_whole):
+        is_read_anew = framing.check.kind == "crc" or framing.covers_request or framing.check_behind
+        if is_read_anew or not ((framing.sync and not framing.end) or is_whole):
             limit += framing.max_size * candidates
             if len(framings) > 1:
                 # While another framing waits at the same offset, each chunk has the candidate read again.

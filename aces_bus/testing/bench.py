@@ -13,7 +13,7 @@ from typing import Any
 from construct import ConstructError
 
 from ..errors import AcesError
-from ..protocol.declare.ambiguity import needing_context
+from ..protocol.declare.ambiguity import needing_context, unmarked_answers
 from ..protocol.declare.framing import Framing
 from ..protocol.declare.message import Message
 from ..protocol.declare.protocol import Variant
@@ -120,6 +120,12 @@ class Bench:
         return frozenset(
             (v.name, name) for v in self.variants for name in needing_context(v.messages_for(self.direction))
         )
+
+    @cached_property
+    def answering(self) -> frozenset[Framing | None]:
+        """The framings of answers that only a pending request tells from other bytes."""
+        every = [v.messages_for(self.direction) for v in self.variants]
+        return frozenset(m.framing for some in every for m in unmarked_answers(some, needing_context(some)))
 
     @cached_property
     def framings(self) -> list[tuple[Variant, Framing, tuple[Message, ...]]]:

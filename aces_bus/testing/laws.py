@@ -251,6 +251,8 @@ def resynchronisation(trial: Trial) -> None:
     for end in [*scene.idle_at, len(scene)]:
         seen = scene.traffic[:end]
         for (variant, framing, messages), extras in framings:
+            if framing in trial.bench.answering:
+                continue  # a packet only while it is awaited
             for start in candidates_in(framing, seen, begin):
                 if covered[start]:
                     continue

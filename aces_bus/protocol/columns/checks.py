@@ -444,6 +444,7 @@ def _covered(message: Message, rows: Array, keys: Array) -> Array:
             )
         else:
             constant = message.check_extra if isinstance(part, Extra) else part
+            assert isinstance(constant, bytes)  # a request is covered by framings' checks alone
             row = np.frombuffer(constant, np.uint8)
             parts.append(np.broadcast_to(row, (len(rows), len(row))))
     return np.concatenate(parts, axis=1)

@@ -190,6 +190,8 @@ def conflict(one: Message, other: Message) -> Conflict | None:
     """Return the conflict of two messages by their bytes alone, or None when they are disjoint."""
     if one.framing is None or other.framing is None:
         return _can_conflict(one, other)
+    if one.framing.covers_request or other.framing.covers_request:
+        return Conflict(one, other, None)  # bytes alone do not even say whether a check holds
     if one.framing is not other.framing:
         return _framings_conflict(one, other)
     return _stream_conflict(one, other)
@@ -217,6 +219,21 @@ def needing_context(messages: Sequence[Message]) -> frozenset[str]:
             or any(conflict(message, other) for other in messages if other is not message)
         )
     )
+
+
+def unmarked_answers(messages: Iterable[Message], contextual: Collection[str]) -> list[Message]:
+    """Return the messages that only a pending request tells from other bytes: all messages of their framing need their
+    request, and no byte marks where its packets begin, or its check covers the request.
+    """
+    framed = [message for message in messages if message.framing is not None]
+    others = {message.framing for message in framed if message.name not in contextual}
+    return [
+        message
+        for message in framed
+        if (framing := message.framing) is not None
+        and framing not in others
+        and (framing.covers_request or not (framing.sync or framing.match))
+    ]
 
 
 def request_names(

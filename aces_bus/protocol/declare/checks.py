@@ -5,8 +5,8 @@
    no more than twice its length. CRCs cannot, and are bounded by the packet's size.
 
 `over` lists what is covered, in order: a `slice` of the packet's bytes (of the data, on CAN), `IdBytes` for the
-identifier, `Extra` for the message's own `check_extra` bytes. The default is everything behind the sync bytes up to the
-check itself.
+identifier, `RequestBytes` for the request that an answer answers, `Extra` for the message's own `check_extra` bytes. The
+default is everything behind the sync bytes up to the check itself.
 """
 
 from __future__ import annotations
@@ -45,13 +45,25 @@ class Extra(msgspec.Struct, frozen=True):
     """The message's own `check_extra` bytes (MAVLink's CRC_EXTRA, a data id of AUTOSAR E2E)."""
 
 
-Covered = slice | IdBytes | Extra | bytes
+class RequestBytes(msgspec.Struct, frozen=True):
+    """The packet of the request that an answer answers, from byte `start` up to `stop` (None: to its end), for a check
+    that covers what was asked (RoboClaw: address and command)."""
+
+    start: int = 0
+    stop: int | None = None
+
+    def bytes(self, packet: bytes) -> bytes:
+        return packet[self.start : self.stop]
+
+
+Covered = slice | IdBytes | RequestBytes | Extra | bytes
 
 
 class Check:
     """A check of `size` bytes. `compute` gives the number, `encode` its bytes on the wire.
 
-    `field` names the field of the payload that holds it; without it the check is at the end of the packet. `text` is
+    `field` names the field of the payload that holds it; without it the check is at the end of the packet: before the
+    bytes that close it, with `after_end` behind them. `text` is
     a format for checks written as characters, such as `"*{:02X}"` (NMEA): they are written as it says, and read by value,
     as hexadecimal digits mean the same in either case.
     """
@@ -67,6 +79,7 @@ class Check:
         order: Order = "little",
         field: str | None = None,
         text: str | None = None,
+        after_end: bool = False,
     ) -> None:
         self.place = caller()
         if not 1 <= size <= LARGEST:
@@ -75,6 +88,7 @@ class Check:
         self.order: Order = order
         self.field = field
         self.text = text
+        self.after_end = after_end
         #: Where a text has hexadecimal digits, whose case means nothing.
         self.digits: slice | None = None
         self.size = size if text is None else self._text_size(text)
@@ -82,12 +96,13 @@ class Check:
             None
             if over is None
             else (over,)
-            if isinstance(over, (slice, IdBytes, Extra, bytes))
+            if isinstance(over, (slice, IdBytes, RequestBytes, Extra, bytes))
             else tuple(over)
         )
         for part in self.over or ():
             if isinstance(part, slice) and part.step not in (None, 1):
                 raise SpecError(f"{self.place}: a check covers runs of bytes; {part} has a step")
+        self.covers_request = any(isinstance(part, RequestBytes) for part in self.over or ())
 
     def compute(self, data: bytes) -> int:
         """Return the check's number over `data`."""
@@ -143,7 +158,14 @@ class Check:
         return number.to_bytes(self.bytes, self.order)
 
     @staticmethod
-    def joined(packet: bytes, over: Sequence[Covered], *, identifier: int = 0, extra: bytes = b"") -> bytes:
+    def joined(
+        packet: bytes,
+        over: Sequence[Covered],
+        *,
+        identifier: int = 0,
+        extra: bytes = b"",
+        request: bytes = b"",
+    ) -> bytes:
         """Return what `over` takes of a packet, in order."""
         parts: list[bytes] = []
         for part in over:
@@ -152,6 +174,8 @@ class Check:
                     parts.append(packet[part])
                 case IdBytes():
                     parts.append(part.bytes(identifier))
+                case RequestBytes():
+                    parts.append(part.bytes(request))
                 case Extra():
                     parts.append(extra)
                 case _:

@@ -284,12 +284,24 @@ class Framing:
         self.check_head = self._check_head()
         #: Bytes of the check behind the payload.
         self.check_size = check.size if check is not None and self.check_head is None else 0
+        #: Whether the check covers what was asked: it can be judged with the request alone.
+        self.covers_request = check is not None and check.covers_request
         self.is_silent = end == "silence"
         if isinstance(end, str) and not self.is_silent:
             raise SpecError(f"{self.place}: end is bytes or 'silence', not {end!r}")
         self.end: bytes = end if isinstance(end, bytes) else b""
         if (size is not None) + bool(self.end) + self.is_silent != 1:
             raise SpecError(f"{self.place}: a framing ends by one of size=…, end=b'…', end='silence'")
+        #: Bytes of the check behind the bytes that close a packet.
+        self.check_behind = check.size if check is not None and check.after_end else 0
+        if check is not None and check.after_end and (not self.end or check.field is not None):
+            raise SpecError(
+                f"{self.place}: a check after_end=True is behind the end=b'…' of packets, and in no field"
+            )
+        if stuffing is not None and (self.covers_request or self.check_behind):
+            raise SpecError(
+                f"{self.place}: a check over the request, or behind the end, does not go with stuffing"
+            )
         if not_inside and (not self.end or stuffing is not None):
             raise SpecError(
                 f"{self.place}: not_inside is for packets that an end=b'…' closes, without stuffing"
@@ -362,7 +374,9 @@ class Framing:
     def check_at(self) -> int:
         """Start of the check in a packet: from its first byte, or negative, from its end."""
         assert self.check is not None
-        return -self.check.size - len(self.end) if self.check_head is None else self.check_head.offset
+        if self.check_head is not None:
+            return self.check_head.offset
+        return -self.check.size - (0 if self.check_behind else len(self.end))
 
     @property
     def check_over(self) -> tuple[Covered, ...]:
@@ -376,9 +390,10 @@ class Framing:
         behind = slice(at + self.check.size, -len(self.end) or None)
         return (slice(sync, at), behind) if at > sync else (behind,)
 
-    def check_covers(self, packet: bytes, extra: bytes = b"") -> bytes:
-        """Return the bytes that the check of a packet (up to its trailer, without stuffing around it) covers."""
-        return Check.joined(packet, self.check_over, extra=extra)
+    def check_covers(self, packet: bytes, extra: bytes = b"", request: bytes = b"") -> bytes:
+        """Return the bytes that the check of a packet (up to its trailer, without stuffing around it) covers; `request` is
+        the packet that it answers."""
+        return Check.joined(packet, self.check_over, extra=extra, request=request)
 
     def check_in(self, packet: bytes) -> bytes:
         """Return the check's bytes in such a packet."""
@@ -562,12 +577,18 @@ class Framing:
     # ------------------------------------------------------------------ the truth about one candidate
 
     def judge(
-        self, data: bytes, start: int, *, silent: bool = False, extras: dict[int, bytes] | None = None
+        self,
+        data: bytes,
+        start: int,
+        *,
+        silent: bool = False,
+        extras: dict[int, bytes] | None = None,
+        request: bytes | None = None,
     ) -> Judgement:
         """Return what begins at `start` of `data`.
 
         `silent` says that the line fell silent at the end of `data`. `extras` are the `check_extra` bytes by the number
-        that selects them (see `Message.extra_key`).
+        that selects them (see `Message.extra_key`); `request` is the packet that is answered, for a check that covers it.
         """
         left = len(data) - start
         seen = data[start : start + len(self.sync)]
@@ -588,19 +609,22 @@ class Framing:
         if self.is_silent:
             if left > self.max_size:
                 return BAD("length")
-            return self._checked(data[start:], extras) if silent else MORE
+            return self._checked(data[start:], extras, request) if silent else MORE
         if self.end:
-            at = data.find(self.end, start + len(self.sync), start + self.max_size)
+            most = self.max_size - self.check_behind
+            at = data.find(self.end, start + len(self.sync), start + most)
             if self.not_inside:
-                stop = at if at >= 0 else start + self.max_size
+                stop = at if at >= 0 else start + most
                 if self.strays(data, start + len(self.sync), stop):
                     return BAD("a byte that no packet has")
             if at < 0:
-                return MORE if left < self.max_size else BAD("no end")
-            packet = data[start : at + len(self.end)]
-            if len(packet) == len(self.sync) + len(self.end):
+                return MORE if left < most else BAD("no end")
+            packet = data[start : at + len(self.end) + self.check_behind]
+            if at == start + len(self.sync):
                 return DEAD
-            return self._checked(packet, extras)
+            if len(packet) < at - start + len(self.end) + self.check_behind:
+                return MORE
+            return self._checked(packet, extras, request)
         if self.affine is not None:
             said = self.affine.size_of(data[start : start + self.affine.reach])
             if said is None:
@@ -618,21 +642,23 @@ class Framing:
             return BAD("length")
         if left < size:
             return MORE
-        return self._checked(data[start : start + size], extras)
+        return self._checked(data[start : start + size], extras, request)
 
     def parted(self, packet: bytes) -> tuple[bytes, bytes]:
         """Return a packet up to its check, and what is behind that."""
         size = self.affine.trailing(packet) if self.affine is not None else 0
         return (packet[:-size], packet[-size:]) if size else (packet, b"")
 
-    def _checked(self, packet: bytes, extras: dict[int, bytes] | None) -> Judgement:
+    def _checked(
+        self, packet: bytes, extras: dict[int, bytes] | None, request: bytes | None = None
+    ) -> Judgement:
         # The check covers the bytes on the wire, except where the whole packet is stuffed.
         inserted = self.stuffing is not None and self.stuffing.is_inside
         try:
             covered = self.parted(packet)[0] if inserted else self.logical(packet)
         except ValueError as error:
             return BAD(str(error))
-        judged = self.judge_data(covered, packet, extras)
+        judged = self.judge_data(covered, packet, extras, request)
         if inserted and judged.verdict is Verdict.WHOLE:
             try:
                 self.logical(packet)
@@ -640,7 +666,13 @@ class Framing:
                 return BAD(str(error))
         return judged
 
-    def judge_data(self, covered: bytes, packet: bytes, extras: dict[int, bytes] | None) -> Judgement:
+    def judge_data(
+        self,
+        covered: bytes,
+        packet: bytes,
+        extras: dict[int, bytes] | None,
+        request: bytes | None = None,
+    ) -> Judgement:
         """Return what a packet is by its length and its check, which covers `covered`: the packet, or its unstuffed form."""
         if len(covered) < self.min_size:
             return BAD("length")
@@ -651,7 +683,9 @@ class Framing:
                 if key not in extras:
                     return BAD(f"no message {key} to check by")
                 extra = extras[key]
-            want = self.check.encode(self.check_covers(covered, extra))
+            if request is None and self.covers_request:
+                return BAD("no request to check by")
+            want = self.check.encode(self.check_covers(covered, extra, request or b""))
             stored = self.check_in(covered)
             if stored != want and not self.check.same(stored, want):
                 return BAD("checksum")
@@ -702,14 +736,14 @@ class Framing:
         known = [m.extras for m in messages if m.framing is self and m.extras is not None]
         return {number: extra for extras in known for number, extra in extras.items()} if known else None
 
-    def checks_of(self, packet: bytes, extra: bytes) -> tuple[bytes, bytes]:
+    def checks_of(self, packet: bytes, extra: bytes, request: bytes = b"") -> tuple[bytes, bytes]:
         """Return the check that a packet should have, and the one that it has; raises `ValueError` where it cannot be
         unstuffed.
         """
         assert self.check is not None
         inserted = self.stuffing is not None and self.stuffing.is_inside
         whole = self.parted(packet)[0] if inserted else self.logical(packet)
-        return self.check.encode(self.check_covers(whole, extra)), self.check_in(whole)
+        return self.check.encode(self.check_covers(whole, extra, request)), self.check_in(whole)
 
     def extra_number(self, packet: bytes) -> int:
         head = self.extra_head

@@ -16,7 +16,7 @@ import construct as c
 import msgspec
 from msgspec.structs import replace
 
-from ...errors import CallerError, SpecError, UnknownNameError
+from ...errors import CallerError, FieldError, SpecError, UnknownNameError
 from .bits import BitLayout, whole_bits
 from .checks import Check, Covered, Extra
 from .delimited import Delimited
@@ -200,6 +200,8 @@ class ConfigurationCondition(msgspec.Struct, frozen=True):
 
 #: So many requests of a kind and device are remembered, answered or not: a reply to an earlier one is unknown.
 REQUESTS = 8
+#: So many requests' packets are kept, for the checks of their answers.
+QUESTIONS = 4096
 
 
 class Request(msgspec.Struct, frozen=True):
@@ -321,6 +323,10 @@ class Message:
         ):
             raise SpecError(f"{place}: {derived} {escape} of {name} is not a length: a wider one follows")
         self.request_fields = self._request_fields()
+        #: What its check covers of the request, by the raw values of the request's fields.
+        self._questions: dict[tuple[Any, ...], bytes] = {}
+        if framing is not None and framing.covers_request:
+            self._check_question()
         numbers = [h.name for h in self.heads_written if h.name is not None and not h.is_text]
         self.payload = normalised(payload, place, self._enumerations(), numbers)
         check_selectors(self.payload, place)
@@ -411,6 +417,17 @@ class Message:
         asked = (name for request in (*self.reply_to, *self.after) for name, _ in request.values)
         return tuple(dict.fromkeys(name for name in asked if name not in own))
 
+    def _check_question(self) -> None:
+        """Raise `SpecError` where the fields of a record do not say the request, which its framing's check covers."""
+        asked = self.reply_to[0].message if len(self.reply_to) == 1 and not self.after else None
+        if asked is None or not asked.fields or not set(asked.fields) <= set(self.request_fields):
+            fields = ", ".join(f"{name}=…" for name in asked.fields) if asked is not None else "FIELD=…"
+            raise SpecError(
+                f"{self.place}: the check of {self.name} covers its request, which its record must say: it answers one"
+                f" message, reply_to={asked.name if asked else 'Ask'}.where({fields}); of a request without fields its"
+                " bytes are covered: over=(b'…', …)"
+            )
+
     def _check_fields(self) -> None:
         places: dict[str, str] = {}
 
@@ -445,6 +462,10 @@ class Message:
         if self.check is not None and self.check.field is None:
             raise SpecError(
                 f"{self.place}: a message's own check names its field; the check of all packets belongs to the framing"
+            )
+        if self.check is not None and self.check.covers_request:
+            raise SpecError(
+                f"{self.place}: the request is covered by the check of a framing, not by a message's own"
             )
         if self.check is not None and self.check.field not in places:
             raise SpecError(f"{self.place}: check field {self.check.field!r} is not a field of {self.name}")
@@ -604,6 +625,28 @@ class Message:
         """Return the bytes that this message's own check covers, in order."""
         data = data[: len(data) - self.behind]
         return Check.joined(data, self.check_over, identifier=identifier, extra=self.check_extra)
+
+    def question(self, fields: Mapping[str, Any] | None) -> bytes:
+        """Return the packet of the request that this message answers, by its raw fields: what its framing's check covers;
+        empty where it covers no request.
+
+        Raises `FieldError` when there is no request, or a field of it is not given.
+        """
+        if self.framing is None or not self.framing.covers_request:
+            return b""
+        asked = self.reply_to[0].message
+        missing = [name for name in asked.fields if fields is None or name not in fields]
+        if fields is None or missing:
+            raise FieldError(
+                f"{self.name}: its check covers its request; no value given for {', '.join(missing)}"
+            )
+        values = tuple(fields[name] for name in asked.fields)
+        found = self._questions.get(values)
+        if found is None:
+            found = bytes(asked.struct.build(dict(zip(asked.fields, values, strict=True)), raw=True))
+            if len(self._questions) < QUESTIONS:
+                self._questions[values] = found
+        return found
 
     def outer(self, data: bytes, identifier: int) -> dict[str, int] | None:
         """Return the raw captures and head fields of a packet, its payload unread; None when they are not this message's."""

@@ -150,7 +150,9 @@ class PacketStruct(Construct):
             _read_captures(message.identifier, captures, context, values)
             data, end = packet[5:], len(packet) - 5
         else:
-            judged = message.framing.judge(packet, 0, silent=True, extras=message.extras)
+            judged = message.framing.judge(
+                packet, 0, silent=True, extras=message.extras, request=message.question(request)
+            )
             if judged.verdict is not Verdict.WHOLE or judged.size != len(packet):
                 raise NotThisError(judged.reason or "not a packet of this framing", path=path)
             data = message.framing.logical(packet)
@@ -249,9 +251,9 @@ class PacketStruct(Construct):
         body = io.BytesIO()
         message.payload._build(Container(values), body, inner, path)
         if message.framing is not None:
-            packet = self.framed(message.framing, head, body.getvalue())
+            packet = self.framed(message.framing, head, body.getvalue(), message.question(obj))
             if check is not None:
-                packet = self._checked(check, message.framing, packet, head, body.getvalue())
+                packet = self._checked(check, message.framing, packet, head, body.getvalue(), obj)
             stream.write(packet)
             return obj
         data = head + body.getvalue()
@@ -291,7 +293,8 @@ class PacketStruct(Construct):
             raise FieldError(f"{path}: {value!r} does not go with {self.message.name} ({wanted})")
         return written
 
-    def framed(self, framing: Framing, head: bytes, body: bytes) -> bytes:
+    def framed(self, framing: Framing, head: bytes, body: bytes, request: bytes = b"") -> bytes:
+        """Return the packet of a head and a body; `request` is the packet that it answers, for a check that covers it."""
         inside = max(0, framing.head_end - self.message.payload_start)
         least = self.message.least - inside
         packet, body = framing.sync + head + body[:inside], body[inside:]
@@ -345,10 +348,14 @@ class PacketStruct(Construct):
             )
         if framing.check is not None:
             # Slices of the check count from the whole packet's end, so its room must be there.
-            whole = packet + bytes(framing.check_size) + framing.end
-            written = framing.check.encode(framing.check_covers(whole, self.message.check_extra))
+            room = bytes(framing.check_size)
+            whole = packet + (framing.end + room if framing.check_behind else room + framing.end)
+            written = framing.check.encode(framing.check_covers(whole, self.message.check_extra, request))
             at = framing.check_at if framing.check_head is not None else len(packet)
-            packet = packet[:at] + written + packet[at + len(written) :]
+            if framing.check_behind:
+                behind = written
+            else:
+                packet = packet[:at] + written + packet[at + len(written) :]
         if framing.end:
             if len(packet) == len(framing.sync):
                 raise FieldError(
@@ -376,13 +383,15 @@ class PacketStruct(Construct):
             )
         return packet
 
-    def _checked(self, check: Check, framing: Framing, packet: bytes, head: bytes, body: bytes) -> bytes:
+    def _checked(
+        self, check: Check, framing: Framing, packet: bytes, head: bytes, body: bytes, obj: Any
+    ) -> bytes:
         """Return a packet with the message's own check, which covers what else is in `packet`."""
         start, size, _ = self.message.check_span
         whole = self._with_check(check, framing.logical(packet), 0)
         at = start - self.message.payload_start
         body = body[:at] + whole[start : start + size] + body[at + size :]
-        found = self.framed(framing, head, body)
+        found = self.framed(framing, head, body, self.message.question(obj))
         if self._with_check(check, plain := framing.logical(found), 0) != plain:
             raise FieldError(
                 f"{self.message.name}: its check covers what the check itself changes: say in over= what it covers"

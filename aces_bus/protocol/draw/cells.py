@@ -163,7 +163,7 @@ def marks_of(message: Message) -> list[Mark]:
         offset, size, _ = message.check_span
         marks.append(Mark(offset, size, f"{message.check.field}: {message.check.describe}"))
     if framing is not None:
-        end = len(framing.end)
+        end = len(framing.end) + framing.check_behind
         if framing.check is not None:
             marks = [
                 mark for mark in marks if mark.offset != framing.check_at

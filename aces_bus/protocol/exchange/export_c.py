@@ -167,6 +167,8 @@ def _refusal(message: Message) -> str:
         "its packets are stuffed": framing is not None and framing.stuffing is not None,
         "a payload that begins in its header": bool(message.overlaid),
         "a check in its header": framing is not None and framing.check_head is not None,
+        "a check over its request": framing is not None and framing.covers_request,
+        "a check behind its end": framing is not None and framing.check_behind,
         "its packets have a trailer": framing is not None and framing.trailer is not None,
         "an escaped length": affine is not None and (affine.escape is not None or affine.flags is not None),
     }

@@ -271,6 +271,11 @@ class _Printer:
         table |= {"min_size": framing.min_size, "max_size": framing.max_size, "head_end": framing.head_end}
         if framing.check is not None and framing.check_head is not None:
             self._lose("", "", f"the check in the header ({framing.check.describe}) is not verified")
+        elif framing.check is not None and (framing.covers_request or framing.check_behind):
+            where = "over the request" if framing.covers_request else "behind the end"
+            self._lose(
+                "", "", f"the check {where} ({framing.name}: {framing.check.describe}) is not verified"
+            )
         elif framing.check is not None:
             table["check"] = self._check(framing.check, "")
         extra = framing.extra_head

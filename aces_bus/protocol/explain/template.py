@@ -127,6 +127,8 @@ class Template:
             if reason == "length":
                 return "length", f"packets have {framing.min_size}…{framing.max_size} bytes"
             return "framing", reason
+        if framing.covers_request:
+            return "check", "it covers the request, and does not hold with the one that is awaited"
         try:
             wanted, given = framing.checks_of(data, self.message.check_extra)
             return "check", f"{wanted.hex(' ').upper()}, not {given.hex(' ').upper()}"

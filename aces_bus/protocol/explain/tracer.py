@@ -95,7 +95,13 @@ class Tracer(Reference):
             silent = at == end and found.is_silent
             framings = {t.framing for t in contest.alive if t.framing is not None}
             verdicts: dict[Framing | None, Judgement] = {
-                framing: framing.judge(prefix, 0, silent=silent, extras=self._extras[framing])
+                framing: framing.judge(
+                    prefix,
+                    0,
+                    silent=silent,
+                    extras=self._extras[framing],
+                    request=self._question(framing, found),
+                )
                 for framing in framings
             }
             sizes |= {
@@ -138,6 +144,15 @@ class Tracer(Reference):
             left_out=left_out,
             raw=data[start : start + found.size],
         )
+
+    def _question(self, framing: Framing, found: ReferenceItem) -> bytes | None:
+        """Return the packet that an answer of this framing answers, where its check covers it."""
+        past = found.request
+        for template in self.templates if framing.covers_request and past is not None else ():
+            message = template.message
+            if message.framing is framing and past and message.reply_to[0].message.name == past.name:
+                return message.question(past.values)
+        return None
 
     # ------------------------------------------------------------------ frames
 

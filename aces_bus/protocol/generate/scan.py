@@ -183,7 +183,7 @@ def seek_pattern(framings: Sequence[Framing]) -> bytes:
 
 def _framing(out: SourceText, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
     """Print one framing's block, which falls out of its bottom when the candidate is dead or bad."""
-    if framing.end and framing.stuffing is None:
+    if framing.end and framing.stuffing is None and not _is_judged(framing):
         _ended(out, number, framing, decode, alone=alone)
         return
     if not _has_sized_start(framing):
@@ -289,15 +289,22 @@ def _set_of(numbers: Collection[int]) -> str:
 
 def _has_sized_start(framing: Framing) -> bool:
     """Return whether the first bytes say that a packet may begin, and how long it is."""
-    return bool(framing.sync or framing.match) and (
-        framing.affine is not None or framing.fixed_size is not None or framing.measure is not None
+    return (
+        bool(framing.sync or framing.match)
+        and not _is_judged(framing)
+        and (framing.affine is not None or framing.fixed_size is not None or framing.measure is not None)
     )
+
+
+def _is_judged(framing: Framing) -> bool:
+    """Return whether the framing itself judges packets, by a check that needs more than their bytes up to their end."""
+    return framing.covers_request or bool(framing.check_behind)
 
 
 def _asks(framing: Framing) -> bool:
     """Return whether the check is asked of whole packets, by a function of its own."""
     check = framing.check
-    if check is None or framing.is_silent:
+    if check is None or framing.is_silent or _is_judged(framing):
         return False
     if framing.end:
         return framing.stuffing is None
@@ -482,7 +489,9 @@ def _accept(out: SourceText, framing: Framing, decode: str, *, alone: bool, cut:
 
 
 def _judged(out: SourceText, number: int, framing: Framing, decode: str, *, alone: bool) -> None:
-    """Print framings that end by silence, are stuffed as a whole or have no sync: judged by the framing itself."""
+    """Print framings that end by silence, are stuffed as a whole, have no sync or a check over their request: judged by the
+    framing itself.
+    """
     out.lines(
         f"# {comment_line(f'{framing.name}: {describe(framing)}')}",
         f"verdict, j, reason = judge_{number}(buffer, i, silent)",

@@ -69,7 +69,7 @@ def failure(message: Message, example: Example) -> str | None:
     try:
         values = message.struct.parse(image, request=request)
     except NotThisError as error:
-        return f"it is not {message.name}: {error_text(error)}{_wanted_check(message, image)}"
+        return f"it is not {message.name}: {error_text(error)}{_wanted_check(message, image, request)}"
     except LengthError as error:
         return f"its length does not go with the fields of {message.name}: {error_text(error)}"
     except WrongCheckError:
@@ -93,13 +93,16 @@ def failure(message: Message, example: Example) -> str | None:
     return _unrecognised(message, example)
 
 
-def _wanted_check(message: Message, packet: bytes) -> str:
+def _wanted_check(message: Message, packet: bytes, request: Mapping[str, Any] | None) -> str:
     """Say what the check of a packet would have to be, if its framing's check fails."""
     framing = message.framing
-    if framing is None or framing.check is None or framing.judge(packet, 0, silent=True).reason != "checksum":
+    if framing is None or framing.check is None:
+        return ""
+    asked = message.question(request)
+    if framing.judge(packet, 0, silent=True, request=asked).reason != "checksum":
         return ""
     try:
-        wanted, given = framing.checks_of(packet, message.check_extra)
+        wanted, given = framing.checks_of(packet, message.check_extra, asked)
     except ValueError:
         return ""
     return f" {given.hex(' ').upper()}; by the spec it is {wanted.hex(' ').upper()}"

@@ -2,7 +2,9 @@
 
 1. The context of a reply is the latest request that fits it: same channel, equal shared captures, not consumed, not
    older than `within`. A mode (`after`) is the latest request of its kind, whether or not a reply has consumed it.
-2. Memory is bounded: the last `REQUESTS` requests of a kind and device, and the `DEVICES` devices asked last.
+2. An answer that no byte marks is awaited while the latest request that such answers hang on is pending, and is its
+   request: a newer request ends the wait for the answer to an older one.
+3. Memory is bounded: the last `REQUESTS` requests of a kind and device, and the `DEVICES` devices asked last.
 """
 
 from __future__ import annotations
@@ -58,7 +60,11 @@ class Context:
     """What has been asked on each channel."""
 
     def __init__(
-        self, messages: Sequence[Message], names: frozenset[str], broadcast: Mapping[str, int]
+        self,
+        messages: Sequence[Message],
+        names: frozenset[str],
+        broadcast: Mapping[str, int],
+        unmarked: Sequence[Message] = (),
     ) -> None:
         self._links: dict[str, list[RequestLink]] = {}
         #: By request, the sets of fields that replies share with it, each with what makes a device of them.
@@ -70,6 +76,9 @@ class Context:
         self._broadcast = broadcast
         #: The names of the requests that have passed.
         self.noted: set[str] = set()
+        #: By request, the answers without a mark that hang on it; and the latest of these requests, with its name.
+        self._unmarked: dict[str, list[tuple[Message, RequestLink]]] = {}
+        self._last: tuple[str, Entry] | None = None
         #: Messages to note; and those that need no request to be recognised, but use one up: give them to `of`.
         self.requests, self.answers = request_names(messages, names)
         for message in messages:
@@ -79,6 +88,9 @@ class Context:
             elif message.name in self.answers:
                 some = tuple(request for request in message.reply_to if request.message.name in self.requests)
                 self._link(message, some, is_sticky=False)
+        for message in unmarked:
+            for link in self._links[message.name]:
+                self._unmarked.setdefault(link.request.message.name, []).append((message, link))
 
     def _link(self, message: Message, requests: Sequence[Request], *, is_sticky: bool) -> None:
         links = self._links.setdefault(message.name, [])
@@ -96,6 +108,7 @@ class Context:
         self._seen.clear()
         self.noted.clear()
         self._count = 0
+        self._last = None
 
     def note(self, name: str, channel: Any, time: float | None, values: Mapping[str, Any]) -> None:
         """Note that a request has passed."""
@@ -106,11 +119,14 @@ class Context:
     ) -> Callable[[], None]:
         """Return a function to call whenever this request has passed: for a request that is repeated."""
         keys = [(name, channel, shared, who(values)) for shared, who in self._kinds[name].items()]
+        is_asking = name in self._unmarked
 
         def note() -> None:
             self._count += 1
             self.noted.add(name)
             entry = Entry(self._count, time, values)
+            if is_asking:
+                self._last = name, entry
             seen = self._seen
             for key in keys:
                 entries = seen.get(key)
@@ -123,6 +139,19 @@ class Context:
                     del entries[:-REQUESTS]
 
         return note
+
+    def awaited(self, time: float | None) -> Sequence[tuple[Message, Mapping[str, Any]]]:
+        """Return the answers without a mark that are awaited, each with the latest request, which it answers."""
+        if self._last is None:
+            return ()
+        name, entry = self._last
+        return [
+            (message, entry.values)
+            for message, link in self._unmarked[name]
+            if (link.is_sticky or not entry.consumed)
+            and link.request.accepts(entry.values)
+            and (None in (message.within, time, entry.time) or time - entry.time <= message.within)  # type: ignore[operator]
+        ]
 
     def requests_of(self, name: str) -> frozenset[str]:
         """Return the names of the requests that this message may hang on."""

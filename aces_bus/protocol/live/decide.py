@@ -12,7 +12,7 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from ...compiling import mypyc_attr
-from ..declare.ambiguity import needing_context, ordered
+from ..declare.ambiguity import needing_context, ordered, unmarked_answers
 from ..declare.message import GivenWay, Message
 from ..declare.protocol import Variant
 from ..generate.load import decoders_of, load_source
@@ -67,7 +67,13 @@ class Decider:
         self._quick = decoders_of(variant, raw, False)
         self.raw_decoders = decoders_of(variant, True)
         self.contextual = needing_context(self.messages)
-        self.context = Context(self.messages, self.contextual, variant.protocol.broadcast)
+        #: Answers that only a pending request tells from other bytes, and their framings.
+        self.unmarked = unmarked_answers(self.messages, self.contextual)
+        self.answering = frozenset(message.framing for message in self.unmarked)
+        #: The framings of its messages in order of trial: those of such answers go first.
+        framings = dict.fromkeys(m.framing for m in self.messages if m.framing is not None)
+        self.framings = sorted(framings, key=lambda framing: framing not in self.answering)
+        self.context = Context(self.messages, self.contextual, variant.protocol.broadcast, self.unmarked)
         #: What `sent` looks for: requests, whichever way this scanner faces.
         self.asked = [m for m in ordered(variant.messages.values()) if m.name in self.context.requests]
         self._chosen: dict[tuple[str, ...], Decode] = {}
@@ -180,6 +186,7 @@ class Decider:
         """Return a decoder that tries replies which only their request tells apart, then messages without a request."""
         context, raw, decoders = self.context, self.raw_decoders, self.decoders
         asked = {message: context.requests_of(message.name) for message in bound}
+        is_unmarked = bound[0] in self.unmarked
 
         def fit(
             messages: Sequence[Message],
@@ -235,7 +242,10 @@ class Decider:
             nonlocal likely, noted
             if is_plain and (record := by_mode(data, key, time, channel, packet, rx)) is not None:
                 return record
-            if context.noted != noted:  # what was never asked cannot be answered
+            if is_unmarked:
+                awaited = [message for message, _ in context.awaited(time)]
+                likely = [message for message in bound if message in awaited]
+            elif context.noted != noted:  # what was never asked cannot be answered
                 noted = set(context.noted)
                 likely = [message for message in bound if not noted.isdisjoint(asked[message])]
             fitting = fit(likely, data, key, time, channel, packet, rx) if likely else []

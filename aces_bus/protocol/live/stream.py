@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..counts import ScanCounts
 from ..declare.checks import Sums, fletcher_of, xor_of
-from ..declare.framing import Framing, Verdict
+from ..declare.framing import DEAD, Framing, Verdict
 from ..declare.message import GivenWay, Way, way_of
 from ..declare.protocol import Variant
 from ..declare.stuffing import Insert
@@ -67,7 +67,7 @@ class StreamScanner:
         self._overlaps: dict[int, Overlaps] = {}
         self.reset()
         for decider in self.deciders:
-            for framing in dict.fromkeys(m.framing for m in decider.messages if m.framing is not None):
+            for framing in decider.framings:
                 number = len(framings)
                 decode = f"packet_{number}"
                 framings.append((framing, decode))
@@ -145,8 +145,30 @@ class StreamScanner:
             names[f"judge_{number}"], names[f"unstuff_{decode}"] = segments, segments.unstuff
             return
         names[f"judge_{number}"] = _judge(framing, extras)
+        if framing in decider.answering:
+            names[f"judge_{number}"] = self._judge_answers(framing, decider)
         if framing.stuffing is not None:
             names[f"unstuff_{decode}"] = _unstuffer(framing)
+
+    def _judge_answers(
+        self, framing: Framing, decider: Decider
+    ) -> Callable[[bytes, int, bool], tuple[str, int, str]]:
+        """Judge packets of answers that no byte marks: they are looked for, and waited for, while one is awaited."""
+        awaited, extras = decider.context.awaited, framing.extras_of(decider.messages)
+        dead = unasked = verdict_of(DEAD, 0)
+        if not framing.sync and not framing.match:
+            unasked = ("bad", 0, decider.context.needs(decider.unmarked))
+
+        def judge(buffer: bytes, start: int, silent: bool) -> tuple[str, int, str]:
+            answers = awaited(self.time)
+            for message, request in answers:
+                if message.framing is framing:
+                    asked = message.question(request)
+                    judged = framing.judge(buffer, start, silent=silent, extras=extras, request=asked)
+                    return verdict_of(judged, start)
+            return dead if answers else unasked
+
+        return judge
 
     @property
     def counts(self) -> ScanCounts:
@@ -406,6 +428,8 @@ class StreamScanner:
 
 def has_size(framing: Framing) -> bool:
     """Return whether packets of the framing have sync bytes and say their size: what `Finder` can search for."""
+    if framing.covers_request:
+        return False
     return bool(framing.sync) and (framing.affine is not None or framing.fixed_size is not None)
 
 

@@ -23,6 +23,7 @@ from aces_bus.protocol import (
     Items,
     Message,
     Multiplexed,
+    RequestBytes,
     Sum,
     Xor,
 )
@@ -533,6 +534,8 @@ def covered_cells(over: Sequence[Covered], data: Any, key: Any = 0, extra: bytes
                 )
             case Extra():
                 cells += list(extra)
+            case RequestBytes():
+                raise NotProvable("a check over the request")
             case _:
                 cells += list(part)
     return cells

@@ -217,6 +217,8 @@ def _sample(job: MessageJob, outcome: Outcome, sizes: Sequence[int]) -> None:
     for found in drawn(message, sizes, DRAWN):
         image = w.image_of(message, found)
         want = w.by_reference(message, image)
+        if want is None and message.framing is not None and image == found.data:
+            continue  # no packet has these bytes, and no scanner hands them over
         got = w.by_function(message, functions[True], found, image)
         if w.text_of(got) != w.text_of(want):
             outcome.witness = found

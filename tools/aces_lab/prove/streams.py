@@ -185,6 +185,8 @@ def unread(framing: Framing) -> str:
         return "packets that are stuffed as a whole"
     if check is not None and check.text is not None:
         return "a check written as text"
+    if framing.covers_request or framing.check_behind:
+        return "a check over the request" if framing.covers_request else "a check behind the end"
     is_seeded = check is not None and any(isinstance(part, Extra) for part in check.over or ())
     return "a check with extra bytes" if is_seeded else ""
 

@@ -20,7 +20,7 @@ from .decoding import Witness
 #: Values of fields as they are compared.
 Value = int | float | str | bytes | list["Value"] | dict[str, "Value"] | None
 Plain = dict[str, Value]
-Decode = Callable[[bytes, int, float | None, str | None, bytes, bool | None], Record | None]
+Decode = Callable[..., Record | None]
 Encode = Callable[[dict[str, Value]], tuple[int, bytes, bytes]]
 
 
@@ -37,9 +37,16 @@ def image_of(message: Message | None, witness: Witness) -> bytes:
     end = len(data) - framing.check_size - len(framing.end)
     head, body = data[len(framing.sync) : message.payload_start], data[message.payload_start : max(end, 0)]
     try:
-        return bytes(message.struct.framed(framing, head, body))
+        return bytes(message.struct.framed(framing, head, body, message.question(request_of(message))))
     except (AcesError, ValueError, OverflowError):  # no packet of this message is so
         return data
+
+
+def request_of(message: Message) -> dict[str, int] | None:
+    """Return a request that the message answers, where its framing's check covers it."""
+    if message.framing is None or not message.framing.covers_request:
+        return None
+    return {name: min(wanted) for name, wanted in message.reply_to[0].values}
 
 
 def frame_of(witness: Witness) -> Frame:
@@ -60,7 +67,7 @@ def frame_of(witness: Witness) -> Frame:
 def by_reference(message: Message, image: bytes, *, raw: bool = True) -> Plain | None:
     """Return the fields that the reference reads; None when it refuses."""
     try:
-        values = message.struct.parse(image, raw=raw)
+        values = message.struct.parse(image, raw=raw, request=request_of(message))
     except Exception:  # whatever a construct raises
         return None
     return {name: plain_value(values[name]) for name in message.fields}
@@ -73,7 +80,9 @@ def by_function(
     framing = message.framing
     try:
         data = witness.data if framing is None else framing.logical(image)
-        record = decode(data, witness.key or 0, None, None, image, None)
+        request = request_of(message)
+        more = () if request is None else (request,)
+        record = decode(data, witness.key or 0, None, None, image, None, *more)
     except Exception as error:
         return None if quick and isinstance(error, struct.error) else {"raises": type(error).__name__}
     return None if record is None else {name: plain_value(getattr(record, name)) for name in message.fields}
@@ -81,12 +90,13 @@ def by_function(
 
 def by_encoder(message: Message, encode: Encode, image: bytes) -> bytes | None:
     """Return the image that a generated encoder makes of what the reference reads; None where it leaves it to construct."""
-    values = message.struct.parse(image, raw=False)
+    request = request_of(message)
+    values = message.struct.parse(image, raw=False, request=request)
     fields = {name: values[name] for name in message.fields if name not in message.request_fields}
     try:
         identifier, head, body = encode(fields)
         if message.framing is not None:
-            return bytes(message.struct.framed(message.framing, head, body))
+            return bytes(message.struct.framed(message.framing, head, body, message.question(request)))
     except Exception:  # construct decides
         return None
     flags = int.from_bytes(image[:4], "big") & ~0x1FFF_FFFF
