@@ -13,15 +13,15 @@ pytestmark = pytest.mark.slow
 #: Figure → its budget, and the reason of the last raise. Lower a budget when a figure falls well below it.
 BUDGETS: dict[str, tuple[int, str]] = {
     "statements of aces_bus": (
-        45_000,
-        "e-stops, stops through the lock, parking, measured limits; formats left for the lab",
+        45_300,
+        "e-stops, stops through the lock, parking, measured limits; formats left for the lab; the language of issue 30",
     ),
     "statements of the kernel": (
-        9_900,
+        10_020,
         "nodes answer what readers ask; fields by bits; names of any kind in errors; two scales, payloads from the header;"
-        " packets that come by two transports",
+        " packets that come by two transports; answers without a head",
     ),
-    "public names": (180, ""),
+    "public names": (182, "what a check covers of the request; quantities of two scales"),
     "members of public names": (900, ""),
     "names of seams": (
         487,
@@ -31,7 +31,7 @@ BUDGETS: dict[str, tuple[int, str]] = {
     "files that ask nodes for their class": (12, ""),
     "bases with one subclass": (34, ""),
     "test files that import the inside": (86, "tests of what landed beside it"),
-    "times that Any is written": (3_500, "proofs run generated text on values of any kind"),
+    "times that Any is written": (3_530, "proofs run generated text on values of any kind"),
     "docstrings that begin with a riddle": (0, ""),
     "docstrings that do not begin with a verb": (0, ""),
 }
